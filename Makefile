@@ -1,0 +1,51 @@
+# Two commands: `make run` and `make test`. The rest is for who changes the code.
+VENV := .venv
+BIN := $(VENV)/bin
+HDT_HOME ?= hdt_home
+LANDING ?= data_samples
+READY := $(VENV)/.ready
+
+.PHONY: run test soak audit check setup lock clean ui
+
+run: $(READY)
+	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
+	$(BIN)/hdt report --home $(HDT_HOME) --out $(HDT_HOME)/report.html
+
+test: $(READY)
+	$(BIN)/python -m pytest -n 2
+
+# a thousand kills at random moments of a night; HDT_SOAK_KILLS=n for more
+soak: $(READY)
+	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} $(BIN)/python -m pytest tests/faults
+
+# needs the index's advisories, so it is no part of `check`; writes sbom.json (CycloneDX) too
+audit: $(READY)
+	python3 -m venv .audit && .audit/bin/pip install --quiet pip-audit
+	.audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes --progress-spinner off -f cyclonedx-json -o sbom.json
+	.audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes --progress-spinner off -f json | .ci/audited
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/sqlfluff lint sql
+
+ui: $(READY)
+	HDT_HOME=$(abspath $(HDT_HOME)) HDT_LANDING=$(abspath $(LANDING)) $(BIN)/hdt ui
+
+setup: $(READY)
+
+$(READY): requirements.lock pyproject.toml
+	python3 -m venv $(VENV)
+	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	touch $@
+
+# setuptools builds this project from the same pinned set, so it is named here and not in the dependencies
+lock:
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-strip-extras \
+	  --extra speed --extra ui --extra postgres --extra dev pyproject.toml build-requirements.in -o requirements.lock
+
+clean:
+	rm -rf $(VENV) $(HDT_HOME) .pytest_cache .mypy_cache .ruff_cache
