@@ -1,0 +1,117 @@
+"""The final verdict on every leg: rules, log, cross checks, manifold and, where there is one, the twin.
+
+With hindsight, for calibration only. A leg turned away here is still monitored.
+"""
+
+import polars as pl
+
+from hdt_core.flight.cross_checks import check_sensors
+from hdt_core.flight.manifold import add_conductance_index, leg_conductance
+from hdt_core.flight.nominal import judge_conductance, reject_outliers
+from hdt_core.flight.phases import LEG_KEY
+from hdt_core.flight.windows import flag_windows, number_flights
+
+CONTAMINANT_LOSS = 0.15
+# the chance that a leg's loss is above the contaminant's limit must be below 5 %: at 1 % a young pack, whose loss is
+# not yet known well, would hardly ever be nominal
+UPPER_SD = 1.645
+LOSSES = {
+    "hx_fouling": ("HX_WORN", CONTAMINANT_LOSS),
+    "cc_efficiency_loss": ("CC_WORN", CONTAMINANT_LOSS),
+    # the pressure rise goes with the square of the effective diameter, equation (5)
+    "cc_diameter_loss": ("CC_WORN", 0.5 * CONTAMINANT_LOSS),
+}
+ENOUGH_SAMPLES = 8
+SECOND_LEVEL = {
+    "SENSOR_SHIFT": "a sensor left what it is tied to",
+    "UNREST": "the exchanger changed within the cruise, as ice does",
+    "STRAY": "the leg stands apart from those before and after it",
+    "OUTLIER": "far from the nominal fleet in several residuals at once",
+    "HX_WORN": "heat exchanger worn",
+    "CC_WORN": "compressor worn",
+}
+
+
+def admit(
+    legs: pl.DataFrame,
+    samples: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    messages: pl.DataFrame,
+    health_parameters: pl.DataFrame | None = None,
+) -> pl.DataFrame:
+    """Add to level one's verdicts what the log, the fleet and the twin know.
+
+    Parameters
+    ----------
+    legs, samples : DataFrame
+        Of `judge_legs`, whole histories: one aircraft, or better the fleet.
+    maintenance, messages : DataFrame
+        The logs, as `judge_legs` takes them.
+    health_parameters : DataFrame, optional
+        The twin's losses with their standard deviations. Without it, before a first calibration, wear is judged from
+        the recorded signals alone.
+
+    Returns
+    -------
+    DataFrame
+        `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) renewed; no leg is dropped.
+    """
+    numbered = number_flights(legs.drop("flight_number", strict=False))
+    indexed = add_conductance_index(samples, numbered)
+    levels = numbered.join(leg_conductance(indexed), on=LEG_KEY, how="left")
+    known = flag_windows(numbered, maintenance, messages)
+    for part in (check_sensors(samples, numbered), judge_conductance(levels, maintenance), _wear(health_parameters)):
+        known = known.join(part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left")
+    return _without_outliers(_give_reasons(known)).select(legs.columns)
+
+
+def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
+    """The twin's word on each leg: `wear`, a reason code or null."""
+    schema = {**dict.fromkeys(LEG_KEY, pl.String), "pack": pl.Int32, "wear": pl.String}
+    if health_parameters is None or health_parameters.is_empty():
+        return pl.DataFrame(schema=schema)
+    limits = pl.DataFrame(
+        {"parameter": list(LOSSES), "code": [c for c, _ in LOSSES.values()], "limit": [v for _, v in LOSSES.values()]}
+    )
+    judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter")
+    over = pl.col("value") + UPPER_SD * pl.col("sd").fill_null(0.0) > pl.col("limit")
+    worst = pl.col("code").filter(over).max()  # the exchanger speaks first
+    return judged.group_by(LEG_KEY).agg(worst.alias("wear"))
+
+
+def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
+    """Replace an empty `reason` by the first of the second level's rules that is broken."""
+    own = pl.when(pl.col("reason") != "").then(pl.col("reason"))
+    rules = {
+        "MAINTENANCE": pl.col("near_maintenance"),
+        "MESSAGE": pl.col("near_message"),
+        "SENSOR_SHIFT": pl.col("sensor_shift"),
+        "UNREST": pl.col("unrest"),
+        "STRAY": pl.col("stray"),
+        "HX_WORN": pl.col("worn"),
+    }
+    broken = [pl.when(rule.fill_null(False)).then(pl.lit(code)) for code, rule in rules.items()]
+    return known.with_columns(pl.coalesce(own, *broken, "wear", pl.lit("")).alias("reason"))
+
+
+def _without_outliers(known: pl.DataFrame) -> pl.DataFrame:
+    """The last screen, among legs that passed all others: FAST-MCD over a leg's deviations from its unit's habit."""
+    passed = known.filter(pl.col("reason") == "")
+    # a leg of few samples deviates by chance: weighted as its mean deserves
+    weight = (pl.col("index_n").fill_null(1) / ENOUGH_SAMPLES).clip(upper_bound=1.0).sqrt()
+    weighted = passed.with_columns(pl.col("^.*_off$") * weight)
+    columns = [c for c in known.columns if c.endswith("_off")]
+    found = passed.select(LEG_KEY).with_columns(reject_outliers(weighted, columns))
+    joined = known.join(found, on=LEG_KEY, how="left", maintain_order="left")
+    reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
+    final = joined.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return final.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))
+
+
+def yields(legs: pl.DataFrame) -> pl.DataFrame:
+    """Share of legs admitted by operator, tail and month of departure, so that a filter that hides a season is seen."""
+    grouped = legs.group_by("operator", "tail", pl.col("departed_at").dt.truncate("1mo").dt.date().alias("month"))
+    counted = grouped.agg(pl.len().alias("n_legs"), pl.col("admitted").sum().alias("n_admitted"))
+    return counted.with_columns((pl.col("n_admitted") / pl.col("n_legs")).alias("yield")).sort(
+        "operator", "tail", "month"
+    )

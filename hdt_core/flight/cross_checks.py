@@ -1,0 +1,129 @@
+"""Sensors checked against each other, leg by leg, with hindsight: what physics ties together must not come apart.
+
+None of the checks needs a model of the exchanger and none is moved by its wear.
+"""
+
+import numpy as np
+import polars as pl
+
+from hdt_core.flight.phases import LEG_KEY
+
+DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
+RUNNING_KG_S = 0.1
+SMOOTHED_FLIGHTS = 7
+FAULT_SD = 4.0  # of the smoothed check's own scatter on the tail
+SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
+LAW_TERMS = ("altitude_m", "tat_k")
+
+# check: shift [its unit] below which a sound pair of sensors may wander (humidity, leaks, trim): about half of a
+# fault's size
+TOLERANCE = {
+    "outlet_between_packs_k": 1.2,
+    "inlet_minus_tat_k": 0.8,
+    "inlet_over_total_pressure_ln": 0.015,
+    "pack_over_compressor_flow_ln": 0.030,
+    "pack_flow_between_packs_ln": 0.045,
+}
+BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}
+
+
+def check_sensors(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Legs on which a sensor has left what it is tied to.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Screened samples of both packs with `phase`.
+    legs : DataFrame
+        `LEG_KEY` and `flight_number`.
+
+    Returns
+    -------
+    DataFrame
+        `LEG_KEY`, `sensor_shift` (bool), `sensor_check`, the name of the check that moved furthest (null if none),
+        and `<check>_off`, the leg's own deviation.
+
+    Notes
+    -----
+    Each check is the leg's mean of a difference that is constant for sound sensors, less its median over the tail's
+    flights: sensor faults are repaired, so most flights are sound. It has shifted where its running median over seven
+    flights leaves zero by more than a tolerance and by four of its own standard deviations, or one flight by far
+    more. A check between packs accuses both; the pack is cleared whose own reading is the nearer to the fleet's law.
+    """
+    values = _leg_values(samples).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
+    names = [*TOLERANCE, *BETWEEN_PACKS.values()]
+    off = values.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in names)
+    smooth = off.with_columns(
+        pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(unit).alias(f"{c}_smooth")
+        for c in names
+    )
+    scores = smooth.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
+    cleared = scores.with_columns(
+        pl.when(_nearer(own, [*tail, "flight_id"])).then(0.0).otherwise(pl.col(f"{c}_score")).alias(f"{c}_score")
+        for c, own in BETWEEN_PACKS.items()
+    )
+    worst = pl.max_horizontal(pl.col(f"{c}_score") for c in TOLERANCE).fill_null(0.0)
+    named = pl.coalesce(pl.when((pl.col(f"{c}_score") == worst) & (worst > 1.0)).then(pl.lit(c)) for c in TOLERANCE)
+    alone = [pl.col(c).fill_null(0.0).alias(f"{c}_off") for c in TOLERANCE]
+    return cleared.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), named.alias("sensor_check"), *alone)
+
+
+def _score(check: str, unit: list[str]) -> pl.Expr:
+    """Shift over what is allowed; above 1 it is a fault."""
+    smooth = pl.col(f"{check}_smooth").abs()
+    spread = 1.4826 * smooth.median().over(unit)
+    allowed = pl.max_horizontal(spread * FAULT_SD, pl.lit(TOLERANCE[check]))
+    alone = 1.4826 * pl.col(check).abs().median().over(unit) * FAULT_SD
+    single = pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
+    return pl.max_horizontal(smooth / allowed, pl.col(check).abs() / single)
+
+
+def _nearer(own: str, flight: list[str]) -> pl.Expr:
+    """Whether the pack's own reading is clearly the less displaced of the two."""
+    displaced = pl.col(f"{own}_smooth").abs()
+    return (displaced < 0.5 * displaced.max().over(flight)).fill_null(False)
+
+
+def _leg_values(samples: pl.DataFrame) -> pl.DataFrame:
+    """Mean of each check over the leg."""
+    running = samples.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    shared = [*LEG_KEY[:3], "time_utc", "source"]
+    other = running.select(
+        *shared,
+        (3 - pl.col("pack")).cast(running.schema["pack"]).alias("pack"),
+        *(pl.col(c).alias(f"other_{c}") for c in ("hx_out_k", "ram_door_open", "pack_flow_kg_s")),
+    )
+    paired = _with_law(running).join(other, on=[*shared, "pack"], how="left")
+    free = pl.col("ram_door_open").is_between(*DOOR_FREE)
+    both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
+    cruise = pl.col("phase") == "cruise"
+    return paired.group_by(LEG_KEY).agg(
+        (pl.col("hx_out_k") - pl.col("other_hx_out_k")).filter(both_free).mean().alias("outlet_between_packs_k"),
+        (pl.col("hx_out_k") - pl.col("law_k")).filter(both_free).mean().alias("outlet_above_law_k"),
+        (pl.col("cc_in_k") - pl.col("tat_k")).mean().alias("inlet_minus_tat_k"),
+        _ln_ratio("cc_in_pa", "total_pressure_pa").filter(cruise).mean().alias("inlet_over_total_pressure_ln"),
+        _ln_ratio("pack_flow_kg_s", "cc_flow_kg_s").filter(cruise).mean().alias("pack_over_compressor_flow_ln"),
+        _ln_ratio("pack_flow_kg_s", "other_pack_flow_kg_s").filter(cruise).mean().alias("pack_flow_between_packs_ln"),
+        pl.col("pack_flow_kg_s").log().filter(cruise).mean().alias("pack_flow_ln"),
+    )
+
+
+def _ln_ratio(top: str, bottom: str) -> pl.Expr:
+    return pl.when((pl.col(top) > 0.0) & (pl.col(bottom) > 0.0)).then((pl.col(top) / pl.col(bottom)).log())
+
+
+def _with_law(running: pl.DataFrame) -> pl.DataFrame:
+    """Add `law_k`, the outlet temperature the controllers hold: linear in altitude and total temperature."""
+    free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
+    centre = free.select(pl.col("hx_out_k", *LAW_TERMS).median())
+    if free.height < 10:
+        return running.with_columns(pl.lit(None, pl.Float64).alias("law_k"))
+    x = free.select(pl.col(c) - centre[c].item() for c in LAW_TERMS).to_numpy()
+    y = free["hx_out_k"].to_numpy() - centre["hx_out_k"].item()
+    slopes = np.linalg.lstsq(x, y, rcond=None)[0]
+    law = sum(
+        ((pl.col(c) - centre[c].item()) * float(b) for c, b in zip(LAW_TERMS, slopes, strict=True)),
+        start=pl.lit(float(centre["hx_out_k"].item())),
+    )
+    return running.with_columns(law.alias("law_k"))

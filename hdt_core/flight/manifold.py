@@ -1,0 +1,123 @@
+"""The fleet's nominal manifold of the heat exchanger, from recorded signals alone: no design value, no twin.
+
+First indicator of wear and of ice, good enough to choose the legs that a model is then calibrated on.
+"""
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from hdt_core.flight.phases import LEG_KEY
+
+Array = NDArray[np.float64]
+
+BLOCK_FLIGHTS = 10
+"""Flights within which wear hardly moves: an offset for each such block takes it out of the regression."""
+HUBER_K, HUBER_STEPS = 1.345, 12
+"""95 % efficient on normal errors."""
+SCAN_LENGTHS = (2, 3, 4, 6, 9)
+"""Samples in a row; an ice episode lasts a quarter of an hour to an hour."""
+TERMS = ("pack_flow", "door", "ram_density", "mach", "door_door", "door_density", "flow_door")
+
+
+def add_conductance_index(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    r"""Add `conductance_index`, the logarithm of the exchanger's temperature ratio at one and the same operating
+    point. [-]
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Samples with `monitored`; only these get an index, the others null.
+    legs : DataFrame
+        `LEG_KEY` and `flight_number`.
+
+    Notes
+    -----
+    .. math:: y = \ln \frac{T_{hi} - T_{ho}}{T_{ho} - T_{ci}}
+
+    rises with conductance and ram flow and falls with pack flow. Its dependence on pack flow, door, ram density and
+    Mach (second order in the logarithms) is learned by Huber regression with an offset for every ten flights of a
+    pack: wear, unit, and constant sensor errors fall into the offsets, so that no healthy fleet is needed to learn
+    from. The index is what is left, offsets included. A loss of conductance of 10 % lowers it by 0.08 to 0.12.
+
+    References
+    ----------
+    .. [1] P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
+    """
+    numbered = samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
+    usable = numbered.with_row_index("_row").filter("monitored").with_columns(_regressors()).drop_nulls(["y", *TERMS])
+    usable = usable.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
+    if usable.height <= 10 * len(TERMS):
+        return samples.with_columns(pl.lit(None, pl.Float64).alias("conductance_index"))
+    x = usable.select(TERMS).to_numpy()
+    index = usable["y"].to_numpy() - (x - np.median(x, axis=0)) @ _slopes(usable)
+    found = usable.select("_row").with_columns(pl.Series("conductance_index", index))
+    return samples.with_row_index("_row").join(found, on="_row", how="left", maintain_order="left").drop("_row")
+
+
+def _regressors() -> list[pl.Expr]:
+    hot, out, cold = pl.col("hx_in_k"), pl.col("hx_out_k"), pl.col("tat_k")
+    flow = pl.col("pack_flow_kg_s").log()
+    door = pl.col("ram_door_open").clip(lower_bound=0.02).log()
+    density = (pl.col("total_pressure_pa") / cold.sqrt()).log() - 7.7  # near its cruise value: keeps the products apart
+    usable = (hot > out + 5.0) & (out > cold + 5.0)
+    return [
+        pl.when(usable).then(((hot - out) / (out - cold)).log()).alias("y"),
+        flow.alias("pack_flow"),
+        door.alias("door"),
+        density.alias("ram_density"),
+        pl.col("mach").clip(lower_bound=0.2).log().alias("mach"),
+        (door**2).alias("door_door"),
+        (door * density).alias("door_density"),
+        (flow * door).alias("flow_door"),
+    ]
+
+
+def _slopes(usable: pl.DataFrame) -> Array:
+    """Huber regression of y on the terms, offsets of pack and block removed by their medians."""
+    block = [*LEG_KEY[:2], "pack", pl.col("flight_number") // BLOCK_FLIGHTS]
+    within = usable.select((pl.col(c) - pl.col(c).median().over(block)).alias(c) for c in ("y", *TERMS))
+    x, y = within.select(TERMS).to_numpy(), within["y"].to_numpy()
+    weight = np.ones(y.size)
+    # a weak ridge keeps a fleet that never moves a regressor solvable
+    ridge = 1e-6 * y.size * np.eye(x.shape[1])
+    slopes = np.zeros(x.shape[1])
+    for _ in range(HUBER_STEPS):
+        slopes = np.linalg.solve(x.T @ (weight[:, None] * x) + ridge, x.T @ (weight * y))
+        residual = np.abs(y - x @ slopes)
+        scale = 1.4826 * np.median(residual) + 1e-9
+        weight = np.minimum(1.0, HUBER_K * scale / np.maximum(residual, 1e-12))
+    return np.asarray(slopes)
+
+
+def leg_conductance(samples: pl.DataFrame) -> pl.DataFrame:
+    """Level and unrest of the index, leg by leg.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        With `conductance_index`, sorted by `LEG_KEY` and time.
+
+    Returns
+    -------
+    DataFrame
+        `LEG_KEY`, `index_level` (median), `index_n`, and `index_unrest`: how far the mean of a few samples in a row
+        leaves the leg's median, in standard errors; ice that comes and goes makes it large, wear does not move it.
+    """
+    keys = list(LEG_KEY)
+    known = samples.filter(pl.col("conductance_index").is_not_null())
+    off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
+    centred = known.with_columns(off.alias("_off"))
+    # noise from sample to sample, of the fleet and not of the leg: a leg in ice must not excuse itself
+    step = centred["_off"] - centred.select(pl.col("_off").shift(1).over(keys))["_off"]
+    noise = 1.4826 * float(step.abs().median() or 1.0) / 2**0.5  # type: ignore[arg-type]
+    runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
+    return (
+        centred.with_columns(runs)
+        .group_by(keys)
+        .agg(
+            pl.col("conductance_index").median().alias("index_level"),
+            pl.len().cast(pl.Int64).alias("index_n"),
+            (pl.max_horizontal(pl.col(f"_run{m}").max() for m in SCAN_LENGTHS) / noise).alias("index_unrest"),
+        )
+    )

@@ -1,0 +1,131 @@
+"""Steady state: a slope test over 60 s on 1 Hz logs, its equivalent between snapshots, and averages over it."""
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from hdt_core.flight.phases import number_legs
+from hdt_core.flight.quality import SIGNALS
+
+WINDOW_S = 60
+SLOPE_T_LIMIT = 4.0
+MIN_AVERAGED = 45  # seconds of a window that must have been recorded
+# what drives the heat exchanger: largest drift [1/s] that leaves it quasi-steady, and the random sd of a reading
+DRIVERS: dict[str, tuple[float, float]] = {
+    "altitude_m": (1.524, 5.0),
+    "mach": (4.0e-4, 1.5e-3),
+    "tat_k": (0.03, 0.35),
+    "hx_in_k": (0.08, 0.6),
+    "pack_flow_kg_s": (1.5e-3, 0.012),
+    "ram_door_open": (2.0e-3, 0.012),
+}
+
+
+def slope_t(values: NDArray[np.float64], window: int = WINDOW_S, resolution: float = 0.0) -> NDArray[np.float64]:
+    """Student's t of the least-squares slope in the window around each sample.
+
+    Parameters
+    ----------
+    values : array (n,)
+        Evenly spaced readings, finite.
+    window : int
+        Samples in a window; at both ends the first and the last whole window speak.
+    resolution : float
+        Smallest step of the reading; a reading that only toggles within it has no slope.
+
+    Returns
+    -------
+    array (n,)
+        t with `window - 2` degrees of freedom; all zero where the record is shorter than a window.
+
+    References
+    ----------
+    .. [1] J. D. Kelly, J. D. Hedengren, A steady-state detection (SSD) algorithm to detect non-stationary drifts in
+       processes, J. Process Control 23(3), 2013 (drift t-test).
+    """
+    n = values.size
+    if n < window:
+        return np.zeros(n)
+    x = values - values.mean()  # cancellation in the running sums
+    offset = np.arange(window) - 0.5 * (window - 1)
+    ss_time = float(offset @ offset)
+    slope = np.convolve(x, offset[::-1], mode="valid") / ss_time
+    total = np.convolve(x, np.ones(window), mode="valid")
+    square = np.convolve(x * x, np.ones(window), mode="valid")
+    ss_residual = np.maximum(square - total**2 / window - slope**2 * ss_time, 0.0)
+    variance = ss_residual / (window - 2) + resolution**2 / 12.0
+    t = np.divide(slope, np.sqrt(variance / ss_time), out=np.zeros_like(slope), where=variance > 0.0)
+    t[(variance == 0.0) & (slope != 0.0)] = np.inf
+    centre = np.clip(np.arange(n) - window // 2, 0, t.size - 1)
+    return np.asarray(t[centre])
+
+
+def is_transient(values: NDArray[np.float64], window: int = WINDOW_S, resolution: float = 0.0) -> NDArray[np.bool_]:
+    """Whether each second belongs to a drift: the 60 s slope test at `SLOPE_T_LIMIT`. Arguments as `slope_t`."""
+    return np.asarray(np.abs(slope_t(values, window, resolution)) > SLOPE_T_LIMIT)
+
+
+def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
+    """Average a 1 Hz log over whole minutes of one phase, so that the twin may treat it as precise snapshots.
+
+    Parameters
+    ----------
+    log : DataFrame
+        `by`, `time_utc`, `phase`, `level`, `climb_rate_m_s`, the screen counts and `SIGNALS`, one row a second;
+        `departed_at` of the flight is carried on where it is there.
+
+    Returns
+    -------
+    DataFrame
+        A row a window with the means of the signals, `time_utc` at the window's middle second, `n_averaged` [s] and
+        `steady` (bool): no driver drifts both significantly (slope test, t over 4) and faster than `DRIVERS` allows.
+    """
+    window = (pl.col("time_utc").dt.epoch("s") // WINDOW_S).alias("_window")
+    second = pl.col("time_utc").dt.epoch("s").cast(pl.Float64)
+    counts = [c for c in log.columns if c.startswith("n_")]
+    averaged = log.group_by(*by, window, "phase", maintain_order=True).agg(
+        pl.col("time_utc").median().cast(log.schema["time_utc"]),
+        *(pl.col(c).first() for c in ("departed_at",) if c in log.columns),
+        pl.col("level").all(),
+        pl.col("climb_rate_m_s").mean(),
+        *(pl.when(pl.col(s).count() * 2 > pl.len()).then(pl.col(s).mean()).alias(s) for s in SIGNALS),
+        *(pl.col(c).sum() for c in counts),
+        pl.len().cast(pl.Int64).alias("n_averaged"),
+        pl.all_horizontal(_drift_free(second, s) for s in DRIVERS).alias("steady"),
+    )
+    return averaged.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")
+
+
+def _drift_free(second: pl.Expr, signal: str) -> pl.Expr:
+    """Not both a significant and a harmful slope; true where the signal is not recorded."""
+    harmful, _ = DRIVERS[signal]
+    known = pl.col(signal).is_not_null()
+    time, reading = second.filter(known), pl.col(signal).drop_nulls()
+    slope = pl.cov(time, reading) / time.var()
+    degrees = reading.len() - 2
+    residual = (reading.var() - slope**2 * time.var()).clip(lower_bound=0.0)
+    t = slope.abs() / (residual / (time.var() * degrees)).sqrt()
+    return ((t < SLOPE_T_LIMIT) | (slope.abs() < harmful)).fill_null(True)
+
+
+def steady_snapshots(snapshots: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
+    """Add `steady`: whether a level snapshot agrees with a neighbour in all that drives the exchanger.
+
+    A snapshot can't be tested for slope. Its equivalent: to the nearer of its neighbours in the same phase no driver
+    moved faster than `DRIVERS` allows, or by more than four times the noise of a difference. Rows
+    sorted by `by` and time.
+    """
+    steady = pl.col("level") & pl.all_horizontal(_held(s) for s in DRIVERS)
+    return number_legs(snapshots, by).with_columns(steady.fill_null(False).alias("steady")).drop("_leg")
+
+
+def _held(signal: str) -> pl.Expr:
+    rate, noise = DRIVERS[signal]
+
+    def moved(step: int) -> pl.Expr:
+        change = (pl.col(signal) - pl.col(signal).shift(step).over("_leg")).abs()
+        span_s = (pl.col("time_utc") - pl.col("time_utc").shift(step).over("_leg")).dt.total_seconds().abs()
+        same = pl.col("phase") == pl.col("phase").shift(step).over("_leg")
+        return pl.when(same).then(change - pl.max_horizontal(rate * span_s, pl.lit(4.0 * 2**0.5 * noise)))
+
+    return (pl.min_horizontal(moved(1), moved(-1)) <= 0.0).fill_null(True)

@@ -1,0 +1,73 @@
+"""Flights around maintenance actions and fault messages: what calibration must not learn from, known with hindsight."""
+
+import polars as pl
+
+TAIL_KEY = ("operator", "tail")
+# flights of the tail before an entry that may be sick, and after it that may still be: entries come up to five
+# flights late
+AROUND_MAINTENANCE = {"HX": (10, 1), "CC": (5, 1), "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
+# messages of the pack's own exchanger and compressor; others (trim air, cabin fans) say nothing about it
+AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
+# looking changes nothing; a wash finds the exchanger it leaves, and how foul that was its own flights show
+HARMLESS = ("INSPECTED", "CLEANED")
+LONGEST_PAUSE = "21d"
+
+
+def number_flights(legs: pl.DataFrame) -> pl.DataFrame:
+    """Add `flight_number`: the tail's flights in order of departure, from 0, the same for both packs."""
+    order = pl.col("departed_at").rank("dense").over(TAIL_KEY).cast(pl.Int64) - 1
+    return legs.with_columns(order.alias("flight_number"))
+
+
+def flag_windows(legs: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> pl.DataFrame:
+    """Add `near_maintenance` and `near_message` (bool) for flights within the windows above.
+
+    Parameters
+    ----------
+    legs : DataFrame
+        `operator`, `tail`, `pack`, `departed_at`, `flight_number`.
+    maintenance : DataFrame
+        `operator`, `tail`, `done_on` (Date), `pack`, `component`, `action`. Inspections alone change nothing and open
+        no window.
+    messages : DataFrame
+        `operator`, `tail`, `message_time`, `pack`, `code`.
+    """
+    worked = maintenance.filter(~pl.col("action").is_in(HARMLESS)).select(
+        *TAIL_KEY,
+        pl.col("pack").cast(pl.Int32),
+        pl.col("done_on").cast(pl.Datetime("us", "UTC")).alias("at"),
+        pl.col("component").alias("kind"),
+    )
+    warned = messages.select(
+        *TAIL_KEY,
+        pl.col("pack").cast(pl.Int32),
+        pl.col("message_time").cast(pl.Datetime("us", "UTC")).alias("at"),
+        pl.col("code").str.slice(0, 5).alias("kind"),
+    )
+    flagged = _flag(legs, worked, AROUND_MAINTENANCE, "near_maintenance")
+    return _flag(flagged, warned, AROUND_MESSAGE, "near_message")
+
+
+def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int, int]], name: str) -> pl.DataFrame:
+    """Flag the pack's flights within `reach` (flights before, flights after) of an entry of that kind."""
+    spans = pl.DataFrame(
+        {"kind": list(reach), "_before": [b for b, _ in reach.values()], "_after": [a for _, a in reach.values()]},
+        schema={"kind": pl.String, "_before": pl.Int64, "_after": pl.Int64},
+    )
+    flights = legs.select(*TAIL_KEY, "departed_at", "flight_number").unique().sort("departed_at")
+    known = entries.join(spans, on="kind").sort("at")
+    # the last flight that left before the entry; one made while the aircraft did not fly concerns no flight
+    placed = known.join_asof(
+        flights,
+        left_on="at",
+        right_on="departed_at",
+        by=list(TAIL_KEY),
+        tolerance=LONGEST_PAUSE,
+        check_sortedness=False,
+    ).drop_nulls("flight_number")
+    last = pl.col("flight_number")
+    span = pl.int_ranges(last - pl.col("_before"), last + pl.col("_after") + 1).alias("flight_number")
+    reached = placed.select(*TAIL_KEY, "pack", span).explode("flight_number").unique()
+    hits = reached.with_columns(pl.lit(True).alias(name))
+    joined = legs.join(hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left")
+    return joined.with_columns(pl.col(name).fill_null(False))
