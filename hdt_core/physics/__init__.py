@@ -1,0 +1,1 @@
+"""Declared models of components, and the equations behind them."""

@@ -1,0 +1,220 @@
+"""The paper's heat exchanger, equations (7) and (8): two states, each stream one stirred volume.
+
+Its exchange is driven by the difference of the outlet temperatures, so it cannot represent an efficient exchanger: see
+`effectiveness_ceiling` and docs/errata.md. `heat_exchanger` is the default for health.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, taking
+from hdt_core.physics.propagation import Factors, euler_factors, exact_factors, tustin_factors
+
+Form = Literal["quasi_steady", "exact", "euler", "tustin"]
+CP_HOT_J_KG_K, CP_COLD_J_KG_K = 1009.0, 1005.0
+"""Specific heat of air at the mean temperature of each side, 330 and 270 K. [J/kg/K]"""
+
+
+def effectiveness_ceiling(hot_rate_w_k: Array, cold_rate_w_k: Array) -> Array:
+    """Return the hot-side effectiveness that equations (7)-(8) reach at infinite H and never pass. [-]
+
+    Parameters
+    ----------
+    hot_rate_w_k, cold_rate_w_k : array
+        Heat-capacity rate, flow times specific heat, of each side. [W/K]
+
+    Notes
+    -----
+    Two stirred volumes at one temperature: 1 / (1 + W_h C_h / (W_r C_c)). A real exchanger may do better, and then
+    no H > 0 explains it.
+
+    Examples
+    --------
+    >>> round(float(effectiveness_ceiling(np.float64(0.9), np.float64(1.6))), 3)
+    0.64
+    """
+    return 1.0 / (1.0 + hot_rate_w_k / cold_rate_w_k)
+
+
+def tied_coefficient_w_k(
+    hot_flow_kg_s: Array, ram_flow_kg_s: Array, hot_in_k: Array, hot_out_k: Array, cold_in_k: Array
+) -> Array:
+    r"""H of equations (7)-(8) with H_h = H_c, in closed form from one steady sample. [W/K]
+
+    Negative, or infinite, where the sample lies at or above `effectiveness_ceiling`: the model has no answer there.
+
+    Notes
+    -----
+    At steady state only the ratio below enters, and the balance of heat forces H_h = H_c:
+
+    .. math:: \kappa = \frac{T_{hi} - T_{ho}}{T_{ho} - T_{ci}}, \quad
+       \frac{1}{H} = \frac{1}{\kappa W_h C_h} - \frac{1}{W_r C_c}
+
+    Examples
+    --------
+    >>> operating = dict(hot_flow_kg_s=0.9, ram_flow_kg_s=1.6, hot_in_k=390.0, cold_in_k=250.0)
+    >>> hot, _ = steady_outlets_k(**operating, hx_h_hot_w_k=2500.0, hx_h_cold_w_k=2500.0)
+    >>> round(float(tied_coefficient_w_k(**operating, hot_out_k=hot)), 6)
+    2500.0
+    """
+    inverse = (hot_out_k - cold_in_k) / ((hot_in_k - hot_out_k) * hot_flow_kg_s * CP_HOT_J_KG_K)
+    with np.errstate(divide="ignore"):
+        return 1.0 / (inverse - 1.0 / (ram_flow_kg_s * CP_COLD_J_KG_K))
+
+
+def steady_outlets_k(
+    *,
+    hot_flow_kg_s: Array,
+    ram_flow_kg_s: Array,
+    hot_in_k: Array,
+    cold_in_k: Array,
+    hx_h_hot_w_k: Array,
+    hx_h_cold_w_k: Array,
+) -> tuple[Array, Array]:
+    """Outlet temperatures at which equations (7) and (8) stand still, hot then cold. [K]
+
+    Examples
+    --------
+    >>> operating = dict(hot_flow_kg_s=0.9, ram_flow_kg_s=1.6, hot_in_k=390.0, cold_in_k=250.0)
+    >>> hot, cold = steady_outlets_k(**operating, hx_h_hot_w_k=2500.0, hx_h_cold_w_k=2500.0)
+    >>> round(hot, 1), round(cold, 1)
+    (317.4, 291.0)
+    """
+    a = hx_h_hot_w_k / (hot_flow_kg_s * CP_HOT_J_KG_K)
+    b = hx_h_cold_w_k / (ram_flow_kg_s * CP_COLD_J_KG_K)
+    span_k = (hot_in_k - cold_in_k) / (1.0 + a + b)
+    return hot_in_k - a * span_k, cold_in_k + b * span_k
+
+
+def rates_k_s(
+    *,
+    hot_flow_kg_s: Array,
+    ram_flow_kg_s: Array,
+    hot_in_k: Array,
+    cold_in_k: Array,
+    hx_h_hot_w_k: Array,
+    hx_h_cold_w_k: Array,
+    hx_mass_hot_kg: Array,
+    hx_mass_cold_kg: Array,
+    hot_volume_k: Array,
+    cold_volume_k: Array,
+) -> tuple[Array, Array]:
+    """Equations (7) and (8): rate of change of the hot and the cold outlet temperature. [K/s]
+
+    Both cold temperatures are printed as T_cc; read here as inlet where the ram air enters, and as outlet elsewhere.
+    `hx_mass_*_kg` is the air-equivalent mass of stream and core: with the paper's own definition, the fluid alone, the
+    time constants are 5 to 24 ms and nothing can be seen at 1 Hz.
+    """
+    across_k = hot_volume_k - cold_volume_k
+    hot = hot_flow_kg_s * (hot_in_k - hot_volume_k) - hx_h_hot_w_k / CP_HOT_J_KG_K * across_k
+    cold = ram_flow_kg_s * (cold_in_k - cold_volume_k) + hx_h_cold_w_k / CP_COLD_J_KG_K * across_k
+    return hot / hx_mass_hot_kg, cold / hx_mass_cold_kg
+
+
+def _matrix_per_s(
+    *,
+    hot_flow_kg_s: Array,
+    ram_flow_kg_s: Array,
+    hx_h_hot_w_k: Array,
+    hx_h_cold_w_k: Array,
+    hx_mass_hot_kg: Array,
+    hx_mass_cold_kg: Array,
+    **_: Any,
+) -> Factors:
+    """[[p, q], [r, s]] of equations (7) and (8) about their steady state."""
+    hot_exchange = hx_h_hot_w_k / (hx_mass_hot_kg * CP_HOT_J_KG_K)
+    cold_exchange = hx_h_cold_w_k / (hx_mass_cold_kg * CP_COLD_J_KG_K)
+    return (
+        -hot_flow_kg_s / hx_mass_hot_kg - hot_exchange,
+        hot_exchange,
+        cold_exchange,
+        -ram_flow_kg_s / hx_mass_cold_kg - cold_exchange,
+    )
+
+
+_FACTORS: dict[str, Callable[..., Factors]] = {
+    "exact": exact_factors,
+    "euler": euler_factors,
+    "tustin": tustin_factors,
+}
+
+
+def lumped_exchanger(form: Form = "exact") -> PhysicsModel:
+    """Equations (7)-(8), declared, in the form asked for; `hx_h_loss` is the share that both coefficients have lost.
+
+    Parameters
+    ----------
+    form : {"quasi_steady", "exact", "euler", "tustin"}
+        `quasi_steady` has no states and needs no masses: at 1 Hz in cruise it loses nothing. `exact` propagates by the
+        matrix exponential with the inputs held. `euler` and `tustin` are the sequential forms; Euler needs a step well
+        below the fastest time constant.
+    """
+    if form == "quasi_steady":
+        names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS))
+        return PhysicsModel("lumped_exchanger", _INPUTS, _OUTPUTS, _COEFFICIENTS, _worn(names, steady_outlets_k))
+    names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS, *_MASSES, *_STATES))
+    return PhysicsModel(
+        "lumped_exchanger",
+        _INPUTS,
+        _OUTPUTS,
+        _COEFFICIENTS + _MASSES,
+        _worn(names, _read_volumes),
+        _STATES,
+        _worn(names, rates_k_s),
+        _worn((*names, "dt_s"), partial(_step, _FACTORS[form])),
+    )
+
+
+def _step(
+    factors_of: Callable[..., Factors],
+    *,
+    hot_volume_k: Array,
+    cold_volume_k: Array,
+    hx_mass_hot_kg: Array,
+    hx_mass_cold_kg: Array,
+    dt_s: float,
+    **held: Any,
+) -> tuple[Array, Array]:
+    """Departure from the steady state multiplied by the factors; `held` are inputs and coefficients."""
+    hot_k, cold_k = steady_outlets_k(**held)
+    matrix = _matrix_per_s(hx_mass_hot_kg=hx_mass_hot_kg, hx_mass_cold_kg=hx_mass_cold_kg, **held)
+    hh, hc, ch, cc = factors_of(*matrix, dt_s)
+    above_hot_k, above_cold_k = hot_volume_k - hot_k, cold_volume_k - cold_k
+    return hot_k + hh * above_hot_k + hc * above_cold_k, cold_k + ch * above_hot_k + cc * above_cold_k
+
+
+def _worn(names: tuple[str, ...], equation: Equation) -> Equation:
+    """The equation with both coefficients less the loss: what tracking frees."""
+
+    def worn(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
+        kept = 1.0 - hx_h_loss
+        return equation(hx_h_hot_w_k=kept * hx_h_hot_w_k, hx_h_cold_w_k=kept * hx_h_cold_w_k, **others)
+
+    return taking(names, worn)
+
+
+def _read_volumes(*, hot_volume_k: Array, cold_volume_k: Array, **_: Any) -> tuple[Array, Array]:
+    """A stirred volume leaves at its own temperature."""
+    return hot_volume_k, cold_volume_k
+
+
+_INPUTS = (
+    Signal("hot_flow_kg_s", "kg/s", sigma=0.01),
+    Signal("ram_flow_kg_s", "kg/s"),
+    Signal("hot_in_k", "K", sigma=0.5),
+    Signal("cold_in_k", "K", sigma=0.2),
+)
+_OUTPUTS = (Signal("hot_out_k", "K", sigma=0.5), Signal("ram_out_k", "K", sigma=0.5))
+_COEFFICIENTS = (
+    Param("hx_h_hot_w_k", "W/K", 2500.0, (1.0, 1e6), "design"),
+    Param("hx_h_cold_w_k", "W/K", 2500.0, (1.0, 1e6), "design"),
+    Param("hx_h_loss", "-", 0.0, (-0.5, 0.95), "health", drift=0.005),
+)
+_MASSES = (
+    Param("hx_mass_hot_kg", "kg", 8.0, (0.01, 50.0), "design"),
+    Param("hx_mass_cold_kg", "kg", 8.0, (0.01, 50.0), "design"),
+)
+_STATES = (State("hot_volume_k", "K", 320.0), State("cold_volume_k", "K", 290.0))

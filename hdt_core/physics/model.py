@@ -1,0 +1,205 @@
+"""How a physics model is declared: once, in one place, for every estimator, check and table that reads it."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]  # complex128 passes through too, where a derivative is taken by complex step
+Role = Literal["design", "health"]
+Equation = Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """What goes in or comes out: name (it ends in its unit), unit, the sensor's standard deviation if it has one."""
+
+    name: str
+    unit: str
+    sigma: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Param:
+    """A constant of the component.
+
+    `role` is the only switch between calibrating the digital system model (free `design`) and tracking the twin
+    (free `health`). A health parameter is a loss: 0 as built, larger is worse. `drift` is the standard deviation
+    it may gain per square root of a flight.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    bounds: tuple[float, float]
+    role: Role
+    drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = self.bounds
+        if not low <= self.nominal <= high:
+            raise ValueError(f"{self.name}: nominal {self.nominal} is outside its bounds {self.bounds}")
+        if self.drift < 0.0:
+            raise ValueError(f"{self.name}: drift {self.drift} is negative")
+        if self.role == "health" and (self.nominal < 0.0 or low >= 0.0):
+            raise ValueError(f"{self.name}: a loss is 0 or more as declared, and its lower bound lies below 0")
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What the component remembers from one instant to the next, and its value at the start."""
+
+    name: str
+    unit: str
+    initial: float
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsModel:
+    """Inputs, outputs, parameters, states and the equations between them.
+
+    Attributes
+    ----------
+    equations : callable
+        Pure and vectorised. Argument names are exactly the declared inputs, parameters and states; returns one array
+        an output, in the declared order (the array itself where there is one output).
+    rates : callable, optional
+        Same argument names; returns the time derivative of each state, in the declared order. Needed with states.
+    step : callable, optional
+        Same argument names and `dt_s`; returns each state one step later with the inputs held. Euler where absent.
+    """
+
+    name: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    params: tuple[Param, ...]
+    equations: Equation
+    states: tuple[State, ...] = ()
+    rates: Equation | None = None
+    step: Equation | None = None
+
+    def __post_init__(self) -> None:
+        names = self.names
+        doubled = sorted({n for n in names if names.count(n) > 1})
+        if doubled:
+            raise ValueError(f"{self.name}: declared twice: {', '.join(doubled)}")
+        for function, more in ((self.equations, set()), (self.rates, set()), (self.step, {"dt_s"})):
+            if function is not None and set(inspect.signature(function).parameters) != set(names) | more:
+                off = set(inspect.signature(function).parameters) ^ (set(names) | more)
+                raise ValueError(f"{self.name}: declared and taken names differ in {', '.join(sorted(off))}")
+        if bool(self.states) != (self.rates is not None):
+            raise ValueError(f"{self.name}: states and rates come together or not at all")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every argument of the equations: inputs, parameters, states."""
+        return tuple(x.name for group in (self.inputs, self.params, self.states) for x in group)
+
+    @property
+    def sigmas(self) -> Array:
+        """Sensor standard deviation of each output; infinite where no sensor is declared. (n_outputs,)"""
+        return np.array([np.inf if s.sigma is None else s.sigma for s in self.outputs])
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Nominal value of every parameter, by name."""
+        return {p.name: p.nominal for p in self.params}
+
+    def free(self, role: Role) -> tuple[Param, ...]:
+        """Return the parameters of a role: `design` to calibrate, `health` to track."""
+        return tuple(p for p in self.params if p.role == role)
+
+    def bounds(self, role: Role | None = None) -> Array:
+        """Lower and upper bound of each parameter (of a role). (n, 2)"""
+        chosen = self.params if role is None else self.free(role)
+        return np.array([p.bounds for p in chosen]).reshape(-1, 2)
+
+    def calibrated(self, values: Mapping[str, float]) -> "PhysicsModel":
+        """Return the same model with these parameters' nominal values: how a calibration becomes a declaration."""
+        unknown = sorted(set(values) - set(self.nominal))
+        if unknown:
+            raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}")
+        return replace(self, params=tuple(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.params))
+
+    def predict(
+        self,
+        params: Mapping[str, ArrayLike],
+        inputs: Mapping[str, ArrayLike],
+        states: Mapping[str, ArrayLike] | None = None,
+    ) -> dict[str, Array]:
+        """Outputs by name, broadcast over parameters, inputs and states.
+
+        Parameters not given take their nominal value; states not given their initial value.
+        """
+        return dict(
+            zip(
+                (s.name for s in self.outputs),
+                as_tuple(self.equations(**self._values(params, inputs, states))),
+                strict=True,
+            )
+        )
+
+    def advance(
+        self,
+        params: Mapping[str, ArrayLike],
+        inputs: Mapping[str, ArrayLike],
+        states: Mapping[str, ArrayLike],
+        dt_s: float,
+    ) -> dict[str, Array]:
+        """States one step later, the inputs held over the step."""
+        values = self._values(params, inputs, states)
+        if self.step is not None:
+            later = as_tuple(self.step(**values, dt_s=dt_s))
+        elif self.rates is not None:
+            rates = as_tuple(self.rates(**values))
+            later = tuple(values[s.name] + dt_s * rate for s, rate in zip(self.states, rates, strict=True))
+        else:
+            later = ()
+        return {s.name: value for s, value in zip(self.states, later, strict=True)}
+
+    def simulate(
+        self,
+        params: Mapping[str, ArrayLike],
+        inputs: Mapping[str, ArrayLike],
+        dt_s: float,
+        states: Mapping[str, ArrayLike] | None = None,
+    ) -> dict[str, Array]:
+        """Outputs over time; inputs are (n_samples, ...), the first axis is time, and so are the outputs.
+
+        Sample k is computed from the states at k; the states at k + 1 follow from the inputs held at k.
+        """
+        held = {name: np.asarray(value) for name, value in inputs.items()}
+        n_samples = max((len(v) for v in held.values() if v.ndim), default=0)
+        now: dict[str, Any] = {s.name: s.initial for s in self.states} | dict(states or {})
+        rows: list[dict[str, Array]] = []
+        for k in range(n_samples):
+            at_k = {name: value[k] if value.ndim else value for name, value in held.items()}
+            rows.append(self.predict(params, at_k, now))
+            now = dict(self.advance(params, at_k, now, dt_s))
+        return {s.name: np.array([row[s.name] for row in rows]) for s in self.outputs}
+
+    def _values(
+        self, params: Mapping[str, ArrayLike], inputs: Mapping[str, ArrayLike], states: Mapping[str, ArrayLike] | None
+    ) -> dict[str, Array]:
+        initial = {s.name: s.initial for s in self.states}
+        given: dict[str, Any] = self.nominal | initial | dict(params) | dict(inputs) | dict(states or {})
+        missing = [n for n in self.names if n not in given]
+        if missing:
+            raise KeyError(f"{self.name} needs {', '.join(missing)}")
+        return {name: np.asarray(given[name]) for name in self.names}
+
+
+def as_tuple(value: Any) -> tuple[Any, ...]:
+    """Return what equations gave, one array or several, as a tuple."""
+    return tuple(value) if isinstance(value, (tuple, list)) else (value,)
+
+
+def taking(names: Sequence[str], function: Equation) -> Equation:
+    """Give a function of ``**values`` the signature that a declaration is checked against."""
+    keyword_only = inspect.Parameter.KEYWORD_ONLY
+    signature = inspect.Signature([inspect.Parameter(n, keyword_only) for n in names])
+    function.__signature__ = signature  # type: ignore[attr-defined]
+    return function
