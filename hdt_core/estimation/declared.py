@@ -1,0 +1,73 @@
+"""From a declared physics model and its record to the question an estimator answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hdt_core.estimation.kernels.compiled import Kernels
+from hdt_core.estimation.problem import Array, Belief, Problem, Sample
+from hdt_core.physics.model import PhysicsModel
+
+
+def declared_problem(
+    model: PhysicsModel,
+    free: Sequence[str],
+    inputs: Mapping[str, Array],
+    measured: Mapping[str, Array],
+    *,
+    prior: Belief | None = None,
+    dt_s: float = 1.0,
+    flights_per_sample: float = 0.0,
+    kernels: Kernels | None = None,
+) -> Problem:
+    """Estimate the parameters `free` of `model` from a record; all others keep their nominal values.
+
+    Parameters
+    ----------
+    model : PhysicsModel
+    free : sequence of str
+        Names of n parameters, for instance those of one role.
+    inputs : mapping of name to array (k,)
+    measured : mapping of output name to array (k,)
+        NaN where missing; outputs without a record, or without a sensor's sigma, are not compared.
+    prior : Belief, optional
+        Nominal values of which nothing more is known where not given.
+    dt_s : float
+        Time between samples [s], for models with states.
+    flights_per_sample : float
+        How many flights pass from one sample to the next, for the declared drift: none within a flight's record, one
+        where every sample is a flight.
+    """
+    params = [next(p for p in model.params if p.name == name) for name in free]
+    seen = [(j, s) for j, s in enumerate(model.outputs) if s.name in measured and s.sigma is not None]
+    unsure = np.diag(np.full(len(params), np.inf))
+
+    def values(x: Array, theta: Array, i: Sample) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
+        states = {s.name: x[j] for j, s in enumerate(model.states)}
+        signals = {name: np.asarray(signal)[i] for name, signal in inputs.items()}
+        return {name: theta[j] for j, name in enumerate(free)}, signals, states
+
+    def observe(x: Array, theta: Array, i: Sample) -> Array:
+        given, signals, states = values(x, theta, i)
+        outputs = list(model.predict(given, signals, states).values())
+        return np.stack(np.broadcast_arrays(*(outputs[j] for j, _ in seen)))
+
+    def transition(x: Array, theta: Array, i: Sample) -> Array:
+        given, signals, states = values(x, theta, i)
+        return np.stack(np.broadcast_arrays(*model.advance(given, signals, states, dt_s).values()))
+
+    n_states = len(model.states)
+    return Problem(
+        names=tuple(free),
+        bounds=np.array([p.bounds for p in params], float),
+        prior=Belief(np.array([p.nominal for p in params]), unsure) if prior is None else prior,
+        measured=np.column_stack([np.asarray(measured[s.name], float) for _, s in seen]),
+        sigma=np.array([s.sigma for _, s in seen], float),
+        observe=observe,
+        transition=transition if model.states else None,
+        start=Belief(np.array([s.initial for s in model.states]), np.zeros((n_states, n_states))),
+        drift=np.sqrt(flights_per_sample) * np.array([p.drift for p in params]),
+        kernels=kernels,
+    )

@@ -1,0 +1,171 @@
+r"""One sample of a Kalman filter: affine models in, a belief corrected and carried on to the next sample.
+
+The joint vector is z = (states, parameters). A method differs only in how it replaces the model by an affine one,
+
+.. math:: z_{i+1} \approx A z_i + b + w, \quad y_i \approx H z_i + c + v,
+
+by its tangent (extended) or by regression over sigma points (unscented). The belief itself is never forced: bounds
+are kept where the model is evaluated and where an estimate is reported, so the algebra of the smoother stays exact.
+
+References
+----------
+.. [1] D. Simon, Optimal State Estimation, 2006, chapters 5 and 13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hdt_core.estimation.problem import Array, Belief, Problem
+
+Function = Callable[[Array], Array]
+
+
+class LostTrackError(ArithmeticError):
+    """The model has no finite answer where the filter asks for one. Never leaves an estimator."""
+
+
+@dataclass(frozen=True, slots=True)
+class Affine:
+    """y = slope z + offset + noise of covariance `spread`: (r, j), (r,), (r, r)."""
+
+    slope: Array
+    offset: Array
+    spread: Array
+
+
+Linearise = Callable[[Function, Belief, Array, Array], Affine]
+"""(function of the columns of z, belief about z, lower, upper) -> Affine; evaluated inside the bounds only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What one sample did: slope H, gain K, inverse of S, innovation and noise of the values that were there."""
+
+    slope: Array
+    gain: Array
+    precision: Array
+    innovation: Array
+    noise: Array
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared: its expected value is the number of values."""
+        return float(self.innovation @ self.precision @ self.innovation)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the sample given those before it."""
+        determinant = np.linalg.slogdet(self.precision)[1] if self.innovation.size else 0.0
+        return -0.5 * float(self.nis + self.innovation.size * np.log(2.0 * np.pi) - determinant)
+
+
+def joint_belief(problem: Problem) -> Belief:
+    """Belief about (states, parameters) at sample 0.
+
+    An infinite variance becomes that of the bounds' width, or of a thousand times the value where there are none.
+    """
+    s, n = problem.start.mean.size, problem.prior.mean.size
+    cov = np.zeros((s + n, s + n))
+    cov[:s, :s] = problem.start.cov
+    width = problem.bounds[:, 1] - problem.bounds[:, 0]
+    wide = np.where(np.isfinite(width), width**2 / 12.0, 1e6 * np.maximum(np.abs(problem.prior.mean), 1.0) ** 2)
+    known = np.isfinite(np.diag(problem.prior.cov))
+    cov[s:, s:] = np.where(np.outer(known, known), problem.prior.cov, np.diag(wide))
+    held = np.concatenate([np.zeros(s, bool), width == 0.0])
+    cov[held] = 0.0
+    cov[:, held] = 0.0
+    return Belief(np.concatenate([problem.start.mean, problem.origin]), cov)
+
+
+def innovate(belief: Belief, model: Affine, measured: Array, sigma: Array) -> Correction:
+    """Gain and innovation of one sample; missing values are left out.
+
+    Raises
+    ------
+    LostTrackError
+        The model has no finite answer at this sample.
+    """
+    if not (np.isfinite(model.slope).all() and np.isfinite(model.offset).all()):
+        raise LostTrackError
+    slope, noise, error = model.slope, model.spread + np.diag(sigma**2), measured - model.offset
+    there = ~np.isnan(measured)
+    if not there.all():
+        slope, noise, error = slope[there], noise[np.ix_(there, there)], error[there]
+    across = belief.cov @ slope.T
+    precision = _inverse(slope @ across + noise)
+    return Correction(slope, across @ precision, precision, error - slope @ belief.mean, noise)
+
+
+def _inverse(cov: Array) -> Array:
+    """Inverse of the innovations' covariance; of what is left of it where rounding has eaten its rank."""
+    if cov.size == 1:
+        return np.asarray(1.0 / cov)
+    try:
+        return np.asarray(np.linalg.inv(cov))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(cov, hermitian=True))
+
+
+def corrected(belief: Belief, correction: Correction) -> Belief:
+    """Belief after a sample, in Joseph's form: a covariance for any gain, and symmetric for every rounding."""
+    kept = np.eye(belief.mean.size) - correction.gain @ correction.slope
+    cov = kept @ belief.cov @ kept.T + correction.gain @ correction.noise @ correction.gain.T
+    return Belief(belief.mean + correction.gain @ correction.innovation, 0.5 * (cov + cov.T))
+
+
+def stepped(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Affine:
+    """The step from sample i to the next, (j, j), linearised about `point`: its noise is process noise and drift."""
+    s, j = problem.start.mean.size, point.mean.size
+    slope, offset, noise = np.eye(j), np.zeros(j), np.zeros((j, j))
+    if problem.transition is not None:
+        model = linearise(partial(_next_states, problem, i), point, *limits(problem))
+        slope[:s], offset[:s], noise[:s, :s] = model.slope, model.offset, model.spread
+    if problem.process_sd is not None:
+        noise[:s, :s] += np.diag(problem.process_sd**2)
+    if problem.drift is not None:
+        noise[s:, s:] += np.diag(problem.drift**2)
+    return Affine(slope, offset, noise)
+
+
+def predicted(belief: Belief, step: Affine) -> Belief:
+    """Belief one step later."""
+    return Belief(step.slope @ belief.mean + step.offset, step.slope @ belief.cov @ step.slope.T + step.spread)
+
+
+def outputs(problem: Problem, i: int, z: Array) -> Array:
+    """Outputs at sample i of the columns of z (j, p): (m, p)."""
+    s = problem.start.mean.size
+    return np.broadcast_to(np.asarray(problem.observe(z[:s], z[s:], i)), (problem.sigma.size, z.shape[1]))
+
+
+def _next_states(problem: Problem, i: int, z: Array) -> Array:
+    s = problem.start.mean.size
+    assert problem.transition is not None
+    return np.asarray(problem.transition(z[:s], z[s:], i))
+
+
+def limits(problem: Problem) -> tuple[Array, Array]:
+    """Lower and upper limits of the joint vector: none on the states. (j,), (j,)"""
+    free = np.full(problem.start.mean.size, np.inf)
+    return np.concatenate([-free, problem.bounds[:, 0]]), np.concatenate([free, problem.bounds[:, 1]])
+
+
+def projected(belief: Belief, lower: Array, upper: Array) -> Array:
+    """Most likely point inside the bounds when those overstepped are met exactly. (n,)"""
+    mean = belief.mean
+    if ((lower <= mean) & (mean <= upper)).all():
+        return mean
+    for _ in range(mean.size):
+        broken = np.flatnonzero((mean < lower) | (mean > upper))
+        if broken.size == 0:
+            return mean
+        limit = np.clip(mean, lower, upper)
+        across = belief.cov[np.ix_(broken, broken)]
+        mean = mean + belief.cov[:, broken] @ np.linalg.pinv(across, hermitian=True) @ (limit - mean)[broken]
+        mean[broken] = limit[broken]
+    return np.clip(mean, lower, upper)

@@ -1,0 +1,134 @@
+"""The step of Levenberg and Marquardt, shared by the interpreted and the compiled least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdt_core.estimation.kernels.compiled import compiled
+from hdt_core.estimation.problem import Array
+
+FIRST_DAMPING = 1e-3
+MOST_DAMPING = 1e20
+SETTLED_SHARE = 1e-8  # of the residual variance: the last step taken moved 1e-4 standard deviations
+SETTLED = 1e-22  # the same for records without noise, in squared sigmas
+
+
+@compiled
+def damped_step(
+    normal: Array, gradient: Array, size: Array, damping: float, theta: Array, lower: Array, upper: Array
+) -> tuple[Array, float]:
+    r"""Step that reduces the linearised sum of squares, inside the bounds, and the reduction it promises.
+
+    .. math:: (J^T J + \mu D^2) p = -J^T r
+
+    A parameter on its bound whose gradient points outward stays there; steps beyond a bound end on it.
+
+    Parameters
+    ----------
+    normal : array (n, n)
+        J^T J, prior information included.
+    gradient : array (n,)
+        J^T r, prior included.
+    size : array (n,)
+        D: the largest column norms met so far, positive.
+    damping : float
+        mu, relative to the scaled diagonal, which is one.
+    theta, lower, upper : array (n,)
+
+    Returns
+    -------
+    step : array (n,)
+    promised : float
+        Reduction of r^T r that the linear model expects of the step as it was clipped; may be negative.
+
+    References
+    ----------
+    .. [1] J. J. Moré, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630, 1978.
+    """
+    n = theta.size
+    root = np.zeros((n, n))
+    step = np.zeros(n)
+    for i in range(n):
+        outward = (theta[i] <= lower[i] and gradient[i] > 0.0) or (theta[i] >= upper[i] and gradient[i] < 0.0)
+        step[i] = 0.0 if outward or lower[i] == upper[i] else -gradient[i] / size[i]
+    free = step != 0.0
+    for j in range(n):  # Cholesky of the scaled system, held rows and columns replaced by the unit's
+        for i in range(j, n):
+            total = normal[i, j] / (size[i] * size[j]) if free[i] and free[j] else 0.0
+            if i == j:
+                total = total + damping if free[i] else 1.0
+            for k in range(j):
+                total -= root[i, k] * root[j, k]
+            root[i, j] = np.sqrt(max(total, 1e-30)) if i == j else total / root[j, j]
+    for i in range(n):
+        for k in range(i):
+            step[i] -= root[i, k] * step[k]
+        step[i] /= root[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            step[i] -= root[k, i] * step[k]
+        step[i] /= root[i, i]
+    promised = 0.0
+    for i in range(n):
+        step[i] = min(max(theta[i] + step[i] / size[i], lower[i]), upper[i]) - theta[i] if free[i] else 0.0
+    for i in range(n):
+        promised -= 2.0 * gradient[i] * step[i]
+        for k in range(n):
+            promised -= step[i] * normal[i, k] * step[k]
+    return step, promised
+
+
+@compiled
+def next_damping(damping: float, growth: float, won: float, promised: float) -> tuple[float, float]:
+    """Damping and its growth factor after a step that won `won` of the `promised` reduction (Nielsen 1999)."""
+    if won > 0.0 and promised > 0.0:
+        gain = min(won / promised, 2.0)
+        return max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
+    return damping * growth, 2.0 * growth
+
+
+@compiled
+def is_settled(promised: float, won: float, cost: float, n_values: int) -> bool:
+    """Whether a further step could not matter: it promises nothing, or less than rounding lets us see."""
+    quiet = abs(promised) <= max(SETTLED_SHARE * cost / n_values, SETTLED)
+    return quiet or (won <= 0.0 and abs(promised) <= 1e-12 * cost)
+
+
+@compiled
+def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (compiled: loops, not calls)
+    """Inverse (n, n) of a symmetric matrix, and the determinant of the matrix scaled to unit diagonal.
+
+    The determinant, between 0 and 1, bounds the smallest eigenvalue of the scaled matrix from below by a third of
+    itself; where it is not positive the inverse is void.
+    """
+    n = len(information)
+    root, inverse, size = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    determinant = 1.0
+    for i in range(n):
+        if not information[i, i] > 0.0:
+            return inverse, 0.0
+        size[i] = np.sqrt(information[i, i])
+    for j in range(n):
+        for i in range(j, n):
+            total = information[i, j] / (size[i] * size[j])
+            for k in range(j):
+                total -= root[i, k] * root[j, k]
+            if i == j:
+                determinant *= total
+                if not total > 0.0:
+                    return inverse, 0.0
+            root[i, j] = np.sqrt(total) if i == j else total / root[j, j]
+    for c in range(n):
+        column = np.zeros(n)
+        for i in range(n):
+            column[i] = 1.0 if i == c else 0.0
+            for k in range(i):
+                column[i] -= root[i, k] * column[k]
+            column[i] /= root[i, i]
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                column[i] -= root[k, i] * column[k]
+            column[i] /= root[i, i]
+        for i in range(n):
+            inverse[i, c] = column[i] / (size[i] * size[c])
+    return inverse, determinant

@@ -1,0 +1,175 @@
+"""The compiled path of the per-flight exchanger fits: sixteen flights side by side, for the vector registers.
+
+The same steps as `exchanger_arrays`, whose constants it shares.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdt_core.estimation.kernels.exchanger_arrays import (
+    BOUND,
+    CONVERGED,
+    KILO,
+    LEAST_SPAN_K,
+    LONGEST_STEP,
+    MAX_STEPS,
+    MOST_STEPS,
+    NOT_IDENTIFIABLE,
+    SETTLED,
+    START_STEPS,
+    Columns,
+    Fit,
+    Integers,
+    bounded_resistance,
+    bounded_scale,
+)
+from hdt_core.estimation.kernels.exchanger_rows import LANES, sums_of_step, vectorised
+from hdt_core.estimation.problem import Array
+from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+
+_specific_heat = vectorised(specific_heat_j_kg_k)
+
+
+def conductance_scale(samples: Columns, clean_ua_w_k: Array, starts: Integers) -> Fit:
+    """See `exchanger.fit_conductance_scale`."""
+    return bounded_scale(_fits(True, samples, clean_ua_w_k, starts))
+
+
+def lumped_resistance(samples: Columns, starts: Integers) -> Fit:
+    """See `exchanger.fit_lumped_resistance`."""
+    return bounded_resistance(_fits(False, samples, samples[0], starts))
+
+
+@vectorised
+def _crossflow_terms(
+    hot_flow: Array, ram_flow: Array, hot_in: Array, cold_in: Array, clean: Array, flat: Array
+) -> None:
+    """NTU and flow ratio of each sample. One short loop a row: more arrays in one and it is not vectorised."""
+    ntu, ratio = flat[0], flat[1]
+    for i in range(len(hot_flow)):
+        ntu[i] = clean[i] / (hot_flow[i] * _specific_heat(0.5 * (hot_in[i] + cold_in[i])))
+    for i in range(len(hot_flow)):
+        ratio[i] = hot_flow[i] / ram_flow[i]
+
+
+@vectorised
+def _lumped_terms(hot_flow: Array, ram_flow: Array, flat: Array) -> None:
+    """Heat-capacity rate and base of each sample."""
+    rate, base = flat[0], flat[1]
+    for i in range(len(hot_flow)):
+        rate[i] = hot_flow[i] * (CP_HOT_J_KG_K / KILO)
+    for i in range(len(hot_flow)):
+        base[i] = 1.0 + hot_flow[i] * CP_HOT_J_KG_K / (ram_flow[i] * CP_COLD_J_KG_K)
+
+
+@vectorised
+def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array, flat: Array) -> None:
+    """Effectiveness seen, and its weight: none where anything is missing or the sample says nothing."""
+    first, second, seen, heavy = flat[0], flat[1], flat[2], flat[3]
+    for i in range(len(hot_in)):
+        seen[i] = (hot_in[i] - hot_out[i]) / (hot_in[i] - cold_in[i])
+    for i in range(len(hot_in)):
+        span = hot_in[i] - cold_in[i]
+        finite = (first[i] < np.inf) & (second[i] < np.inf) & (abs(seen[i]) < np.inf) & (weight[i] < np.inf)
+        telling = (first[i] > 0.0) & (second[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
+        heavy[i] = weight[i] * span * span if finite & telling else 0.0
+
+
+@vectorised
+def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes: Array) -> tuple[int, float]:
+    """One flight down a lane; unusable samples and the padding weigh nothing. Returns how many count, and most NTU."""
+    n_used, peak = 0, 0.0
+    for j in range(length):
+        i = begin + j
+        if flat[3, i] > 0.0:
+            lanes[0, j, lane], lanes[1, j, lane] = flat[0, i], flat[1, i]
+            lanes[2, j, lane], lanes[3, j, lane] = flat[2, i], flat[3, i]
+            peak = max(peak, flat[0, i] * flat[0, i] * flat[1, i])
+            n_used += 1
+        else:
+            lanes[0, j, lane], lanes[1, j, lane], lanes[2, j, lane], lanes[3, j, lane] = 1.0, 1.0, 0.0, 0.0
+    for j in range(length, rows):
+        lanes[0, j, lane], lanes[1, j, lane], lanes[2, j, lane], lanes[3, j, lane] = 1.0, 1.0, 0.0, 0.0
+    return n_used, peak
+
+
+@vectorised
+def _middle(rows: int, lanes: Array, middle: Array) -> None:
+    """Each lane's weighted mean sample: the start comes from it."""
+    first, second, seen, whole = middle[0, 0], middle[1, 0], middle[2, 0], middle[3, 0]
+    middle[:] = 0.0
+    for j in range(rows):
+        for f in range(LANES):
+            whole[f] += lanes[3, j, f]
+            first[f] += lanes[3, j, f] * lanes[0, j, f]
+            second[f] += lanes[3, j, f] * lanes[1, j, f]
+            seen[f] += lanes[3, j, f] * lanes[2, j, f]
+    for f in range(LANES):
+        over = 1.0 / whole[f] if whole[f] > 0.0 else 0.0
+        empty = 0.0 if whole[f] > 0.0 else 1.0
+        first[f], second[f], seen[f] = first[f] * over + empty, second[f] * over + empty, seen[f] * over + empty
+        whole[f] = 1.0
+
+
+@vectorised
+def _moved(theta: float, step: float) -> float:
+    return min(max(theta + min(max(step, -LONGEST_STEP), LONGEST_STEP), -BOUND), BOUND)
+
+
+@vectorised
+def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> Fit:  # noqa: PLR0912
+    hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = samples
+    n_flights = len(starts) - 1
+    longest, widest = 1, 1
+    for f in range(n_flights):
+        longest = max(longest, starts[f + 1] - starts[f])
+        widest = max(widest, starts[min(f + LANES, n_flights)] - starts[f])
+    lanes, middle, flat = np.empty((4, longest, LANES)), np.empty((4, 1, LANES)), np.empty((4, widest))
+    theta, scale, peak, sums = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty((3, LANES))
+    going = np.empty(LANES, np.bool_)
+    mean, information, chi2 = np.full(n_flights, np.nan), np.zeros(n_flights), np.zeros(n_flights)
+    n_used, steps = np.zeros(n_flights, np.int64), np.zeros(n_flights, np.int64)
+    code = np.full(n_flights, NOT_IDENTIFIABLE)
+    for first in range(0, n_flights, LANES):
+        together = min(LANES, n_flights - first)
+        a, z = starts[first], starts[first + together]
+        if crossflow:
+            _crossflow_terms(hot_flow[a:z], ram_flow[a:z], hot_in[a:z], cold_in[a:z], clean[a:z], flat)
+        else:
+            _lumped_terms(hot_flow[a:z], ram_flow[a:z], flat)
+        _measured_terms(hot_in[a:z], hot_out[a:z], cold_in[a:z], weight[a:z], flat)
+        rows = 1
+        for f in range(together):
+            rows = max(rows, starts[first + f + 1] - starts[first + f])
+        for f in range(LANES):
+            at = first + min(f, together - 1)
+            length = starts[at + 1] - starts[at] if f < together else 0
+            counted, peak[f] = _lay_down(flat, starts[at] - a, length, rows, f, lanes)
+            theta[f], going[f] = 0.0, counted > 0
+            if f < together:
+                n_used[first + f] = counted
+        _middle(rows, lanes, middle)
+        for _ in range(START_STEPS):
+            sums_of_step(crossflow, 1, middle, theta, sums, scale, peak)
+            for f in range(LANES):
+                theta[f] = _moved(theta[f], sums[0, f] / sums[1, f])
+        for _ in range(MOST_STEPS):
+            sums_of_step(crossflow, rows, lanes, theta, sums, scale, peak)
+            any_going = False
+            for f in range(together):
+                if going[f]:
+                    step = sums[0, f] / max(sums[1, f], 1e-300)
+                    theta[f] = _moved(theta[f], step)
+                    information[first + f], chi2[first + f] = sums[1, f], sums[2, f]
+                    steps[first + f] += 1
+                    going[f] = abs(step) > SETTLED
+                    any_going = any_going or going[f]
+            if not any_going:
+                break
+        for f in range(together):
+            if n_used[first + f] > 0:
+                mean[first + f] = theta[f]
+                code[first + f] = MAX_STEPS if going[f] else CONVERGED
+    return mean, information, chi2, n_used, steps, code

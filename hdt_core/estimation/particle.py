@@ -1,0 +1,173 @@
+"""Particle filter: a cloud of parameter values, weighed by each sample, thinned and moved when it has become too
+few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hdt_core.estimation.estimate import Estimate, Status, conclude
+from hdt_core.estimation.problem import Array, Belief, Problem
+from hdt_core.estimation.swarm import search_box
+
+NO_ANSWER = 1e290  # misfit where the model has none
+LEAST_ACCEPTED = 0.05  # of the moves; below, the cloud repeats itself and its spread means little
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFilter:
+    """Resample and move where the model is deterministic, resample and shrink where it is not.
+
+    Without process noise and drift every particle has one trajectory, so the cloud can be moved by Metropolis steps
+    on the whole record so far, and stays alive however sharp the likelihood becomes (Chopin 2002). With either,
+    states are drawn along with the parameters, and a kernel keeps the cloud's variance (Liu and West 2001).
+
+    Parameters
+    ----------
+    n_particles : int
+    moves : int
+        Metropolis steps after each resampling.
+    shrinkage : float
+        Liu and West's a.
+    seed : int
+
+    References
+    ----------
+    .. [1] N. Chopin, A sequential particle filter method for static models, Biometrika 89(3), 2002.
+    .. [2] J. Liu and M. West, in Sequential Monte Carlo Methods in Practice, 2001, chapter 10.
+    """
+
+    name: str = "particle"
+    n_particles: int = 400
+    moves: int = 4
+    shrinkage: float = 0.98
+    seed: int = 0
+
+    def estimate(self, problem: Problem) -> Estimate:
+        """Mean and covariance of the cloud after the last sample; path of all."""
+        rng = np.random.default_rng(self.seed)
+        moving = any(sd is not None and np.any(sd > 0.0) for sd in (problem.process_sd, problem.drift))
+        if moving or np.any(problem.start.cov > 0.0):
+            return self._bootstrap(problem, rng)
+        return self._resample_move(problem, rng)
+
+    def _resample_move(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        cloud = _drawn(problem, self.n_particles, rng)
+        misfit = _misfit(problem, cloud)
+        if misfit.max(axis=1).min() >= NO_ANSWER:
+            return conclude(problem, cloud[0] * np.nan, "diverged", len(cloud))
+        path, path_sd = (
+            np.empty((len(problem.measured), cloud.shape[1])),
+            np.empty((len(problem.measured), cloud.shape[1])),
+        )
+        log_weight, accepted, n_evals = np.zeros(len(cloud)), 1.0, len(cloud)
+        for i in range(len(problem.measured)):
+            log_weight -= 0.5 * misfit[:, i]
+            weight = _normalised(log_weight)
+            if 1.0 / (weight @ weight) < 0.5 * len(cloud) or i + 1 == len(path):
+                spread = np.atleast_2d(np.cov(cloud.T, aweights=weight))
+                kept = _resampled(weight, rng)
+                cloud, misfit = cloud[kept], misfit[kept]
+                for _ in range(self.moves):
+                    cloud, misfit, accepted = _moved(problem, cloud, misfit, spread, i=i, rng=rng)
+                n_evals += self.moves * len(cloud)
+                log_weight, weight = np.zeros(len(cloud)), np.full(len(cloud), 1.0 / len(cloud))
+            path[i] = weight @ cloud
+            path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
+        status: Status = "converged" if accepted > LEAST_ACCEPTED else "max_steps"
+        cov = np.atleast_2d(np.cov(cloud.T))
+        return conclude(problem, cloud.mean(axis=0), status, n_evals, cov=cov, path=path, path_sd=path_sd)
+
+    def _bootstrap(self, problem: Problem, rng: np.random.Generator) -> Estimate:
+        cloud = _drawn(problem, self.n_particles, rng)
+        x = np.empty((len(cloud), 0))
+        if problem.start.mean.size:
+            x = rng.multivariate_normal(problem.start.mean, problem.start.cov, len(cloud))
+        k, n = len(problem.measured), cloud.shape[1]
+        path, path_sd, log_weight = np.empty((k, n)), np.empty((k, n)), np.zeros(len(cloud))
+        for i in range(k):
+            error = (np.asarray(problem.observe(x.T, cloud.T, i)).T - problem.measured[i]) / problem.sigma
+            log_weight -= 0.5 * np.nansum(error**2, axis=1)
+            weight = _normalised(log_weight)
+            path[i] = weight @ cloud
+            path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
+            if 1.0 / (weight @ weight) < 0.5 * len(cloud):
+                kept = _resampled(weight, rng)
+                cloud, x, log_weight = cloud[kept], x[kept], np.zeros(len(cloud))
+                jitter = path_sd[i] * np.sqrt(1.0 - self.shrinkage**2) * rng.standard_normal(cloud.shape)
+                cloud = self.shrinkage * cloud + (1.0 - self.shrinkage) * path[i] + jitter
+            cloud = _inside(problem, cloud + _noise(problem.drift, cloud.shape, rng))
+            if problem.transition is not None and i + 1 < k:
+                x = np.asarray(problem.transition(x.T, cloud.T, i)).T + _noise(problem.process_sd, x.shape, rng)
+        weight = _normalised(log_weight)
+        cov = np.atleast_2d(np.cov(cloud.T, aweights=weight, ddof=0))
+        theta = np.clip(path[-1], *problem.bounds.T)
+        return conclude(problem, theta, "converged", len(cloud), cov=cov, path=path, path_sd=path_sd)
+
+
+def _drawn(problem: Problem, n: int, rng: np.random.Generator) -> Array:
+    """Particles (n, parameters) from the prior inside the bounds; evenly over the box where the prior knows
+    nothing."""
+    lower, upper = search_box(problem)
+    cloud = lower + (upper - lower) * rng.random((n, lower.size))
+    known = np.isfinite(problem.prior.sd)
+    if known.any():
+        believed = Belief(problem.prior.mean[known], problem.prior.cov[np.ix_(known, known)])
+        cloud[:, known] = rng.multivariate_normal(believed.mean, believed.cov, n)
+    for _ in range(50):
+        outside = ((cloud < lower) | (cloud > upper))[:, lower < upper].any(axis=1)
+        if not outside.any():
+            break
+        inner = np.flatnonzero(~outside)
+        cloud[outside] = cloud[rng.choice(inner, outside.sum())] if inner.size else problem.origin
+    return np.clip(cloud, *problem.bounds.T)
+
+
+def _moved(
+    problem: Problem, cloud: Array, misfit: Array, spread: Array, *, i: int, rng: np.random.Generator
+) -> tuple[Array, Array, float]:
+    """One Metropolis step of every particle towards the posterior of samples 0 to i; share that moved."""
+    n = cloud.shape[1]
+    root = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(spread) + np.finfo(float).tiny))
+    proposed = cloud + 2.38 / np.sqrt(n) * rng.standard_normal(cloud.shape) @ root.T
+    inside = ((proposed >= problem.bounds[:, 0]) & (proposed <= problem.bounds[:, 1])).all(axis=1)
+    new = _misfit(problem, np.where(inside[:, None], proposed, cloud))
+    gain = 0.5 * (misfit[:, : i + 1].sum(axis=1) - new[:, : i + 1].sum(axis=1))
+    gain += _log_prior(problem, proposed) - _log_prior(problem, cloud)
+    taken = inside & (np.log(rng.random(len(cloud))) < gain)
+    return np.where(taken[:, None], proposed, cloud), np.where(taken[:, None], new, misfit), float(taken.mean())
+
+
+def _misfit(problem: Problem, cloud: Array) -> Array:
+    """Squared normalised residual of every particle and sample, (p, k)."""
+    residual = problem.residual(cloud)
+    squares: Array = np.einsum("pkm,pkm->pk", residual, residual)
+    return np.minimum(squares, NO_ANSWER)
+
+
+def _log_prior(problem: Problem, cloud: Array) -> Array:
+    away = cloud - problem.prior.mean
+    return np.asarray(-0.5 * np.einsum("pi,ij,pj->p", away, problem.prior.information, away))
+
+
+def _inside(problem: Problem, cloud: Array) -> Array:
+    """Reflect at the bounds: a wall that does not gather particles."""
+    lower, upper = problem.bounds.T
+    cloud = np.where(cloud < lower, 2.0 * lower - cloud, cloud)
+    return np.clip(np.where(cloud > upper, 2.0 * upper - cloud, cloud), lower, upper)
+
+
+def _noise(sd: Array | None, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    return np.zeros(shape) if sd is None else sd * rng.standard_normal(shape)
+
+
+def _normalised(log_weight: Array) -> Array:
+    weight = np.exp(log_weight - log_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _resampled(weight: Array, rng: np.random.Generator) -> Array:
+    """Systematic resampling: indices of the particles that stay."""
+    ticks = (rng.random() + np.arange(weight.size)) / weight.size
+    return np.minimum(np.searchsorted(np.cumsum(weight), ticks), weight.size - 1)

@@ -1,0 +1,213 @@
+"""What is asked of an estimator: a belief, a measurement and a model, and nothing about the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+
+if TYPE_CHECKING:
+    from hdt_core.estimation.kernels.compiled import Kernels
+
+Array = npt.NDArray[np.float64]
+Sample = int | npt.NDArray[np.int64]
+Observe = Callable[[Array, Array, Sample], Array]
+Transition = Callable[[Array, Array, Sample], Array]
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A Gaussian belief about n quantities.
+
+    Parameters
+    ----------
+    mean : array (n,)
+        Expected values, each in the unit of its quantity.
+    cov : array (n, n)
+        Covariance. An infinite variance on the diagonal (with zeros beside it) means "nothing known".
+    """
+
+    mean: Array
+    cov: Array
+
+    @cached_property
+    def sd(self) -> Array:
+        """Standard deviations, (n,)."""
+        return np.sqrt(np.maximum(self.cov.diagonal(), 0.0))
+
+    @cached_property
+    def information(self) -> Array:
+        """Inverse covariance, (n, n); nothing in the rows of an infinite variance."""
+        variance = np.diag(self.cov)
+        if np.count_nonzero(self.cov) == np.count_nonzero(variance):
+            return np.diag(1.0 / variance)
+        known = np.isfinite(variance)
+        info = np.zeros_like(self.cov)
+        info[np.ix_(known, known)] = np.linalg.pinv(self.cov[np.ix_(known, known)], hermitian=True)
+        return info
+
+    def interval(self, level: float = 0.9) -> Array:
+        """Central interval of every quantity at a probability `level` [0..1], (n, 2)."""
+        half = ndtri(0.5 + 0.5 * level) * self.sd
+        return np.column_stack([self.mean - half, self.mean + half])
+
+    def widened(self, sd: Array) -> Belief:
+        """The same mean, variances grown by `sd`**2: what is known one step of random-walk drift later."""
+        return Belief(self.mean, self.cov + np.diag(np.square(sd)))
+
+
+def unknown(mean: Array) -> Belief:
+    """A starting point `mean` (n,) about which nothing is known."""
+    return Belief(np.asarray(mean, float), np.diag(np.full(len(mean), np.inf)))
+
+
+@dataclass(frozen=True)
+class Problem:
+    r"""Estimate parameters, and hidden states where there are any, from samples in order.
+
+    .. math:: x_{i+1} = f(x_i, \theta_i, i) + w_i, \quad y_i = h(x_i, \theta_i, i) + v_i,
+              \quad \theta_{i+1} = \theta_i + d_i
+
+    The two functions broadcast: the first axis of `x` and `theta` is the component, the axes behind it broadcast with
+    each other and with the sample index, which may be an integer or an array of integers. One function so serves a
+    single trajectory, a swarm, a cloud of sigma points and a whole record at once.
+
+    Parameters
+    ----------
+    names : tuple of str, n of them
+    bounds : array (n, 2)
+        Lower and upper limit of every parameter; infinite where there is none; equal where it is held.
+    prior : Belief
+        About the parameters before the samples. Its mean is the starting point of every method.
+    measured : array (k, m)
+        NaN where a value is missing.
+    sigma : array (m,)
+        Standard deviation of the noise of every output.
+    observe : function (x, theta, i) -> (m, ...)
+    transition : function (x, theta, i) -> (s, ...), optional
+        State at sample i + 1 from that at i. None: no states, every sample stands alone.
+    start : Belief, optional
+        About the states at sample 0. Methods that fit the whole record at once take its mean as known.
+    process_sd : array (s,), optional
+        Standard deviation of w per sample; zero when not given.
+    drift : array (n,), optional
+        Standard deviation of d per sample, the parameters' random walk; zero when not given.
+    kernels : Kernels, optional
+        Compiled equivalents of the above: the same answer, sooner.
+    """
+
+    names: tuple[str, ...]
+    bounds: Array
+    prior: Belief
+    measured: Array
+    sigma: Array
+    observe: Observe
+    transition: Transition | None = None
+    start: Belief = field(default_factory=lambda: Belief(np.empty(0), np.empty((0, 0))))
+    process_sd: Array | None = None
+    drift: Array | None = None
+    kernels: Kernels | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if self.bounds.shape != (n, 2) or self.prior.mean.shape != (n,) or self.prior.cov.shape != (n, n):
+            raise ValueError(f"{n} names, but bounds {self.bounds.shape} and a prior of {self.prior.mean.shape}")
+        if self.measured.ndim != 2 or self.measured.shape[1:] != self.sigma.shape:
+            raise ValueError(f"measured is {self.measured.shape}, sigma {self.sigma.shape}: want (k, m) and (m,)")
+        if not (np.diag(self.prior.cov) > 0.0).all() or not (self.sigma > 0.0).all():
+            raise ValueError("prior variances and sigma must be positive; hold a parameter by equal bounds")
+        if not (self.bounds[:, 0] <= self.bounds[:, 1]).all():
+            raise ValueError("a lower bound lies above its upper bound")
+
+    @cached_property
+    def origin(self) -> Array:
+        """Where every method starts: the prior's mean, moved inside the bounds. (n,)"""
+        return np.clip(self.prior.mean, self.bounds[:, 0], self.bounds[:, 1])
+
+    @cached_property
+    def n_values(self) -> int:
+        """How many values were measured: those that are not missing."""
+        return int(np.count_nonzero(~np.isnan(self.measured)))
+
+    def simulate(self, theta: Array) -> Array:
+        """Outputs over the record, noise-free from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m)."""
+        many = np.atleast_2d(theta)
+        outputs = self._simulate(many) if self.kernels is None else self.kernels.simulate(many)
+        return outputs if np.ndim(theta) == 2 else outputs[0]
+
+    def _simulate(self, many: Array) -> Array:
+        n_samples, n_outputs = self.measured.shape
+        if self.transition is None:
+            nothing = np.empty((0, 1, 1))
+            outputs = np.asarray(self.observe(nothing, many.T[:, :, None], np.arange(n_samples)))
+            return np.broadcast_to(outputs, (n_outputs, len(many), n_samples)).transpose(1, 2, 0)
+        x = np.repeat(self.start.mean[:, None], len(many), axis=1)
+        collected = np.empty((len(many), n_samples, n_outputs))
+        for i in range(n_samples):
+            collected[:, i] = np.asarray(self.observe(x, many.T, i)).T
+            if i + 1 < n_samples:
+                x = np.asarray(self.transition(x, many.T, i))
+        return collected
+
+    def residual(self, theta: Array) -> Array:
+        """(simulated - measured) / sigma, shaped as `simulate`: zero where missing, infinite where the model fails."""
+        with np.errstate(all="ignore"):
+            residual = (self.simulate(theta) - self.measured) / self.sigma
+        return np.where(np.isnan(self.measured), 0.0, np.where(np.isfinite(residual), residual, np.inf))
+
+    def chi2(self, thetas: Array) -> Array:
+        """Weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model has no answer."""
+        if self.kernels is not None:
+            return self.kernels.chi2(thetas)
+        with np.errstate(all="ignore"):
+            missing = np.isnan(self.measured)
+            residual = np.where(missing, 0.0, (self.simulate(thetas) - self.measured) / self.sigma)
+            total = np.einsum("pkm,pkm->p", residual, residual)
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def objective(self, thetas: Array) -> Array:
+        """chi2 plus the prior's Mahalanobis distance for every row of `thetas` (p, n): twice the negative log
+        posterior."""
+        away = thetas - self.prior.mean
+        distance: Array = np.einsum("pi,ij,pj->p", away, self.prior.information, away)
+        return self.chi2(thetas) + distance
+
+    def sensitivity(self, theta: Array) -> Array:
+        """d residual / d theta by central differences kept inside the bounds, (k * m, n)."""
+        if self.kernels is not None and self.kernels.sensitivity is not None:
+            slope = self.kernels.sensitivity(theta) / self.sigma[:, None]
+        else:
+            slope = self._differences(theta)
+        return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, theta.size)
+
+    def _differences(self, theta: Array) -> Array:
+        step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
+        above = np.minimum(theta + step, self.bounds[:, 1])
+        below = np.maximum(theta - step, self.bounds[:, 0])
+        ends = np.concatenate([theta + np.diag(above - theta), theta + np.diag(below - theta)])
+        with np.errstate(all="ignore"):
+            outputs = self.simulate(ends)
+            width = np.where(above > below, above - below, np.inf)
+            slope = (outputs[: theta.size] - outputs[theta.size :]) / width[:, None, None] / self.sigma
+        return np.nan_to_num(np.moveaxis(slope, 0, -1), nan=0.0, posinf=1e150, neginf=-1e150)
+
+    def with_prior(self, prior: Belief) -> Problem:
+        """The same question asked by someone who believes `prior`."""
+        return replace(self, prior=prior)
+
+
+def _scale(problem: Problem) -> Array:
+    """A magnitude for every parameter that may be zero: from the prior, else from the bounds, else its own size."""
+    width = problem.bounds[:, 1] - problem.bounds[:, 0]
+    for candidate in (problem.prior.sd, width):
+        usable = np.isfinite(candidate) & (candidate > 0.0)
+        width = np.where(usable, candidate, width)
+        if usable.all():
+            return 1e-3 * np.asarray(candidate)
+    fallback = np.maximum(np.abs(problem.prior.mean), np.finfo(float).tiny)
+    return 1e-3 * np.where(np.isfinite(width) & (width > 0.0), width, fallback)

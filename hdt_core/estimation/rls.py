@@ -1,0 +1,34 @@
+"""Recursive least squares with a forgetting factor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hdt_core.estimation.estimate import Estimate
+from hdt_core.estimation.fading import fading_estimate
+from hdt_core.estimation.problem import Problem
+
+
+@dataclass(frozen=True, slots=True)
+class RecursiveLeastSquares:
+    r"""Least squares over the record with weights that fade into the past by `forgetting` per sample.
+
+    For a model linear in its parameters this is the textbook recursion,
+
+    .. math:: P_i = \tfrac{1}{\lambda}(P_{i-1} - K_i h_i^T P_{i-1});
+
+    elsewhere the model is replaced by its tangent about the running estimate. Forgetting buys the ability to follow
+    a parameter that moves, at the price of an error that no longer shrinks: about 1 / (1 - forgetting) samples count.
+
+    References
+    ----------
+    .. [1] L. Ljung, System Identification: Theory for the User, 2nd ed., 1999, chapter 11.
+    """
+
+    name: str = "rls"
+    forgetting: float = 0.998
+
+    def estimate(self, problem: Problem) -> Estimate:
+        """Estimate after the last sample, path of all."""
+        still = problem.drift is None or not problem.drift.any()
+        return fading_estimate(problem, lambda: lambda _correction, _belief: 1.0 / self.forgetting, lambda _path: still)
