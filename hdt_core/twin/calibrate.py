@@ -1,0 +1,175 @@
+"""Calibration: from nominal flights to the Digital System Model that nobody handed over."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.twin import exchanger as hx
+from hdt_core.twin.characterise import fit_compressor
+from hdt_core.twin.compressor import compressor_samples, probe_corrections
+from hdt_core.twin.crossing import (
+    FLIGHT_PACK,
+    IN_ORDER,
+    PACK,
+    Array,
+    Points,
+    cruise_samples,
+    flights_of,
+    level_points,
+    to_points,
+)
+from hdt_core.twin.dsm import Dsm, PackDesign, version_of
+from hdt_core.twin.entry import FIRST_FLIGHTS, entry_posterior, fleet_levels
+from hdt_core.twin.flights import design_gradient, estimate_flights
+from hdt_core.twin.hierarchy import fit_exchanger
+from hdt_core.twin.pooling import Level, levels_of
+from hdt_core.twin.sensors import sensor_prior
+
+MILESTONES = (10, 20, 40, 80, 160)
+"""Flights of a tail after which its baseline grows; the last is the commissioning window's end: what comes later is
+judged by the model and never teaches it, or slow wear would be learned as normal."""
+
+
+def baseline_flights(flights: pl.DataFrame) -> list[str]:
+    """Flights that the model rests on: the first of each tail, up to the last milestone it has passed.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        `operator, tail, flight_id, departed_at`; more columns and rows (packs) do no harm.
+
+    Returns
+    -------
+    list of str
+        Sorted flight ids. A tail that has not reached the first milestone gives all it has. The answer depends on the
+        flights held, not on the order in which they came.
+    """
+    each = flights.group_by("operator", "tail", "flight_id").agg(pl.col("departed_at").min())
+    ordered = each.with_columns(
+        order=pl.struct("departed_at", "flight_id").rank("ordinal").over("operator", "tail"),
+        held=pl.len().over("operator", "tail"),
+    )
+    reached = pl.max_horizontal(pl.when(pl.col("held") >= m).then(m) for m in MILESTONES)
+    return sorted(ordered.filter(pl.col("order") <= reached.fill_null(MILESTONES[0]))["flight_id"].to_list())
+
+
+def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame) -> Dsm:
+    """Calibrate the Digital System Model from the baseline flights among `samples`.
+
+    Parameters
+    ----------
+    samples, legs : DataFrame
+        Of the leg filter; admitted legs calibrate, monitored samples of the others do not.
+    maintenance : DataFrame
+        `operator, tail, done_on, pack, component, action`; exchanger replacements split a pack's baseline into units.
+
+    Returns
+    -------
+    Dsm
+        Depends on the data set alone. With no usable flight it holds the priors, and says so through its deviations.
+    """
+    everything = flights_of(samples)
+    base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
+    admitted = _admitted(base, legs)
+    window = samples.join(base.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    packs = everything.select(PACK).unique().sort(PACK)
+    points = to_points(level_points(cruise, everything), packs)
+    fit = fit_exchanger(points, *sensor_prior(cruise, packs))
+    flying = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    corrections = probe_corrections(flying, packs)
+    compressor = fit_compressor(compressor_samples(flying, corrections))
+    at = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
+    ratio = hx.ln_conductance_ratio(points.signals, fit.mean, at)
+    slopes = design_gradient(points.signals, fit.mean, at, ratio)
+    usable = np.isfinite(slopes).all(axis=1)
+    anchor = slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES))
+    counts = base.group_by(PACK).agg(pl.len())
+    rows = packs.join(counts, on=PACK, how="left", maintain_order="left").join(
+        corrections, on=PACK, maintain_order="left"
+    )
+    designs = tuple(
+        PackDesign(
+            r["operator"],
+            r["tail"],
+            r["pack"],
+            int(r["len"] or 0),
+            tuple(map(float, fit.bias[k])),
+            float(r["inlet_bias_k"]),
+            float(r["inlet_bias_ln"]),
+            float(r["exit_bias_ln"]),
+        )
+        for k, r in enumerate(rows.iter_rows(named=True))
+    )
+    draft = Dsm(
+        dsm_version=version_of(_inputs(window), admitted.select(FLIGHT_PACK).sort(FLIGHT_PACK)),
+        exchanger=tuple(map(float, fit.mean)),
+        exchanger_cov=tuple(tuple(map(float, row)) for row in fit.cov),
+        gradient=tuple(map(float, anchor)),
+        clean_level=0.0,
+        clean_level_sd=0.05,
+        offset_sd=0.055,
+        flight_sd=0.02,
+        reference_ua_w_k=1700.0,
+        ram_balance_seen=fit.ram_seen,
+        compressor=compressor,
+        packs=designs,
+        n_flights=base["flight_id"].n_unique(),
+        cruise_flows_kg_s=_middle_flows(points, fit.mean),
+    )
+    seen = estimate_flights(window, draft)
+    model = fleet_levels(seen, maintenance, draft)
+    return replace(model, levels=exchanger_levels(seen, model))
+
+
+def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
+    """Median hot and ram flow of the points, the reference flows where there are none. [kg/s]"""
+    if not len(points):
+        return REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+    ram = hx.clean_ram_flow_kg_s(points.signals, design)
+    return float(np.median(points.signals["pack_flow_kg_s"])), float(np.nanmedian(ram))
+
+
+def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[Level, ...]:
+    """Conductance as built of each operator and pack, pooled with the fleet: a pack of ten flights borrows from it.
+
+    A pack's own word is what its first flights show, cleared of the wear that it likely brought along.
+    """
+    first = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER).group_by(PACK, maintain_order=True)
+    packs = (
+        first.head(FIRST_FLIGHTS)
+        .group_by(PACK, maintain_order=True)
+        .agg(pl.col("ln_ua_ratio").median().alias("seen"), pl.len().alias("n"))
+    )
+    if not packs.height:
+        return ()
+    error = 1.2533 * dsm.flight_sd / np.sqrt(packs["n"].to_numpy())
+    found = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
+    named = packs.with_columns(
+        value=pl.Series(packs["seen"].to_numpy() + found.wear),
+        error_sd=pl.Series(np.sqrt(error**2 + found.wear_var)),
+    )
+    at = hx.NAMES.index("ln_ua_reference")
+    ln_ua, ln_sd = dsm.exchanger[at], float(np.sqrt(dsm.exchanger_cov[at][at]))
+    found_levels = levels_of(named, "hx_ua_reference_w_k")[1]
+    ua = [float(np.exp(ln_ua + v.value)) for v in found_levels]
+    return tuple(
+        replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(found_levels, ua, strict=True)
+    )
+
+
+def _inputs(window: pl.DataFrame) -> pl.DataFrame:
+    columns = [c for c in (*FLIGHT_PACK, "time_utc", *hx.SIGNALS, "monitored") if c in window.columns]
+    return window.select(columns).sort(*FLIGHT_PACK, "time_utc")
+
+
+def _admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Legs fit to calibrate from; all where the filter has let none of a pack through, for a prior beats
+    nothing."""
+    if "admitted" not in legs.columns or not legs.height:
+        return base
+    verdicts = legs.select(*FLIGHT_PACK, "admitted").unique(FLIGHT_PACK)
+    judged = base.join(verdicts, on=FLIGHT_PACK, how="left")
+    return judged.filter(pl.col("admitted").fill_null(True))
