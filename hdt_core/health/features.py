@@ -1,0 +1,212 @@
+"""Features of a pack after a flight: what health, residuals, witnesses, usage and weather say. Polars expressions only.
+
+Every column of a flight uses that flight and those before it. The unit ends the name.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import polars as pl
+
+from hdt_core.health.virtual import virtual_sensors
+
+UNIT = ["operator", "tail", "pack"]
+KEY = ["operator", "tail", "flight_id", "pack"]
+HORIZONS = (10, 30, 100)
+"""Flights over which trends are taken."""
+HEALTH = ("hx_fouling", "cc_efficiency_loss", "cc_diameter_loss", "cc_effective_diameter_m")
+"""Health parameters that get a column, an `_sd`, a `_status` and trends."""
+SHORT: dict[str, Any] = {
+    "operator": pl.String,
+    "tail": pl.String,
+    "flight_id": pl.String,
+    "pack": pl.Int32,
+    "departed_at": pl.Datetime("us", "UTC"),
+}
+
+
+def features(
+    health_parameters: pl.DataFrame,
+    residuals: pl.DataFrame,
+    legs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    *,
+    twin_flights: pl.DataFrame | None = None,
+    witnesses: pl.DataFrame | None = None,
+) -> pl.DataFrame:
+    """One row for each flight and pack, one column a feature.
+
+    Parameters
+    ----------
+    health_parameters, residuals, legs : DataFrame
+        As the catalog has them (long form; legs one row a flight and pack).
+    maintenance : DataFrame
+        operator, tail, pack, done_on, component, action.
+    twin_flights : DataFrame, optional
+        What each flight alone says; gives the virtual sensors.
+    witnesses : DataFrame, optional
+        `witnesses.witnesses(samples)`; its columns are passed on under their own names.
+
+    Returns
+    -------
+    DataFrame
+        The key and `departed_at`, `flight_index` (the tail's flights in order of departure, from 0),
+        `flights_since_replacement` (of the exchanger; null before the first one logged), health with trends, residual
+        means, virtual sensors, differences to the other pack, usage and weather; sorted by tail, pack and departure.
+    """
+    base = _flights(legs, health_parameters)
+    wide = base.join(_health(health_parameters), on=KEY, how="left").join(
+        _residual_means(residuals), on=KEY, how="left"
+    )
+    wide = _join_new(wide, None if twin_flights is None else virtual_sensors(twin_flights))
+    wide = _join_new(wide, witnesses)
+    wide = since_maintenance(wide, maintenance)
+    life = [*UNIT, "hx_life"]
+    trends = [e for name in HEALTH for e in trend(name, life if name.startswith("hx") else [*UNIT, "cc_life"])]
+    wide = wide.with_columns(trends).with_columns(_jumps(wide.columns))
+    return _usage(_beside(wide)).drop("hx_life", "cc_life").sort("tail", "pack", "departed_at", "flight_id")
+
+
+def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
+    """Every flight and pack that either stage knows, numbered by departure within its tail."""
+    known = [f.select(*SHORT) for f in (legs, health_parameters) if f.height]
+    rows = (
+        (pl.concat(known) if known else pl.DataFrame(schema=SHORT))
+        .unique(KEY, keep="first")
+        .sort("operator", "tail", "departed_at", "flight_id", "pack")
+    )
+    started = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
+    return rows.with_columns((started.cast(pl.Int64) - 1).alias("flight_index"))
+
+
+def _health(long: pl.DataFrame) -> pl.DataFrame:
+    said = long.filter(pl.col("parameter").is_in(HEALTH))
+    columns = [
+        pl.col(c).filter(pl.col("parameter") == p).last().alias(p + end)
+        for p in HEALTH
+        for c, end in (("value", ""), ("sd", "_sd"), ("status", "_status"))
+    ]
+    return said.group_by(KEY).agg(columns)
+
+
+def _residual_means(long: pl.DataFrame) -> pl.DataFrame:
+    """Mean residual of every signal and kind: `<signal without its unit>_<kind>_<unit>`."""
+    pairs = long.select("signal", "kind").unique().sort("signal", "kind").rows()
+    columns = [
+        pl.col("mean").filter((pl.col("signal") == s) & (pl.col("kind") == k)).last().alias(residual_column(s, k))
+        for s, k in pairs
+    ]
+    return long.group_by(KEY).agg(columns)
+
+
+def residual_column(signal: str, kind: str) -> str:
+    """Name of the feature that holds a residual.
+
+    Examples
+    --------
+    >>> residual_column("hx_out_k", "sensor_minus_dsm")
+    'hx_out_sensor_minus_dsm_k'
+    """
+    for unit in ("kg_s", "rad_s", "w_k", "counts", "pa", "k", "m"):
+        if signal.endswith(f"_{unit}"):
+            return f"{signal.removesuffix(f'_{unit}')}_{kind}_{unit}"
+    return f"{signal}_{kind}"
+
+
+def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
+    """Left join the columns that are not there yet."""
+    if more is None:
+        return wide
+    return wide.join(more.select(*KEY, *(c for c in more.columns if c not in wide.columns)), on=KEY, how="left")
+
+
+def since_maintenance(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Add the lives that the log knows, `hx_life` and `cc_life` (replacements so far), and flights since the last.
+
+    The log gives a day; the first flight of the next day is the first that surely flew with the new unit.
+    """
+    day = flights.with_columns(pl.col("departed_at").dt.date().alias("day")).sort("day", "departed_at", "flight_id")
+    for component, life in (("HX", "hx_life"), ("CC", "cc_life")):
+        renewed = (
+            maintenance.filter((pl.col("component") == component) & (pl.col("action") == "REPLACED"))
+            .select(*UNIT, "done_on")
+            .unique()
+        )
+        counted = renewed.sort("done_on").with_columns(
+            (pl.int_range(pl.len()).over(UNIT) + 1).alias(life), (pl.col("done_on") + pl.duration(days=1)).alias("day")
+        )
+        day = day.join_asof(
+            counted.select(*UNIT, "day", life).sort("day"), on="day", by=UNIT, check_sortedness=False
+        ).with_columns(pl.col(life).fill_null(0))
+    ordered = day.drop("day").sort(*UNIT, "departed_at", "flight_id")
+    age = pl.int_range(pl.len()).over([*UNIT, "hx_life"])
+    return ordered.with_columns(
+        pl.when(pl.col("hx_life") > 0).then(age).alias("flights_since_replacement"), age.alias("flights_seen_of_unit")
+    )
+
+
+def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
+    """Least-squares slope per flight over a unit's last flights, at every horizon; null with fewer than four values."""
+    index = pl.when(pl.col(name).is_not_null()).then(pl.col("flight_index").cast(pl.Float64))
+    x = index - index.mean().over(by)  # keeps the sums of squares well conditioned; a shift leaves every slope as it is
+    y = pl.col(name)
+
+    def mean(e: pl.Expr, n: int) -> pl.Expr:
+        return e.rolling_mean(n, min_samples=4)
+
+    slopes = [(mean(x * y, n) - mean(x, n) * mean(y, n)) / (mean(x * x, n) - mean(x, n) ** 2) for n in HORIZONS]
+    return [
+        s.fill_nan(None).over(by).alias(f"{name}_slope_{n}_per_flight") for s, n in zip(slopes, HORIZONS, strict=True)
+    ]
+
+
+def _jumps(columns: Sequence[str]) -> list[pl.Expr]:
+    """How far the loss moved of late: the track over ten flights; three flights against twelve before, less trend."""
+    life = [*UNIT, "hx_life"]
+    track = pl.col("hx_fouling")
+    now = pl.col("hx_fouling_flight") if "hx_fouling_flight" in columns else track
+    # the middles of the two windows lie eight flights apart; the trend is that of the flights before the late ones
+    wear = 8.0 * pl.col("hx_fouling_slope_30_per_flight").shift(3).clip(0.0, 0.004).fill_null(0.0)
+    out = {"hx_fouling_jump_10": track - track.shift(10), "hx_fouling_step_3": _step(now) - wear}
+    if "ram_flow_loss" in columns:
+        out["ram_flow_loss_step_3"] = _step(pl.col("ram_flow_loss"))
+    return [e.over(life).alias(name) for name, e in out.items()]
+
+
+def _step(now: pl.Expr) -> pl.Expr:
+    """Median of the last three flights less that of the twelve before them."""
+    return now.rolling_median(3, min_samples=2) - now.rolling_median(12, min_samples=4).shift(3)
+
+
+def _beside(wide: pl.DataFrame) -> pl.DataFrame:
+    """Differences to the other pack of the same flight."""
+    names = [
+        n for n in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median") if n in wide.columns
+    ]
+    other = wide.select(
+        "operator",
+        "tail",
+        "flight_id",
+        (3 - pl.col("pack")).cast(pl.Int32).alias("pack"),
+        *(pl.col(n).alias(f"other_{n}") for n in names),
+    )
+    both = wide.join(other, on=KEY, how="left")
+    return both.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
+        f"other_{n}" for n in names
+    )
+
+
+def _usage(wide: pl.DataFrame) -> pl.DataFrame:
+    """Names the consumers know, and running sums of work done."""
+    given = set(wide.columns)
+    more = (
+        [pl.col("hx_out_sensor_minus_dsm_k").alias("hx_out_excess_k")] if "hx_out_sensor_minus_dsm_k" in given else []
+    )
+    if "door_median" in given:
+        more += [
+            pl.col("door_median").alias("ram_door_open_cruise"),
+            (1.0 - pl.col("door_max")).alias("ram_door_margin"),
+        ]
+    if "flight_hours" in given:
+        more.append(pl.col("flight_hours").cum_sum().over(UNIT).alias("usage_hours"))
+    return wide.with_columns(more)

@@ -1,0 +1,104 @@
+"""Features as arrays: one row a pack, one column a flight, so that rules walk a whole fleet at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from hdt_core.health.detection import Array
+
+UNIT = ["operator", "tail", "pack"]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A fleet's flights, packed to the left.
+
+    Attributes
+    ----------
+    units : DataFrame
+        operator, tail, pack of each row.
+    rows : DataFrame
+        The frame the grid was cut from, sorted by unit and departure.
+    unit, flight : array
+        Row and column in the grid of each row of `rows`.
+    shape : tuple of int
+        Units, and flights of the busiest unit.
+    beside : tuple of array
+        Row and column of every flight that both packs recorded, and row and column of the other pack's.
+    """
+
+    units: pl.DataFrame
+    rows: pl.DataFrame
+    unit: Array
+    flight: Array
+    shape: tuple[int, int]
+    beside: tuple[Array, ...]
+
+    @classmethod
+    def cut(cls, frame: pl.DataFrame) -> "Grid":
+        """Lay out a frame with operator, tail, pack, departed_at and flight_id."""
+        rows = frame.sort(*UNIT, "departed_at", "flight_id")
+        units = rows.select(UNIT).unique(maintain_order=True)
+        place = rows.select(
+            pl.struct(UNIT).rle_id().cast(pl.Int64).alias("unit"),
+            pl.int_range(pl.len()).over(UNIT).cast(pl.Int64).alias("flight"),
+        )
+        flights = int(np.asarray(place["flight"].max() or 0)) + 1 if rows.height else 0
+        where = rows.select("operator", "tail", "flight_id", "pack").with_columns(place)
+        other = where.with_columns(3 - pl.col("pack"))
+        pairs = where.join(other, on=["operator", "tail", "flight_id", "pack"], how="inner", suffix="_other")
+        beside = tuple(pairs[c].to_numpy() for c in ("unit", "flight", "unit_other", "flight_other"))
+        return cls(units, rows, place["unit"].to_numpy(), place["flight"].to_numpy(), (units.height, flights), beside)
+
+    def values(self, name: str) -> Array:
+        """Column as (units, flights) floats; NaN where null, absent or not flown."""
+        out = np.full(self.shape, np.nan)
+        if name in self.rows.columns:
+            out[self.unit, self.flight] = self.rows[name].cast(pl.Float64).to_numpy()
+        return out
+
+    def flags(self, name: str) -> Array:
+        """Column as (units, flights) booleans; False where null, absent or not flown."""
+        return self.values(name) > 0.5
+
+    def at(self, name: str, unit: int, flight: int) -> object:
+        """One value of one flight."""
+        row = int(np.searchsorted(self.unit, unit)) + flight
+        return self.rows[name][row]
+
+    @property
+    def flown(self) -> Array:
+        """Cells that hold a flight. (units, flights) bool"""
+        out = np.zeros(self.shape, dtype=bool)
+        out[self.unit, self.flight] = True
+        return out
+
+    def partner(self) -> Array:
+        """Row of the same aircraft's other pack; -1 where there is none. (units,)"""
+        where = {(o, t, p): i for i, (o, t, p) in enumerate(self.units.rows())}
+        return np.array([where.get((o, t, 3 - p), -1) for o, t, p in self.units.rows()], dtype=int)
+
+    def across(self, values: Array) -> Array:
+        """Values of the other pack on the same flight; NaN (False for booleans) where it did not record that flight."""
+        out = np.full(values.shape, False if values.dtype == bool else np.nan, dtype=values.dtype)
+        unit, flight, unit_other, flight_other = self.beside
+        out[unit, flight] = values[unit_other, flight_other]
+        return out
+
+    def worked_on(self, maintenance: pl.DataFrame, components: tuple[str, ...], actions: tuple[str, ...]) -> Array:
+        """First flight after each logged day of such work. (units, flights) bool
+
+        The log knows days, not hours: the first flight of the day after is the first that surely flew with it.
+        """
+        out = np.zeros(self.shape, dtype=bool)
+        done = maintenance.filter(pl.col("component").is_in(components) & pl.col("action").is_in(actions)).select(
+            *UNIT, "done_on"
+        )
+        days = self.rows.select(
+            *UNIT, pl.col("departed_at").dt.date().alias("day"), pl.Series("u", self.unit), pl.Series("k", self.flight)
+        )
+        after = done.unique().join(days, on=UNIT, how="inner").filter(pl.col("day") > pl.col("done_on"))
+        first = after.group_by("u", "done_on").agg(pl.col("k").min())
+        out[first["u"].to_numpy(), first["k"].to_numpy()] = True
+        return out

@@ -1,0 +1,138 @@
+"""Residuals of each flight and pack: sensor against digital system model, model against twin, sensor against twin.
+
+The model says what the unit should show as built; the twin what it shows with the health of this flight. So the first
+residual holds the fault, the second the part of it that the health parameters explain, the third what is left over.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from hdt_core.health.detection import Array
+from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
+from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.twin import exchanger as hx
+from hdt_core.twin.compressor import compressor_samples
+from hdt_core.twin.crossing import cruise_samples
+from hdt_core.twin.dsm import Dsm
+
+KEY = ["operator", "tail", "flight_id", "pack"]
+KINDS = ("sensor_minus_dsm", "dsm_minus_twin", "sensor_minus_twin")
+SIGNALS: dict[str, tuple[str, str, float]] = {
+    # component, unit, standard deviation of one reading about a sound model
+    "hx_out_k": ("HX", "K", hx.NOISE_SD["hx_out_k"]),
+    "ram_out_k": ("HX", "K", hx.NOISE_SD["ram_out_k"]),
+    "cc_effective_diameter_m": ("CC", "m", 0.005),
+    "cc_out_pa": ("CC", "Pa", 400.0),
+    "cc_out_k": ("CC", "K", 0.7),
+    "cc_flow_kg_s": ("CC", "kg/s", 0.016),
+}
+SCHEMA: dict[str, Any] = {
+    "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32, "component": pl.String,
+    "signal": pl.String, "kind": pl.String, "mean": pl.Float64, "sd": pl.Float64, "rms": pl.Float64,
+    "mean_sigma": pl.Float64, "unit": pl.String, "n": pl.Int64,
+}  # fmt: skip
+
+
+def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Statistics of every residual over a flight's monitored cruise samples.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Of the leg filter: signals in SI, `phase`, `monitored`.
+    twin_flights : DataFrame
+        Of `estimate_flights`: health of each flight from that flight alone.
+    dsm : Dsm
+        Model in service.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight, pack, signal and kind: mean, sd, rms in `unit`, `mean_sigma` (mean over the scatter of one
+        reading), n. Sensor biases that the model knows are taken out of the sensor's side.
+    """
+    packs = dsm.pack_table()
+    corrections = packs.select("operator", "tail", "pack", "inlet_bias_k", "inlet_bias_ln")
+    cruise = compressor_samples(cruise_samples(samples), packs)
+    rows = cruise.join(_health(twin_flights), on=KEY, how="left", maintain_order="left")
+    rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left")
+    columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
+    wide = rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)).fill_nan(None) for name, v in columns.items())
+    parts = [_statistics(wide, signal, kind) for signal in SIGNALS for kind in KINDS]
+    return pl.concat(parts).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
+
+
+def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
+    """What the flight alone says of the health: level of the conductance, diameter, efficiency and flow group."""
+    return twin_flights.select(
+        *KEY,
+        pl.col("ln_ua_ratio").alias("twin_ln_ua"),
+        (pl.col("diameter_m") - pl.col("expected_diameter_m")).alias("twin_diameter_beyond_m"),
+        pl.col("efficiency").alias("twin_efficiency"),
+        pl.col("group_m3").alias("twin_group_m3"),
+    )
+
+
+def _exchanger(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
+    """Outlet temperatures of both sides; the ram flow is that of the clean duct in model and twin alike."""
+    signals = {name: rows[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ram_out_k")}
+    clean = hx.without_bias(signals, dsm.bias_of(rows))
+    ram = hx.clean_ram_flow_kg_s(clean, dsm.design)
+    ln_clean = hx.ln_clean_conductance(clean, ram, dsm.design)
+    given = clean["pack_flow_kg_s"], ram, clean["hx_in_k"], clean["tat_k"]
+    with np.errstate(all="ignore"):
+        model = outlets_k(*given, np.exp(ln_clean + dsm.clean_level))
+        twin = outlets_k(*given, np.exp(ln_clean + rows["twin_ln_ua"].to_numpy().astype(float)))
+    return _three("hx_out_k", clean["hx_out_k"], model[0], twin[0]) | _three(
+        "ram_out_k", clean["ram_out_k"], model[1], twin[1]
+    )
+
+
+def _compressor(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
+    """Effective diameter against equation (6), and what it, the efficiency and the flow group say of exit and flow."""
+    names = ("cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_speed_rad_s", "cc_flow_kg_s", "vda_counts")
+    s = {c: rows[c].to_numpy().astype(float) for c in (*names, "diameter_m", "inlet_bias_k", "inlet_bias_ln")}
+    t = {c: rows[c].to_numpy().astype(float) for c in rows.columns if c.startswith("twin_")}
+    fit = dsm.compressor
+    inlet_k = s["cc_in_k"] - np.nan_to_num(s["inlet_bias_k"])
+    inlet_pa = s["cc_in_pa"] * np.exp(-np.nan_to_num(s["inlet_bias_ln"]))
+    model_m = expected_diameter_m(s["vda_counts"], np.array(fit.intercept_m), np.array(fit.slope_m_per_count))
+    twin_m = model_m + t["twin_diameter_beyond_m"]
+    ratio = s["cc_out_pa"] / inlet_pa
+    with np.errstate(all="ignore"):
+        exit_pa = [inlet_pa * pressure_ratio(d, inlet_k, s["cc_speed_rad_s"]) for d in (model_m, twin_m)]
+        exit_k = [exit_temperature_k(inlet_k, ratio, e) for e in (np.array(fit.efficiency), t["twin_efficiency"])]
+        groups = (np.array(fit.group_m3), t["twin_group_m3"])
+        flow = [inlet_flow_kg_s(g, inlet_pa, inlet_k, s["cc_speed_rad_s"]) for g in groups]
+    return (
+        _three("cc_effective_diameter_m", s["diameter_m"], model_m, twin_m)
+        | _three("cc_out_pa", s["cc_out_pa"], *exit_pa)
+        | _three("cc_out_k", s["cc_out_k"], *exit_k)
+        | _three("cc_flow_kg_s", s["cc_flow_kg_s"], *flow)
+    )
+
+
+def _three(signal: str, sensor: Array, model: Array, twin: Array) -> dict[str, Array]:
+    differences = (sensor - model, model - twin, sensor - twin)
+    # all three speak of the same samples: those the sensor measured
+    return {
+        f"{signal}|{kind}": np.where(np.isfinite(sensor) & np.isfinite(d), d, np.nan)
+        for kind, d in zip(KINDS, differences, strict=True)
+    }
+
+
+def _statistics(wide: pl.DataFrame, signal: str, kind: str) -> pl.DataFrame:
+    component, unit, sigma = SIGNALS[signal]
+    e = pl.col(f"{signal}|{kind}")
+    known = (
+        wide.filter(e.is_not_null())
+        .group_by(KEY)
+        .agg(e.mean().alias("mean"), e.std().alias("sd"), (e**2).mean().sqrt().alias("rms"), pl.len().alias("n"))
+    )
+    labels: Mapping[str, str] = {"component": component, "signal": signal, "kind": kind, "unit": unit}
+    return known.with_columns(
+        (pl.col("mean") / sigma).alias("mean_sigma"), *(pl.lit(v).alias(k) for k, v in labels.items())
+    )

@@ -1,0 +1,50 @@
+"""Virtual sensors: what no probe measures but the twin knows of a flight, with its uncertainty."""
+
+import polars as pl
+
+from hdt_core.twin.exchanger import BIAS_SD, NOISE_SD
+
+KEY = ["operator", "tail", "flight_id", "pack"]
+RAM_MAP_SD = 0.05
+"""Relative uncertainty of the clean duct's flow where no ram outlet probe anchors it: maps err by 4 to 10 %."""
+
+
+def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
+    """Quantities of each flight and pack from the twin's estimates of that flight.
+
+    Parameters
+    ----------
+    twin_flights : DataFrame
+        Of `estimate_flights`: ln conductance ratio, flows and medians of the cruise.
+
+    Returns
+    -------
+    DataFrame
+        The key and, each with an `_sd` column of the same unit: `ram_flow_kg_s` (of the clean duct), `ram_outlet_k`,
+        `effectiveness`, `ua_w_k`, `ram_flow_loss` (share of the clean duct's flow that the heat balance misses; null
+        without a ram outlet probe); and `hx_fouling_flight` (1 less measured over expected conductance, undamped, its
+        unit's offset still in it), `cc_diameter_deficit` (share of the diameter that equation (6) expects).
+    """
+    heat_kg_k_s = pl.col("pack_flow_kg_s") * (pl.col("hx_in_k") - pl.col("hx_out_k"))
+    rise_k = heat_kg_k_s / pl.col("ram_flow_kg_s")
+    drop_k = pl.col("hx_in_k") - pl.col("tat_k")
+    ratio = pl.col("ln_ua_ratio").exp()
+    ua_sd = (pl.col("ln_ua_ratio_sd") ** 2 + pl.col("ln_ua_ratio_map_sd") ** 2).sqrt()
+    reading_sd = (NOISE_SD["hx_out_k"] ** 2 / pl.col("n_samples").clip(1) + BIAS_SD["hx_out_k"] ** 2).sqrt()
+    return twin_flights.select(
+        *KEY,
+        "ram_flow_kg_s",
+        (RAM_MAP_SD * pl.col("ram_flow_kg_s")).alias("ram_flow_kg_s_sd"),
+        (pl.col("tat_k") + rise_k).alias("ram_outlet_k"),
+        (RAM_MAP_SD * rise_k).abs().alias("ram_outlet_k_sd"),
+        "effectiveness",
+        (reading_sd / drop_k).alias("effectiveness_sd"),
+        "ua_w_k",
+        (ua_sd * pl.col("ua_w_k")).alias("ua_w_k_sd"),
+        (1.0 - pl.col("ln_ram_ratio").exp()).alias("ram_flow_loss"),
+        (pl.col("ln_ram_ratio_sd") * pl.col("ln_ram_ratio").exp()).alias("ram_flow_loss_sd"),
+        (1.0 - ratio).alias("hx_fouling_flight"),
+        (pl.col("ln_ua_ratio_sd") * ratio).alias("hx_fouling_flight_sd"),
+        (1.0 - pl.col("diameter_m") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit"),
+        (pl.col("diameter_m_se") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit_sd"),
+    ).with_columns(pl.selectors.float().fill_nan(None))

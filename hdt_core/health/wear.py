@@ -1,0 +1,147 @@
+"""Wear of exchanger and compressor past its limit, and the sudden clog."""
+
+import numpy as np
+import polars as pl
+from scipy.special import ndtr
+
+from hdt_core.health.detection import Array, Cusum, lingering, persistent, since, watch
+from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT, REPAIR, Case, Limits, spells
+from hdt_core.health.grid import Grid
+
+SETTLED = 5
+"""Flights after work on a part before its track is believed again."""
+FAULT_ECHO = 15
+"""Flights after a door or outlet-sensor fault during which its end still looks like a step of the exchanger."""
+FAULT_ALLOWANCE = 0.12
+"""Loss that a faulty door or outlet sensor (4 K) may feign: beyond it an exchanger is called worn all the same."""
+FEIGNED = 90
+"""Flights that a faulty sensor may feign a better exchanger before its repair brings the loss back at once."""
+TEN, RISE_MARGIN = 10, 0.02
+"""Flights taken together, and what the lowest of many tens lies below the truth by chance alone (scatter 0.005). [-]"""
+SAME_CLOG = 40
+"""Flights within which a jump and the loss it leads to are one case."""
+SHRUNK = 0.025
+"""Loss of effective diameter that an efficiency loss of 5 % brings: equation (5) takes the root of efficiency."""
+
+
+def hx_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick: Array) -> list[Case]:
+    """Fouling past its limit, and sudden clogs; `sick` (units, flights) tells where a door or the outlet is in doubt.
+
+    Icing is gone by the next flight and never persists.
+    """
+    ended = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
+    loss, sd, step = grid.values("hx_fouling"), grid.values("hx_fouling_sd"), grid.values("hx_fouling_step_3")
+    settled = (since(ended) > SETTLED) & ~(step < -limits.clog)
+    trusted = settled & (~lingering(sick, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
+    gained = risen(np.where(lingering(sick, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), ended)
+    worn = (_odds(loss, sd, limits.fouling) > limits.fouling_odds) | (gained > limits.fouling + RISE_MARGIN)
+    sure = worn | _soon(grid, loss, sd, limits)
+    keep = np.fmax(loss, gained) > 0.75 * limits.fouling_soon
+    fouled = persistent(sure & trusted, 3, 4, 15, keep=keep, ended=ended)
+    blocked = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
+    jumped = (step > limits.clog) & (np.fmax(loss, gained) > 0.05) & ~_back_again(step, ended, limits)
+    clogged = persistent(jumped & blocked & trusted & ~_repaired(grid, maintenance), 1, 1, 30, ended=ended)
+    cases = [_hx(grid, "HX_SUDDEN_CLOG", spell, gained) for spell in spells(clogged, ended)]
+    for unit, first, end in spells(fouled, ended):
+        jump = next((c for c in cases if c.unit == unit and 0 <= first - c.raised <= SAME_CLOG), None)
+        if jump is None:
+            cases.append(_hx(grid, "HX_FOULING", (unit, first, end), gained))
+        elif jump.closed is not None:
+            jump.closed = None if end is None else max(jump.closed, end)
+    return cases
+
+
+def _soon(grid: Grid, loss: Array, sd: Array, limits: Limits) -> Array:
+    """Flights on which a smaller loss grows so fast that waiting for the limit would leave a planner no time."""
+    slope = 0.5 * sum(grid.values(f"hx_fouling_slope_{n}_per_flight") for n in (30, 100))
+    left = (FAILS_AT - loss) / np.maximum(np.nan_to_num(slope), 1e-6)
+    return np.asarray((_odds(loss, sd, limits.fouling_soon) > limits.soon_odds) & (left < limits.soon_flights))
+
+
+def risen(alone: Array, ended: Array) -> Array:
+    """How far each flight's own estimates, ten together, lie above the lowest ten of the unit: no more than its loss.
+
+    The unit's offset drops out, so that a track which mistook a passing fault for a new unit is no excuse.
+
+    Parameters
+    ----------
+    alone, ended : array
+        (units, flights) loss as each flight alone says, NaN where unknown or in doubt; flights with a new unit (bool).
+
+    Returns
+    -------
+    array
+        (units, flights); NaN before ten flights of the unit.
+    """
+    out, window, lowest = (
+        np.full(alone.shape, np.nan),
+        np.full((alone.shape[0], TEN), np.nan),
+        np.full(alone.shape[0], np.inf),
+    )
+    for k in range(alone.shape[1]):
+        window[ended[:, k]], lowest[ended[:, k]] = np.nan, np.inf
+        seen = np.isfinite(alone[:, k])
+        window[seen] = np.concatenate([window[seen, 1:], alone[seen, k, None]], axis=1)
+        full = np.isfinite(window).all(axis=1)
+        level = np.median(window, axis=1)
+        lowest = np.where(full, np.fmin(lowest, level), lowest)
+        out[full, k] = (level - lowest)[full]
+    return out
+
+
+def _back_again(step: Array, ended: Array, limits: Limits) -> Array:
+    """Flights after an unexplained recovery: what falls without work was feigned, and so is its return."""
+    fell = since((step < -0.6 * limits.clog) & ~ended)
+    return np.asarray((fell < FEIGNED) & (fell < since(ended)))
+
+
+def _repaired(grid: Grid, maintenance: pl.DataFrame) -> Array:
+    """Flights just after work on door or sensors, which ends what a faulty one had feigned."""
+    return lingering(grid.worked_on(maintenance, ("RAM_DOOR", "SENSOR"), REPAIR), FAULT_ECHO)
+
+
+def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array) -> list[Case]:
+    """Compressor wear: by efficiency where it is known, else by effective diameter against the unit's own start."""
+    ended = grid.worked_on(maintenance, ("CC",), ("REPLACED",))
+    loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
+    sure = (_odds(loss, sd, limits.compressor) > 0.9) & (loss > 1.2 * limits.compressor) & (since(ended) > SETTLED)
+    by_efficiency = persistent(sure, 4, 5, 20, keep=loss > 0.7 * limits.compressor, ended=ended)
+    shrunk = _diameter(grid, ended)
+    by_diameter = (shrunk[:, :, 1] > 0.5) & ~_ever(np.isfinite(loss)) & ~doubtful
+    cases = []
+    for u, a, b in spells(by_efficiency | by_diameter, ended):
+        facts = {"loss": float(loss[u, a]), "sd": float(sd[u, a]), "shrunk": float(shrunk[u, a, 0]), "since": a}
+        cases.append(Case(u, "CC", "CC_DEGRADED", a, b, facts))
+    return cases
+
+
+def _hx(grid: Grid, diagnosis: str, spell: tuple[int, int, int | None], gained: Array) -> Case:
+    unit, first, end = spell
+    names = (
+        "hx_fouling", "hx_fouling_sd", "hx_fouling_slope_30_per_flight", "hx_fouling_step_3", "door_full_open_share",
+    )  # fmt: skip
+    loss = grid.values("hx_fouling")[unit, : first + 1]
+    small = np.nonzero(~(loss > 0.05))[0]
+    facts = {n: float(grid.values(n)[unit, first]) for n in names}
+    began = int(small[-1]) + 1 if small.size else 0
+    return Case(unit, "HX", diagnosis, first, end, facts | {"since": began, "gained": float(gained[unit, first])})
+
+
+def _diameter(grid: Grid, ended: Array) -> Array:
+    """Relative change of the effective diameter since the unit's first flights, and whether it is believed smaller."""
+    diameter = np.where(grid.flags("running"), grid.values("cc_effective_diameter_m"), np.nan)
+    settings = Cusum(slack=0.75, clear=1.0, learn_flights=20, memory_flights=10**6)
+    shift = watch(np.log(diameter)[:, :, None], np.array([DIAMETER_SD]), ended[:, :, None], settings)
+    smaller = shift.called & (shift.sum_low > shift.sum_high) & (shift.moved < -SHRUNK)
+    return np.concatenate([shift.moved, smaller.astype(float)], axis=2)
+
+
+def _odds(value: Array, sd: Array, limit: float) -> Array:
+    """Probability that the quantity is above the limit; 0 where unknown."""
+    safe = np.maximum(np.nan_to_num(sd, nan=1.0), 1e-6)
+    return np.asarray(np.nan_to_num(ndtr((value - limit) / safe)))
+
+
+def _ever(flags: Array) -> Array:
+    """Whether a flag was true on this flight or before."""
+    return np.asarray(np.logical_or.accumulate(flags, axis=1))
