@@ -1,0 +1,1 @@
+"""Remaining life with its interval, and the chance of a message soon."""

@@ -1,0 +1,88 @@
+"""What goes into a file: the model as plain parts, its card, and the rule by which one model replaces another."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from hdt_core.prognosis.limits import Limit
+from hdt_core.prognosis.model import Fit, Prognosis
+from hdt_core.prognosis.recalibrate import Correction
+
+Card = dict[str, Any]
+
+
+def to_parts(model: Prognosis) -> dict[str, Any]:
+    """Model as a dict of scikit-learn objects, numbers and strings, which skops stores without custom types."""
+    return {
+        "hazard": list(model.hazard),
+        "base_levels": list(model.base_levels),
+        "fits": {component: asdict(fit) for component, fit in model.fits.items()},
+        "version": model.version,
+    }
+
+
+def from_parts(parts: dict[str, Any]) -> Prognosis:
+    """Model from what `to_parts` gave."""
+    fits = {
+        component: Fit(
+            Limit(**fit["limit"]),
+            Correction(tuple(fit["correction"]["weights"])),
+            (fit["levels"][0], fit["levels"][1]),
+            fit["failures"],
+            fit["lives"],
+        )
+        for component, fit in parts["fits"].items()
+    }
+    low, high = parts["base_levels"]
+    return Prognosis(tuple(parts["hazard"]), (low, high), fits, parts["version"])
+
+
+def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card:
+    """What a reader of the model must know: what it says, what it was trained on, how well it did out of fold.
+
+    Parameters
+    ----------
+    model : Prognosis
+        Fitted model.
+    scores : dict, optional
+        Out-of-fold scores, as from `metrics.score_prognoses`.
+    """
+    return {
+        "model_version": model.version,
+        "says": (
+            "rul_flights, rul_low, rul_high: median and 90 % interval of the flights left, given that the message "
+            "comes within 300 flights; p_event_50: probability of the message within 50 flights, without that condition"
+        ),
+        "learned_from": "simulated lives (base); the fleet's own failed and censored lives (limit, hazard, interval)",
+        "failures": {component: fit.failures for component, fit in model.fits.items()},
+        "lives": {component: fit.lives for component, fit in model.fits.items()},
+        "loss_at_message": {c: {"mean": f.limit.mean, "sd": f.limit.sd} for c, f in model.fits.items()},
+        "not_for": "removals for other reasons than the message; components without a health track",
+        "scores": scores or {},
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a model goes into service, and why."""
+
+    promoted: bool
+    reason: str
+
+
+def promote(candidate: Card, in_service: Card | None, tolerance: float = 0.02) -> Verdict:
+    """A model that does worse than the one in service isn't promoted.
+
+    Both cards must have been scored on the same flights; the figures compared are the interval score and the Brier
+    score, which can't be improved by hedging. A rise of more than `tolerance` (a share) in either is worse.
+    """
+    if in_service is None or not in_service.get("scores"):
+        return Verdict(True, "no scored model is in service")
+    for name in ("interval_score_flights", "brier"):
+        new, old = candidate["scores"].get(name), in_service["scores"].get(name)
+        if old is None:
+            continue
+        if new is None:
+            return Verdict(False, f"{name} of the candidate is unknown, {old:.4g} is in service")
+        if new > old * (1.0 + tolerance):
+            return Verdict(False, f"{name} is {new:.4g}, worse than {old:.4g} in service")
+    return Verdict(True, "no score is worse than in service")

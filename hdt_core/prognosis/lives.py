@@ -1,0 +1,114 @@
+"""Lives of units, cut from flights, messages and the maintenance log."""
+
+from dataclasses import dataclass
+
+import polars as pl
+
+# a message is answered within nine flights, and the log may be five flights late
+ANSWER_FLIGHTS = 15
+PACK = ["operator", "tail", "pack"]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """What ends the life of a component's unit: a message code that is answered by a replacement."""
+
+    component: str
+    message_code: str
+
+
+FAILURES = (Failure("HX", "21-52-HXTEMP"), Failure("CC", "21-51-CCFLOW"))
+
+
+def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Lives of the exchangers and compressors, failed or censored.
+
+    A message ends a life only if the unit is replaced soon after it and nobody found the unit sound in between: a
+    jammed ram door raises the same message. A replacement without a message is preventive and censors the life.
+
+    Parameters
+    ----------
+    features : DataFrame
+        At least operator, tail, flight_id, pack, departed_at; one row a flight and pack.
+    messages, maintenance : DataFrame
+        As stored by the raw stage (message_time, flight_id, pack, code; done_on, pack, component, action, finding).
+
+    Returns
+    -------
+    DataFrame
+        operator, tail, pack, component, life (0..), first_row and end_row (the pack's flights counted from 0; the end
+        is the message's flight, or the last flight of the unit plus one), failed, age_known.
+    """
+    flights = flight_rows(features)
+    parts = [_component_lives(flights, messages, maintenance, failure) for failure in FAILURES]
+    return pl.concat(parts).sort("component", *PACK, "life")
+
+
+def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
+    """Flights of each pack in order of departure, counted from 0 in `row`, with further columns on demand."""
+    keys = features.select(*PACK, "flight_id", "departed_at", *columns).unique([*PACK, "flight_id"], keep="first")
+    return keys.sort(*PACK, "departed_at", "flight_id").with_columns(
+        pl.int_range(pl.len()).over(PACK).cast(pl.Int64).alias("row"), pl.col("departed_at").dt.date().alias("day")
+    )
+
+
+def installations(
+    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+) -> pl.DataFrame:
+    """Rows on which a new unit is first logged: operator, tail, pack, first_row.
+
+    The log gives a date only. A flight of that date which raised the message still flew with the old unit.
+    """
+    replaced = maintenance.filter((pl.col("component") == failure.component) & (pl.col("action") == "REPLACED"))
+    told = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
+    told = (
+        flights.join(told, on=["tail", "flight_id", "pack"])
+        .group_by(*PACK, done_on="day")
+        .agg(told=pl.col("row").max())
+    )
+    found = flights.join(replaced.select(*PACK, "done_on"), on=PACK).join(told, on=[*PACK, "done_on"], how="left")
+    found = found.filter((pl.col("day") >= pl.col("done_on")) & (pl.col("row") > pl.col("told").fill_null(-1)))
+    return found.group_by(*PACK, "done_on").agg(first_row=pl.col("row").min()).select(*PACK, "first_row").unique()
+
+
+def _component_lives(
+    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+) -> pl.DataFrame:
+    installed = installations(flights, messages, maintenance, failure)
+    entered = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
+    last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
+    lives = pl.concat([entered, installed]).unique().sort(*PACK, "first_row")
+    lives = lives.join(last, on=PACK).with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
+    told = _credible_messages(flights, messages, maintenance, failure)
+    ends = lives.join(told, on=PACK, how="left").filter(
+        (pl.col("message_row") >= pl.col("first_row"))
+        & (pl.col("message_row") <= pl.col("next_row"))
+        & (pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
+    )
+    ends = ends.group_by(*PACK, "first_row").agg(message_row=pl.col("message_row").min())
+    lives = lives.join(ends, on=[*PACK, "first_row"], how="left")
+    return lives.select(
+        *PACK,
+        pl.lit(failure.component).alias("component"),
+        pl.int_range(pl.len()).over(PACK).alias("life"),
+        "first_row",
+        pl.coalesce("message_row", "next_row", "n_rows").alias("end_row"),
+        pl.col("message_row").is_not_null().alias("failed"),
+        (pl.col("first_row") > 0).alias("age_known"),
+    )
+
+
+def _credible_messages(
+    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+) -> pl.DataFrame:
+    """Rows with the component's message, less those after which the component was inspected and found sound."""
+    told = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
+    told = flights.join(told, on=["tail", "flight_id", "pack"])
+    sound = maintenance.filter(
+        (pl.col("component") == failure.component) & (pl.col("finding") == "NO_FAULT_FOUND")
+    ).select(*PACK, "done_on")
+    # inspected the same day or within three days after: the message had another cause
+    cleared = told.join(sound, on=PACK).filter(
+        (pl.col("done_on") - pl.col("day")).is_between(pl.duration(days=1), pl.duration(days=3))
+    )
+    return told.join(cleared, on=[*PACK, "row"], how="anti").select(*PACK, pl.col("row").alias("message_row"))
