@@ -1,0 +1,146 @@
+"""A fleet with known truth, one aircraft at a time: what its ground station drops, and what really was.
+
+Any size, seeded: aircraft k of a fleet is the same whatever the others are, so a fleet can be made in parts.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import polars as pl
+
+from hdt_core.simulate import flying, papers, shop
+from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
+from hdt_core.simulate.recorder import draw_biases, record
+from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
+from hdt_core.simulate.truth import health_truth
+
+PACKS = (1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Aircraft:
+    """One aircraft's files as frames in the recorder's units, and the truth.
+
+    Attributes
+    ----------
+    operator, tail : str
+        Whose it is.
+    fleet : DataFrame
+        Its row of fleet.csv.
+    snapshots : DataFrame
+        All snapshots that arrived; columns the operator doesn't record are absent.
+    cpl : dict of str to DataFrame
+        1 Hz logs by flight id.
+    messages, maintenance : DataFrame
+        As in messages.csv and maintenance.csv.
+    health, events : DataFrame
+        Truth, one row a flight and pack, and one row a life or fault.
+    """
+
+    operator: str
+    tail: str
+    fleet: pl.DataFrame
+    snapshots: pl.DataFrame
+    cpl: dict[str, pl.DataFrame]
+    messages: pl.DataFrame
+    maintenance: pl.DataFrame
+    health: pl.DataFrame
+    events: pl.DataFrame
+
+
+def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator[Aircraft]:
+    """Aircraft of a simulated fleet, one after another.
+
+    Parameters
+    ----------
+    seed : int
+        Same seed and settings, same fleet.
+    settings : FleetSettings, optional
+        Size of the fleet.
+
+    Yields
+    ------
+    Aircraft
+        Recorded frames and truth.
+    """
+    size = settings or FleetSettings()
+    rng = np.random.default_rng(seed)
+    design, operators = draw_design(rng), draw_operators(rng, size)
+    for number, operator in enumerate(operators):
+        for place, tail in enumerate(operator.tails):
+            yield _aircraft(np.random.default_rng([seed, number, place]), design, operator, tail, size)
+
+
+def design_truth(seed: int) -> pl.DataFrame:
+    """Design values of the fleet of that seed: operator, tail, parameter, value; null operator is the type's own."""
+    design = draw_design(np.random.default_rng(seed))
+    values = {
+        "eq6_intercept_m": design.diameter_intercept_m,
+        "eq6_slope_m_per_count": design.diameter_slope_m_per_count,
+        "hx_ua_reference_w_k": design.hx_ua_reference_w_k,
+        "hx_exponent_hot": design.hx_exponent_hot,
+        "hx_exponent_cold": design.hx_exponent_cold,
+    }
+    return pl.DataFrame(
+        {"operator": None, "tail": None, "parameter": list(values), "value": list(values.values())},
+        schema={"operator": pl.String, "tail": pl.String, "parameter": pl.String, "value": pl.Float64},
+    )
+
+
+def by_month(snapshots: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Snapshots by the month of their flight's departure date, `YYYY-MM`, as in history_*.parquet."""
+    month = pl.col("flight_id").str.extract(r"_(\d{8})_").str.slice(0, 6)
+    parts = snapshots.with_columns(month.alias("month")).partition_by("month", as_dict=True, include_key=False)
+    return {f"{key[0][:4]}-{key[0][4:]}": part for key, part in sorted(parts.items())}
+
+
+def _aircraft(
+    rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings
+) -> Aircraft:
+    plan = _plan(rng, design, operator, tail, size)
+    now = flying.conditions(rng, plan.schedule, *flying.snapshot_times(rng, plan.schedule))
+    air = record(rng, air_data(now), plan.biases[0], operator.temperature_step_k)
+    arrived = rng.random(size.flights) > 0.01
+    logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
+    rows, truth, book = [], [], papers.Book(plan)
+    cpl: dict[str, list[pl.DataFrame]] = {}
+    for pack in PACKS:
+        asked = demand(rng, design, now)
+        history = shop.draw_history(rng, operator, design, *pick(now, asked, size.flights))
+        true = true_signals(rng, design, now, asked=asked, history=history)
+        rows.append(pack_rows(rng, plan, now, true=true, history=history, pack=pack, air=air))
+        truth.append(health_truth(plan, now, true, history=history, pack=pack, arrived=arrived))
+        book.write(rng, history, pack, truth[-1])
+        for index in logged:
+            cpl.setdefault(str(plan.ids[index]), []).append(_log_1hz(rng, plan, int(index), history, pack))
+    snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[arrived].tolist()))
+    return Aircraft(
+        operator=operator.name,
+        tail=tail,
+        fleet=papers.fleet_row(rng, operator, tail),
+        snapshots=snapshots.drop(operator.missing).sort("report_time", "pack"),
+        cpl={key: pl.concat(parts).drop(operator.missing).sort("report_time", "pack") for key, parts in cpl.items()},
+        messages=book.message_frame(),
+        maintenance=book.maintenance_frame(),
+        health=pl.concat(truth).sort("index", "pack"),
+        events=book.event_frame(),
+    )
+
+
+def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings) -> Plan:
+    schedule = flying.draw_schedule(rng, operator, size.flights)
+    start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
+    ids = papers.flight_ids(tail, start, schedule.departed_s)
+    return Plan(operator, design, tail, schedule, ids, start, draw_biases(rng), rng.random() < operator.ram_out_share)
+
+
+def _log_1hz(rng: np.random.Generator, plan: Plan, index: int, history: shop.PackHistory, pack: int) -> pl.DataFrame:
+    """One flight at 1 Hz: the core's heat lags what the snapshots' steady exchanger shows."""
+    after_s = np.arange(0.0, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
+    # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
+    now = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
+    air = record(rng, air_data(now), plan.biases[0], plan.operator.temperature_step_k)
+    return pack_rows(rng, plan, now, true=true, history=history, pack=pack, air=air).drop("phase_code")

@@ -1,0 +1,163 @@
+"""What a pack does at given conditions: compressor, ram duct, worn exchanger and the controller that hides the wear.
+
+Richer than the estimators' model: wear is a film of fixed resistance, a blockage that starves the ram flow, or lost
+area; film coefficients follow temperature; ram air is warmed on its way; the controller moves the door to hold the
+outlet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hdt_core.physics.air import R_J_KG_K
+from hdt_core.physics.compressor import HEAD, exit_temperature_k
+from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
+from hdt_core.physics.ram_duct import ram_flow
+from hdt_core.simulate.design import PackDesign
+from hdt_core.simulate.flying import Conditions
+
+Array = NDArray[np.float64]
+
+FULL_OPEN = 1.0
+_FILM_K = 330.0
+_STEPS = 12
+_CORE = ("hx_exponent_hot", "hx_exponent_cold", "hx_hot_share", "hx_wall_share")
+_DUCT = (
+    "ram_area_closed_m2", "ram_area_open_m2", "ram_door_low", "ram_door_high", "ram_exit_area_m2", "ram_recovery"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """State of an exchanger: film resistance [K/W], blockage and lost area [-], unit's own conductance ratio [-]."""
+
+    film_k_w: Array
+    blockage: Array
+    area_loss: Array
+    unit_ua: Array
+
+    def at(self, index: NDArray[np.int_]) -> "Wear":
+        """Wear of the flights given."""
+        return Wear(self.film_k_w[index], self.blockage[index], self.area_loss[index], self.unit_ua[index])
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What the controller and the cabin ask for: flow [kg/s], hot inlet [K], target of the hot outlet [K]."""
+
+    flow_kg_s: Array
+    hot_in_k: Array
+    target_k: Array
+
+
+def clean(like: Array) -> Wear:
+    """A nominal new exchanger."""
+    zero = np.zeros_like(like)
+    return Wear(zero, zero, zero, zero + 1.0)
+
+
+def ram_flow_kg_s(design: PackDesign, now: Conditions, door: Array, blockage: Array) -> Array:
+    """Flow through the duct when the core's free area is what blockage leaves. [kg/s]"""
+    return np.asarray(
+        ram_flow(
+            ram_door_open=door,
+            total_pressure_pa=now.total_pressure_pa,
+            tat_k=now.tat_k,
+            altitude_m=now.altitude_m,
+            mach=now.mach,
+            ram_core_area_m2=design.ram_core_area_m2 * (1.0 - blockage),
+            ram_flow_loss=np.zeros(1),
+            **_values(design, _DUCT),
+        )
+    )
+
+
+def conductance_w_k(design: PackDesign, demand: Demand, flow_kg_s: Array, cold_in_k: Array, wear: Wear) -> Array:
+    """UA of the worn exchanger at these flows and temperatures. [W/K]"""
+    clean_w_k = clean_conductance_w_k(
+        demand.flow_kg_s,
+        flow_kg_s,
+        hx_ua_reference_w_k=design.hx_ua_reference_w_k * wear.unit_ua,
+        **_values(design, _CORE),
+    )
+    # k^0.67 mu^-0.27 of air is about T^0.3; the wall's share keeps it from acting in full
+    warm = (0.25 * (demand.hot_in_k + demand.target_k + 2.0 * cold_in_k) / _FILM_K) ** 0.25
+    wetted = (1.0 - wear.area_loss) * (1.0 - 0.5 * wear.blockage)
+    return np.asarray(1.0 / (1.0 / (clean_w_k * warm * wetted) + wear.film_k_w))
+
+
+def outlets(
+    design: PackDesign, now: Conditions, demand: Demand, door: Array, wear: Wear
+) -> tuple[Array, Array, Array, Array]:
+    """Hot outlet [K], ram outlet [K], ram flow [kg/s] and UA [W/K] at a door position."""
+    flow = ram_flow_kg_s(design, now, door, wear.blockage)
+    cold_in_k = now.tat_k + design.ram_heating_k
+    ua = conductance_w_k(design, demand, flow, cold_in_k, wear)
+    hot_out_k, ram_out_k = outlets_k(demand.flow_kg_s, flow, demand.hot_in_k, cold_in_k, ua)
+    return np.asarray(hot_out_k), np.asarray(ram_out_k), flow, ua
+
+
+def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: Wear) -> Array:
+    """Door position that holds the outlet at its target, or the nearer stop where none does: bisection."""
+    low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
+    for _ in range(_STEPS):
+        door = 0.5 * (low + high)
+        hot = outlets(design, now, demand, door, wear)[0] > demand.target_k
+        low, high = np.where(hot, door, low), np.where(hot, high, door)
+    return 0.5 * (low + high)
+
+
+def target_k(now: Conditions, demand_k: Array) -> Array:
+    """Outlet temperature the controller aims for: warmer where the air outside is, plus the cabin's wish. [K]"""
+    return demand_k + 0.45 * (now.tat_k - 250.0)
+
+
+def sized_target_k(design: PackDesign) -> float:
+    """Target at 250 K outside for which a clean pack cruises with its door at `door_sizing`. [K]"""
+    one = np.ones(1)
+    now = reference(one)
+    demand = reference_demand(design, one)
+    return float(outlets(design, now, demand, one * design.door_sizing, clean(one))[0][0])
+
+
+def reference(one: Array) -> Conditions:
+    """Cruise at 37,000 ft, Mach 0.84, standard day: where conductance ratios are stated."""
+    return Conditions(
+        flight=one.astype(int), time_s=one, phase=np.full(one.shape, "CR"), altitude_m=11277.6 * one, mach=0.84 * one,
+        tat_k=247.2 * one, total_pressure_pa=34380.0 * one,
+    )  # fmt: skip
+
+
+def reference_demand(design: PackDesign, one: Array) -> Demand:
+    """Flow and temperatures of that cruise."""
+    return Demand(design.flow_cruise_kg_s * one, (360.0 + design.hot_rise_k) * one, 297.0 * one)
+
+
+def loss_ratios(design: PackDesign, wear: Wear) -> tuple[Array, Array, Array]:
+    """True and apparent conductance over that of the same unit when clean, and ram flow over the clean core's. [-]
+
+    At the reference cruise and door; *apparent* is what an observer finds who takes the ram flow for the clean core's.
+    """
+    one = np.ones_like(wear.blockage)
+    now, demand, door = reference(one), reference_demand(design, one), one * design.door_sizing
+    new = Wear(0.0 * one, 0.0 * one, 0.0 * one, wear.unit_ua)
+    hot_k, _, flow, ua = outlets(design, now, demand, door, wear)
+    clean_hot_k, _, clean_flow, clean_ua = outlets(design, now, demand, door, new)
+    cold_k = now.tat_k + design.ram_heating_k
+    seen = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, hot_k, cold_k)
+    seen_clean = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, clean_hot_k, cold_k)
+    return ua / clean_ua, np.asarray(seen / seen_clean), flow / clean_flow
+
+
+def compressor_rows(
+    *, diameter_m: Array, inlet_k: Array, inlet_pa: Array, exit_pa: Array, efficiency: Array
+) -> tuple[Array, Array]:
+    """Speed [rad/s] that lifts the pressure with this effective diameter (equation 5), and exit temperature [K]."""
+    ratio = exit_pa / inlet_pa
+    head = np.maximum(ratio**HEAD - 1.0, 1e-4) * R_J_KG_K * inlet_k / HEAD
+    return 2.0 / diameter_m * np.sqrt(head), np.asarray(exit_temperature_k(inlet_k, ratio, efficiency))
+
+
+def _values(design: PackDesign, names: tuple[str, ...]) -> dict[str, Array]:
+    return {name: np.asarray(getattr(design, name)) for name in names}

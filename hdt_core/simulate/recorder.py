@@ -1,0 +1,99 @@
+"""What the recorder writes: biased, noisy, quantised, spiked, stuck and missing values in the recorder's own units."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LB_PER_MIN, FOOT, PSI, RPM = 0.45359237 / 60.0, 0.3048, 6894.757293168, np.pi / 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Errors of one sensor in recorded units: spread of bias and noise, do they grow with the value, last digit."""
+
+    bias_sd: float
+    noise_sd: float
+    relative: bool
+    step: float
+
+
+_T = Sensor(0.5, 0.35, False, 0.25)
+SENSORS = {
+    "altitude_ft": Sensor(8.0, 5.0, False, 4.0),
+    "mach": Sensor(0.001, 0.001, False, 0.001),
+    "tat_degc": Sensor(0.4, 0.2, False, 0.25),
+    "pt_psia": Sensor(0.001, 0.001, True, 0.01),
+    "hx_in_degc": _T,
+    "hx_out_degc": _T,
+    "ram_door_pct": Sensor(0.8, 0.5, False, 0.5),
+    "pack_flow_lbpm": Sensor(0.015, 0.01, True, 0.25),
+    "ram_out_degc": _T,
+    "cc_speed_rpm": Sensor(0.0005, 0.001, True, 8.0),
+    "cc_in_degc": _T,
+    "cc_in_psia": Sensor(0.002, 0.003, True, 0.01),
+    "cc_out_degc": Sensor(0.6, 0.5, False, 0.25),
+    "cc_out_psia": Sensor(0.002, 0.003, True, 0.02),
+    "cc_flow_lbpm": Sensor(0.015, 0.02, True, 0.25),
+    "vda_pos": Sensor(0.0, 5.0, False, 1.0),
+}
+AIR_DATA = ("altitude_ft", "mach", "tat_degc", "pt_psia")
+
+
+def draw_biases(rng: np.random.Generator, packs: int = 2) -> list[dict[str, float]]:
+    """Constant errors of one aircraft's sensors, one dict a pack; air data are shared by the packs."""
+    shared = {name: SENSORS[name].bias_sd * rng.standard_normal() for name in AIR_DATA}
+    return [{n: shared.get(n, s.bias_sd * rng.standard_normal()) for n, s in SENSORS.items()} for _ in range(packs)]
+
+
+def record(
+    rng: np.random.Generator, true: dict[str, Array], bias: dict[str, float], temperature_step_k: float
+) -> dict[str, Array]:
+    """Recorded values of true ones (recorded units); NaN where a value is empty.
+
+    Air data must be recorded once for both packs: give them as recorded and leave them out of `true`.
+    """
+    out = {}
+    for name, value in true.items():
+        sensor = SENSORS[name]
+        size = np.abs(value) if sensor.relative else 1.0
+        read = value + size * (bias[name] + sensor.noise_sd * rng.standard_normal(value.size))
+        spike = rng.random(value.size) < 0.001
+        read = np.where(spike, read * rng.uniform(0.3, 2.5, value.size), read)
+        step = temperature_step_k if name.endswith("degc") else sensor.step
+        read = np.round(read / step) * step
+        out[name] = np.where(rng.random(value.size) < 0.008, np.nan, read)
+    return out
+
+
+def break_sensor(
+    rng: np.random.Generator,
+    values: Array,
+    *,
+    flight: NDArray[np.int_],
+    faulty: NDArray[np.bool_],
+    kind: str,
+    noise: float,
+) -> Array:
+    """Recorded values of a faulty sensor on the flights where `faulty` (per row) holds."""
+    out = values.copy()
+    since = flight - flight[faulty].min()
+    size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * noise
+    if kind == "drift":
+        out[faulty] += (size * np.minimum(since / 25.0, 2.0))[faulty]
+    elif kind == "step":
+        out[faulty] += size
+    elif kind == "stuck":
+        seen = values[faulty & np.isfinite(values)]
+        out[faulty] = seen[0] if seen.size else np.nan
+    else:
+        out[faulty & (rng.random(values.size) < 0.7)] = np.nan
+    return out
+
+
+def frame(columns: dict[str, Array]) -> pl.DataFrame:
+    """Columns as a frame; what is NaN is missing."""
+    return pl.DataFrame(columns).with_columns(pl.selectors.float().fill_nan(None))

@@ -1,0 +1,195 @@
+"""From conditions and wear to the rows a recorder keeps of one pack."""
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.simulate.design import Operator, PackDesign
+from hdt_core.simulate.flying import Conditions, Schedule
+from hdt_core.simulate.packs import (
+    Demand,
+    compressor_rows,
+    controlled_door,
+    outlets,
+    reference,
+    sized_target_k,
+    target_k,
+)
+from hdt_core.simulate.recorder import FOOT, LB_PER_MIN, PSI, RPM, SENSORS, break_sensor, frame, record
+from hdt_core.simulate.shop import PackHistory
+
+Array = NDArray[np.float64]
+
+ZERO_C = 273.15
+ACMS_COLUMNS = ("flight_id", "report_time", "phase_code", "pack", *SENSORS)
+_PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What both packs of one aircraft share."""
+
+    operator: Operator
+    design: PackDesign
+    tail: str
+    schedule: Schedule
+    ids: NDArray[np.str_]
+    start: datetime
+    biases: list[dict[str, float]]
+    has_ram_out: bool
+
+
+def air_data(now: Conditions) -> dict[str, Array]:
+    """Air data in recorded units, the same for both packs."""
+    return {
+        "altitude_ft": now.altitude_m / FOOT,
+        "mach": now.mach,
+        "tat_degc": now.tat_k - ZERO_C,
+        "pt_psia": now.total_pressure_pa / PSI,
+    }
+
+
+def demand(rng: np.random.Generator, design: PackDesign, now: Conditions) -> Demand:
+    """Flow and target of one pack: load differs by flight, the pack warms the air more where it is thin."""
+    per_flight = rng.standard_normal((2, int(now.flight.max()) + 1))[:, now.flight]
+    height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
+    descending = np.isin(now.phase, ("DS", "AP"))
+    flow = design.flow_cruise_kg_s * (1.0 + 0.06 * (1.0 - height) - 0.1 * descending + 0.035 * per_flight[0])
+    flow = flow * (1.0 + 0.008 * np.sin(now.time_s / 500.0 + 6.28 * per_flight[0]))
+    nominal = _compressor(design, now, np.full(now.mach.size, design.diameter_intercept_m - 0.011), 0.0 * now.mach)
+    hot_in_k = nominal["cc_out_k"] + design.hot_rise_k + 22.0 * (1.0 - height)
+    offset = target_k(reference(np.ones(1)), np.zeros(1))[0]
+    wish_k = sized_target_k(design) - offset + 0.7 * per_flight[1]
+    return Demand(flow, hot_in_k, target_k(now, wish_k))
+
+
+def pick(now: Conditions, asked: Demand, flights: int) -> tuple[Conditions, Demand]:
+    """Conditions and demand in the middle of each flight's cruise."""
+    rows = np.nonzero(now.cruise)[0]
+    at = rows[np.searchsorted(now.flight[rows], np.arange(flights) + 0.5, side="left") // 1 - 1]
+    first = rows[np.searchsorted(now.flight[rows], np.arange(flights), side="left")]
+    middle = (at + first) // 2
+    here = Conditions(*(getattr(now, name)[middle] for name in Conditions.__dataclass_fields__))
+    return here, Demand(asked.flow_kg_s[middle], asked.hot_in_k[middle], asked.target_k[middle])
+
+
+def true_signals(
+    rng: np.random.Generator,
+    design: PackDesign,
+    now: Conditions,
+    *,
+    asked: Demand,
+    history: PackHistory,
+    dt_s: float = 0.0,
+) -> dict[str, Array]:
+    """True values at each row, SI; with `dt_s` the rows are a time series and the core's heat lags."""
+    wear = history.wear.at(now.flight)
+    ice = history.icing[now.flight] & (now.altitude_m > 1200.0) & (now.altitude_m < 6500.0)
+    wear = replace(wear, blockage=np.where(ice, 1.0 - 0.75 * (1.0 - wear.blockage), wear.blockage))
+    stuck, reach = history.door_stuck[now.flight], history.door_reach[now.flight]
+    wobble = 0.004 * (rng.standard_normal(now.mach.size) if dt_s == 0.0 else np.sin(now.time_s / 37.0))
+    wanted = np.clip(controlled_door(design, now, asked, wear) + wobble, design.door_least, 1.0)
+    door = np.where(np.isnan(stuck), np.minimum(wanted, reach), stuck)
+    hot_k, ram_k, flow, ua = outlets(design, now, asked, door, wear)
+    if dt_s > 0.0:
+        settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(asked.hot_in_k) * (asked.flow_kg_s + flow))
+        hot_k, ram_k = _lagged(hot_k, settling_s, dt_s), _lagged(ram_k, settling_s, dt_s)
+    off = history.pack_off[now.flight]
+    diameter, vda = _diameter(rng, design, now, history)
+    air = _compressor(design, now, diameter, history.cc_loss[now.flight])
+    resting = {"pack_flow_kg_s": 0.0, "cc_flow_kg_s": 0.0, "cc_speed_rad_s": 0.0}
+    values = air | {
+        "door": door, "hot_in_k": asked.hot_in_k,
+        "hot_out_k": hot_k, "ram_out_k": ram_k, "ram_flow_kg_s": flow, "ua_w_k": ua, "vda": vda,
+        "pack_flow_kg_s": asked.flow_kg_s, "cc_flow_kg_s": 1.06 * asked.flow_kg_s, "diameter_m": diameter,
+        "unmet_k": np.maximum(hot_k - asked.target_k, 0.0),
+    }  # fmt: skip
+    warm = dict.fromkeys(("hot_in_k", "hot_out_k", "ram_out_k", "cc_out_k"), now.tat_k) | {"cc_out_pa": air["cc_in_pa"]}
+    return {k: np.asarray(np.where(off, (resting | warm).get(k, v), v)) for k, v in values.items()}
+
+
+def pack_rows(
+    rng: np.random.Generator,
+    plan: Plan,
+    now: Conditions,
+    *,
+    true: dict[str, Array],
+    history: PackHistory,
+    pack: int,
+    air: dict[str, Array],
+) -> pl.DataFrame:
+    """Recorded rows of one pack in the contract's columns."""
+    seen = record(rng, _recorded_units(true), plan.biases[pack - 1], plan.operator.temperature_step_k)
+    if not plan.has_ram_out:
+        seen["ram_out_degc"] = np.full(now.mach.size, np.nan)
+    for name in np.unique(history.sensor[history.sensor != ""]):
+        for kind in np.unique(history.fault[history.sensor == name]):
+            faulty = ((history.sensor == name) & (history.fault == kind))[now.flight]
+            if faulty.any():
+                typical = SENSORS[name].noise_sd * (np.nanmedian(seen[name]) if SENSORS[name].relative else 1.0)
+                seen[name] = break_sensor(
+                    rng, seen[name], flight=now.flight, faulty=faulty, kind=str(kind), noise=float(typical)
+                )
+    wrong = rng.random(now.mach.size) < plan.operator.wrong_phase_share
+    phase = np.where(wrong, rng.choice(_PHASES, now.mach.size), now.phase)
+    moments = (now.time_s * 1e6).astype("timedelta64[us]") + np.datetime64(plan.start.replace(tzinfo=None), "us")
+    keys = pl.DataFrame({"flight_id": plan.ids[now.flight], "report_time": moments, "phase_code": phase})
+    keys = keys.with_columns(pl.col("report_time").dt.replace_time_zone("UTC"), pl.lit(pack, pl.Int32).alias("pack"))
+    return pl.concat([keys, frame(air | seen)], how="horizontal").select(ACMS_COLUMNS)
+
+
+def _recorded_units(true: dict[str, Array]) -> dict[str, Array]:
+    return {
+        "hx_in_degc": true["hot_in_k"] - ZERO_C,
+        "hx_out_degc": true["hot_out_k"] - ZERO_C,
+        "ram_door_pct": 100.0 * true["door"],
+        "pack_flow_lbpm": true["pack_flow_kg_s"] / LB_PER_MIN,
+        "ram_out_degc": true["ram_out_k"] - ZERO_C,
+        "cc_speed_rpm": true["cc_speed_rad_s"] / RPM,
+        "cc_in_degc": true["cc_in_k"] - ZERO_C,
+        "cc_in_psia": true["cc_in_pa"] / PSI,
+        "cc_out_degc": true["cc_out_k"] - ZERO_C,
+        "cc_out_psia": true["cc_out_pa"] / PSI,
+        "cc_flow_lbpm": true["cc_flow_kg_s"] / LB_PER_MIN,
+        "vda_pos": true["vda"],
+    }
+
+
+def _diameter(
+    rng: np.random.Generator, design: PackDesign, now: Conditions, history: PackHistory
+) -> tuple[Array, Array]:
+    """Effective diameter, equation (6) with its scatter and the unit's wear, and the diffuser's position."""
+    low = np.clip(1.0 - now.altitude_m / 11000.0, 0.0, 1.0)
+    n = now.mach.size
+    vda = np.clip(340.0 + 320.0 * low**2 + 75.0 * rng.standard_normal(n), 20.0, 950.0)
+    built = design.diameter_intercept_m + design.diameter_slope_m_per_count * vda + history.cc_scatter[now.flight]
+    built = built + design.diameter_scatter_m * rng.standard_normal(n)
+    # head is proportional to efficiency, and the effective diameter to its square root (equation 5)
+    return built * np.sqrt(1.0 - history.cc_loss[now.flight]), vda
+
+
+def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Array) -> dict[str, Array]:
+    """Compressor between the recovered outside air and the cabin's supply."""
+    inlet_pa = 0.965 * now.total_pressure_pa
+    exit_pa = np.maximum(1000.0 * (113.0 - 20.5 * np.clip(now.altitude_m / 11300.0, 0.0, 1.1)), 1.08 * inlet_pa)
+    efficiency = design.cc_efficiency * (1.0 - loss)
+    speed, exit_k = compressor_rows(
+        diameter_m=diameter, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa, efficiency=efficiency
+    )
+    return {
+        "cc_in_k": now.tat_k, "cc_in_pa": inlet_pa, "cc_out_pa": exit_pa, "cc_out_k": exit_k, "cc_speed_rad_s": speed
+    }  # fmt: skip
+
+
+def _lagged(steady: Array, settling_s: Array, dt_s: float) -> Array:
+    """First-order lag, exact while the input is held."""
+    out = np.empty_like(steady)
+    state, keep = float(steady[0]), np.exp(-dt_s / settling_s)
+    for k in range(steady.size):
+        state = float(steady[k] + (state - steady[k]) * keep[k])
+        out[k] = state
+    return out
