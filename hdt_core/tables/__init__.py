@@ -1,0 +1,84 @@
+"""Every stored table: grain, shards, key, columns with type, unit, span and meaning.
+
+Checks, storage, the catalog's comments and the data dictionary are made from these declarations.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import polars as pl
+
+from hdt_core.tables import calibration, features, legs, prognosis, raw, residuals, twin
+from hdt_core.tables.base import Table
+
+_MONTH = pl.concat_str(pl.col("flight_id").str.slice(-11, 4), pl.lit("-"), pl.col("flight_id").str.slice(-7, 2))
+_SHARDS = {"month": _MONTH, "flight": pl.col("flight_id"), "all": pl.lit("all")}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """How a table is kept.
+
+    Parameters
+    ----------
+    schema : Table
+        Declaration of the columns.
+    grain : str
+        Partition the table is computed in: a flight of an aircraft, an aircraft, the fleet.
+    shard : str
+        One file of an aircraft holds a month, a flight or all.
+    open : bool
+        Columns beyond the declared ones are kept.
+    key : tuple of str
+        Columns the rows are sorted by; fixed so that the same rows make the same file.
+    """
+
+    schema: type[Table]
+    grain: Literal["flight", "aircraft", "fleet"]
+    key: tuple[str, ...]
+    shard: Literal["month", "flight", "all"] = "all"
+    open: bool = False
+
+    @property
+    def shard_of(self) -> pl.Expr:
+        """Expression that names the file a row belongs to."""
+        return _SHARDS[self.shard].alias("shard")
+
+    def conform(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """`frame` in the declared columns, order and types."""
+        declared = self.schema.conform(frame)
+        return declared.hstack(frame.drop(declared.columns, strict=False)) if self.open else declared
+
+
+_SAMPLE = ("flight_id", "pack", "time_utc")
+_FLIGHT_PACK = ("flight_id", "pack")
+
+TABLES: dict[str, Entry] = {
+    "raw_snapshots": Entry(raw.RawSnapshots, "flight", _SAMPLE, "month"),
+    "raw_logs": Entry(raw.RawLogs, "flight", _SAMPLE, "flight"),
+    "raw_flights": Entry(raw.RawFlights, "flight", ("flight_id",), "month"),
+    "raw_deliveries": Entry(raw.RawDeliveries, "flight", ("file", "flight_id"), "month"),
+    "raw_quarantine": Entry(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
+    "raw_messages": Entry(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
+    "raw_maintenance": Entry(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
+    "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",)),
+    "raw_records_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
+    "raw_fleet": Entry(raw.RawFleet, "fleet", ("operator", "tail")),
+    "raw_files_deliveries": Entry(raw.RawDeliveries, "fleet", ("file",)),
+    "raw_files_quarantine": Entry(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
+    "legs_samples": Entry(legs.LegsSamples, "flight", _SAMPLE, "month"),
+    "legs_verdicts": Entry(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
+    "legs_admitted": Entry(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
+    "calibration_dsm": Entry(calibration.CalibrationDsm, "fleet", ("dsm_version",)),
+    "calibration_design": Entry(
+        calibration.CalibrationDesign, "fleet", ("scope", "operator", "tail", "pack", "component", "parameter")
+    ),
+    "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
+    "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
+    "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
+    "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
+    "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
+    "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",)),
+    "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",)),
+    "prognoses": Entry(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
+}

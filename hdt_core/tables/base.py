@@ -1,0 +1,86 @@
+"""How a table is declared: columns with type, unit, span, meaning; and what a frame that breaks that is told."""
+
+from typing import Any
+
+import dataframely as dy
+import polars as pl
+
+OPERATOR = r"^[A-Z]{3}$"
+TAIL = r"^[A-Z0-9-]{2,10}$"
+FLIGHT_ID = r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$"
+UTC = pl.Datetime("us", "UTC")
+
+
+def number(meaning: str, unit: str = "-", low: float | None = None, high: float | None = None, **kw: Any) -> dy.Float64:
+    """A physical quantity: null where missing, never NaN."""
+    return dy.Float64(
+        nullable=kw.pop("nullable", True), min=low, max=high, metadata={"unit": unit, "meaning": meaning}, **kw
+    )
+
+
+def count(meaning: str, unit: str = "-", **kw: Any) -> dy.Int64:
+    """A count, zero or more."""
+    return dy.Int64(nullable=kw.pop("nullable", False), min=0, metadata={"unit": unit, "meaning": meaning}, **kw)
+
+
+def text(meaning: str, **kw: Any) -> dy.String:
+    """A code or a sentence."""
+    return dy.String(nullable=kw.pop("nullable", True), metadata={"unit": "", "meaning": meaning}, **kw)
+
+
+def flag(meaning: str, **kw: Any) -> dy.Bool:
+    """Yes or no."""
+    return dy.Bool(nullable=kw.pop("nullable", False), metadata={"unit": "", "meaning": meaning}, **kw)
+
+
+def moment(meaning: str, **kw: Any) -> dy.Datetime:
+    """A point in time, UTC."""
+    nullable = kw.pop("nullable", False)
+    return dy.Datetime(
+        nullable=nullable, time_zone="UTC", time_unit="us", metadata={"unit": "UTC", "meaning": meaning}, **kw
+    )
+
+
+def operator_key(*, primary_key: bool = True) -> dy.String:
+    """ICAO airline code; part of the key, for an aircraft may change hands and keep its registration."""
+    return text("ICAO airline code", nullable=False, primary_key=primary_key, regex=OPERATOR)
+
+
+def tail_key(*, primary_key: bool = True) -> dy.String:
+    """Registration."""
+    return text("aircraft registration", nullable=False, primary_key=primary_key, regex=TAIL)
+
+
+def flight_key(**kw: Any) -> dy.String:
+    """Flight id: tail, UTC date of departure, leg of that day."""
+    return text("<TAIL>_<YYYYMMDD>_<LEG>", nullable=False, primary_key=True, regex=FLIGHT_ID, **kw)
+
+
+def pack_key(**kw: Any) -> dy.Int32:
+    """Air-conditioning pack: 1 left, 2 right."""
+    meaning = {"unit": "", "meaning": "air-conditioning pack, 1 left, 2 right"}
+    return dy.Int32(nullable=False, primary_key=True, min=1, max=4, metadata=meaning, **kw)
+
+
+class Table(dy.Schema):
+    """A declared table: its first docstring line says what a row is."""
+
+    @classmethod
+    def faults(cls, frame: pl.DataFrame) -> list[str]:
+        """What is wrong with `frame`, one line a broken rule; empty when it honours the declaration."""
+        missing = [f"column {c} is missing" for c in cls.columns() if c not in frame.columns]
+        if missing:
+            return missing
+        _, failure = cls.filter(frame)
+        return [f"{rule}: {n} of {frame.height} rows" for rule, n in failure.counts().items()]
+
+    @classmethod
+    def conform(cls, frame: pl.DataFrame) -> pl.DataFrame:
+        """`frame` with the declared columns in the declared order and types.
+
+        Absent columns become null, others stay behind.
+        """
+        return frame.select(
+            (pl.col(name) if name in frame.columns else pl.lit(None)).cast(column.dtype).alias(name)
+            for name, column in cls.columns().items()
+        )

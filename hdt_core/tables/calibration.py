@@ -1,0 +1,30 @@
+"""Stage calibration: how the aircraft were built, and the Digital System Model that says so."""
+
+import dataframely as dy
+
+from hdt_core.tables.base import Table, count, flag, number, text
+
+
+class CalibrationDsm(Table):
+    """The Digital System Model in service."""
+
+    dsm_version = text("hash of what it was calibrated from", nullable=False, primary_key=True)
+    model = text("the model as JSON", nullable=False)
+    n_flights = count("flights it was calibrated from")
+
+
+class CalibrationDesign(Table):
+    """One design parameter: scope, component, parameter."""
+
+    scope = text("fleet, operator or tail", nullable=False)
+    operator = text("airline code, null above operator")
+    tail = text("aircraft, null above tail")
+    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack, null above a pack"})
+    component = text("HX or CC", nullable=False)
+    parameter = text("name", nullable=False)
+    value = number("estimate, in `unit`")
+    sd = number("standard deviation, in `unit`", low=0)
+    unit = text("unit, with the reference condition where it has one", nullable=False)
+    n_flights = count("flights it rests on")
+    identifiable = flag("the data, not the prior, decide it")
+    dsm_version = text("model it belongs to", nullable=False)

@@ -1,0 +1,61 @@
+"""Stage legs: which flights and samples are nominal, and why the others are not."""
+
+from hdt_core.tables.base import Table, count, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.raw import Signals
+
+
+class LegsSamples(Signals):
+    """One sample fit for use, values that no sensor can have said taken out: flight, pack, time."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    time_utc = moment("time of the sample, the middle of an averaged window", primary_key=True)
+    source = text("acms or cpl", nullable=False, primary_key=True)
+    departed_at = moment("first recorded time of the flight")
+    phase = text("ground, climb, cruise or descent, from altitude, Mach and time")
+    nominal = flag("steady cruise, fit to calibrate from")
+    monitored = flag("steady enough to judge health from, sick or not")
+    n_averaged = count("seconds averaged, 1 for a snapshot")
+    steady = flag("no driving signal on the move", nullable=True)
+    level = flag("level flight", nullable=True)
+    icing = flag("icing conditions", nullable=True)
+    climb_rate_m_s = number("rate of climb", "m/s")
+    n_out_of_range = count("values taken out because no sensor can show them", nullable=True)
+    n_spikes = count("values taken out because the neighbours contradict them", nullable=True)
+    n_frozen = count("values taken out because the sensor repeats itself", nullable=True)
+
+
+class LegsVerdicts(Table):
+    """One leg as its own record shows it: flight, pack."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    departed_at = moment("first recorded time")
+    landed_at = moment("last recorded time")
+    source = text("acms, cpl or both", nullable=False)
+    n_snapshots = count("snapshots of the pack")
+    cruise_minutes = number("time in cruise", "min", 0)
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples left after the sample filter")
+    n_nominal = count("of these, nominal")
+    n_monitored = count("of these, fit to judge health from")
+    n_frozen = count("values taken out because the sensor repeats itself")
+
+
+class LegsAdmitted(Table):
+    """The final verdict on a leg, with the twin and the maintenance log at hand: flight, pack."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    departed_at = moment("first recorded time")
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples left after the sample filter")
+    n_nominal = count("of these, nominal")

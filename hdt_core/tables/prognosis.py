@@ -1,0 +1,30 @@
+"""Stage prognosis: which part, how long, how sure."""
+
+import dataframely as dy
+
+from hdt_core.tables.base import Table, flight_key, moment, number, operator_key, pack_key, tail_key, text
+
+
+class PrognosisModel(Table):
+    """The prognostic model in service, in skops form."""
+
+    model_version = text("hash of what it was trained on", nullable=False, primary_key=True)
+    card = text("model card as JSON", nullable=False)
+    model = dy.Binary(nullable=False, metadata={"unit": "", "meaning": "the fitted model, skops bytes"})
+
+
+class Prognoses(Table):
+    """What is said after a flight of the life left: flight, pack, component."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    component = text("HX or CC", nullable=False, primary_key=True)
+    departed_at = moment("first recorded time")
+    rul_flights = number("flights left until the failure message", "flights", 0)
+    rul_low = number("lower end of the 90 % interval", "flights", 0)
+    rul_high = number("upper end of the 90 % interval", "flights", 0)
+    p_event_50 = number("probability of a failure event within the next 50 flights", "-", 0, 1)
+    model_version = text("model that says so", nullable=False)
+    split = text("out_of_fold or live", nullable=False)

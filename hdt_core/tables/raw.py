@@ -1,0 +1,136 @@
+"""Stage raw: what was recorded, typed, in SI, and where every delivered row went."""
+
+import dataframely as dy
+import polars as pl
+
+from hdt_core.tables.base import Table, count, flight_key, moment, number, operator_key, pack_key, tail_key, text
+
+
+class Signals(Table):
+    """The recorder's signals in SI, shared by snapshots, logs and samples.
+
+    A spike is a recorded value: no spans here.
+    """
+
+    altitude_m = number("pressure altitude", "m")
+    mach = number("Mach number", "-")
+    tat_k = number("total air temperature (paper Table 3, no. 1)", "K")
+    total_pressure_pa = number("total air pressure (no. 2)", "Pa")
+    hx_in_k = number("heat exchanger hot-side inlet (no. 3)", "K")
+    hx_out_k = number("heat exchanger hot-side exit (no. 4)", "K")
+    ram_door_open = number("ram air inlet door, share open (no. 7)", "-")
+    pack_flow_kg_s = number("pack mass flow (no. 8)", "kg/s")
+    ram_out_k = number("ram air leaving the heat exchanger, where the sensor is fitted", "K")
+    cc_speed_rad_s = number("centrifugal compressor shaft speed", "rad/s")
+    cc_in_k = number("compressor inlet temperature", "K")
+    cc_in_pa = number("compressor inlet pressure", "Pa")
+    cc_out_k = number("compressor exit temperature", "K")
+    cc_out_pa = number("compressor exit pressure", "Pa")
+    cc_flow_kg_s = number("compressor inlet mass flow", "kg/s")
+    vda_counts = number("variable diffuser actuator position", "counts")
+
+
+SIGNALS = list(Signals.columns())
+
+
+class RawSnapshots(Signals):
+    """One ACMS snapshot: flight, pack, time."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    time_utc = moment("time of the report", primary_key=True)
+    source = text("acms or cpl", nullable=False)
+    phase_code = text("the recorder's own flight phase, may be wrong")
+    file = text("file that delivered the row, below the landing zone", nullable=False)
+
+
+class RawLogs(RawSnapshots):
+    """One second of a continuous log: flight, pack, time."""
+
+
+class RawFlights(Table):
+    """One flight: what arrived of it."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    departed_at = moment("first recorded time")
+    landed_at = moment("last recorded time")
+    source = text("acms, cpl or both", nullable=False)
+    n_snapshots = count("ACMS snapshot times")
+    n_seconds = count("seconds of continuous log")
+
+
+class RawDeliveries(Table):
+    """Where the delivered rows of a file went: file, flight."""
+
+    operator = text("airline code of the folder")
+    tail = text("tail of the folder")
+    file = text("file below the landing zone", nullable=False)
+    flight_id = text("flight the rows belong to; rows that name none go with the file's first flight")
+    delivered = count("rows in the file")
+    loaded = count("rows stored")
+    quarantined = count("rows kept aside with a reason")
+    duplicate = count("rows that another row had said already")
+
+    @dy.rule()
+    def balances(cls) -> pl.Expr:  # noqa: N805, dataframely makes a class method of it
+        """No row is lost and none is counted twice."""
+        return pl.col("delivered") == pl.col("loaded") + pl.col("quarantined") + pl.col("duplicate")
+
+
+class RawQuarantine(Table):
+    """One rejected file, row or value."""
+
+    file = text("file below the landing zone", nullable=False)
+    row = dy.Int64(
+        nullable=True,
+        metadata={"unit": "", "meaning": "line of the file, counted from 1 for the header; null for the whole file"},
+    )
+    column_name = text("column at fault, null where the row or file as a whole is")
+    reason = text("reason code", nullable=False)
+    detail = text("what was found, in words")
+    scope = text("file, row or value: a value is stored as null and its row goes on", nullable=False)
+    operator = text("airline code of the folder")
+    tail = text("tail of the folder")
+    flight_id = text("flight the row belongs to; a row that names none goes with the file's first flight")
+    received_at = moment("modification time of the file", nullable=True)
+    n_rows = count("delivered rows this entry keeps out of the store: 1 for a row, 0 for a value or a note")
+    content = text("the rejected row as it came, cut short")
+
+
+class RawMessages(Table):
+    """One maintenance message the aircraft raised."""
+
+    operator = operator_key(primary_key=False)
+    tail = tail_key(primary_key=False)
+    message_time = moment("time raised")
+    flight_id = text("flight it was raised on")
+    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack it names"})
+    code = text("message code", nullable=False)
+    text = text("message text")
+
+
+class RawMaintenance(Table):
+    """One piece of work that was done."""
+
+    operator = operator_key(primary_key=False)
+    tail = tail_key(primary_key=False)
+    done_on = dy.Date(nullable=False, metadata={"unit": "UTC", "meaning": "day the log gives, up to some flights late"})
+    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack worked on"})
+    component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
+    action = text("REPLACED, CLEANED, INSPECTED or ADJUSTED", nullable=False)
+    finding = text("FOULED, CLOGGED, CORRODED, DAMAGED, NO_FAULT_FOUND or nothing")
+    reference = text("work order")
+
+
+class RawFleet(Table):
+    """One aircraft of the fleet list."""
+
+    operator = operator_key()
+    tail = tail_key()
+    msn = text("manufacturer's serial number")
+    delivered_on = dy.Date(nullable=True, metadata={"unit": "UTC", "meaning": "day of delivery"})
+    packs = dy.Int32(nullable=True, metadata={"unit": "-", "meaning": "air-conditioning packs"})

@@ -1,0 +1,71 @@
+"""Stage twin: how each pack is now, flight by flight."""
+
+import dataframely as dy
+
+from hdt_core.tables.base import Table, flight_key, moment, number, operator_key, pack_key, tail_key, text
+
+
+def _samples(meaning: str) -> dy.Int32:
+    return dy.Int32(nullable=False, min=0, metadata={"unit": "-", "meaning": meaning})
+
+
+class TwinFlights(Table):
+    """What one flight alone says of a pack, against the Digital System Model: flight, pack."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    departed_at = moment("first recorded time")
+    status = text("ok, few_samples, or no_cruise where nothing could be estimated", nullable=False)
+    n_samples = _samples("steady cruise samples behind the exchanger's estimates")
+    ln_ua_ratio = number("ln of measured over expected conductance, ram flow that of a clean duct")
+    ln_ua_ratio_sd = number("random standard deviation of it", low=0)
+    ln_ua_ratio_map_sd = number("standard deviation that the model's own uncertainty gives it", low=0)
+    ua_w_k = number("measured conductance", "W/K", low=0)
+    ua_expected_w_k = number("conductance the model expects of a clean core at this condition", "W/K", low=0)
+    effectiveness = number("hot-side effectiveness")
+    ram_flow_kg_s = number("ram flow by the clean duct's map", "kg/s", low=0)
+    ln_ram_ratio = number("ln of ram flow by heat balance over the map's, where the ram outlet is measured")
+    ln_ram_ratio_sd = number("random standard deviation of it", low=0)
+    altitude_m = number("pressure altitude, median of the cruise samples; so for the other signals", "m")
+    mach = number("Mach number")
+    tat_k = number("total air temperature", "K")
+    total_pressure_pa = number("total pressure", "Pa")
+    hx_in_k = number("exchanger inlet, bleed side", "K")
+    hx_out_k = number("exchanger outlet, bleed side", "K")
+    ram_out_k = number("exchanger outlet, ram side", "K")
+    ram_door_open = number("ram door position, 0 shut, 1 full open")
+    pack_flow_kg_s = number("pack flow", "kg/s")
+    ratio_per_exit_k = number("change of ln_ua_ratio if the outlet sensor reads 1 K more", "1/K")
+    ratio_per_ln_flow = number("change of ln_ua_ratio by ln of the flow sensor's reading")
+    ratio_per_tat_k = number("change of ln_ua_ratio if the TAT sensor reads 1 K more", "1/K")
+    flows_apart_ln = number("ln of pack flow over compressor flow, as recorded")
+    tat_apart_k = number("TAT above the compressor's inlet temperature, as recorded", "K")
+    exit_apart_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
+    cc_n_samples = _samples("cruise samples behind the compressor's estimates")
+    diameter_m = number("effective diameter, equation (5)", "m", low=0)
+    diameter_m_se = number("scatter of its median", "m", low=0)
+    expected_diameter_m = number("what equation (6) expects at this diffuser position", "m")
+    group_m3 = number("area, diameter and tangent of the blade angle in one: equations (2)-(4)", "m3", low=0)
+    group_m3_se = number("scatter of its median", "m3", low=0)
+    efficiency = number("isentropic efficiency", low=0)
+    efficiency_se = number("scatter of its median", low=0)
+    vda_counts = number("diffuser position", "count")
+
+
+class TwinHealth(Table):
+    """One health parameter after a flight: flight, pack, parameter."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    departed_at = moment("first recorded time")
+    component = text("HX or CC", nullable=False)
+    parameter = text("name", nullable=False, primary_key=True)
+    value = number("estimate after this flight, in `unit`; losses: 0 as built, larger is worse")
+    sd = number("standard deviation, in `unit`", low=0)
+    unit = text("unit", nullable=False)
+    status = text("how the estimate ended", nullable=False)
+    estimator = text("method", nullable=False)
