@@ -1,0 +1,113 @@
+-- How long before the aircraft's own message did the alert speak?
+-- A case is the first message of a pack's component since that component was last replaced; its alert is the first that
+-- was raised after that replacement and was still open, or had been closed for three days at most, at the message.
+-- Lead is null where no alert came first.
+-- n_messages: messages of the case
+-- lead_flights: flights from the alert to the message, that of the message included
+-- lead_days: time from the alert to the message [days]
+-- Grain: operator, tail, pack, component, message_time. Reads: alerts, flights, tables.raw_messages,
+-- tables.raw_maintenance.
+create or replace view alert_lead_times as
+with messages as (
+    select
+        m.operator,
+        m.tail,
+        m.pack,
+        m.message_time,
+        m.code,
+        case when m.code like '21-52%' then 'HX' when m.code like '21-51%' then 'CC' end as component
+    from tables.raw_messages as m
+    where m.pack is not null
+),
+
+placed as (
+    select
+        m.operator,
+        m.tail,
+        m.pack,
+        m.component,
+        m.code,
+        m.message_time,
+        max(w.done_on) as replaced_on
+    from messages as m
+    left join tables.raw_maintenance as w
+        on
+            m.operator = w.operator
+            and m.tail = w.tail
+            and m.pack = w.pack
+            and m.component = w.component
+            and w.action = 'REPLACED'
+            and (m.message_time at time zone 'UTC')::date > w.done_on
+    where m.component is not null
+    group by m.operator, m.tail, m.pack, m.component, m.code, m.message_time
+),
+
+cases as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        replaced_on,
+        min(message_time) as message_time,
+        arg_min(code, message_time) as code,
+        count(*) as n_messages
+    from placed
+    group by operator, tail, pack, component, replaced_on
+),
+
+warned as (
+    select
+        c.operator,
+        c.tail,
+        c.pack,
+        c.component,
+        c.code,
+        c.message_time,
+        c.n_messages,
+        min(a.raised_at) as raised_at,
+        arg_min(a.alert_id, a.raised_at) as alert_id,
+        arg_min(a.diagnosis, a.raised_at) as diagnosis
+    from cases as c
+    left join alerts as a
+        on
+            c.operator = a.operator
+            and c.tail = a.tail
+            and c.pack = a.pack
+            and c.component = a.component
+            and c.message_time > a.raised_at
+            and c.message_time <= coalesce(a.closed_at, c.message_time) + interval 3 day
+            and (c.replaced_on is null or c.replaced_on < (a.raised_at at time zone 'UTC')::date)
+    group by c.operator, c.tail, c.pack, c.component, c.code, c.message_time, c.n_messages
+),
+
+flown as (
+    select
+        w.alert_id,
+        w.message_time,
+        count(*) as lead_flights
+    from warned as w
+    inner join flights as f
+        on
+            w.operator = f.operator
+            and w.tail = f.tail
+            and w.raised_at < f.departed_at
+            and w.message_time >= f.departed_at
+    group by w.alert_id, w.message_time
+)
+
+select
+    w.operator,
+    w.tail,
+    w.pack,
+    w.component,
+    w.code,
+    w.message_time,
+    w.n_messages,
+    w.alert_id,
+    w.diagnosis,
+    w.raised_at,
+    f.lead_flights,
+    (epoch(w.message_time) - epoch(w.raised_at)) / 86400 as lead_days
+from warned as w
+left join flown as f on w.alert_id = f.alert_id and w.message_time = f.message_time;

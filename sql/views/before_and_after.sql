@@ -1,0 +1,69 @@
+-- What did each piece of work change?
+-- before_work: median of ten flights before, the six before the day of the log left out, in `unit`
+-- after_work: median of the ten flights after, in `unit`
+-- moved_by: after_work - before_work, in `unit`
+-- Grain: operator, tail, pack, done_on, component, reference, parameter. Reads: health_parameters,
+-- tables.raw_maintenance.
+create or replace view before_and_after as
+with numbered as (
+    select
+        operator,
+        tail,
+        pack,
+        parameter,
+        unit,
+        departed_at,
+        value,
+        (departed_at at time zone 'UTC')::date as flown_on,
+        row_number() over (partition by operator, tail, pack, parameter order by departed_at asc) as n
+    from health_parameters
+    where value is not null
+),
+
+placed as (
+    select
+        w.operator,
+        w.tail,
+        w.pack,
+        w.done_on,
+        w.component,
+        w.action,
+        w.finding,
+        w.reference,
+        h.parameter,
+        any_value(h.unit) as unit,
+        coalesce(max(h.n) filter (where h.flown_on <= w.done_on), 0) as last_before
+    from tables.raw_maintenance as w
+    inner join numbered as h on w.operator = h.operator and w.tail = h.tail and w.pack = h.pack
+    group by w.operator, w.tail, w.pack, w.done_on, w.component, w.action, w.finding, w.reference, h.parameter
+),
+
+medians as (
+    select
+        p.operator,
+        p.tail,
+        p.pack,
+        p.done_on,
+        p.component,
+        p.action,
+        p.finding,
+        p.reference,
+        p.parameter,
+        p.unit,
+        median(h.value) filter (where h.n between p.last_before - 15 and p.last_before - 6) as before_work,
+        median(h.value) filter (where h.n between p.last_before + 1 and p.last_before + 10) as after_work
+    from placed as p
+    left join numbered as h
+        on
+            p.operator = h.operator
+            and p.tail = h.tail
+            and p.pack = h.pack
+            and p.parameter = h.parameter
+            and h.n between p.last_before - 15 and p.last_before + 10
+    group by all
+)
+
+select
+    *,
+    after_work - before_work as moved_by
+from medians;

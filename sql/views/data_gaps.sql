@@ -1,0 +1,87 @@
+-- Which flights never arrived, and which aircraft fell silent?
+-- gap: missing_leg (a leg number of a day was skipped), silence (ten times the aircraft's usual wait, and three days,
+-- between two flights), silent_now (the same, up to the fleet's last flight), never_heard (on the fleet list only).
+-- from_at: landing of the flight before the gap
+-- until_at: departure of the flight after it, or of the fleet's last flight
+-- after_flight_id: flight before the gap
+-- n_flights: leg numbers skipped
+-- silent_days: length of the silence [days]
+-- Grain: operator, tail, gap, from_at. Reads: flights, tables.raw_fleet.
+create or replace view data_gaps as
+with ordered as (
+    select
+        operator,
+        tail,
+        flight_id,
+        departed_at,
+        coalesce(landed_at, departed_at) as landed_at,
+        flight_id[-11:-4] as flight_day,
+        flight_id[-2:]::int as leg,
+        lead(flight_id) over own as next_flight_id,
+        lead(departed_at) over own as next_at,
+        max(departed_at) over () as fleet_last_at
+    from flights
+    window own as (partition by operator, tail order by departed_at asc, flight_id asc)
+),
+
+usual as (
+    select
+        operator,
+        tail,
+        median(epoch(next_at) - epoch(landed_at)) as wait_s
+    from ordered
+    where next_at is not null
+    group by operator, tail
+),
+
+waits as (
+    select
+        o.operator,
+        o.tail,
+        o.flight_id,
+        o.landed_at,
+        o.next_at,
+        o.fleet_last_at,
+        if(o.next_flight_id[-11:-4] = o.flight_day, o.leg, 0) as legs_before,
+        o.next_flight_id[-2:]::int as next_leg,
+        epoch(coalesce(o.next_at, o.fleet_last_at)) - epoch(o.landed_at) as silent_s,
+        greatest(10 * coalesce(u.wait_s, 0), 3 * 86400) as allowed_s
+    from ordered as o
+    left join usual as u on o.operator = u.operator and o.tail = u.tail
+)
+
+select
+    operator,
+    tail,
+    'missing_leg' as gap,
+    landed_at as from_at,
+    next_at as until_at,
+    flight_id as after_flight_id,
+    (next_leg - legs_before - 1)::bigint as n_flights,
+    null::double as silent_days
+from waits
+where next_leg > legs_before + 1
+union all
+select
+    operator,
+    tail,
+    if(next_at is null, 'silent_now', 'silence') as gap,
+    landed_at as from_at,
+    coalesce(next_at, fleet_last_at) as until_at,
+    flight_id as after_flight_id,
+    null::bigint as n_flights,
+    silent_s / 86400 as silent_days
+from waits
+where silent_s > allowed_s
+union all
+select
+    f.operator,
+    f.tail,
+    'never_heard' as gap,
+    null::timestamptz as from_at,
+    null::timestamptz as until_at,
+    null::varchar as after_flight_id,
+    null::bigint as n_flights,
+    null::double as silent_days
+from tables.raw_fleet as f
+anti join flights as k on f.operator = k.operator and f.tail = k.tail;

@@ -1,0 +1,4 @@
+-- How were the aircraft built, as far as their nominal flights say?
+-- Grain: scope, operator, tail, pack, component, parameter. Reads: tables.calibration_design.
+create or replace view design_parameters as
+select * from tables.calibration_design;

@@ -1,0 +1,126 @@
+-- Which packs are most in need of attention tonight?
+-- urgency: act (a high alert is open, or an event within 50 flights is more likely than not), plan (an alert is open,
+-- or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
+-- hx_fouling: fouling after the last flight [-]
+-- hx_fouling_sd: its standard deviation [-]
+-- diagnoses: diagnoses of the open alerts
+-- raised_at: when the oldest of them was raised
+-- last_flight_id: last flight of the pack
+-- last_departed_at: its departure
+-- cc_efficiency_loss: loss of compressor efficiency after the last flight [-]
+-- cc_efficiency_loss_sd: its standard deviation [-]
+-- cc_rul_flights: flights left of the compressor [flights]
+-- cc_p_event_50: probability of a compressor event within the next 50 flights [-]
+-- place: 1 is the most urgent
+-- Grain: pack. Reads: health_parameters, prognoses, alerts.
+create or replace view fleet_ranking as
+with latest as (
+    select
+        operator,
+        tail,
+        pack,
+        arg_max(flight_id, departed_at) as last_flight_id,
+        max(departed_at) as last_departed_at,
+        arg_max(value, departed_at) filter (where parameter = 'hx_fouling') as hx_fouling,
+        arg_max(sd, departed_at) filter (where parameter = 'hx_fouling') as hx_fouling_sd,
+        arg_max(value, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss,
+        arg_max(sd, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss_sd
+    from health_parameters
+    group by operator, tail, pack
+),
+
+outlook as (
+    select
+        operator,
+        tail,
+        pack,
+        arg_max(rul_flights, departed_at) filter (where component = 'HX') as rul_flights,
+        arg_max(rul_low, departed_at) filter (where component = 'HX') as rul_low,
+        arg_max(rul_high, departed_at) filter (where component = 'HX') as rul_high,
+        arg_max(p_event_50, departed_at) filter (where component = 'HX') as p_event_50,
+        arg_max(rul_flights, departed_at) filter (where component = 'CC') as cc_rul_flights,
+        arg_max(p_event_50, departed_at) filter (where component = 'CC') as cc_p_event_50
+    from prognoses
+    group by operator, tail, pack
+),
+
+open_alerts as (
+    select
+        operator,
+        tail,
+        pack,
+        string_agg(distinct diagnosis, ', ' order by diagnosis) as diagnoses,
+        min(raised_at) as raised_at,
+        bool_or(severity = 'high') as any_high
+    from alerts
+    where closed_at is null
+    group by operator, tail, pack
+),
+
+judged as (
+    select
+        l.operator,
+        l.tail,
+        l.pack,
+        l.hx_fouling,
+        l.hx_fouling_sd,
+        o.rul_flights,
+        o.rul_low,
+        o.rul_high,
+        o.p_event_50,
+        a.diagnoses,
+        a.raised_at,
+        l.last_flight_id,
+        l.last_departed_at,
+        l.cc_efficiency_loss,
+        l.cc_efficiency_loss_sd,
+        o.cc_rul_flights,
+        o.cc_p_event_50,
+        greatest(coalesce(o.p_event_50, 0), coalesce(o.cc_p_event_50, 0)) as p_event,
+        coalesce(a.any_high, false) as any_high
+    from latest as l
+    left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
+    left join open_alerts as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
+),
+
+urgent as (
+    select
+        *,
+        case
+            when any_high or p_event >= 0.5 then 'act'
+            when diagnoses is not null or p_event >= 0.1 then 'plan'
+            when hx_fouling is null then 'unknown'
+            else 'none'
+        end as urgency
+    from judged
+)
+
+select
+    operator,
+    tail,
+    pack,
+    hx_fouling,
+    hx_fouling_sd,
+    rul_flights,
+    rul_low,
+    rul_high,
+    p_event_50,
+    diagnoses,
+    raised_at,
+    last_flight_id,
+    last_departed_at,
+    urgency,
+    cc_efficiency_loss,
+    cc_efficiency_loss_sd,
+    cc_rul_flights,
+    cc_p_event_50,
+    row_number() over (
+        order by
+            list_position(['act', 'plan', 'unknown', 'none'], urgency) asc,
+            p_event desc,
+            hx_fouling desc nulls last,
+            operator asc,
+            tail asc,
+            pack asc
+    ) as place
+from urgent;
