@@ -1,0 +1,32 @@
+"""Which flights and samples are nominal, and why the others are not."""
+
+import polars as pl
+
+from hdt_core.flight.admission import admit
+from hdt_core.flight.legs import judge_legs
+from hdt_core.tables.raw import RawMaintenance, RawMessages
+from pipelines.assets.stage import stage
+
+
+@stage("legs_samples", "legs_verdicts", group="legs")
+def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Each leg judged by its own record alone: phase, completeness, range, steady state.
+
+    The logs have their say later.
+    """
+    verdicts, samples = judge_legs(
+        pl.concat([raw_snapshots, raw_logs]), RawMaintenance.create_empty(), RawMessages.create_empty()
+    )
+    return samples, verdicts
+
+
+@stage("legs_admitted", group="legs")
+def legs_admitted(
+    legs_verdicts: pl.DataFrame,
+    legs_samples: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    raw_messages: pl.DataFrame,
+    twin_health: pl.DataFrame,
+) -> pl.DataFrame:
+    """The final verdict, with hindsight: what logs, cross checks and the twin say of each leg."""
+    return admit(legs_verdicts, legs_samples, raw_maintenance, raw_messages, twin_health)

@@ -1,0 +1,98 @@
+"""What was recorded, typed, in SI, each row once; and an account of every row that was delivered."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import polars as pl
+
+from hdt_core.tables.raw import RawFleet
+from pipelines.assets.stage import stage
+from pipelines.deliveries import flights_of, landing_files, take_in
+from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.logs import Log, read_fleet, read_maintenance, read_messages
+from pipelines.intake.snapshots import read_snapshots
+from pipelines.io import Asked
+from pipelines.landing import REJECTED
+from pipelines.resources import Home
+from pipelines.store import Store
+
+
+@stage("raw_fleet", "raw_files_deliveries", "raw_files_quarantine", group="raw")
+def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
+    """The fleet list, and files that hold no flight at all."""
+    landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
+    lists = [(f, read_fleet(f, now)) for f in landing_files(landing, ledger.files(["fleet"]))]
+    rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
+    left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
+    refused = [list_landing(landing).quarantine, rejected.quarantine]
+    return (
+        pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed"),
+        pl.concat([left, *(_account(f, x) for f, x in lists)], how="vertical_relaxed"),
+        pl.concat([*refused, *(x.quarantine for _, x in lists)]),
+    )
+
+
+@stage("raw_messages", "raw_maintenance", "raw_records_deliveries", "raw_records_quarantine", group="raw")
+def raw_records(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
+    """Maintenance messages the aircraft raised and work that was done on them."""
+    landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(asked.aircraft or {})
+    listed = home.ledger.files(list(RECORDS)).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
+    here = landing_files(landing, listed)
+    read = [(f, RECORDS[f.kind][1](f, now)) for f in here]
+    tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], asked, home.store) for kind in RECORDS]
+    deliveries = [_account(f, x).with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
+    quarantine = [x.quarantine.with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
+    paths = [f.path for f in here]
+    return (
+        *tables,
+        pl.concat(
+            [_left("raw_records_deliveries", paths, asked, home.store), *deliveries], how="diagonal"
+        ).with_columns(_COUNTED),
+        pl.concat([_left("raw_records_quarantine", paths, asked, home.store), *quarantine], how="diagonal"),
+    )
+
+
+RECORDS = {"messages": ("raw_messages", read_messages), "maintenance": ("raw_maintenance", read_maintenance)}
+_COUNTED = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
+
+
+def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
+    return [{"operator": o, "tail": t} for o, t in aircraft]
+
+
+def _records(kind: str, read: list[tuple[LandingFile, Log]], asked: Asked, store: Store) -> pl.DataFrame:
+    """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
+    table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
+    stored = asked.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
+    return pl.concat([stored, *(x.rows.select(stored.columns) for _, x in read)])
+
+
+def _left(table: str, present: list[str], asked: Asked, store: Store) -> pl.DataFrame:
+    """What is stored of files that have left the landing zone."""
+    return asked.read(store, table).filter(~pl.col("file").is_in(present))
+
+
+def _account(file: LandingFile, log: Log) -> pl.DataFrame:
+    quarantined = int(log.quarantine["n_rows"].sum())
+    counts = {
+        "delivered": log.n_delivered,
+        "loaded": log.rows.height,
+        "quarantined": quarantined,
+        "duplicate": log.n_duplicate,
+    }
+    return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
+
+
+@stage("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", group="raw")
+def raw(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
+    """Snapshot reports and continuous logs of each flight, from every file that holds it, whenever it came."""
+    landing = Path(home.landing)
+    taken = [take_in(landing, home.store, home.ledger, a, flights) for a, flights in (asked.aircraft or {}).items()]
+    rows = pl.concat([t.rows for t in taken])
+    return (
+        rows.filter(pl.col("source") == "acms"),
+        rows.filter(pl.col("source") == "cpl"),
+        pl.concat([t.deliveries for t in taken]),
+        pl.concat([t.quarantine for t in taken], how="diagonal_relaxed"),
+        flights_of(rows),
+    )

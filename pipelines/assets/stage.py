@@ -1,0 +1,114 @@
+"""How a stage becomes Dagster assets: a function from tables to tables, wired and checked from the declarations."""
+
+import inspect
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import dagster as dg
+import dataframely as dy
+import polars as pl
+
+from hdt_core.tables import TABLES
+from pipelines import partitions
+from pipelines.io import Asked
+from pipelines.resources import Home
+from pipelines.versions import MADE
+
+OWNERS = ["team:health-monitoring"]
+_PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
+CHECK = "honours_table"
+
+
+class Shown(NamedTuple):
+    """Frames with what their first table's materialization should show beside the counts."""
+
+    frames: tuple[pl.DataFrame, ...]
+    metadata: dict[str, Any]
+
+
+Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | Shown
+
+
+def stage(
+    *tables: str, group: str, after: tuple[str, ...] = ()
+) -> Callable[[Callable[..., Frames]], dg.AssetsDefinition]:
+    """Make assets of a function.
+
+    The function's arguments are named after the tables it reads; `asked` and `home` give it the run's cells and
+    folders, with which it may read a part of the tables named in `after`.
+    It returns one frame a table, in the order of `tables`. Each is checked against its declaration before it is stored:
+    a frame that breaks it is not stored, and what depends on it does not run.
+    """
+
+    def wire(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
+        wanted = list(inspect.signature(fn).parameters)
+        reads = [p for p in wanted if p in TABLES]
+        first_line = inspect.getdoc(fn) or ""
+
+        @dg.multi_asset(
+            name=fn.__name__,
+            outs={t: _out(t, group, first_line) for t in tables},
+            deps=[dg.AssetKey(t) for t in (*reads, *after)],
+            partitions_def=_PARTITIONS[TABLES[tables[0]].grain],
+            check_specs=[dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=_promise(t)) for t in tables],
+            backfill_policy=dg.BackfillPolicy.single_run(),
+            description=first_line,
+            op_tags={"hdt/stage": group},
+        )
+        def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
+            asked = Asked.of(list(context.partition_keys) if context.has_partition_key_range else None)
+            offered: dict[str, Any] = {"asked": asked, "home": home}
+            began = time.monotonic()
+            frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
+            shown: dict[str, Any] = {"seconds": round(time.monotonic() - began, 3)}
+            if isinstance(frames, Shown):
+                frames, shown = frames.frames, shown | frames.metadata
+            for table, frame in zip(tables, frames if isinstance(frames, tuple) else (frames,), strict=True):
+                yield from _checked(table, TABLES[table].conform(frame), shown)
+                shown = {"seconds": shown["seconds"]}
+
+        return run
+
+    return wire
+
+
+def _out(table: str, group: str, description: str) -> dg.AssetOut:
+    schema = TABLES[table].schema
+    first = (inspect.getdoc(schema) or "").splitlines()[0]
+    columns = [dg.TableColumn(n, str(c.dtype), description=_meaning(c)) for n, c in schema.columns().items()]
+    return dg.AssetOut(
+        group_name=group,
+        owners=OWNERS,
+        kinds={"polars", "parquet"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
+        description=f"{first}\n\n{description}",
+        code_version=MADE[table].code,
+        metadata={"dagster/column_schema": dg.TableSchema(columns=columns), "grain": TABLES[table].grain},
+    )
+
+
+def _meaning(column: dy.Column) -> str | None:
+    said = column.metadata or {}
+    return f"{said['meaning']} [{said['unit']}]" if said.get("unit") else said.get("meaning")
+
+
+def _promise(table: str) -> str:
+    return f"{table} has the declared columns, types, spans and a unique key"
+
+
+def _checked(table: str, frame: pl.DataFrame, shown: dict[str, Any]) -> Iterator[Any]:
+    faults = TABLES[table].schema.faults(frame)
+    yield dg.AssetCheckResult(
+        check_name=CHECK,
+        asset_key=table,
+        passed=not faults,
+        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none"},
+    )
+    if faults:
+        raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {'; '.join(faults)}")
+    yield dg.Output(frame, output_name=table, metadata={**shown, **_numbers(frame)})
+
+
+def _numbers(frame: pl.DataFrame) -> dict[str, int]:
+    counted = {"flight_id": "flights", "tail": "aircraft"}
+    return {name: frame[c].n_unique() for c, name in counted.items() if c in frame.columns}
