@@ -1,0 +1,41 @@
+"""The `hdt` command, a room for each of its users."""
+
+import sqlite3
+import sys
+
+from pipelines.cli import look, make, night
+from pipelines.cli.base import StopError, UsageError, app, err, out
+
+__all__ = ["app", "look", "main", "make", "night"]
+
+
+def main() -> None:
+    """Run the command; whatever a user can mend is said in one line."""
+    from pipelines.nightly import BusyError
+
+    try:
+        sys.exit(app(standalone_mode=False))
+    except (StopError, BusyError) as error:
+        said = str(error)
+    except UsageError as error:
+        command = error.ctx.command_path if error.ctx else "hdt"
+        if "Usage:" in error.format_message():  # no command given: the help itself
+            out.print(error.format_message(), markup=False)
+            sys.exit(2)
+        said = f"{error.format_message()} `{command} --help` lists what it takes."
+    except KeyboardInterrupt:
+        said = "stopped; the next run goes on from here"
+    except OSError as error:
+        said = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
+    except Exception as error:
+        said = _of_the_disk(error)
+    err.print(f"hdt: {said}", markup=False, soft_wrap=True)
+    sys.exit(2)
+
+
+def _of_the_disk(error: Exception) -> str:
+    """What SQLite says of a full or read-only disk, Dagster's storage included; any other error goes on its way."""
+    cause = getattr(error, "orig", error)
+    if not isinstance(cause, sqlite3.OperationalError):
+        raise error
+    return f"{cause}; make room in the home or leave to write there, the next run goes on from here"

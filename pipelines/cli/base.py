@@ -1,0 +1,59 @@
+"""What every command shares: consoles, the two folders, and an error that is one line.
+
+Heavy imports wait until a command needs them, so that `--help` and an idle night are quick.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+app = typer.Typer(
+    name="hdt",
+    help="Hybrid digital twin: from recorder files to which heat exchanger to change, why, and when.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+out, err = Console(highlight=False), Console(stderr=True, highlight=False)
+
+LandingDir = Annotated[
+    Path | None, typer.Option(envvar="HDT_LANDING", help="Folder the ground station drops files into.")
+]
+HomeDir = Annotated[
+    Path | None, typer.Option(envvar="HDT_HOME", help="Folder that holds tables, catalog and run history.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+
+UsageError: Any = typer.BadParameter.__base__  # of the click that typer carries
+
+
+class StopError(Exception):
+    """Ends the command with one line that says what to do."""
+
+
+def landing_folder(path: Path | None) -> Path:
+    """The landing zone, or a line that says what is wrong with it."""
+    landing = _named(path, "--landing", "HDT_LANDING")
+    if not landing.is_dir():
+        raise StopError(
+            f"no landing zone at {landing}; give --landing the folder that holds fleet.csv and one folder per operator"
+        )
+    return landing
+
+
+def home_folder(path: Path | None, *, must_exist: bool = True) -> Path:
+    """The home, or a line that says what is wrong with it."""
+    home = _named(path, "--home", "HDT_HOME")
+    if home.exists() and not home.is_dir():
+        raise StopError(f"{home} is a file; give --home a folder")
+    if must_exist and not (home / "catalog.duckdb").exists():
+        raise StopError(f"no catalog in {home}; run `hdt nightly --landing DIR --home {home}` first")
+    return home
+
+
+def _named(path: Path | None, option: str, variable: str) -> Path:
+    if path is None:
+        raise StopError(f"name a folder with {option} DIR or set {variable}")
+    return path

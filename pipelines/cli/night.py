@@ -1,0 +1,152 @@
+"""Commands that take data in: nightly and backfill."""
+
+import datetime as dt
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import polars as pl
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, home_folder, landing_folder, out
+
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
+Day = Annotated[dt.datetime | None, typer.Option(formats=["%Y-%m-%d"])]
+
+
+class Bars:
+    """Progress bars of a long run, on standard error."""
+
+    def __init__(self, quiet: bool) -> None:
+        columns = (
+            TextColumn("{task.description:<28}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        self.bars = Progress(*columns, console=err, disable=quiet)
+        self.task: Any = None
+
+    def start(self, label: str, total: int) -> None:
+        """A step begins."""
+        if self.task is None:
+            self.bars.start()
+        self.task = self.bars.add_task(label, total=total)
+
+    def advance(self, cells: int) -> None:
+        """Some of the step is done."""
+        self.bars.advance(self.task, cells)
+
+    def stop(self) -> None:
+        """Leave the terminal as it was."""
+        self.bars.stop()
+
+
+@app.command()
+def nightly(landing: LandingDir = None, home: HomeDir = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Take in everything that is new, from raw files to alerts, and say which packs need attention."""
+    zone, where = landing_folder(landing), home_folder(home, must_exist=False)
+    if dry_run:
+        _say_what_is_new(zone, where, as_json)
+    else:
+        _bring_up_to_date(zone, where, as_json)
+
+
+@app.command()
+def backfill(
+    landing: LandingDir = None,
+    home: HomeDir = None,
+    operator: Annotated[str | None, typer.Option(help="Only this operator, three letters.")] = None,
+    tail: Annotated[str | None, typer.Option(help="Only this aircraft.")] = None,
+    since: Day = None,
+    until: Day = None,
+    as_json: AsJson = False,
+) -> None:
+    """Take in history, in bulk: by operator, aircraft or departure date (both ends included). It may be stopped and
+    started again.
+    """
+    from pipelines.intake.names import is_operator, is_tail
+
+    where = landing_folder(landing)
+    if operator and not (is_operator(operator) and (where / operator).is_dir()):
+        raise StopError(f"no operator {operator} in {where}")
+    if tail and not (is_tail(tail) and any(where.glob(f"*/{tail}"))):
+        raise StopError(f"no aircraft {tail} in {where}")
+    wanted = pl.lit(True)
+    for column, name in (("operator", operator), ("tail", tail)):
+        wanted &= pl.col(column) == name if name else pl.lit(True)
+    day = pl.col("flight_id").str.extract(r"_(\d{8})_\d+$")
+    wanted &= (day >= f"{since:%Y%m%d}").fill_null(True) if since else pl.lit(True)
+    wanted &= (day <= f"{until:%Y%m%d}").fill_null(True) if until else pl.lit(True)
+    _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, wanted)
+
+
+def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
+    from pipelines.landing import unseen
+    from pipelines.ledger import Ledger
+
+    files, new = unseen(landing, Ledger(home))
+    if as_json:
+        out.print_json(json.dumps({"files": files, "new_files": [f.path for f in new]}))
+        return
+    for file in new:
+        out.print(file.path, soft_wrap=True)
+    out.print(f"{len(new)} new of {files} files; nothing was taken in")
+
+
+def _bring_up_to_date(landing: Path, home: Path, as_json: bool, only: pl.Expr | None = None) -> None:
+    from pipelines.catalog import publish
+    from pipelines.nightly import holding, run_night
+
+    began, bars = time.monotonic(), Bars(quiet=as_json)
+    with holding(home):
+        try:
+            night = run_night(landing, home, bars, only)
+        finally:
+            bars.stop()
+        if not night.idle or not (home / "catalog.duckdb").exists():
+            publish(home)
+    seconds = time.monotonic() - began
+    if as_json:
+        told = {"seconds": round(seconds, 2), "idle": night.idle} | {f: getattr(night, f) for f in night.__slots__}
+        out.print_json(json.dumps(told))
+    elif night.idle:
+        said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
+        out.print(f"{said} Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
+    else:
+        _say(home, night, seconds)
+    if night.failed:
+        raise typer.Exit(1)
+
+
+def _say(home: Path, night: Any, seconds: float) -> None:
+    _ranking(home)
+    for where, why in night.failed.items():
+        err.print(f"failed: {where}: {why}", markup=False, soft_wrap=True)
+    out.print(
+        f"{night.new_files} new of {night.files} files, {night.cells} cells in {night.runs} runs, {seconds:.0f} s."
+    )
+    out.print(f"Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
+
+
+def _ranking(home: Path) -> None:
+    """The packs most in need of attention, as the engineer reads them."""
+    from pipelines.catalog import connect
+
+    with connect(home) as con:
+        rows = con.execute(
+            "select operator, tail, pack, hx_fouling, hx_fouling_sd, rul_flights, rul_low, rul_high, p_event_50,"
+            " diagnoses from fleet_ranking order by place limit 10"
+        ).fetchall()
+    table = Table(title="Packs most in need of attention")
+    for name in ("pack", "UA lost", "flights left (90 %)", "message in 50", "open alerts"):
+        table.add_column(name, justify="right" if name in {"UA lost", "message in 50"} else "left")
+    for operator, tail, pack, loss, sd, rul, low, high, p50, diagnoses in rows:
+        lost = "-" if loss is None else f"{100 * loss:.0f} ± {100 * (sd or 0):.0f} %"
+        left = "-" if rul is None else f"{rul:.0f} ({low:.0f} to {high:.0f})" if low is not None else f"{rul:.0f}"
+        table.add_row(f"{operator} {tail} {pack}", lost, left, "-" if p50 is None else f"{p50:.0%}", diagnoses or "")
+    out.print(table)
