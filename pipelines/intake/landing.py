@@ -1,0 +1,180 @@
+"""What lies in the landing zone: a list of files with operator, tail and kind, and what does not belong there."""
+
+import os
+import stat
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import polars as pl
+
+from pipelines.intake.ledger import Fault, quarantine
+from pipelines.intake.names import is_operator, is_tail
+
+Kind = Literal["acms", "history", "cpl", "messages", "maintenance", "fleet"]
+PART = ".part"
+
+
+@dataclass(frozen=True, slots=True)
+class LandingFile:
+    """One file of the landing zone, as it was when the zone was listed."""
+
+    landing: str
+    path: str
+    """Path below the landing zone, with forward slashes: how ledger and quarantine name the file."""
+    operator: str
+    tail: str
+    kind: Kind
+    size: int
+    mtime_ns: int
+
+    @property
+    def name(self) -> str:
+        """Last part of the path."""
+        return self.path.rpartition("/")[2]
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it is read as text and not as Parquet: its name says so, whatever became of its kind."""
+        return self.path.lower().endswith(".csv")
+
+    @property
+    def source(self) -> str:
+        """Where its rows come from: snapshot reports or a continuous log."""
+        return "cpl" if "/cpl/" in self.path else "acms"
+
+    @property
+    def full_path(self) -> str:
+        """Where to open it."""
+        return f"{self.landing}/{self.path}"
+
+    @property
+    def received_at(self) -> datetime:
+        """When it was last written."""
+        return datetime.fromtimestamp(self.mtime_ns // 1_000_000_000, UTC)
+
+
+class Landing(NamedTuple):
+    """The files to take in, and a quarantine row for each entry that is none."""
+
+    files: list[LandingFile]
+    quarantine: pl.DataFrame
+
+
+class _Listing:
+    """One walk over the zone: what it found so far."""
+
+    def __init__(self, landing: Path) -> None:
+        self.root = str(landing.resolve())
+        self.files: list[LandingFile] = []
+        self.faults: list[tuple[str, Fault, datetime]] = []
+
+    def refuse(self, path: str, reason: str, detail: str, mtime_ns: int = 0) -> None:
+        at = datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
+        self.faults.append((_printable(path), Fault(reason, detail=detail), at))
+
+    def entries(self, below: str) -> Iterator[os.DirEntry[str]]:
+        """Entries of a folder that may be looked at: not hidden, not still being written, not leading out."""
+        try:
+            found = sorted(os.scandir(f"{self.root}/{below}" if below else self.root), key=lambda e: e.name)
+        except OSError as error:
+            self.refuse(below, "cannot_open", error.strerror or type(error).__name__)
+            return
+        for entry in found:
+            if PART in entry.name or entry.name.startswith("."):
+                continue
+            if entry.is_symlink() and not self._stays_inside(entry.path):
+                self.refuse(
+                    _join(below, entry.name), "outside_landing", "a link that leaves the landing zone or leads nowhere"
+                )
+                continue
+            yield entry
+
+    def folders(self, below: str, fits: Callable[[str], bool], what: str) -> Iterator[str]:
+        """Names of the folders of `below` that fit; logs that belong there are taken, everything else is refused."""
+        for entry in self.entries(below):
+            path = _join(below, entry.name)
+            if entry.is_dir() and fits(entry.name):
+                yield entry.name
+            elif not self._log_file(entry, path):
+                self.refuse(path, "unexpected_name", f"not {what}")
+
+    def take(self, entry: os.DirEntry[str], path: str, kind: Kind) -> None:
+        """Add a regular file; refuse pipes and devices, which would hang whoever opens them."""
+        try:
+            status = entry.stat()
+        except OSError as error:
+            self.refuse(path, "cannot_open", error.strerror or type(error).__name__)
+            return
+        if not stat.S_ISREG(status.st_mode):
+            self.refuse(path, "not_a_file", "only regular files are read", status.st_mtime_ns)
+            return
+        operator, _, rest = path.partition("/")
+        tail = rest.partition("/")[0]
+        keys = ("", "") if kind == "fleet" else (operator, tail)
+        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, status.st_mtime_ns))
+
+    def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
+        """Take fleet.csv at the top and the logs of a tail, where they belong."""
+        kind = _LOGS.get((path.count("/"), entry.name))
+        if kind is None or entry.is_dir():
+            return False
+        self.take(entry, path, kind)
+        return True
+
+    def _stays_inside(self, path: str) -> bool:
+        target = os.path.realpath(path)
+        return target.startswith(self.root + "/") and os.path.exists(target)
+
+
+_LOGS: dict[tuple[int, str], Kind] = {
+    (0, "fleet.csv"): "fleet",
+    (2, "messages.csv"): "messages",
+    (2, "maintenance.csv"): "maintenance",
+}
+
+
+def list_landing(landing: Path) -> Landing:
+    """All files of the contract below `landing`, sorted by path; `.part` files are not there yet and left alone.
+
+    Per-flight files of an unusual name are listed too (their column says which flight they hold). What fits no pattern,
+    leads out of the zone or is no regular file comes back as quarantine rows.
+    """
+    walk = _Listing(landing)
+    for operator in walk.folders("", is_operator, "fleet.csv or an airline code"):
+        for tail in walk.folders(operator, is_tail, "a registration"):
+            aircraft = f"{operator}/{tail}"
+            for folder in walk.folders(aircraft, {"acms", "cpl"}.__contains__, "a file or folder of the contract"):
+                _flights(walk, f"{aircraft}/{folder}", folder)
+    frames = [quarantine(path, at, [fault]) for path, fault, at in walk.faults]
+    return Landing(walk.files, pl.concat([quarantine("", None, []), *frames]))
+
+
+def _flights(walk: _Listing, below: str, folder: str) -> None:
+    for entry in walk.entries(below):
+        path = f"{below}/{entry.name}"
+        kind = _kind(entry.name, folder)
+        if kind is None or _printable(entry.name) != entry.name or entry.is_dir():
+            walk.refuse(
+                path, "unexpected_name", "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet"
+            )
+        else:
+            walk.take(entry, path, kind)
+
+
+def _kind(name: str, folder: str) -> Kind | None:
+    suffix = name.rpartition(".")[2].lower()
+    if folder == "cpl":
+        return "cpl" if suffix == "parquet" else None
+    return {"csv": "acms", "parquet": "history"}.get(suffix)  # type: ignore[return-value]
+
+
+def _join(below: str, name: str) -> str:
+    return f"{below}/{name}" if below else name
+
+
+def _printable(name: str) -> str:
+    """`name` without control characters and undecodable bytes, fit for a log line or a table."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)

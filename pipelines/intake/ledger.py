@@ -1,0 +1,108 @@
+"""Where every delivered row went: quarantine rows, and the ledger that must balance for each file."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import polars as pl
+
+from pipelines.intake.reasons import REASONS
+
+QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
+    "file": pl.String(),
+    "row": pl.Int64(),
+    "column_name": pl.String(),
+    "reason": pl.String(),
+    "detail": pl.String(),
+    "scope": pl.String(),
+    "flight_id": pl.String(),
+    "n_rows": pl.Int64(),
+    "content": pl.String(),
+    "received_at": pl.Datetime("us", "UTC"),
+}
+"""`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
+`n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
+`content` is the rejected row as it came, cut at 500 characters."""
+
+MAX_VALUES_LISTED = 100
+"""Values at fault that are listed one by one for a file, column and reason; the rest is counted in one entry."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing wrong with one file, row or value."""
+
+    reason: str
+    row: int | None = None
+    column_name: str | None = None
+    detail: str = ""
+    n_rows: int = 0
+    flight_id: str | None = None
+    content: str | None = None
+
+
+MAX_ROWS_LISTED = 10_000
+"""Rows at fault that are listed one by one for a file and reason: a hostile file of a million bad lines stays small."""
+
+
+def first_and_rest(frame: pl.DataFrame, by: Sequence[str], limit: int) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """The first `limit` rows of each group, and for groups that have more the number left (`more`)."""
+    if frame.height <= limit:
+        return frame, frame.select(by).clear().with_columns(pl.lit(0, pl.Int64).alias("more"))
+    first = frame.filter(pl.int_range(pl.len()).over(by) < limit)
+    rest = frame.group_by(by, maintain_order=True).agg((pl.len().cast(pl.Int64) - limit).alias("more"))
+    return first, rest.filter(pl.col("more") > 0)
+
+
+def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault]) -> pl.DataFrame:
+    """Faults of one file as quarantine rows; the detail opens with the sentence of the reason."""
+    rows = []
+    for f in faults:
+        reason = REASONS[f.reason]
+        told = (f"{reason.sentence} {f.detail}".strip(), reason.scope)
+        content = f.content and f.content[:500]
+        rows.append((file, f.row, f.column_name, f.reason, *told, f.flight_id, f.n_rows, content, received_at))
+    return pl.DataFrame(rows, schema=QUARANTINE_SCHEMA, orient="row")
+
+
+def shortened(values: list[Fault]) -> list[Fault]:
+    """Faults of single values: the first of each column and reason one by one, all others counted in one entry."""
+    listed: dict[tuple[str, str | None], int] = {}
+    short = []
+    for fault in values:
+        key = (fault.reason, fault.column_name)
+        listed[key] = listed.get(key, 0) + 1
+        if listed[key] <= MAX_VALUES_LISTED:
+            short.append(fault)
+    more = [(key, n - MAX_VALUES_LISTED) for key, n in listed.items() if n > MAX_VALUES_LISTED]
+    return short + [Fault(reason, None, column, f"And {n} more values.") for (reason, column), n in more]
+
+
+def account(
+    delivered: pl.DataFrame, rows: pl.DataFrame, duplicates: pl.DataFrame, quarantined: pl.DataFrame
+) -> pl.DataFrame:
+    """Ledger per file: delivered, loaded, quarantined, duplicate, and whether they balance.
+
+    Parameters
+    ----------
+    delivered : DataFrame
+        `file, n_delivered`, counted when the file was opened and not derived from the other three.
+    rows, duplicates, quarantined : DataFrame
+        What `merge_deliveries` returned.
+
+    Returns
+    -------
+    DataFrame
+        `file, delivered, loaded, quarantined, duplicate, balanced`, sorted by file.
+    """
+    parts = (
+        rows.group_by("file").agg(pl.len().cast(pl.Int64).alias("loaded")),
+        quarantined.group_by("file").agg(pl.col("n_rows").sum().alias("quarantined")),
+        duplicates.group_by("file").agg(pl.col("n_duplicate").sum().alias("duplicate")),
+    )
+    ledger = delivered.group_by("file").agg(pl.col("n_delivered").sum().alias("delivered"))
+    for part in parts:
+        ledger = ledger.join(part, on="file", how="full", coalesce=True)
+    ledger = ledger.with_columns(pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0))
+    balanced = pl.col("delivered") == pl.col("loaded") + pl.col("quarantined") + pl.col("duplicate")
+    return ledger.with_columns(balanced.alias("balanced")).sort("file")

@@ -1,0 +1,207 @@
+"""The logs beside the recorder files: messages, maintenance, and the fleet list."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date, datetime
+
+import polars as pl
+
+from pipelines.intake.header import judge_header
+from pipelines.intake.judge import PACKS
+from pipelines.intake.landing import LandingFile
+from pipelines.intake.ledger import Fault, quarantine
+from pipelines.intake.names import flight_day, flight_tail, is_operator, is_tail
+from pipelines.intake.opening import read_bytes
+from pipelines.intake.text import Text, open_text, to_columns
+from pipelines.intake.times import to_day, to_utc, zone_note
+
+COMPONENTS = ("HX", "CC", "RAM_DOOR", "SENSOR")
+ACTIONS = ("REPLACED", "CLEANED", "INSPECTED", "ADJUSTED")
+FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
+MAX_PACKS = 4
+
+_UTC = pl.Datetime("us", "UTC")
+_KEYS = {"operator": pl.String, "tail": pl.String}
+MESSAGES = {
+    **_KEYS,
+    "message_time": _UTC,
+    "flight_id": pl.String,
+    "pack": pl.Int32,
+    "code": pl.String,
+    "text": pl.String,
+}
+MAINTENANCE = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
+               "finding": pl.String, "reference": pl.String}  # fmt: skip
+FLEET = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32}
+
+Row = tuple[object, ...]
+Words = dict[str, str]
+"""Fields of a line by column, stripped; empty where the file has no such column."""
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """Rows of a log, each once; what is wrong with it; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
+
+    rows: pl.DataFrame
+    quarantine: pl.DataFrame
+    n_delivered: int
+    n_duplicate: int
+
+
+def read_messages(file: LandingFile, now: datetime) -> Log:
+    """Maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
+
+    def judge(words: Words, moment: datetime | None) -> Row | Fault:
+        pack = _pack(words["pack"])
+        if fault := _bad_moment(moment, now, "message_time") or _bad_flight(words["flight_id"], file.tail):
+            return fault
+        if pack == 0:
+            return Fault("bad_pack", column_name="pack")
+        if not re.fullmatch(r"[A-Z0-9][A-Z0-9-]{1,31}", words["code"], re.ASCII):
+            return Fault("bad_code", column_name="code")
+        return (
+            file.operator,
+            file.tail,
+            moment,
+            words["flight_id"] or None,
+            pack,
+            words["code"],
+            words["text"] or None,
+        )
+
+    return _read(file, judge, MESSAGES, ("message_time", "flight_id", "pack", "code"), ("text",), timed="message_time")
+
+
+def read_maintenance(file: LandingFile, now: datetime) -> Log:
+    """Work done on one aircraft: `operator, tail, done_on, pack, component, action, finding, reference`.
+
+    Work from before the first flight in store is as good as any.
+    """
+
+    def judge(words: Words, _: datetime | None) -> Row | Fault:
+        day, pack = to_day(words["done_on"]), _pack(words["pack"])
+        if day is None or day > now.date():
+            return Fault("unreadable_time" if day is None else "future_time", column_name="done_on")
+        if pack == 0:
+            return Fault("bad_pack", column_name="pack")
+        codes = {c: words[c].upper() for c in ("component", "action", "finding")}
+        agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
+        if odd := [c for c, code in codes.items() if code not in agreed[c]]:
+            return Fault("bad_code", column_name=", ".join(odd))
+        finding = codes["finding"] or None
+        return (
+            file.operator,
+            file.tail,
+            day,
+            pack,
+            codes["component"],
+            codes["action"],
+            finding,
+            words["reference"] or None,
+        )
+
+    return _read(file, judge, MAINTENANCE, ("done_on", "pack", "component", "action"), ("finding", "reference"))
+
+
+def read_fleet(file: LandingFile, now: datetime) -> Log:
+    """The fleet list: `operator, tail, msn, delivered_on, packs`; of two lines for one aircraft the first counts."""
+
+    def judge(words: Words, _: datetime | None) -> Row | Fault:
+        if not is_operator(words["operator"]) or not is_tail(words["tail"]):
+            return Fault("bad_key", column_name="operator, tail")
+        day = to_day(words["delivered_on"])
+        if words["delivered_on"] and day is None:
+            return Fault("unreadable_time", column_name="delivered_on")
+        packs = words["packs"] or str(PACKS)
+        if packs not in {str(n) for n in range(1, MAX_PACKS + 1)}:
+            return Fault("bad_pack", column_name="packs")
+        return (words["operator"], words["tail"], words["msn"] or None, day, int(packs))
+
+    return _read(file, judge, FLEET, ("operator", "tail"), ("msn", "delivered_on", "packs"), unique=2)
+
+
+def _read(
+    file: LandingFile,
+    judge: Callable[[Words, datetime | None], Row | Fault],
+    schema: dict[str, object],
+    required: tuple[str, ...],
+    optional: tuple[str, ...],
+    *,
+    timed: str | None = None,
+    unique: int = 0,
+) -> Log:
+    """Open a log, judge its lines, drop those that stand twice; with `unique`, so many leading fields are a key."""
+    content, faults = read_bytes(file)
+    if content is None:
+        return Log(pl.DataFrame(schema=schema), quarantine(file.path, file.received_at, faults), 0, 0)
+    text = open_text(content, lambda found: judge_header(found, required, optional))
+    lines, line_faults = to_columns([text], ())
+    faults = [*text.faults, *line_faults[0]]
+    good: dict[Row, int] = {}
+    for row, words, moment in _lines(lines, (*required, *optional), timed, faults):
+        verdict = judge(words, moment)
+        if isinstance(verdict, Fault):
+            faults.append(_placed(verdict, row, text))
+        else:
+            good.setdefault(verdict, row)
+    n_duplicate = text.n_rows - len(good) - sum(f.n_rows for f in faults)
+    kept = _one_a_key(good, unique, text, faults)
+    rows = pl.DataFrame(kept, schema=schema, orient="row")
+    return Log(rows, quarantine(file.path, file.received_at, faults), text.n_rows, n_duplicate)
+
+
+def _lines(
+    lines: pl.DataFrame, columns: tuple[str, ...], timed: str | None, faults: list[Fault]
+) -> list[tuple[int, Words, datetime | None]]:
+    if lines.is_empty():
+        return []
+    moments: list[datetime | None] = [None] * lines.height
+    if timed is not None:
+        parsed, naive = to_utc(lines.select(timed, "row"), timed)
+        moments = parsed.get_column(timed).to_list()
+        faults.extend(zone_note(naive, timed))
+    rows = lines.iter_rows(named=True)
+    return [(r["row"], {c: _clean(r.get(c)) for c in columns}, m) for r, m in zip(rows, moments, strict=True)]
+
+
+def _clean(field: str | None) -> str:
+    return "".join(c for c in (field or "").strip() if c.isprintable())[:500]
+
+
+def _placed(fault: Fault, row: int, text: Text) -> Fault:
+    return Fault(fault.reason, row, fault.column_name, fault.detail, 1, content=text.line(row))
+
+
+def _one_a_key(good: dict[Row, int], unique: int, text: Text, faults: list[Fault]) -> list[Row]:
+    """Rows in order; of several with the same leading `unique` fields the first in order, the others to the faults."""
+    kept: dict[Row, Row] = {}
+    for row in sorted(good, key=lambda r: tuple((f is None, str(f)) for f in r)):
+        key = row[:unique] if unique else row
+        if key in kept:
+            faults.append(_placed(Fault("bad_key", detail="Listed twice with other values."), good[row], text))
+        else:
+            kept[key] = row
+    return list(kept.values())
+
+
+def _pack(word: str) -> int | None:
+    """Pack number, None where none is given, 0 where it is none."""
+    if not word:
+        return None
+    return int(word) if word in {str(n) for n in range(1, MAX_PACKS + 1)} else 0
+
+
+def _bad_moment(moment: datetime | date | None, now: datetime, column: str) -> Fault | None:
+    if moment is None:
+        return Fault("unreadable_time", column_name=column)
+    return Fault("future_time", column_name=column) if moment > now else None
+
+
+def _bad_flight(flight: str, tail: str) -> Fault | None:
+    if not flight:
+        return None
+    if flight_day(flight) is None:
+        return Fault("bad_flight_id", column_name="flight_id")
+    return None if flight_tail(flight) == tail else Fault("flight_id_contradicts_path", column_name="flight_id")

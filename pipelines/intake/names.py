@@ -1,0 +1,54 @@
+"""Names from outside: which are a tail, a flight, a file of the contract, and what a flight_id says."""
+
+import re
+from datetime import date
+
+from hdt_core.tables.base import FLIGHT_ID, OPERATOR, TAIL
+
+_OPERATOR, _TAIL, _FLIGHT_ID = (re.compile(p, re.ASCII) for p in (OPERATOR, TAIL, FLIGHT_ID))
+_HISTORY = re.compile(r"history_\d{4}-\d{2}\.parquet", re.ASCII)
+
+
+def is_operator(name: str) -> bool:
+    """Whether `name` is an ICAO airline code."""
+    return _OPERATOR.fullmatch(name) is not None
+
+
+def is_tail(name: str) -> bool:
+    """Whether `name` is a registration."""
+    return _TAIL.fullmatch(name) is not None
+
+
+def is_history(name: str) -> bool:
+    """Whether `name` is that of a history file."""
+    return _HISTORY.fullmatch(name) is not None
+
+
+def flight_day(flight_id: str) -> date | None:
+    """UTC day of departure a flight_id names, None where it is no flight_id: bad pattern, no such day, leg 00.
+
+    Examples
+    --------
+    >>> flight_day("LX-AAA_20240229_01")
+    datetime.date(2024, 2, 29)
+    >>> flight_day("LX-AAA_20230229_01"), flight_day("../X_20240101_01"), flight_day("LX-AAA_20240101_00")
+    (None, None, None)
+    """
+    if _FLIGHT_ID.fullmatch(flight_id) is None or flight_id.endswith("_00"):
+        return None
+    digits = flight_id[-11:-3]
+    try:
+        return date(int(digits[:4]), int(digits[4:6]), int(digits[6:]))
+    except ValueError:
+        return None
+
+
+def flight_tail(flight_id: str) -> str:
+    """Tail of a well-formed flight_id."""
+    return flight_id[:-12]
+
+
+def flight_of_file(name: str, tail: str) -> str | None:
+    """The flight a per-flight file of this tail is named after, None where the name is no flight_id of this tail."""
+    stem = name.rpartition(".")[0]
+    return stem if flight_day(stem) is not None and flight_tail(stem) == tail else None

@@ -1,0 +1,127 @@
+"""Parquet files become columns: read by Arrow, within a memory limit, whatever was done to the bytes."""
+
+import io
+from collections.abc import Collection
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from pipelines.intake.columns import CORE_NAMES, KEYS, PHASE, SIGNAL_NAMES
+from pipelines.intake.header import judge_header
+from pipelines.intake.ledger import Fault
+from pipelines.intake.text import number_faults
+
+MAX_ROWS = 2_000_000
+MAX_BYTES = 1 << 30
+"""What one file may hold once unpacked; a small file that claims more is refused before any of it is unpacked."""
+MAX_WORD = 200
+"""Longest text in a column, in bytes: one long word repeated by a dictionary unpacks to gigabytes."""
+
+_WORDS = ("flight_id", PHASE)
+_TIME = "report_time"
+
+
+def open_parquet(content: bytes, only: Collection[str] | None = None) -> tuple[pl.DataFrame, int, list[Fault]]:
+    """Contract columns of a Parquet file (or `only` some) with `row` from 1, the number of rows delivered, faults.
+
+    Arrow and not Polars reads, because a damaged page can make Polars panic, and a panic is no exception one can catch.
+    """
+    try:
+        schema = pq.read_schema(io.BytesIO(content))
+        words = [f.name for f in schema if _is_text(f.type)]  # kept as codes: never unpacked beyond what was stored
+        parquet = pq.ParquetFile(io.BytesIO(content), read_dictionary=words, page_checksum_verification=True)
+        meta = parquet.metadata
+        unpacked = sum(meta.row_group(i).total_byte_size for i in range(meta.num_row_groups))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        return pl.DataFrame(), 0, [Fault("cannot_read_parquet", detail=_first_line(error))]
+    if not 0 <= meta.num_rows <= MAX_ROWS or unpacked > MAX_BYTES:
+        return pl.DataFrame(), 0, [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {unpacked} bytes.")]
+    frame, faults = _read(parquet, meta.num_rows, only)
+    return frame, meta.num_rows, faults
+
+
+def _read(parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None) -> tuple[pl.DataFrame, list[Fault]]:
+    found = parquet.schema_arrow.names
+    header = judge_header(found, KEYS, (PHASE, *SIGNAL_NAMES), CORE_NAMES)
+    if header.fault is not None:
+        fault = header.fault
+        return pl.DataFrame(), [Fault(fault.reason, None, fault.column_name, fault.detail, n_rows)]
+    if n_rows == 0:
+        return pl.DataFrame(), [*header.notes, Fault("no_rows")]
+    wanted = [(f, n) for f, n in zip(found, header.names, strict=True) if n and n in (only or (n,))]
+    if odd := [n for f, n in wanted if not _fits(parquet.schema_arrow.field(f).type, n)]:
+        return pl.DataFrame(), [Fault("wrong_type", None, ", ".join(odd), n_rows=n_rows)]
+    try:
+        table = parquet.read(columns=[f for f, _ in wanted], use_threads=False)
+        table.validate(full=True)
+        if (longest := max((_longest(c) for c in table.columns), default=0)) > MAX_WORD:
+            return pl.DataFrame(), [Fault("too_large", detail=f"A text has {longest} bytes.", n_rows=n_rows)]
+        frame = pl.DataFrame(pl.from_arrow(table)).rename(dict(wanted))
+    except (pa.ArrowException, OSError, ValueError, pl.exceptions.PolarsError) as error:
+        return pl.DataFrame(), [Fault("cannot_read_parquet", detail=_first_line(error), n_rows=n_rows)]
+    frame, faults = _typed(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)))
+    return frame, [*header.notes, *faults]
+
+
+def _fits(kind: pa.DataType, name: str) -> bool:
+    """Whether a column of this type can hold what `name` stands for, without loss."""
+    if pa.types.is_dictionary(kind):
+        return _fits(kind.value_type, name)
+    if pa.types.is_null(kind):
+        return name not in KEYS
+    if name in _WORDS or _is_text(kind):
+        return _is_text(kind)
+    if name == _TIME:
+        return pa.types.is_timestamp(kind)
+    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
+
+
+def _longest(column: pa.ChunkedArray) -> int:
+    """Bytes of the longest text of a column, 0 where it holds none."""
+    if not pa.types.is_dictionary(column.type):
+        return 0
+    return max(
+        (pc.max(pc.binary_length(c.dictionary)).as_py() or 0 for c in column.chunks if _is_text(c.type.value_type)),
+        default=0,
+    )
+
+
+def _typed(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
+    """Words as String, times as Datetime or String, all else as Float64."""
+    faults: list[Fault] = []
+    for name, dtype in frame.schema.items():
+        if name == "row":
+            continue
+        if dtype in (pl.Categorical, pl.Enum, pl.Null) and (name in _WORDS or name == _TIME or dtype != pl.Null):
+            frame = frame.with_columns(pl.col(name).cast(pl.String))
+        if name in _WORDS:
+            continue
+        if name == _TIME:
+            frame, notes = _time(frame)
+            faults.extend(notes)
+            continue
+        if frame.schema[name] == pl.String:
+            frame, bad = number_faults(frame, name)
+            faults.extend(fault for _, fault in bad)
+        frame = frame.with_columns(pl.col(name).cast(pl.Float64))
+    return frame, faults
+
+
+def _time(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
+    dtype = frame.schema[_TIME]
+    if not isinstance(dtype, pl.Datetime):
+        return frame, []
+    time = pl.col(_TIME).dt.cast_time_unit("us")
+    if dtype.time_zone is None:
+        return frame.with_columns(time.dt.replace_time_zone("UTC")), [Fault("time_without_zone", column_name=_TIME)]
+    return frame.with_columns(time.dt.convert_time_zone("UTC")), []
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__

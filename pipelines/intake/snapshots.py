@@ -1,0 +1,202 @@
+"""Recorder files become judged rows in SI: snapshot reports, history files and continuous logs."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import lru_cache
+
+import polars as pl
+
+from pipelines.intake.columns import CORE_NAMES, KEYS, PHASE, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES
+from pipelines.intake.header import Header, judge_header
+from pipelines.intake.judge import Judged, about_files, judge
+from pipelines.intake.landing import LandingFile
+from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine, shortened
+from pipelines.intake.names import flight_day, flight_of_file, flight_tail
+from pipelines.intake.opening import read_bytes
+from pipelines.intake.parquet import open_parquet
+from pipelines.intake.reasons import REASONS
+from pipelines.intake.text import Text, open_text, to_columns
+from pipelines.intake.times import to_utc, zone_note
+
+ROW_COLUMNS = ("operator", "tail", "flight_id", "pack", "time_utc", "source", PHASE, *SI_NAMES, "file", "row_in_file")
+
+_KNOWN = (PHASE, *SIGNAL_NAMES)
+_NUMBERS = ("pack", *SIGNAL_NAMES)
+
+
+@dataclass(frozen=True, slots=True)
+class Intake:
+    """What came of some files: rows in SI, what is wrong with them, and how many rows each file delivered."""
+
+    rows: pl.DataFrame
+    quarantine: pl.DataFrame
+    delivered: pl.DataFrame
+    """`file, n_delivered`"""
+
+    @property
+    def n_delivered(self) -> int:
+        """Rows delivered by all files together."""
+        return int(self.delivered["n_delivered"].sum())
+
+
+@dataclass(slots=True)
+class _Opened:
+    """One file after opening: its columns are in the common frame, its faults here."""
+
+    faults: list[Fault]
+    n_rows: int = 0
+    text: Text | None = None
+
+
+def read_snapshots(
+    files: LandingFile | Sequence[LandingFile], now: datetime, fleet: pl.DataFrame | None = None
+) -> Intake:
+    """Rows of `acms`, `history` and `cpl` files in SI, and a quarantine row for all that is wrong with them.
+
+    Many files at once cost far less each than one at a time; the answer is the same.
+
+    Parameters
+    ----------
+    files : LandingFile or sequence of them
+    now : datetime
+        Times after it lie in the future. UTC.
+    fleet : DataFrame, optional
+        `operator, tail, packs`: bounds the pack numbers, and tails it lacks are noted. Without it packs are 1 and 2.
+
+    Returns
+    -------
+    Intake
+        For each file `n_delivered` = rows in `rows` + `n_rows` in `quarantine`. Never raises for what a file holds.
+    """
+    files = [files] if isinstance(files, LandingFile) else list(files)
+    opened, raw = _open_all(files)
+    rows = _no_rows()
+    if raw.height:
+        about = about_files(files, fleet)
+        judged = judge(raw, about, now)
+        rows = _in_si(judged.rows, about)
+        _record(judged, opened)
+    frames = [quarantine(f.path, f.received_at, o.faults) for f, o in zip(files, opened, strict=True) if o.faults]
+    delivered = {"file": [f.path for f in files], "n_delivered": [o.n_rows for o in opened]}
+    return Intake(
+        rows,
+        pl.concat([pl.DataFrame(schema=QUARANTINE_SCHEMA), *frames]),
+        pl.DataFrame(delivered, schema={"file": pl.String, "n_delivered": pl.Int64}),
+    )
+
+
+def flights_in(file: LandingFile) -> list[str]:
+    """Flights a file says it holds, sorted: from its name, or else from its flight_id column.
+
+    Only well-formed ids of the file's own tail; none where it cannot be read, which `read_snapshots` then explains.
+    """
+    named = flight_of_file(file.name, file.tail)
+    if named is not None:
+        return [named]
+    _, raw = _open_all([file], only=("flight_id",))
+    found = raw.get_column("flight_id").drop_nulls().unique().to_list() if raw.height else []
+    return sorted(f for f in found if flight_day(f) is not None and flight_tail(f) == file.tail)
+
+
+def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None) -> tuple[list[_Opened], pl.DataFrame]:
+    """Columns of all files in one frame in recorded units, with `file_index` and `row`; times are UTC.
+
+    Columns no file has are there too, and null. With `only`, no other columns of Parquet files are read.
+    """
+    opened = [_Opened([]) for _ in files]
+    frames = []
+    for i, file in enumerate(files):
+        content, faults = read_bytes(file)
+        if content is None:
+            opened[i].faults.extend(faults)
+        elif file.is_text:
+            text = open_text(content, _header)
+            opened[i] = _Opened(text.faults, text=text)
+        else:
+            frame, n_rows, faults = open_parquet(content, only)
+            opened[i] = _Opened(faults, n_rows)
+            frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
+    frames.append(_texts(opened))
+    timed = [_timed(frame, opened) for frame in frames if frame.height]
+    if not timed:
+        return opened, pl.DataFrame()
+    raw = pl.concat(timed, how="diagonal")
+    absent = [pl.lit(None, pl.String if c == PHASE else pl.Float64).alias(c) for c in _KNOWN if c not in raw.columns]
+    return opened, raw.with_columns(absent)
+
+
+def _texts(opened: Sequence[_Opened]) -> pl.DataFrame:
+    places = [i for i, o in enumerate(opened) if o.text is not None]
+    frame, faults = to_columns([o.text for o in opened if o.text is not None], _NUMBERS)
+    for i, found in zip(places, faults, strict=True):
+        opened[i].faults.extend(found)
+        opened[i].n_rows = opened[i].text.n_rows
+    if frame.is_empty():
+        return frame
+    index = pl.Series("file_index", places, dtype=pl.Int32).gather(frame["text"])
+    return frame.with_columns(index).drop("text")
+
+
+def _timed(frame: pl.DataFrame, opened: Sequence[_Opened]) -> pl.DataFrame:
+    if "report_time" not in frame.columns:
+        return frame
+    frame, naive = to_utc(frame, "report_time")
+    for (i,), rows in naive.group_by("file_index"):
+        opened[i].faults.extend(zone_note(rows, "report_time"))
+    return frame
+
+
+@lru_cache(maxsize=256)  # thousands of files share a few headers
+def _header(found: tuple[str, ...]) -> Header:
+    return judge_header(found, KEYS, _KNOWN, CORE_NAMES)
+
+
+def _record(judged: Judged, opened: Sequence[_Opened]) -> None:
+    """Add what the rows were found guilty of to their files; a rejected row's broken values are part of that row."""
+    rejected: dict[int, set[int]] = {}
+    found: dict[int, list[Fault]] = {}
+    for i, fault in judged.faults:
+        found.setdefault(i, []).append(fault)
+        if fault.n_rows and fault.row is not None:
+            rejected.setdefault(i, set()).add(fault.row)
+    for i, o in enumerate(opened):
+        gone = rejected.get(i, ())
+        kept = [f for f in o.faults if f.reason != "not_a_number" or f.row not in gone]
+        values = [f for f in (*kept, *found.get(i, ())) if REASONS[f.reason].scope == "value"]
+        others = [f for f in (*kept, *found.get(i, ())) if REASONS[f.reason].scope != "value"]
+        o.faults = [_with_content(f, o) for f in others] + shortened(values)
+
+
+def _with_content(fault: Fault, opened: _Opened) -> Fault:
+    """A rejected row of a text file with the row as it came."""
+    if opened.text is None or not fault.n_rows or fault.row is None or fault.content is not None:
+        return fault
+    return replace(fault, content=opened.text.line(fault.row))
+
+
+def _in_si(rows: pl.DataFrame, about: pl.DataFrame) -> pl.DataFrame:
+    """Judged rows under their SI names, in the order of `ROW_COLUMNS`."""
+    si = [(pl.col(c.name) * c.scale + c.offset).alias(c.si_name) for c in SIGNAL_COLUMNS]
+    place = ["operator", "tail", "source", "file"]
+    of_file = about.select(pl.col(place).gather(rows["file_index"]))
+    return pl.concat(
+        [
+            rows.select(
+                "flight_id", pl.col("pack").cast(pl.Int32), pl.col("report_time").alias("time_utc"), PHASE, *si,
+                pl.col("row").alias("row_in_file"),
+            ),
+            of_file,
+        ],
+        how="horizontal",
+    ).select(ROW_COLUMNS)  # fmt: skip
+
+
+def _no_rows() -> pl.DataFrame:
+    types = {
+        "pack": pl.Int32,
+        "time_utc": pl.Datetime("us", "UTC"),
+        "row_in_file": pl.Int64,
+        **dict.fromkeys(SI_NAMES, pl.Float64),
+    }
+    return pl.DataFrame(schema={c: types.get(c, pl.String) for c in ROW_COLUMNS})
