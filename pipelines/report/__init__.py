@@ -1,0 +1,14 @@
+"""The fleet's health as one offline HTML page."""
+
+from pathlib import Path
+
+from pipelines.report.facts import read_facts
+from pipelines.report.page import page
+from pipelines.store import replacing
+
+
+def write_report(home: Path, target: Path) -> None:
+    """Write the page over the catalog in `home` to `target`: same catalog, same bytes."""
+    html = page(read_facts(home))
+    with replacing(target.resolve()) as temporary:
+        temporary.write_text(html, encoding="utf-8")

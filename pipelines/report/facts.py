@@ -1,0 +1,132 @@
+"""What the page is made of, read from the catalog in one go."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+
+from hdt_core.twin.dsm import Dsm
+from pipelines.catalog import connect
+
+_FRAMES = {
+    "ranking": "select * from fleet_ranking order by place",
+    "flights": "select operator, tail, flight_id, departed_at, source from flights order by departed_at, flight_id",
+    "health": """
+        select operator, tail, pack, flight_id, departed_at, parameter, value, sd from health_parameters
+        where
+            value is not null and parameter in ('hx_fouling', 'cc_efficiency_loss')
+            and departed_at >= (select max(departed_at) from flights) - interval 400 days
+        order by departed_at, flight_id""",
+    "alerts": "select * from alerts order by closed_at is not null, raised_at desc, alert_id",
+    "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
+    "messages": "select * from tables.raw_messages order by message_time, code",
+    "design": "select * from design_parameters order by scope, component, parameter, operator, tail, pack",
+    "filter_yield": "select * from filter_yield order by operator, tail, month",
+    "reasons": "select reason, count(*) as legs from legs where not admitted group by reason order by 2 desc, 1",
+    "gaps": "select * from data_gaps order by until_at desc, operator, tail, gap",
+    "quarantine": """
+        select reason, scope, count(*) as entries, sum(n_rows)::bigint as n_rows, count(distinct file) as files,
+            min(file) as example_file, arg_min(row, file) as example_row, arg_min(detail, file) as example
+        from quarantine group by reason, scope order by n_rows desc, reason, scope""",
+    "deliveries": """
+        select count(*) as files, coalesce(sum(delivered), 0)::bigint as delivered,
+            coalesce(sum(loaded), 0)::bigint as loaded, coalesce(sum(quarantined), 0)::bigint as quarantined,
+            coalesce(sum(duplicate), 0)::bigint as duplicate
+        from deliveries""",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Frames of the catalog, by what they are about.
+
+    `twin` holds one row a flight and pack with the columns the figures draw, `segment` the samples of one flight and
+    pack and `twin_flight` its estimate, `card` the model card, `dsm` the model in service; each may be empty or None.
+    """
+
+    frames: dict[str, pl.DataFrame]
+    twin: pl.DataFrame
+    segment: pl.DataFrame
+    twin_flight: pl.DataFrame
+    card: dict[str, Any]
+    dsm: Dsm | None
+
+    def __getitem__(self, name: str) -> pl.DataFrame:
+        return self.frames[name]
+
+    def until(self) -> Any:
+        """Departure of the last flight, None where there is none."""
+        return self.frames["flights"]["departed_at"].max()
+
+    def of_pack(self, name: str, operator: str, tail: str, pack: int) -> pl.DataFrame:
+        """Rows of one pack."""
+        return self.frames[name].filter(operator=operator, tail=tail, pack=pack)
+
+
+def read_facts(home: Path) -> Facts:
+    """Everything the page shows."""
+    with connect(home) as con:
+        frames = {name: _frame(con, sql) for name, sql in _FRAMES.items()}
+        cards = con.execute("select card from tables.prognosis_model limit 1").fetchall()
+        models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
+        card = json.loads(cards[0][0]) if cards else {}
+        segment = _segment(con)
+        return Facts(frames, _twin(con), segment, _twin_flight(con, segment), card, _dsm(models))
+
+
+def _frame(con: duckdb.DuckDBPyConnection, sql: str) -> pl.DataFrame:
+    frame = pl.from_arrow(con.sql(sql).to_arrow_table())
+    assert isinstance(frame, pl.DataFrame)
+    return frame
+
+
+def _twin(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
+    """Flight estimates in the columns the figures draw; the table is open, so one that is absent becomes null."""
+    wanted = ("ua_w_k", "ua_expected_w_k", "diameter_m", "group_m3", "vda_counts")
+    there = set(con.sql("select * from tables.twin_flights limit 0").columns)
+    columns = ", ".join(f"t.{c}" if c in there else f"null::double as {c}" for c in wanted)
+    return _frame(
+        con,
+        f"""select t.operator, t.tail, t.pack, t.flight_id, t.departed_at, l.admitted, {columns}
+        from tables.twin_flights as t
+        join legs as l on t.operator = l.operator and t.flight_id = l.flight_id and t.pack = l.pack
+        order by t.departed_at, t.flight_id, t.pack""",
+    )
+
+
+def _segment(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
+    """Samples of the flight and pack with the richest record of cruise: continuous logs first, then the latest."""
+    return _frame(
+        con,
+        """with best as (
+            select operator, flight_id, pack from tables.legs_samples
+            where monitored and phase = 'cruise' and hx_out_k is not null
+            group by operator, flight_id, pack
+            having count(*) >= 5
+            order by max(n_averaged) > 1 desc, count(*) desc, max(time_utc) desc, pack
+            limit 1
+        )
+        select s.* from tables.legs_samples as s
+        join best as b on s.operator = b.operator and s.flight_id = b.flight_id and s.pack = b.pack
+        order by s.time_utc, s.source""",
+    )
+
+
+def _dsm(models: list[tuple[str]]) -> Dsm | None:
+    """The model in service; None before the first, and where an older version of the code wrote it."""
+    try:
+        return Dsm.from_dict(json.loads(models[0][0])) if models else None
+    except (KeyError, TypeError):
+        return None
+
+
+def _twin_flight(con: duckdb.DuckDBPyConnection, segment: pl.DataFrame) -> pl.DataFrame:
+    """The estimate that belongs to the segment."""
+    first = segment.select("operator", "flight_id", "pack").head(1).rows()
+    sql = "select * from tables.twin_flights where operator = $1 and flight_id = $2 and pack = $3"
+    frame = pl.from_arrow(con.sql(sql, params=list(first[0]) if first else ["", "", 0]).to_arrow_table())
+    assert isinstance(frame, pl.DataFrame)
+    return frame

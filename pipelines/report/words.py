@@ -1,0 +1,90 @@
+"""Numbers and cases as the night shift says them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from hdt_core.flight.admission import SECOND_LEVEL
+from hdt_core.flight.legs import REASONS as FIRST_LEVEL
+
+Row = Mapping[str, Any]
+URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
+DIAGNOSES = {
+    "HX_FOULING": "heat exchanger fouling",
+    "HX_SUDDEN_CLOG": "heat exchanger clogged suddenly",
+    "CC_DEGRADED": "compressor worn",
+    "RAM_DOOR_FAULT": "ram air door fault",
+    "SENSOR_FAULT": "sensor fault",
+}
+REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
+PARTS = {"HX": "heat exchanger", "CC": "compressor", "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
+SIDES = {1: "left", 2: "right"}
+
+
+def pack_name(row: Row) -> str:
+    """`LX-AAC pack 2 (right)`."""
+    side = SIDES.get(row["pack"])
+    return f"{row['tail']} pack {row['pack']}" + (f" ({side})" if side else "")
+
+
+def found_by(row: Row, diagnoses: str | None) -> str:
+    """What the page's search finds a row or a card by."""
+    urgency = URGENCY.get(row.get("urgency", ""), "")
+    said = f"{diagnoses} {diagnosis(diagnoses)}" if diagnoses else ""
+    return f"{row['operator']} {pack_name(row)} {said} {urgency}".lower()
+
+
+def percent(value: float | None, digits: int = 0) -> str:
+    """A share in percent; a dash where there is none."""
+    return "\N{EN DASH}" if value is None else f"{100 * value:.{digits}f} %".replace("-", "\N{MINUS SIGN}")
+
+
+def chance(value: float | None) -> str:
+    """A probability; one in hundreds is not told from nothing."""
+    if value is None:
+        return "\N{EN DASH}"
+    return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else percent(value)
+
+
+def loss(row: Row) -> str:
+    """Conductance lost, with its standard deviation."""
+    if row["hx_fouling"] is None:
+        return "not known"
+    sd = row["hx_fouling_sd"]
+    return percent(row["hx_fouling"]) + (f" ± {100 * sd:.0f}" if sd is not None else "")
+
+
+def flights_left(row: Row) -> str:
+    """Flights left with the 90 % interval, or only what they surely exceed where no event is near."""
+    rul, low, high, p = (row[k] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50"))
+    if rul is None:
+        return "not known"
+    if low is None or high is None:
+        return f"about {rul:.0f}"
+    if p is not None and p < 0.05:
+        return f"more than {low:.0f}"
+    return f"{rul:.0f} ({low:.0f} to {high:.0f})"
+
+
+def diagnosis(code: str) -> str:
+    """A diagnosis code, or several with commas between, in words."""
+    return ", ".join(DIAGNOSES.get(c.strip(), c.strip()) for c in code.split(","))
+
+
+def day(value: Any) -> str:
+    """`2024-06-17`."""
+    return "\N{EN DASH}" if value is None else f"{value:%Y-%m-%d}"
+
+
+def clock(value: Any) -> str:
+    """`2024-06-17 09:29 UTC`."""
+    return "\N{EN DASH}" if value is None else f"{value:%Y-%m-%d %H:%M} UTC"
+
+
+def count(n: int, noun: str) -> str:
+    """`1 pack`, `3 packs`."""
+    return f"{n:,} {noun}{'' if n == 1 else 's'}"
+
+
+def tidy(sentence: str) -> str:
+    """Evidence as typed by a program, with the signs a reader expects."""
+    return sentence.replace("+-", "±")
