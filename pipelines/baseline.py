@@ -1,0 +1,29 @@
+"""What the Digital System Model may learn from, and a hash of just that: nothing recorded later makes it stale."""
+
+import polars as pl
+
+from hdt_core.twin.calibrate import baseline_flights
+from pipelines.ledger import Ledger
+from pipelines.store import Store
+
+
+def baseline_cells(ledger: Ledger) -> pl.DataFrame:
+    """Cells of the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
+    done = ledger.done("legs_samples")
+    chosen = baseline_flights(done.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
+    return done.filter(pl.col("flight_id").is_in(chosen))
+
+
+def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
+    """Messages or maintenance up to the day of each aircraft's last baseline flight."""
+    on = pl.col("message_time").dt.date() if table == "raw_messages" else pl.col("done_on")
+    day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
+    last = cells.group_by("operator", "tail").agg(day)
+    return store.read(table).join(last, on=["operator", "tail"]).filter(on <= pl.col("last_day")).drop("last_day")
+
+
+def baseline_inputs(ledger: Ledger) -> list[str]:
+    """What the model is made of, as lines to be hashed."""
+    store, cells = Store(ledger.home), baseline_cells(ledger)
+    records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance")]
+    return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))]

@@ -1,0 +1,122 @@
+"""What was delivered and what was made of it: small tables in `<home>/ledger.sqlite`.
+
+`files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
+cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
+moment costs work, never truth. `nights` says when the chain last ran, and what failed.
+"""
+
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+
+from pipelines.faults import fault_point
+
+_SCHEMA = """
+create table if not exists files (
+    path text primary key, operator text not null, tail text not null, kind text not null,
+    size integer not null, mtime_ns integer not null, digest text not null
+) without rowid;
+create table if not exists file_flights (
+    path text not null, operator text not null, tail text not null, flight_id text not null,
+    primary key (operator, tail, flight_id, path)
+) without rowid;
+create index if not exists flights_of_file on file_flights (path);
+create table if not exists done (
+    asset text not null, operator text not null, tail text not null, flight_id text not null, version text not null,
+    primary key (asset, operator, tail, flight_id)
+) without rowid;
+create table if not exists nights (
+    began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
+    runs integer not null, cells integer not null, failed text not null
+);
+"""
+_COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The ledger of one home."""
+
+    home: Path
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        self.home.mkdir(parents=True, exist_ok=True)
+        con = sqlite3.connect(self.home / "ledger.sqlite", timeout=60)
+        try:
+            con.execute("pragma journal_mode=wal")
+            con.execute("pragma synchronous=full")
+            con.executescript(_SCHEMA)
+            with con:
+                yield con
+        finally:
+            con.close()
+
+    def known_files(self) -> dict[str, tuple[int, int]]:
+        """Size and modification time of every file seen, by path."""
+        with self._open() as con:
+            return {p: (s, m) for p, s, m in con.execute("select path, size, mtime_ns from files")}
+
+    def register(
+        self, files: Iterable[tuple[str, str, str, str, int, int, str]], flights: dict[str, list[str]]
+    ) -> None:
+        """Note new or changed files (path, operator, tail, kind, size, mtime_ns, digest) and the flights each holds.
+
+        A flight that a replaced file no longer holds keeps what was stored of it: nothing stored is lost.
+        """
+        rows = list(files)
+        with self._open() as con:
+            con.executemany("insert or replace into files values (?, ?, ?, ?, ?, ?, ?)", rows)
+            con.executemany("delete from file_flights where path = ?", [(r[0],) for r in rows])
+            held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
+            con.executemany("insert or ignore into file_flights values (?, ?, ?, ?)", held)
+            fault_point("before_register")
+        fault_point("after_register")
+
+    def files(self, kinds: Iterable[str]) -> pl.DataFrame:
+        """Files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
+        kinds = list(kinds)
+        marks = ",".join("?" * len(kinds))
+        return self._frame(f"select {_COLUMNS} from files where kind in ({marks})", kinds)
+
+    def flight_files(self, aircraft: tuple[str, str] | None = None) -> pl.DataFrame:
+        """Which file holds which flight: operator, tail, flight_id, path, digest."""
+        sql = (
+            "select l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
+            " from file_flights l join files f using (path)"
+        )
+        if aircraft is None:
+            return self._frame(sql, [])
+        return self._frame(f"{sql} where l.operator = ? and l.tail = ?", list(aircraft))
+
+    def done(self, asset: str) -> pl.DataFrame:
+        """Stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
+        return self._frame("select operator, tail, flight_id, version from done where asset = ?", [asset])
+
+    def mark(self, asset: str, cells: pl.DataFrame) -> None:
+        """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
+        rows = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version").rows()
+        with self._open() as con:
+            con.executemany("insert or replace into done values (?, ?, ?, ?, ?)", rows)
+            fault_point("before_mark")
+        fault_point("after_mark")
+
+    def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
+        """Note that a night ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""
+        with self._open() as con:
+            con.execute("insert into nights values (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def nights(self) -> pl.DataFrame:
+        """All nights, oldest first, counts as text."""
+        return self._frame("select * from nights order by rowid", [])
+
+    def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
+        with self._open() as con:
+            cursor = con.execute(sql, arguments)
+            names = [c[0] for c in cursor.description]
+            types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
+            return pl.DataFrame(cursor.fetchall(), schema=types, orient="row")

@@ -1,0 +1,192 @@
+"""One night, or all of history: from what lies in the landing zone to a published catalog."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import polars as pl
+
+from hdt_core.tables import TABLES
+from pipelines.landing import scan
+from pipelines.ledger import Ledger
+from pipelines.store import Store
+from pipelines.versions import CELL, stale
+
+if TYPE_CHECKING:
+    from dagster import DagsterInstance
+
+    from pipelines.runs import Block, Runner
+
+# In order: what is made in one run, over which partitions, node by node. A run has one kind of partition,
+# so the chain takes seven.
+STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
+    ("fleet list and refused files", "fleet", [("raw_fleet", "raw_files_deliveries", "raw_files_quarantine")]),
+    (
+        "messages and maintenance",
+        "aircraft",
+        [("raw_messages", "raw_maintenance", "raw_records_deliveries", "raw_records_quarantine")],
+    ),
+    (
+        "flights and legs",
+        "flight",
+        [
+            ("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights"),
+            ("legs_samples", "legs_verdicts"),
+        ],
+    ),
+    ("digital system model", "fleet", [("calibration_dsm", "calibration_design")]),
+    ("operational twins", "flight", [("twin_flights",), ("residuals",)]),
+    (
+        "health, features, alerts",
+        "aircraft",
+        [("twin_health",), ("legs_admitted",), ("features",), ("features_alerts",)],
+    ),
+    ("prognosis", "fleet", [("prognosis_base",), ("prognosis_model", "prognoses")]),
+]
+
+
+class BusyError(Exception):
+    """Another run holds this home."""
+
+
+class Progress(Protocol):
+    """Where a long run says how far it is."""
+
+    def start(self, label: str, total: int) -> None:
+        """A step of `total` cells begins."""
+
+    def advance(self, cells: int) -> None:
+        """So many cells more are made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """What a night did."""
+
+    files: int
+    new_files: int
+    runs: int
+    cells: int
+    failed: dict[str, str]
+
+    @property
+    def idle(self) -> bool:
+        """Whether there was nothing to do."""
+        return self.runs == 0 and not self.failed
+
+
+@contextmanager
+def holding(home: Path) -> Iterator[None]:
+    """Be the only writer of `home`; the lock goes with the process, however it ends."""
+    home.mkdir(parents=True, exist_ok=True)
+    with open(home / ".lock", "a+") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            raise BusyError(
+                f"another run (process {lock.read().strip() or 'unknown'}) is writing {home}; wait for it to end"
+            ) from None
+        lock.truncate(0)
+        lock.write(str(os.getpid()))
+        lock.flush()
+        yield
+
+
+def run_night(
+    landing: Path,
+    home: Path,
+    progress: Progress,
+    only: pl.Expr | None = None,
+    instance: DagsterInstance | None = None,
+) -> Night:
+    """Take in what is new and bring everything that depends on it up to date.
+
+    Parameters
+    ----------
+    landing, home : Path
+        Folders.
+    progress : Progress
+        Told what is being done.
+    only : Expr, optional
+        Which cells (operator, tail, flight_id; empty above flights) are wanted in this run; all by default.
+    instance : DagsterInstance, optional
+        Where runs are recorded; the home's own by default.
+    """
+    ledger, store, began = Ledger(home), Store(home), _now()
+    store.sweep()
+    found = scan(landing, ledger)
+    chain = _Chain(landing, home, ledger, progress, only, instance)
+    for label, grain, nodes in STEPS:
+        chain.step(label, grain, nodes)
+    runner = chain.runner
+    done = (runner.runs, runner.cells, runner.failed) if runner else (0, 0, {})
+    night = Night(found.files, found.new, *done)
+    ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
+    return night
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+class _Chain:
+    """The steps of one night; Dagster is loaded only when there is something to run."""
+
+    def __init__(
+        self,
+        landing: Path,
+        home: Path,
+        ledger: Ledger,
+        progress: Progress,
+        only: pl.Expr | None,
+        instance: DagsterInstance | None,
+    ) -> None:
+        self.landing, self.home, self.ledger, self.progress, self.only = landing, home, ledger, progress, only
+        self.instance = instance
+        self.runner: Runner | None = None
+
+    def step(self, label: str, grain: str, nodes: list[tuple[str, ...]]) -> None:
+        """Bring the nodes up to date; one that is not stale runs only if a node before it does."""
+        cells = [pl.concat([self._wanted(t) for t in node]) for node in nodes]
+        first = next((i for i, c in enumerate(cells) if c.height), None)
+        if first is None:
+            return
+        wanted, tables = pl.concat(cells).unique(), [t for node in nodes[first:] for t in node]
+        runner = self._ready()
+        if grain != "fleet":
+            runner.register(wanted)
+        self.progress.start(label, wanted.height)
+        for block in runner.blocks(grain, wanted, self.ledger):
+            self._run(runner, tables, block, label)
+            self.progress.advance(block.cells)
+
+    def _wanted(self, table: str) -> pl.DataFrame:
+        cells = stale(self.ledger, table).select(CELL)
+        return cells if self.only is None or TABLES[table].grain == "fleet" else cells.filter(self.only)
+
+    def _run(self, runner: Runner, tables: list[str], block: Block, label: str) -> None:
+        """One run. If several aircraft share it and it fails, each alone: one cannot stop the others."""
+        if len(block.aircraft) < 2:
+            runner.run(tables, block, f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}")
+        elif not runner.run(tables, block, label):
+            del runner.failed[label]
+            for alone in block.apart():
+                runner.run(tables, alone, f"{label}: {alone.aircraft[0]}")
+
+    def _ready(self) -> Runner:
+        if self.runner is None:
+            from pipelines.definitions import build_defs
+            from pipelines.runs import Runner, open_instance
+
+            defs = build_defs(landing=self.landing.resolve(), home=self.home.resolve())
+            self.runner = Runner(defs, self.instance or open_instance(self.home))
+        return self.runner

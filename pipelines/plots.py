@@ -1,0 +1,143 @@
+"""The calibration's figures for its materialization in Dagster: 12, 13 and 15 of the paper, on this fleet's flights."""
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any
+
+import dagster as dg
+import numpy as np
+import polars as pl
+
+from hdt_core.health.residuals import residuals
+from hdt_core.twin.audit import audit_drift
+from hdt_core.twin.crossing import FLIGHT_PACK
+from hdt_core.twin.dsm import Dsm
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_DOTS = 4_000
+DPI = 90
+
+
+def calibration_metadata(
+    samples: pl.DataFrame, twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
+) -> dict[str, Any]:
+    """Figures, the comparison of equation (6)'s forms and the drift audit, as Dagster shows them.
+
+    Parameters
+    ----------
+    samples, twin_flights : DataFrame
+        Of the baseline: samples of the leg filter, and what `estimate_flights` makes of them.
+    """
+    audit = audit_drift(twin_flights, maintenance, dsm)
+    figures = {
+        "figure_12": figure_12(twin_flights, dsm),
+        "figure_13": figure_13(twin_flights, dsm),
+        "figure_15": figure_15(samples, twin_flights, dsm),
+    }
+    return {name: _as_markdown(figure) for name, figure in figures.items()} | {
+        "equation_6": dg.MetadataValue.md(_table(pl.DataFrame(dsm.compressor.forms))),
+        "drift_audit": dg.MetadataValue.md(_table(audit)),
+        "units_that_drift": int(audit["drifts"].sum()),
+    }
+
+
+def figure_12(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
+    """Compressor inlet: the identifiable group of each flight, and the fleet's."""
+    figure, axes = _figure()
+    rows = _thinned(twin_flights.drop_nulls(["vda_counts", "group_m3"]))
+    axes.plot(rows["vda_counts"], 1e3 * rows["group_m3"], ".", ms=3, alpha=0.4)
+    c = dsm.compressor
+    axes.axhline(1e3 * c.group_m3, color="C1")
+    axes.set(xlabel="diffuser actuator, counts", ylabel="A·D·tan β, 10⁻³ m³")
+    axes.set_title(f"Figure 12: inlet group, {1e3 * c.group_m3:.4f} ± {1e3 * c.group_sd_m3:.4f}")
+    return figure
+
+
+def figure_13(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
+    """Effective diameter of each flight and equation (6)."""
+    figure, axes = _figure()
+    rows = _thinned(twin_flights.drop_nulls(["vda_counts", "diameter_m"]))
+    axes.plot(rows["vda_counts"], 1e3 * rows["diameter_m"], ".", ms=3, alpha=0.4)
+    c = dsm.compressor
+    if rows.height:
+        ends = np.array([rows["vda_counts"].min(), rows["vda_counts"].max()], float)
+        axes.plot(ends, 1e3 * (c.intercept_m + c.slope_m_per_count * ends), color="C1")
+    axes.set(xlabel="diffuser actuator, counts", ylabel="effective diameter, mm")
+    axes.set_title(
+        f"Figure 13: {c.intercept_m:.4f} m {c.slope_m_per_count:+.3g} m/count, "
+        f"error {1e3 * c.mae_m:.2f} mm, R² {c.r_squared:.2f}"
+    )
+    return figure
+
+
+def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
+    """Exchanger outlet over one cruise, sensor against model, and the residual beneath."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    cruise = _segment(samples)
+    seen = outlet_residuals(cruise, twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK), dsm)
+    if seen.height:
+        minute = (seen["time_utc"] - seen["time_utc"][0]).dt.total_seconds().to_numpy() / 60.0
+        sensor = seen["hx_out_k"].to_numpy() - 273.15
+        upper.plot(minute, sensor, ".", color="black", label="sensor")
+        upper.plot(minute, sensor - seen["sensor_minus_twin"].to_numpy(), label="twin")
+        upper.plot(minute, sensor - seen["sensor_minus_dsm"].to_numpy(), "--", label="model as built")
+        upper.legend()
+        lower.plot(minute, seen["sensor_minus_twin"].to_numpy(), ".")
+        upper.set_title(f"Figure 15: {seen['flight_id'][0]}, pack {seen['pack'][0]}")
+    lower.axhline(0.0, color="grey", lw=0.8)
+    upper.set_ylabel("exchanger outlet, °C")
+    lower.set(xlabel="minutes of cruise", ylabel="sensor - twin, K")
+    return figure
+
+
+def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Cruise samples of one flight and pack with their own outlet residuals, `sensor_minus_twin` and `_dsm`. [K]
+
+    To the core, each sample is a flight of one sample.
+    """
+    alone = cruise.with_columns(sample=pl.format("{}", pl.int_range(pl.len())))
+    flights = alone.select("sample").join(twin_flight, how="cross")
+    renamed = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
+    found = residuals(*renamed, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
+    if not found.height:
+        return alone.clear()
+    wide = alone.join(found.rename({"flight_id": "sample"}), on="sample")
+    return wide.drop_nulls(["sensor_minus_twin", "sensor_minus_dsm"]).sort("time_utc")
+
+
+def _segment(samples: pl.DataFrame) -> pl.DataFrame:
+    """Cruise of the flight and pack with the richest record: continuous logs first."""
+    cruise = samples.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    ranked = cruise.group_by(FLIGHT_PACK).agg(pl.col("n_averaged").max(), pl.len().alias("n"))
+    best = ranked.sort(pl.col("n_averaged") > 1, "n", *FLIGHT_PACK, descending=True).head(1)
+    return cruise.join(best.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+
+
+def _figure() -> tuple["Figure", "Axes"]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    return figure, figure.subplots()
+
+
+def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
+    return rows.gather_every(max(1, -(-rows.height // MOST_DOTS)))
+
+
+def _as_markdown(figure: "Figure") -> dg.MarkdownMetadataValue:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=DPI)
+    return dg.MetadataValue.md(f"![figure](data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()})")
+
+
+def _table(frame: pl.DataFrame) -> str:
+    """Markdown of a small table."""
+    shown = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
+    lines = [frame.columns, ["---"] * frame.width, *shown]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

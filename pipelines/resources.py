@@ -1,0 +1,34 @@
+"""Where a run reads from and writes to."""
+
+from pathlib import Path
+
+import dagster as dg
+from pydantic import Field
+
+from pipelines.io import FrameIO
+from pipelines.ledger import Ledger
+from pipelines.store import Store
+
+
+class Home(dg.ConfigurableResource):
+    """The landing zone and the home of one fleet."""
+
+    landing: str = Field(description="Folder the ground station drops files into (HDT_LANDING).")
+    home: str = Field(description="Folder that holds tables, catalog, ledger and Dagster's own storage (HDT_HOME).")
+
+    @property
+    def store(self) -> Store:
+        """The Parquet store."""
+        return Store(Path(self.home))
+
+    @property
+    def ledger(self) -> Ledger:
+        """What was delivered and what was made of it."""
+        return Ledger(Path(self.home))
+
+
+@dg.io_manager(config_schema={"home": dg.StringSource})
+def frame_io(context: dg.InitResourceContext) -> FrameIO:
+    """The IO manager of one home."""
+    home = Path(context.resource_config["home"])
+    return FrameIO(Store(home), Ledger(home))
