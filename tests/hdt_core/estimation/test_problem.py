@@ -1,0 +1,165 @@
+"""The question itself: beliefs, missing values, and one flight after another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, ParticleFilter, Problem, unknown
+
+SLOPE = np.random.default_rng(5).uniform(0.5, 2.0, 40)
+
+
+def line(measured=None, prior=None, **more):
+    truth = 1.2 * SLOPE + 0.4
+    noise = 0.1 * np.random.default_rng(6).standard_normal(40)
+    return Problem(
+        names=("gain", "offset"),
+        bounds=np.tile([-50.0, 50.0], (2, 1)),
+        prior=unknown(np.zeros(2)) if prior is None else prior,
+        measured=(truth + noise)[:, None] if measured is None else measured,
+        sigma=np.array([0.1]),
+        observe=lambda _x, theta, i: (theta[0] * SLOPE[i] + theta[1])[None],
+        **more,
+    )
+
+
+def test_belief_states_intervals_and_information():
+    belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, np.inf]))
+    np.testing.assert_allclose(belief.information, np.diag([0.25, 0.0]))
+    np.testing.assert_allclose(belief.interval(0.9)[0], [1.0 - 3.28971, 1.0 + 3.28971], atol=1e-5)
+    full = Belief(np.zeros(2), np.array([[2.0, 0.5], [0.5, 1.0]]))
+    np.testing.assert_allclose(full.information @ full.cov, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(full.widened(np.array([1.0, 2.0])).cov, [[3.0, 0.5], [0.5, 5.0]])
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"bounds": np.zeros((3, 2))},
+        {"bounds": np.array([[1.0, 0.0], [0.0, 1.0]])},
+        {"prior": Belief(np.zeros(2), np.diag([0.0, 1.0]))},
+        {"sigma": np.array([0.0])},
+        {"sigma": np.array([0.1, 0.1])},
+    ],
+    ids=["shape", "order", "no variance", "no noise", "outputs"],
+)
+def test_a_question_that_makes_no_sense_is_refused(fault):
+    with pytest.raises(ValueError, match=r"bounds|bound|variances|sigma"):
+        replace(line(), **fault)
+
+
+def test_one_point_and_a_swarm_are_simulated_alike():
+    problem = line()
+    thetas = np.random.default_rng(0).normal(size=(4, 2))
+    many = problem.simulate(thetas)
+    assert many.shape == (4, 40, 1)
+    for row, outputs in zip(thetas, many, strict=True):
+        np.testing.assert_array_equal(problem.simulate(row), outputs)
+    np.testing.assert_allclose(problem.chi2(thetas), [np.sum(problem.residual(row) ** 2) for row in thetas])
+
+
+def test_missing_values_weigh_nothing():
+    whole = line()
+    holed = whole.measured.copy()
+    holed[10:] = np.nan
+    problem = replace(whole, measured=holed)
+    assert problem.n_values == 10
+    assert (problem.residual(np.ones(2))[10:] == 0.0).all()
+    assert (problem.sensitivity(np.ones(2))[10:] == 0.0).all()
+
+
+def test_posterior_of_one_half_is_the_prior_of_the_other():
+    whole = line()
+    parts = []
+    for half in (slice(0, 20), slice(20, 40)):
+        measured = np.full((40, 1), np.nan)
+        measured[half] = whole.measured[half]
+        parts.append(measured)
+    estimator = NonlinearLeastSquares()
+    first = estimator.estimate(replace(whole, measured=parts[0]))
+    second = estimator.estimate(replace(whole, measured=parts[1]).with_prior(first.belief))
+    together = estimator.estimate(whole)
+    np.testing.assert_allclose(second.belief.mean, together.belief.mean, atol=1e-9)
+    np.testing.assert_allclose(second.belief.cov, together.belief.cov, atol=1e-9)
+
+
+def walk(seed):
+    """A level that walks, told by noisy values: drift of the parameter, no states."""
+    rng = np.random.default_rng(seed)
+    level = 1.0 + np.cumsum(0.05 * rng.standard_normal(200))
+    problem = Problem(
+        names=("level",),
+        bounds=np.array([[-20.0, 20.0]]),
+        prior=Belief(np.array([1.0]), np.array([[0.25]])),
+        measured=(level + 0.2 * rng.standard_normal(200))[:, None],
+        sigma=np.array([0.2]),
+        observe=lambda _x, theta, i: theta[:1] + 0.0 * np.asarray(i),
+        drift=np.array([0.05]),
+    )
+    return level, problem
+
+
+@pytest.mark.parametrize("estimator", [ExtendedKalman(), ParticleFilter(n_particles=1500)], ids=lambda e: e.name)
+def test_a_parameter_that_drifts_is_followed(estimator):
+    level, problem = walk(3)
+    estimate = estimator.estimate(problem)
+    rms = np.sqrt(np.mean((estimate.path[20:, 0] - level[20:]) ** 2))
+    # steady state of the random walk: variance P with P^2 / (P + R) = Q, after the sample P R / (P + R)
+    q, r = 0.05**2, 0.2**2
+    before = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
+    after = np.sqrt(before * r / (before + r))
+    assert rms < 1.4 * after
+    assert estimate.path_sd[-1, 0] == pytest.approx(after, rel=0.02 if estimator.name == "ekf" else 0.25)
+
+
+def test_particles_carry_states_that_are_drawn():
+    rng = np.random.default_rng(9)
+    x, seen = 0.0, []
+    for _ in range(150):
+        seen.append(x + 0.3 * rng.standard_normal())
+        x = 0.8 * x + 0.5 * rng.standard_normal()
+    problem = Problem(
+        names=("pole",),
+        bounds=np.array([[0.0, 0.99]]),
+        prior=Belief(np.array([0.5]), np.array([[0.09]])),
+        measured=np.array(seen)[:, None],
+        sigma=np.array([0.3]),
+        observe=lambda x, _theta, _i: x,
+        transition=lambda x, theta, _i: theta[0] * x,
+        start=Belief(np.zeros(1), np.array([[0.01]])),
+        process_sd=np.array([0.5]),
+    )
+    for estimator in (ParticleFilter(n_particles=2000), ExtendedKalman(smoother_passes=0)):
+        estimate = estimator.estimate(problem)
+        assert abs(estimate.belief.mean[0] - 0.8) < 4.0 * estimate.belief.sd[0]
+        assert estimate.belief.sd[0] < 0.15
+
+
+def test_a_declared_model_becomes_a_question():
+    from hdt_core.estimation.declared import declared_problem
+    from hdt_core.physics.model import Param, PhysicsModel, Signal
+
+    def cooler(flow_kg_s, conductance_kg_s, fouling):
+        return 100.0 * np.exp(-conductance_kg_s * (1.0 - fouling) / flow_kg_s), flow_kg_s * 1.0
+
+    model = PhysicsModel(
+        name="cooler",
+        inputs=(Signal("flow_kg_s", "kg/s"),),
+        outputs=(Signal("exit_k", "K", sigma=0.5), Signal("unseen", "-")),
+        params=(
+            Param("conductance_kg_s", "kg/s", 2.0, (0.5, 5.0), "design"),
+            Param("fouling", "-", 0.0, (-0.1, 0.7), "health", drift=0.01),
+        ),
+        equations=cooler,
+    )
+    flow = np.linspace(1.0, 3.0, 30)
+    truth = model.predict({"fouling": 0.2}, {"flow_kg_s": flow})["exit_k"]
+    problem = declared_problem(
+        model, [p.name for p in model.free("health")], {"flow_kg_s": flow}, {"exit_k": truth}, flights_per_sample=1.0
+    )
+    assert problem.names == ("fouling",)
+    np.testing.assert_allclose(problem.drift, [0.01])
+    assert problem.measured.shape == (30, 1)  # an output without a sensor is not compared
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.belief.mean[0] == pytest.approx(0.2, abs=1e-9)

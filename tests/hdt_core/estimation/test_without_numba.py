@@ -1,0 +1,80 @@
+"""A base install has no numba: the NumPy path is chosen, and its answers are those of the compiled one."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
+from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
+from hdt_core.estimation.oscillator import oscillator_problem
+
+BLOCKED = """
+import json, sys
+sys.modules["numba"] = None  # importing it fails, as where it is not installed
+from test_without_numba import answers, fits_compiled
+from hdt_core.estimation.kernels.compiled import COMPILED
+from hdt_core.estimation.oscillator import oscillator_problem
+refused = ""
+try:
+    fits_compiled()
+except RuntimeError as error:
+    refused = str(error)
+print(json.dumps({
+    "compiled": COMPILED, "kernels": oscillator_problem(0).kernels is not None, "refused": refused,
+    "answers": answers(),
+}))
+"""
+
+
+def samples():
+    """Three flights of eight samples."""
+    rng, n = np.random.default_rng(4), 24
+    hot, ram = 0.9 + 0.02 * rng.normal(size=n), 1.6 + 0.1 * rng.normal(size=n)
+    hot_out = 310.0 + rng.normal(size=n)
+    starts = np.array([0, 8, 16, 24])
+    return ExchangerSamples(hot, ram, np.full(n, 390.0), hot_out, np.full(n, 250.0), np.full(n, 4.0), starts)
+
+
+def answers():
+    """Estimates of every kernel, by the path this process takes."""
+    flights, problem = samples(), oscillator_problem(0)
+    found = {
+        "conductance": fit_conductance_scale(flights, np.full(24, 1500.0)).mean,
+        "resistance": fit_lumped_resistance(flights).mean,
+        "log": fit_lumped_log(flights, 1.0, 8.0, 8.0).mean,
+        "nls": NonlinearLeastSquares().estimate(problem).belief.mean,
+        "ekf": ExtendedKalman().estimate(problem).belief.mean,
+    }
+    return {name: value.tolist() for name, value in found.items()}
+
+
+def fits_compiled():
+    """Ask for the compiled path by name."""
+    return fit_lumped_resistance(samples(), "compiled")
+
+
+@pytest.fixture(scope="module")
+def without(request):
+    """What a process without numba found."""
+    folder = str(request.path.parent)
+    code = f"import sys; sys.path.insert(0, {folder!r})\n{BLOCKED}"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return json.loads(ran.stdout)
+
+
+def test_the_numpy_path_is_chosen(without):
+    assert not without["compiled"]
+    assert not without["kernels"]
+
+
+def test_the_compiled_path_is_refused_by_name(without):
+    assert "numba" in without["refused"]
+
+
+def test_answers_are_those_of_the_compiled_path(without):
+    for name, value in answers().items():
+        np.testing.assert_allclose(without["answers"][name], value, rtol=1e-6, err_msg=name)

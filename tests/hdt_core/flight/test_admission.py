@@ -1,0 +1,126 @@
+"""Level two against known truth: planted ice, sensor steps and wear are kept out, sound flights stay in."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.flight.admission import SECOND_LEVEL, admit, yields
+from hdt_core.flight.cross_checks import check_sensors
+from hdt_core.flight.legs import REASONS, judge_legs
+from hdt_core.flight.manifold import add_conductance_index, leg_conductance
+from hdt_core.flight.nominal import reject_outliers
+from hdt_core.flight.phases import LEG_KEY
+from hdt_core.flight.windows import number_flights
+
+KEY = ["tail", "flight_id", "pack"]
+
+
+@pytest.fixture(scope="module")
+def level_one(fleet):
+    legs, samples = judge_legs(fleet.snapshots, fleet.maintenance.clear(), fleet.messages.clear())
+    return number_flights(legs), samples
+
+
+@pytest.fixture(scope="module")
+def admitted(fleet, level_one):
+    return admit(*level_one, fleet.maintenance, fleet.messages)
+
+
+def test_no_leg_is_lost_and_every_reason_is_declared(level_one, admitted):
+    assert admitted.select(LEG_KEY).equals(level_one[0].select(LEG_KEY))
+    assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
+    assert (admitted["admitted"] == (admitted["reason"] == "")).all()
+    assert admitted.columns == level_one[0].columns
+
+
+def test_first_verdicts_stand(level_one, admitted):
+    turned = level_one[0].with_row_index().filter(pl.col("reason") != "")
+    assert admitted["reason"].gather(turned["index"]).to_list() == turned["reason"].to_list()
+
+
+def test_nominal_flights_are_admitted_and_sick_ones_are_not(fleet, admitted):
+    arrived = fleet.truth.filter("arrived").join(admitted.select(*KEY, "admitted"), on=KEY, how="left")
+    assert arrived.filter("nominal")["admitted"].mean() >= 0.82
+    assert arrived.filter("admitted")["contaminant"].mean() <= 0.05
+
+
+def test_twin_that_reports_wear_turns_the_leg_away(fleet, level_one, admitted):
+    worn = admitted.filter("admitted").head(3)
+    said = worn.select(*LEG_KEY).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
+    again = admit(*level_one, fleet.maintenance, fleet.messages, said)
+    assert again.join(worn.select(LEG_KEY), on=LEG_KEY, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
+
+
+def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.Expr, mine: pl.Expr) -> pl.DataFrame:
+    numbered = samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
+    return numbered.with_columns(pl.when(mine).then(change).otherwise(pl.col(column)).alias(column)).drop(
+        "flight_number"
+    )
+
+
+@pytest.mark.parametrize("step_k", [-4.0, 4.0])
+def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
+    legs, samples = level_one
+    tail = legs["tail"][0]
+    span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
+    off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
+    found = check_sensors(off, legs).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    before = check_sensors(samples, legs).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))
+    hit = found.join(sound.select(LEG_KEY), on=LEG_KEY, how="semi")
+    assert hit["sensor_shift"].mean() >= 0.9
+    other = found.filter(span & (pl.col("pack") == 2))
+    assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
+
+
+@pytest.mark.parametrize("ice_k", [4.0])
+def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
+    legs, samples = level_one
+    enough = pl.col("monitored").sum().over(LEG_KEY) >= 10
+    place = pl.col("monitored").cum_sum().over(LEG_KEY)
+    calm = leg_conductance(add_conductance_index(samples, legs))
+    iced = samples.with_columns(
+        pl.when(enough & pl.col("monitored") & place.is_between(3, 6))
+        .then(pl.col("hx_out_k") + ice_k)
+        .otherwise("hx_out_k")
+        .alias("hx_out_k")
+    )
+    restless = leg_conductance(add_conductance_index(iced, legs))
+    both = calm.join(restless, on=LEG_KEY, suffix="_iced").filter(pl.col("index_n") >= 10)
+    assert (both["index_unrest"] > 6.5).mean() <= 0.05
+    assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
+
+
+def test_index_falls_with_true_loss(fleet, level_one):
+    legs, samples = level_one
+    level = leg_conductance(add_conductance_index(samples, legs)).join(fleet.truth, on=KEY)
+    sound = level.filter(~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == ""))
+    change = sound.select(
+        (pl.col(c) - pl.col(c).median().over("tail", "pack")).alias(c) for c in ("index_level", "apparent_ua_ratio")
+    )
+    assert np.corrcoef(change.to_numpy().T)[0, 1] > 0.8
+
+
+def test_without_samples_the_index_is_null_not_an_error(level_one):
+    legs, samples = level_one
+    few = samples.head(3)
+    assert add_conductance_index(few, legs)["conductance_index"].null_count() == 3
+
+
+@pytest.mark.parametrize("share", [0.02, 0.10, 0.25])
+def test_mcd_is_not_masked_by_what_it_must_reject(share):
+    rng = np.random.default_rng(8)
+    scales = np.array([0.01, 0.2, 0.004])
+    x = rng.normal(size=(1000, 3)) * scales
+    sick = np.arange(1000) < 1000 * share
+    x[sick] += 8.0 * scales * rng.choice([-1, 1], size=3)
+    out = reject_outliers(pl.DataFrame(x, schema=["a", "b", "c"]), ["a", "b", "c"]).to_numpy()
+    assert out[sick].all()
+    assert out[~sick].mean() <= 0.01
+
+
+def test_yield_is_reported_by_month_tail_and_operator(admitted):
+    shares = yields(admitted)
+    assert {"operator", "tail", "month", "n_legs", "n_admitted", "yield"} == set(shares.columns)
+    assert shares["n_legs"].sum() == admitted.height
+    assert shares["n_admitted"].sum() == admitted["admitted"].sum()

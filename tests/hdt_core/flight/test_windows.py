@@ -1,0 +1,73 @@
+"""Windows about the log's entries, counted in flights of the tail."""
+
+from datetime import UTC, date, datetime, timedelta
+
+import polars as pl
+import pytest
+
+from hdt_core.flight.windows import AROUND_MAINTENANCE, AROUND_MESSAGE, flag_windows, number_flights
+
+START = datetime(2024, 3, 1, 6, tzinfo=UTC)
+
+
+def legs(n: int = 60) -> pl.DataFrame:
+    rows = [
+        {"operator": "AQX", "tail": tail, "pack": pack, "departed_at": START + timedelta(days=k)}
+        for tail in ("A", "B")
+        for pack in (1, 2)
+        for k in range(n)
+    ]
+    typed = pl.DataFrame(rows, schema_overrides={"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
+    return number_flights(typed.with_columns(pl.lit("x").alias("flight_id")))
+
+
+def worked(component: str, action: str = "REPLACED", on: date = date(2024, 3, 31)) -> pl.DataFrame:
+    return pl.DataFrame(
+        {"operator": ["AQX"], "tail": "A", "done_on": on, "pack": 2, "component": component, "action": action}
+    )
+
+
+def warned(code: str) -> pl.DataFrame:
+    return pl.DataFrame(
+        {"operator": ["AQX"], "tail": "A", "message_time": START + timedelta(days=30, hours=1), "pack": 1, "code": code}
+    )
+
+
+NO_WORK, NO_MESSAGE = worked("HX").clear(), warned("21-52-HXTEMP").clear()
+
+
+@pytest.mark.parametrize("component", AROUND_MAINTENANCE)
+def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component):
+    flagged = flag_windows(legs(), worked(component), NO_MESSAGE).filter("near_maintenance")
+    before, after = AROUND_MAINTENANCE[component]
+    assert flagged.select("tail", "pack").unique().rows() == [("A", 2)]
+    # flight 29 left on the 30th of March, the last before the entry
+    assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
+
+
+@pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
+def test_inspection_and_wash_open_no_window(action):
+    assert not flag_windows(legs(), worked("HX", action), NO_MESSAGE)["near_maintenance"].any()
+
+
+@pytest.mark.parametrize("code", ["21-52-HXTEMP", "21-51-CCFLOW"])
+def test_message_of_the_exchanger_or_compressor_opens_a_window(code):
+    flagged = flag_windows(legs(), NO_WORK, warned(code)).filter("near_message")
+    before, after = AROUND_MESSAGE[code[:5]]
+    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+
+
+def test_nuisance_message_opens_none():
+    assert not flag_windows(legs(), NO_WORK, warned("21-61-TRIM"))["near_message"].any()
+
+
+@pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
+def test_entry_outside_the_record_flags_nothing(on):
+    flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
+    assert flagged.height == legs().height
+    assert flagged["near_maintenance"].sum() == 0
+
+
+def test_both_packs_share_their_flight_numbers():
+    numbered = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
+    assert set(numbered["flight_number"]) == {1}

@@ -1,0 +1,50 @@
+"""The 1 Hz exchanger: its steady states are exact, and no heat is lost on the way between them."""
+
+import numpy as np
+import pytest
+
+from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.physics.core_exchanger import CORE_EXCHANGER, core
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+
+AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
+
+
+def test_steady_state_is_the_cross_flow_exchanger_s():
+    held = AT | {"ram_flow_kg_s": np.full(300, 1.6)}
+    end = {name: values[-1] for name, values in CORE_EXCHANGER.simulate({"hx_fouling": 0.1}, held, 1.0).items()}
+    steady = HEAT_EXCHANGER.predict({"hx_fouling": 0.1}, AT)
+    assert end == pytest.approx(steady, rel=1e-12)
+
+
+@pytest.mark.parametrize("core_k", [250.0, 310.0, 390.0])
+def test_heat_the_streams_do_not_carry_is_in_the_core(core_k):
+    out = CORE_EXCHANGER.predict({}, AT, {"core_k": core_k})
+    cp = specific_heat_j_kg_k(320.0)
+    left_w = 0.9 * cp * (390.0 - out["hot_out_k"]) - 1.6 * cp * (out["ram_out_k"] - 250.0)
+    rate_k_s = CORE_EXCHANGER.rates(**CORE_EXCHANGER.nominal, **AT, core_k=core_k)
+    assert left_w == pytest.approx(CORE_EXCHANGER.nominal["hx_core_heat_j_k"] * rate_k_s, rel=1e-9, abs=1e-6)
+
+
+def test_exact_step_is_the_limit_of_small_ones():
+    one = CORE_EXCHANGER.advance({}, AT, {"core_k": 350.0}, 2.0)["core_k"]
+    small = 350.0
+    for _ in range(2000):
+        small = small + 0.001 * CORE_EXCHANGER.rates(**CORE_EXCHANGER.nominal, **AT, core_k=small)
+    assert one == pytest.approx(small, abs=2e-3)
+
+
+@pytest.mark.parametrize(("metal_kg", "low_s", "high_s"), [(15.0, 3.0, 10.0), (30.0, 6.0, 20.0)])
+def test_aluminium_settles_in_seconds(metal_kg, low_s, high_s):
+    values = CORE_EXCHANGER.nominal | {"hx_core_heat_j_k": 900.0 * metal_kg}
+    assert low_s < core(**values, **AT).settling_s < high_s
+
+
+def test_a_door_step_shows_late():
+    """The first second shows less than half of what a step of ram flow ends in."""
+    flow = np.r_[np.full(200, 1.6), np.full(200, 2.0)]
+    hot = CORE_EXCHANGER.simulate({}, AT | {"ram_flow_kg_s": flow}, 1.0)["hot_out_k"]
+    moved = (hot[199] - hot[200:]) / (hot[199] - hot[-1])
+    assert moved[0] < 0.5
+    assert moved[100] > 0.99
+    assert np.all(np.diff(moved) >= -1e-12)

@@ -1,0 +1,95 @@
+"""Effectiveness against the exact integral, its limits, and its way back."""
+
+import ht
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hdt_core.physics.effectiveness import (
+    counterflow_effectiveness,
+    crossflow_effectiveness,
+    crossflow_effectiveness_and_slope,
+    crossflow_effectiveness_approximate,
+    crossflow_ntu,
+)
+
+transfer_units = st.floats(0.01, 8.0)
+ratios = st.floats(0.05, 1.0)
+GRID = [(n, c) for n in (0.05, 0.3, 1.0, 1.5, 2.5, 5.0, 10.0) for c in (0.05, 0.3, 0.7, 1.0)]
+
+
+def test_published_case():
+    assert crossflow_effectiveness(1.5, 1.05) == pytest.approx(0.617790718, abs=5e-10)
+
+
+def test_series_is_the_exact_integral():
+    for ntu, ratio in GRID:
+        exact = ht.effectiveness_from_NTU(ntu, ratio, subtype="crossflow")
+        assert crossflow_effectiveness(ntu, ntu * ratio) == pytest.approx(exact, abs=1e-11)
+
+
+def test_handbook_formula_and_how_far_it_is_off():
+    ntu, ratio = (x.ravel() for x in np.meshgrid(np.linspace(0.02, 10.0, 300), np.linspace(0.02, 1.0, 50)))
+    theirs = ht.effectiveness_from_NTU(1.5, 0.7, subtype="crossflow approximate")
+    assert crossflow_effectiveness_approximate(1.5, 0.7) == pytest.approx(theirs, rel=1e-12)
+    error = crossflow_effectiveness_approximate(ntu, ratio) - crossflow_effectiveness(ntu, ntu * ratio)
+    assert 0.019 < np.abs(error).max() < 0.020
+    assert np.abs(error[ntu <= 3.0]).max() < 0.012
+
+
+def test_counterflow_is_ht_s():
+    for ntu, ratio in GRID:
+        assert counterflow_effectiveness(ntu, ratio) == pytest.approx(ht.effectiveness_from_NTU(ntu, ratio), rel=1e-12)
+
+
+@given(transfer_units, ratios)
+def test_counterflow_is_never_beaten(ntu, ratio):
+    ours = float(crossflow_effectiveness(ntu, ntu * ratio))
+    assert 0.0 < ours <= float(counterflow_effectiveness(ntu, ratio)) * (1.0 + 1e-13)
+    assert ours <= 1.0
+
+
+@given(transfer_units, transfer_units)
+def test_both_sides_carry_the_same_heat(this, other):
+    """Effectiveness times heat-capacity rate is the same seen from either side."""
+    here = crossflow_effectiveness(this, other) / this
+    there = crossflow_effectiveness(other, this) / other
+    assert here == pytest.approx(there, rel=1e-12)
+
+
+@given(transfer_units)
+def test_with_a_boundless_other_side_the_flow_pattern_is_nothing(ntu):
+    assert crossflow_effectiveness(ntu, 0.0) == pytest.approx(-np.expm1(-ntu), rel=1e-12)
+    assert counterflow_effectiveness(ntu, 0.0) == pytest.approx(-np.expm1(-ntu), rel=1e-12)
+    assert crossflow_effectiveness(1e-9, 1e-9 * ntu) == pytest.approx(1e-9, rel=1e-6)
+
+
+@given(transfer_units, transfer_units)
+def test_slope_is_the_complex_step(this, other):
+    grown = 1.0 + 1e-30j
+    _, slope = crossflow_effectiveness_and_slope(this, other)
+    assert slope == pytest.approx(float(crossflow_effectiveness(this * grown, other * grown).imag) / 1e-30, rel=1e-9)
+
+
+@given(st.floats(0.01, 6.0), st.floats(0.05, 2.0))
+def test_inverse_returns(ntu, ratio):
+    assert crossflow_ntu(crossflow_effectiveness(ntu, ntu * ratio), ratio) == pytest.approx(ntu, rel=1e-9)
+
+
+def test_inverse_in_bulk_and_where_there_is_none():
+    ntu = np.random.default_rng(1).uniform(0.0, 4.0, 5000)
+    ratio = np.random.default_rng(2).uniform(0.2, 1.8, 5000)
+    np.testing.assert_allclose(
+        crossflow_ntu(crossflow_effectiveness(ntu, ntu * ratio), ratio), ntu, rtol=1e-9, atol=1e-12
+    )
+    assert np.isnan(crossflow_ntu([-0.1, 1.0, 1.2, 0.7], [0.5, 0.5, 0.5, 1.5])).all()
+    assert crossflow_ntu(0.0, 0.5) == 0.0
+
+
+def test_missing_values_stay_missing_and_cost_nothing_more():
+    ntu = np.array([1.5, np.nan, 0.3])
+    found = crossflow_effectiveness(ntu, 0.7 * ntu)
+    assert np.isnan(found).tolist() == [False, True, False]
+    assert found[0] == pytest.approx(0.617790718, abs=5e-10)
+    assert np.isnan(crossflow_ntu(np.array([np.nan, 0.5]), np.array([0.7, np.nan]))).all()

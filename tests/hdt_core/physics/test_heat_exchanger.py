@@ -1,0 +1,97 @@
+"""The exchanger by its laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hdt_core.physics.air import conductivity_w_m_k, viscosity_pa_s
+from hdt_core.physics.heat_exchanger import (
+    HEAT_EXCHANGER,
+    clean_conductance_w_k,
+    film_gains,
+    fouling_resistance_k_w,
+    measured_conductance_w_k,
+    outlets_k,
+)
+
+flows = st.floats(0.2, 3.0)
+conductances = st.floats(100.0, 4000.0)
+LAW = {
+    "hx_ua_reference_w_k": 1500.0,
+    "hx_exponent_hot": 0.6,
+    "hx_exponent_cold": 0.6,
+    "hx_hot_share": 0.5,
+    "hx_wall_share": 0.0,
+}
+
+
+@given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
+def test_heat_lost_is_heat_won_and_runs_downhill(hot_flow, ram_flow, hot_in, cold_in, ua):
+    hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
+    np.testing.assert_allclose(hot_flow * (hot_in - hot_out), ram_flow * (ram_out - cold_in), rtol=1e-12)
+    assert cold_in < hot_out < hot_in
+    assert cold_in < ram_out < hot_in
+
+
+@given(flows, flows, conductances)
+def test_ua_comes_back_from_the_temperatures(hot_flow, ram_flow, ua):
+    hot_out, _ = outlets_k(hot_flow, ram_flow, 390.0, 250.0, ua)
+    if abs(measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out - 1e-7, 250.0) / ua - 1.0) < 1e-6:
+        assert measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out, 250.0) == pytest.approx(ua, rel=1e-6)
+
+
+@given(flows, flows)
+def test_fouling_warms_the_hot_outlet_and_flow_cools_it(hot_flow, ram_flow):
+    inputs = {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow, "hot_in_k": 390.0, "cold_in_k": 250.0}
+    out = HEAT_EXCHANGER.predict({"hx_fouling": np.linspace(-0.2, 0.8, 11)}, inputs)
+    assert np.all(np.diff(out["hot_out_k"]) > 0.0)
+    assert np.all(np.diff(out["ram_out_k"]) < 0.0)
+    more = HEAT_EXCHANGER.predict({}, inputs | {"ram_flow_kg_s": 1.1 * ram_flow})
+    assert more["hot_out_k"] < HEAT_EXCHANGER.predict({}, inputs)["hot_out_k"]
+
+
+def test_conductance_follows_the_flows():
+    """Balanced films of exponent 0.6: each side is worth 0.30 in ln UA, both 0.60."""
+    step = 1e-6
+    hot = np.log(clean_conductance_w_k(0.9 * (1 + step), 1.6, **LAW) / 1500.0) / step
+    ram = np.log(clean_conductance_w_k(0.9, 1.6 * (1 + step), **LAW) / 1500.0) / step
+    assert hot == pytest.approx(0.30, abs=1e-4)
+    assert ram == pytest.approx(0.30, abs=1e-4)
+    both = clean_conductance_w_k(1.8, 3.2, **LAW)
+    assert both == pytest.approx(1500.0 * 2.0**0.6, rel=1e-12)
+
+
+def test_films_gain_as_the_properties_of_air():
+    """k^0.67 mu^-0.27 from the property laws themselves, against the power law, over what a pack sees."""
+
+    def film(temperature_k):
+        return conductivity_w_m_k(temperature_k) ** 0.67 * viscosity_pa_s(temperature_k) ** -0.27
+
+    for hot_in_k, cold_in_k in [(340.0, 230.0), (390.0, 250.0), (440.0, 290.0)]:
+        hot, cold = film_gains(hot_in_k, cold_in_k)
+        assert hot == pytest.approx(film(0.75 * hot_in_k + 0.25 * cold_in_k) / film(355.0), abs=0.01)
+        assert cold == pytest.approx(film(0.25 * hot_in_k + 0.75 * cold_in_k) / film(285.0), abs=0.01)
+
+
+def test_a_wall_alone_does_not_care_for_flow():
+    wall = LAW | {"hx_hot_share": 1e-12, "hx_wall_share": 1.0 - 2e-12}
+    assert clean_conductance_w_k(0.3, 3.0, **wall) == pytest.approx(1500.0, rel=1e-9)
+
+
+@given(st.floats(0.0, 0.8), conductances)
+def test_a_fouling_film_adds_its_resistance(loss, ua):
+    fouled = 1.0 / (1.0 / ua + fouling_resistance_k_w(loss, ua))
+    assert fouled == pytest.approx((1.0 - loss) * ua, rel=1e-12)
+
+
+def test_what_a_loss_does_to_the_outlet():
+    """Cross-flow, UA 1500 W/K, door fixed: 10 % moves the hot outlet by 3.7 K, 30 % by 13 K (docs/errata.md)."""
+    nominal = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)[0]
+    assert outlets_k(0.9, 1.6, 390.0, 250.0, 1350.0)[0] - nominal == pytest.approx(3.7, abs=0.3)
+    assert outlets_k(0.9, 1.6, 390.0, 250.0, 1050.0)[0] - nominal == pytest.approx(13.0, abs=1.0)
+
+
+def test_impossible_temperatures_have_no_conductance():
+    assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
+    assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))

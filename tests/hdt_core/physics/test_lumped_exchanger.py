@@ -1,0 +1,108 @@
+"""Equations (7)-(8): the forms against each other, and the wall they cannot pass."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.lumped_exchanger import (
+    CP_COLD_J_KG_K,
+    CP_HOT_J_KG_K,
+    effectiveness_ceiling,
+    lumped_exchanger,
+    steady_outlets_k,
+    tied_coefficient_w_k,
+)
+
+AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
+flows = st.floats(0.3, 3.0)
+coefficients = st.floats(200.0, 20000.0)
+
+
+@given(flows, flows, coefficients)
+def test_tied_coefficient_comes_back(hot_flow, ram_flow, h):
+    at = AT | {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow}
+    hot_out, ram_out = steady_outlets_k(**at, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
+    assert tied_coefficient_w_k(**at, hot_out_k=hot_out) == pytest.approx(h, rel=1e-8)
+    lost = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
+    won = ram_flow * CP_COLD_J_KG_K * (ram_out - 250.0)
+    assert lost == pytest.approx(won, rel=1e-11)
+
+
+def test_untied_coefficients_break_the_balance_of_heat():
+    hot_out, ram_out = steady_outlets_k(**AT, hx_h_hot_w_k=2500.0, hx_h_cold_w_k=2000.0)
+    assert 0.9 * CP_HOT_J_KG_K * (390.0 - hot_out) > 1.2 * 1.6 * CP_COLD_J_KG_K * (ram_out - 250.0)
+
+
+@given(flows, flows)
+def test_ceiling(hot_flow, ram_flow):
+    at = AT | {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow}
+    hot_out, _ = steady_outlets_k(**at, hx_h_hot_w_k=1e12, hx_h_cold_w_k=1e12)
+    ceiling = effectiveness_ceiling(hot_flow * CP_HOT_J_KG_K, ram_flow * CP_COLD_J_KG_K)
+    assert (390.0 - hot_out) / 140.0 == pytest.approx(ceiling, rel=1e-6)
+
+
+@pytest.mark.parametrize(("ua", "h"), [(800.0, 2164.0), (1200.0, 14270.0), (1321.0, None), (2500.0, None)])
+def test_an_efficient_exchanger_has_no_h(ua, h):
+    """Wh 0.9, Wr 1.6 kg/s: the tied H of a cross-flow exchanger, which ends below zero (docs/errata.md)."""
+    hot_out, _ = outlets_k(0.9, 1.6, 390.0, 250.0, ua)
+    found = tied_coefficient_w_k(**AT, hot_out_k=hot_out)
+    assert found < 0.0 if h is None else found == pytest.approx(h, rel=1e-3)
+
+
+def matrix(h_hot, h_cold, m_hot, m_cold):
+    return np.array(
+        [
+            [-0.9 / m_hot - h_hot / (m_hot * CP_HOT_J_KG_K), h_hot / (m_hot * CP_HOT_J_KG_K)],
+            [h_cold / (m_cold * CP_COLD_J_KG_K), -1.6 / m_cold - h_cold / (m_cold * CP_COLD_J_KG_K)],
+        ]
+    )
+
+
+@given(coefficients, coefficients, st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.001, 5.0))
+def test_exact_form_is_the_matrix_exponential(h_hot, h_cold, m_hot, m_cold, dt_s):
+    params = {"hx_h_hot_w_k": h_hot, "hx_h_cold_w_k": h_cold, "hx_mass_hot_kg": m_hot, "hx_mass_cold_kg": m_cold}
+    later = lumped_exchanger("exact").advance(params, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, dt_s)
+    steady = np.array(steady_outlets_k(**AT, hx_h_hot_w_k=h_hot, hx_h_cold_w_k=h_cold))
+    expected = steady + expm(matrix(h_hot, h_cold, m_hot, m_cold) * dt_s) @ (np.array([350.0, 260.0]) - steady)
+    np.testing.assert_allclose(list(later.values()), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("form", "order"), [("euler", 1), ("tustin", 2)])
+def test_sequential_forms_converge_in_their_order(form, order):
+    def after_one_second(form, steps):
+        held = AT | {"ram_flow_kg_s": np.full(steps + 1, 1.6)}
+        start = {"hot_volume_k": 350.0, "cold_volume_k": 260.0}
+        return lumped_exchanger(form).simulate({}, held, 1.0 / steps, start)["hot_out_k"][-1]
+
+    exact = after_one_second("exact", 1)
+    coarse, fine = (abs(after_one_second(form, n) - exact) for n in (8, 16))
+    assert coarse / fine == pytest.approx(2.0**order, rel=0.1)
+
+
+def test_exact_form_does_not_care_for_its_step():
+    start = {"hot_volume_k": 350.0, "cold_volume_k": 260.0}
+    model = lumped_exchanger("exact")
+    ten = model.simulate({}, AT | {"ram_flow_kg_s": np.full(11, 1.6)}, 0.1, start)["hot_out_k"][-1]
+    one = model.simulate({}, AT | {"ram_flow_kg_s": np.full(2, 1.6)}, 1.0, start)["hot_out_k"][-1]
+    assert ten == pytest.approx(one, rel=1e-13)
+
+
+def test_with_the_fluid_s_mass_alone_nothing_moves_at_1_hz():
+    gas = {"hx_mass_hot_kg": 0.03, "hx_mass_cold_kg": 0.03}
+    steady = lumped_exchanger("quasi_steady").predict({}, AT)["hot_out_k"]
+    later = lumped_exchanger("exact").advance(gas, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, 1.0)
+    assert abs(later["hot_volume_k"] - steady) < 1e-9
+    wild = lumped_exchanger("euler").advance(gas, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, 1.0)
+    assert abs(wild["hot_volume_k"] - steady) > 100.0
+
+
+@pytest.mark.parametrize("form", ["quasi_steady", "exact", "euler", "tustin"])
+def test_a_loss_takes_its_share_of_both_coefficients(form):
+    model, held = lumped_exchanger(form), AT | {"ram_flow_kg_s": np.full(5, 1.6)}
+    worn = model.simulate({"hx_h_loss": 0.2}, held, 1.0)["hot_out_k"]
+    smaller = model.simulate({"hx_h_hot_w_k": 2000.0, "hx_h_cold_w_k": 2000.0}, held, 1.0)["hot_out_k"]
+    np.testing.assert_allclose(worn, smaller, rtol=1e-14)
+    assert [p.name for p in model.free("health")] == ["hx_h_loss"]

@@ -1,0 +1,146 @@
+"""A declaration that contradicts itself is refused, and what it says can be asked of it."""
+
+import numpy as np
+import pytest
+
+from hdt_core.physics.compressor import COMPRESSOR
+from hdt_core.physics.core_exchanger import CORE_EXCHANGER
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.lumped_exchanger import lumped_exchanger
+from hdt_core.physics.model import Param, PhysicsModel, Signal, State
+from hdt_core.physics.pack import PACK
+from hdt_core.physics.ram_duct import RAM_DUCT
+from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER
+
+MODELS = [
+    COMPRESSOR,
+    CORE_EXCHANGER,
+    HEAT_EXCHANGER,
+    PACK,
+    RAM_DUCT,
+    SPRING_MASS_DAMPER,
+    lumped_exchanger("quasi_steady"),
+    lumped_exchanger("exact"),
+    lumped_exchanger("euler"),
+    lumped_exchanger("tustin"),
+]
+TYPICAL = {
+    "force_n": 1.0,
+    "hot_flow_kg_s": 0.9,
+    "ram_flow_kg_s": 1.6,
+    "hot_in_k": 390.0,
+    "cold_in_k": 250.0,
+    "cc_speed_rad_s": 3194.0,
+    "cc_in_k": 251.0,
+    "cc_in_pa": 37.6e3,
+    "vda_counts": 300.0,
+    "ram_door_open": 0.3,
+    "total_pressure_pa": 37.6e3,
+    "tat_k": 250.0,
+    "altitude_m": 10668.0,
+    "mach": 0.85,
+}
+each_model = pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+
+
+def typical(model: PhysicsModel) -> dict[str, float]:
+    return {s.name: TYPICAL[s.name] for s in model.inputs}
+
+
+def doubled(*, x, gain):
+    return gain * x
+
+
+@each_model
+def test_outputs_broadcast_over_flights_and_samples(model):
+    some = model.params[0]
+    batch = {some.name: np.array([[0.9], [1.0]]) * some.nominal}
+    inputs = {name: np.full(3, value) for name, value in typical(model).items()}
+    one = model.predict({some.name: 0.9 * some.nominal}, typical(model))
+    for name, value in model.predict(batch, inputs).items():
+        full = np.broadcast_to(value, (2, 3))
+        np.testing.assert_allclose(full[0], one[name], rtol=1e-13)
+
+
+@each_model
+def test_equations_differentiate_by_complex_step(model):
+    """Every parameter's derivative: complex step against central differences."""
+    for param in model.params:
+        width = max(abs(param.nominal), 0.01)
+
+        def outputs(value, name=param.name):
+            states = {s.name: s.initial for s in model.states}
+            if model.states:
+                states = model.advance({name: value}, typical(model), states, 0.01)
+                states = model.advance({name: value}, typical(model), states, 0.01)
+            return np.array(list(model.predict({name: value}, typical(model), states).values()))
+
+        exact = outputs(param.nominal + 1e-30j).imag / 1e-30
+        step = 1e-6 * width
+        central = (outputs(param.nominal + step) - outputs(param.nominal - step)) / (2.0 * step)
+        scale = np.abs(outputs(param.nominal)) / width
+        np.testing.assert_allclose(central, exact, rtol=1e-5, atol=1e-7 * float(np.max(scale)))
+
+
+@each_model
+def test_nominal_values_lie_within_bounds_and_losses_start_at_zero(model):
+    for param, (low, high) in zip(model.params, model.bounds(), strict=True):
+        assert low < param.nominal < high or param.nominal == low == 0.0
+        assert param.role == "design" or (param.nominal == 0.0 and low < 0.0 and param.drift > 0.0)
+
+
+def test_roles_divide_the_parameters():
+    health = {p.name for p in PACK.free("health")}
+    design = {p.name for p in PACK.free("design")}
+    assert health == {"hx_fouling", "ram_flow_loss", "cc_diameter_loss", "cc_efficiency_loss"}
+    assert not health & design
+    assert health | design == set(PACK.nominal)
+    assert PACK.bounds("health").shape == (4, 2)
+
+
+def test_calibrated_model_differs_in_nothing_but_the_value():
+    sold = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1800.0})
+    assert sold.nominal == {**HEAT_EXCHANGER.nominal, "hx_ua_reference_w_k": 1800.0}
+    assert HEAT_EXCHANGER.nominal["hx_ua_reference_w_k"] == 1500.0
+    with pytest.raises(KeyError, match="no parameter ua"):
+        HEAT_EXCHANGER.calibrated({"ua": 1.0})
+
+
+def test_missing_input_is_named():
+    with pytest.raises(KeyError, match="mach"):
+        RAM_DUCT.predict({}, {k: v for k, v in typical(RAM_DUCT).items() if k != "mach"})
+
+
+def test_declared_and_taken_names_must_agree():
+    with pytest.raises(ValueError, match="differ in gain"):
+        PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), doubled)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"inputs": (Signal("x", "-"), Signal("x", "-"))}, "declared twice: x"),
+        ({"states": (State("x", "-", 0.0),), "inputs": ()}, "states and rates"),
+    ],
+)
+def test_contradictions_are_refused(change, message):
+    parts = {
+        "inputs": (Signal("x", "-"),),
+        "outputs": (Signal("y", "-"),),
+        "params": (Param("gain", "-", 1.0, (0.0, 2.0), "design"),),
+    }
+    with pytest.raises(ValueError, match=message):
+        PhysicsModel("m", equations=doubled, **(parts | change))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((3.0, (0.0, 2.0), "design"), "outside its bounds"),
+        ((0.0, (0.0, 2.0), "health"), "below 0"),
+        ((0.0, (-1.0, 2.0), "health", -0.1), "negative"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Param("p", "-", *arguments)

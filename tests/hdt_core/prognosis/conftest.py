@@ -1,0 +1,63 @@
+"""A small fleet with known lives, in the frames the stages exchange."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.simulate.episodes import EpisodeSettings, draw_episodes
+
+START = datetime(2024, 1, 1, 6, tzinfo=UTC)
+
+
+def _flights(tail: str, pack: int, flights: int) -> pl.DataFrame:
+    departed = [START + timedelta(hours=8 * k) for k in range(flights)]
+    ids = [f"{tail}_{d:%Y%m%d}_{d.hour // 8 + 1:02d}" for d in departed]
+    return pl.DataFrame({"operator": "XXX", "tail": tail, "flight_id": ids, "departed_at": departed}).with_columns(
+        pl.lit(pack, pl.Int32).alias("pack"), pl.col("departed_at").cast(pl.Datetime("us", "UTC"))
+    )
+
+
+@pytest.fixture(scope="session")
+def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
+    """Features, messages and maintenance of eight tails, two packs each; a failed unit is followed by a new one."""
+    lives = iter(_lives())
+    features, messages, maintenance = [], [], []
+    for number in range(8):
+        for pack in (1, 2):
+            tail, total, value = f"LX-T{number:02d}", 320, np.empty(0)
+            flights = _flights(tail, pack, total)
+            while value.size < total:
+                track, message = next(lives)
+                end = value.size + message
+                value = np.append(value, track[: message + 3])
+                if end + 3 < total:
+                    told = flights.row(end, named=True)
+                    messages.append((told["departed_at"], told["flight_id"], pack, tail))
+                    maintenance.append((flights["departed_at"][end + 3].date(), pack, tail))
+            features.append(flights.with_columns(hx_fouling=pl.Series(value[:total]), hx_fouling_sd=0.015))
+    return pl.concat(features), _messages(messages), _maintenance(maintenance)
+
+
+def _lives() -> list[tuple[np.ndarray, int]]:
+    lives = draw_episodes(77, EpisodeSettings(units=120, flights=420))
+    return [(track, int(min(end, 400))) for track, end in zip(lives.measured, lives.message, strict=True)]
+
+
+def _messages(rows: list[tuple[object, ...]]) -> pl.DataFrame:
+    schema = {"message_time": pl.Datetime("us", "UTC"), "flight_id": pl.String, "pack": pl.Int32, "tail": pl.String}
+    return pl.DataFrame(rows, schema=schema, orient="row").with_columns(
+        operator=pl.lit("XXX"), code=pl.lit("21-52-HXTEMP"), text=pl.lit("PACK TEMPERATURE HIGH")
+    )
+
+
+def _maintenance(rows: list[tuple[object, ...]]) -> pl.DataFrame:
+    frame = pl.DataFrame(rows, schema={"done_on": pl.Date, "pack": pl.Int32, "tail": pl.String}, orient="row")
+    return frame.with_columns(
+        operator=pl.lit("XXX"),
+        component=pl.lit("HX"),
+        action=pl.lit("REPLACED"),
+        finding=pl.lit("FOULED"),
+        reference=pl.lit("WO1"),
+    )

@@ -1,0 +1,41 @@
+"""Survival arithmetic against cases with a known answer."""
+
+import numpy as np
+import pytest
+
+from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, fit_hazard, hazards, position, quantile
+
+
+def test_every_failure_is_one_hit_and_no_censored_row_is():
+    left, failed = np.array([3.0, 50.0, 120.0, 120.0, 900.0]), np.array([True, True, True, False, False])
+    row, span, hit, exposure = at_risk(left, failed)
+    assert np.bincount(row[hit], minlength=5).tolist() == [1, 1, 1, 0, 0]
+    assert exposure[(row == 3) & (EDGES[span] == 100.0)] == pytest.approx(0.8)
+    assert not (EDGES[span[row == 3]] > 120.0).any()
+    assert (row == 4).sum() == SPANS
+
+
+def test_constant_hazard_gives_the_exponential_law():
+    rate = 0.01
+    hazard = 1.0 - np.exp(-rate * np.diff(EDGES))[None, :]
+    by = event_by(hazard)
+    np.testing.assert_allclose(by[0], 1.0 - np.exp(-rate * EDGES), rtol=1e-12)
+    assert quantile(by, 0.5)[0] == pytest.approx(np.log(2.0) / rate, rel=0.02)
+
+
+def test_position_undoes_quantile():
+    by = event_by(np.random.default_rng(0).uniform(0.01, 0.4, (50, SPANS)))
+    at = quantile(by, 0.3)
+    inside = by[:, -1] > 0.3
+    np.testing.assert_allclose(position(by, at)[inside], 0.3, atol=1e-6)
+
+
+def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
+    rng = np.random.default_rng(1)
+    rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
+    death, cut = rng.exponential(1.0 / rate), rng.uniform(0.0, 200.0, 8000)
+    model = fit_hazard(np.log(rate)[:, None], np.minimum(death, cut), death <= cut, seed=0)
+    for asked in (0.005, 0.01, 0.02):
+        near = np.log(asked) + np.linspace(-0.2, 0.2, 200)[:, None]
+        p_50 = event_by(hazards([model], near))[:, EDGES.tolist().index(50.0)].mean()
+        assert p_50 == pytest.approx(1.0 - np.exp(-asked * 50.0), abs=0.04)

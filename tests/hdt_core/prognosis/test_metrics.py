@@ -1,0 +1,56 @@
+"""Scores whose value is known."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.prognosis.metrics import (
+    alpha_lambda,
+    auc,
+    bootstrap,
+    brier_skill,
+    calibration,
+    constant_interval_score,
+    interval_score,
+    prognostic_horizon,
+)  # fmt: skip
+
+
+def test_interval_score_is_proper():
+    truth = np.random.default_rng(0).standard_normal(20000)
+    honest = interval_score(truth, np.full_like(truth, -1.645), np.full_like(truth, 1.645)).mean()
+    for half in (0.8, 1.2, 2.2, 3.0):
+        assert interval_score(truth, np.full_like(truth, -half), np.full_like(truth, half)).mean() > honest
+    assert constant_interval_score(truth) == pytest.approx(honest, rel=0.01)
+
+
+def test_base_rate_has_no_skill_and_certainty_has_all():
+    y = np.array([1.0, 0.0, 0.0, 0.0])
+    assert brier_skill(y, np.full(4, 0.25)) == pytest.approx(0.0)
+    assert brier_skill(y, y) == 1.0
+
+
+def test_auc_counts_pairs():
+    assert auc([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1]) == 0.75
+    assert auc([1, 0], [0.5, 0.5]) == 0.5
+
+
+def test_alpha_lambda_and_horizon():
+    truth, said = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
+    assert alpha_lambda(truth, said) == 0.75
+    assert prognostic_horizon(truth, said, band=20.0) == 50.0
+    assert prognostic_horizon(truth, said, band=60.0) == 100.0
+    assert prognostic_horizon(truth, said + 100.0, band=20.0) == 0.0
+
+
+def test_calibration_of_honest_probabilities():
+    rng = np.random.default_rng(1)
+    p = rng.random(50000)
+    table = calibration(rng.random(50000) < p, p)
+    np.testing.assert_allclose(table["came"], table["said"], atol=0.03)
+
+
+def test_bootstrap_draws_whole_tails():
+    frame = pl.DataFrame({"tail": ["a"] * 500 + ["b"] * 500, "x": [0.0] * 500 + [1.0] * 500})
+    low, high = bootstrap(frame, lambda f: float(f["x"].mean()))
+    assert (low, high) == (0.0, 1.0)

@@ -1,0 +1,142 @@
+"""The whole layer on a fleet of simulated lives it was not trained on."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from sklearn.ensemble import HistGradientBoostingClassifier
+
+from hdt_core.prognosis.card import from_parts, model_card, promote, to_parts
+from hdt_core.prognosis.hazard import fit_hazard
+from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.metrics import judge, score_prognoses
+from hdt_core.prognosis.model import fit_base, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.rows import INPUTS
+from hdt_core.prognosis.service import serve
+
+
+@pytest.fixture(scope="module")
+def base():
+    """A small base: one model, a third of the simulated fleets."""
+    return fit_base(members=1, fleets=16)
+
+
+@pytest.fixture(scope="module")
+def fitted(fleet, base):
+    lives = episodes(*fleet)
+    model = fit_prognosis(fleet[0], lives, base=base)
+    return fleet[0], lives, model
+
+
+@pytest.fixture(scope="module")
+def held_out(fleet, base):
+    lives = episodes(*fleet)
+    return judge(out_of_fold(fleet[0], lives, base=base), fleet[0], lives)
+
+
+def test_every_flight_has_its_rows_for_both_components(fitted):
+    features, lives, model = fitted
+    said = predict_prognosis(model, features, lives)
+    assert said.group_by("component").len()["len"].to_list() == [features.height] * 2
+    assert said.unique(["tail", "flight_id", "pack", "component"]).height == said.height
+    hx = said.filter(pl.col("component") == "HX")
+    assert hx.null_count().select(pl.sum_horizontal(pl.all())).item() == 0
+    assert (hx["rul_low"] <= hx["rul_flights"]).all()
+    assert (hx["rul_flights"] <= hx["rul_high"]).all()
+    assert hx["p_event_50"].is_between(0.0, 1.0).all()
+    # no compressor track in this fleet: the rows are there, and say nothing
+    assert said.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
+
+
+def test_nothing_from_the_future(fitted):
+    features, lives, model = fitted
+    cut = features["departed_at"].sort()[features.height // 2]
+    early = features.filter(pl.col("departed_at") <= cut)
+    now = predict_prognosis(model, early, lives)
+    then = predict_prognosis(model, features, lives).filter(pl.col("departed_at") <= cut)
+    keys = ["component", "tail", "pack", "flight_id"]
+    for name in ("rul_flights", "rul_low", "rul_high", "p_event_50"):
+        left, right = (f.sort(keys)[name].to_numpy() for f in (now, then))
+        np.testing.assert_allclose(left, right, atol=1e-9)
+
+
+def test_unseen_lives_are_foretold(held_out):
+    scores = score_prognoses(held_out)
+    assert scores["mae_flights"] < 50.0
+    assert scores["interval_skill"] > 0.2
+    assert 0.8 < scores["coverage"] < 1.0
+    assert scores["brier_skill"] > 0.25
+    assert scores["auc"] > 0.9
+
+
+def test_without_a_single_failure_it_still_speaks(fleet, base):
+    features, messages, maintenance = fleet
+    quiet = episodes(features, messages.clear(), maintenance.clear())
+    model = fit_prognosis(features.clear(), quiet.clear(), base=base)
+    lives = episodes(*fleet)
+    scores = score_prognoses(judge(predict_prognosis(model, features, lives), features, lives))
+    assert scores["auc"] > 0.9
+    assert scores["mae_flights"] < 60.0
+
+
+def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
+    features, lives, model = fitted
+    sio = pytest.importorskip("skops.io")
+    blob = sio.dumps(to_parts(model))
+    assert not [t for t in sio.get_untrusted_types(data=blob) if t.startswith("hdt_core")]
+    again = from_parts(sio.loads(blob, trusted=sio.get_untrusted_types(data=blob)))
+    head = features.filter(pl.col("tail") == "LX-T00")
+    assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
+
+
+def test_same_arguments_same_model(fitted):
+    features, lives, model = fitted
+    assert fit_prognosis(features, lives, base=fit_base(members=1, fleets=16)).version == model.version
+
+
+def test_a_worse_model_is_not_promoted(fitted):
+    card = model_card(fitted[2], {"interval_score_flights": 150.0, "brier": 0.05})
+    worse = model_card(fitted[2], {"interval_score_flights": 180.0, "brier": 0.05})
+    assert promote(card, None).promoted
+    assert promote(card, worse).promoted
+    verdict = promote(worse, card)
+    assert not verdict.promoted
+    assert "interval_score" in verdict.reason
+    assert not promote(model_card(fitted[2]), card).promoted
+    json.dumps(card)
+
+
+def test_service_keeps_the_model_that_does_better(fleet, fitted):
+    features, lives, model = fitted
+    blind = replace(model, base_levels=(0.45, 0.55), fits={})
+    blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
+    first = serve(model, None, features, lives)
+    assert first.card["promoted"]
+    assert first.card["scores"]["failures"] > 5
+    again = serve(blind, first.model, features, lives)
+    assert not again.card["promoted"]
+    assert "worse" in again.card["promotion"]
+    assert again.model.version == first.model.version
+    assert again.prognoses.equals(first.prognoses)
+    better = serve(model, blind, features, lives)
+    assert better.card["promoted"]
+    assert better.model.version == first.model.version
+
+
+def _contrary(seed: int) -> HistGradientBoostingClassifier:
+    """A hazard that knows nothing: learned from noise."""
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((400, len(INPUTS)))
+    return fit_hazard(rows, rng.uniform(1.0, 300.0, 400), np.ones(400, bool), seed=0)
+
+
+def test_held_out_by_operator_the_only_operator_is_judged_by_simulated_lives_alone(fleet, base):
+    features, *_ = fleet
+    lives = episodes(*fleet)
+    assert features["operator"].n_unique() == 1
+    alone = predict_prognosis(fit_prognosis(features.clear(), lives.clear(), base=base), features, lives)
+    held = out_of_fold(features, lives, base=base, by="operator")
+    names = ["rul_flights", "rul_low", "rul_high", "p_event_50"]
+    np.testing.assert_allclose(held[names].to_numpy(), alone[names].to_numpy(), equal_nan=True)

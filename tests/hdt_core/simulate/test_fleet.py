@@ -1,0 +1,123 @@
+"""A simulated aircraft obeys physics, keeps the contract's layout and knows its own truth."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.physics.compressor import effective_diameter_m
+from hdt_core.simulate import packs
+from hdt_core.simulate.design import FleetSettings, draw_design
+from hdt_core.simulate.fleet import by_month, design_truth, simulate_fleet
+from hdt_core.simulate.recorder import SENSORS
+
+SIZE = FleetSettings(operators=2, tails=1, flights=160, cpl_share=0.01)
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    return list(simulate_fleet(11, SIZE))
+
+
+def test_same_seed_same_fleet_and_parts_do_not_depend_on_size(fleet):
+    again = next(iter(simulate_fleet(11, SIZE)))
+    assert again.snapshots.equals(fleet[0].snapshots)
+    assert again.health.equals(fleet[0].health)
+    assert not next(iter(simulate_fleet(12, SIZE))).snapshots.equals(fleet[0].snapshots)
+
+
+def test_layout_is_the_contracts(fleet):
+    for aircraft in fleet:
+        columns = ["flight_id", "report_time", "phase_code", "pack", *SENSORS]
+        assert set(aircraft.snapshots.columns) <= set(columns)
+        assert [c for c in columns if c in aircraft.snapshots.columns] == aircraft.snapshots.columns
+        assert aircraft.snapshots["report_time"].dtype == pl.Datetime("us", "UTC")
+        assert aircraft.snapshots["flight_id"].str.contains(r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$").all()
+        assert not aircraft.snapshots.select(pl.selectors.float().is_nan().any()).row(0)[0]
+        assert sum(part.height for part in by_month(aircraft.snapshots).values()) == aircraft.snapshots.height
+
+
+def test_truth_has_every_flight_and_only_arrived_ones_are_recorded(fleet):
+    for aircraft in fleet:
+        assert aircraft.health.height == 2 * SIZE.flights
+        arrived = set(aircraft.health.filter("arrived")["flight_id"])
+        assert set(aircraft.snapshots["flight_id"]) == arrived
+        assert aircraft.health.sort("index")["departed_at"].is_sorted()
+
+
+def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
+    rng = np.random.default_rng(0)
+    design, one = draw_design(rng), np.ones(1)
+    now, asked = packs.reference(one), packs.reference_demand(design, one)
+    door = one * 0.4
+    hot_k, ram_k, flow, _ = packs.outlets(design, now, asked, door, packs.clean(one))
+    lost = asked.flow_kg_s * (asked.hot_in_k - hot_k)
+    np.testing.assert_allclose(lost, flow * (ram_k - now.tat_k - design.ram_heating_k), rtol=1e-9)
+
+
+def test_controller_holds_its_target_and_hides_the_wear():
+    design = draw_design(np.random.default_rng(1))
+    n = 6
+    one = np.ones(n)
+    asked = packs.reference_demand(design, one)
+    asked = packs.Demand(asked.flow_kg_s, asked.hot_in_k, one * packs.sized_target_k(design))
+    blocked = packs.Wear(0.0 * one, np.linspace(0.0, 0.3, n), 0.0 * one, one)
+    door = packs.controlled_door(design, packs.reference(one), asked, blocked)
+    assert door[0] == pytest.approx(design.door_sizing, abs=0.002)
+    assert (np.diff(door) > 0).all()
+    hot_k = packs.outlets(design, packs.reference(one), asked, door, blocked)[0]
+    np.testing.assert_allclose(hot_k[door < 0.99], asked.target_k[door < 0.99], atol=0.2)
+
+
+def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
+    design, one = draw_design(np.random.default_rng(2)), np.ones(3)
+    ratio, apparent, ram = packs.loss_ratios(design, packs.Wear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one))
+    np.testing.assert_allclose([ratio[0], apparent[0], ram[0]], 1.0, atol=1e-6)
+    assert (apparent[1:] < ratio[1:]).all()
+    assert (ram[1:] < 1.0).all()
+    film = packs.Wear(np.array([0.0, 1e-4, 2e-4]), 0 * one, 0 * one, one)
+    ratio, apparent, ram = packs.loss_ratios(design, film)
+    np.testing.assert_allclose(ram, 1.0)
+    np.testing.assert_allclose(ratio, apparent, atol=0.01)
+
+
+def test_messages_follow_large_losses_or_door_faults():
+    failed = []
+    for seed in (1, 2, 3, 4):
+        for aircraft in simulate_fleet(seed, FleetSettings(operators=2, tails=3, flights=300)):
+            hx = aircraft.events.filter((pl.col("component") == "HX") & pl.col("message_index").is_not_null())
+            at = hx.join(aircraft.health, left_on=["pack", "message_index"], right_on=["pack", "index"])
+            failed += (1.0 - at["apparent_ua_ratio"]).to_list()
+    assert len(failed) >= 3
+    assert 0.2 < np.median(failed) < 0.6
+
+
+def test_effective_diameter_is_that_of_equation_5(fleet):
+    for aircraft in fleet:
+        rows = aircraft.snapshots.filter((pl.col("phase_code") == "CR") & (pl.col("cc_speed_rpm") > 1e4)).drop_nulls(
+            ["cc_in_psia", "cc_out_psia", "cc_in_degc"]
+        )
+        seen = effective_diameter_m(
+            rows["cc_in_psia"].to_numpy(),
+            rows["cc_out_psia"].to_numpy(),
+            rows["cc_in_degc"].to_numpy() + 273.15,
+            rows["cc_speed_rpm"].to_numpy() * np.pi / 30.0,
+        )
+        rows = rows.with_columns(seen=pl.Series(seen)).group_by("flight_id", "pack").agg(pl.col("seen").median())
+        both = rows.join(aircraft.health.with_columns(pl.col("pack").cast(pl.Int32)), on=["flight_id", "pack"])
+        both = both.filter((pl.col("sensor_fault") == "") & ~pl.col("pack_off"))
+        assert (both["seen"] - both["cc_eff_diameter_m"]).abs().median() < 0.0015
+
+
+def test_one_hz_log_is_smooth_and_its_core_lags(fleet):
+    logs = [log for aircraft in fleet for log in aircraft.cpl.values()]
+    assert logs
+    log = logs[0].filter(pl.col("pack") == 1)
+    step_s = log["report_time"].diff().dt.total_seconds().drop_nulls()
+    assert (step_s == 1).all()
+    assert "phase_code" not in log.columns
+    cruise = log[2000:2600]["altitude_ft"].drop_nulls()
+    assert (cruise - cruise.median()).abs().median() < 40.0
+
+
+def test_design_truth_names_what_the_contract_scores():
+    assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
