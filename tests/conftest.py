@@ -1,0 +1,59 @@
+"""Shared homes: a full nightly run over a part of the sample fleet, made once for all test processes."""
+
+import fcntl
+import shutil
+from pathlib import Path
+
+import pytest
+from nights import run
+
+SAMPLES = Path(__file__).parents[1] / "data_samples"
+AIRCRAFT = ("AQX/LX-AAB", "BZR/A9-BAC")
+
+
+def once(tmp_path_factory: pytest.TempPathFactory, name: str, make) -> Path:
+    """A folder that one test process makes and all share; none may write to it."""
+    worker = tmp_path_factory.getbasetemp()
+    shared = (worker.parent if worker.name.startswith("popen-") else worker) / name
+    with open(shared.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not shared.exists():
+            make(shared)
+    return shared
+
+
+def take(landing: Path, aircraft: tuple[str, ...] = AIRCRAFT) -> None:
+    """Copy some aircraft of the sample fleet into a landing zone."""
+    landing.mkdir(parents=True, exist_ok=True)
+    for name in aircraft:
+        shutil.copytree(SAMPLES / name, landing / name)
+    tails = {a.split("/")[1] for a in aircraft}
+    lines = (SAMPLES / "fleet.csv").read_text().splitlines()
+    listed = [lines[0], *(line for line in lines[1:] if line.split(",")[1] in tails)]
+    (landing / "fleet.csv").write_text("\n".join(listed) + "\n")
+
+
+@pytest.fixture(scope="session")
+def sample_landing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Landing zone of two aircraft, whole history. Read only."""
+    return once(tmp_path_factory, "sample_landing", take)
+
+
+@pytest.fixture(scope="session")
+def sample_home(tmp_path_factory: pytest.TempPathFactory, sample_landing: Path) -> Path:
+    """Home after a full night over `sample_landing`. Read only: copy it to run in it."""
+
+    def make(home: Path) -> None:
+        night = run(sample_landing, home)
+        assert not night.failed, night.failed
+
+    return once(tmp_path_factory, "sample_home", make)
+
+
+@pytest.fixture
+def own_home(sample_home: Path, sample_landing: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of the sample landing zone and home to change and run in."""
+    landing, home = tmp_path / "landing", tmp_path / "home"
+    shutil.copytree(sample_landing, landing, copy_function=shutil.copy2)
+    shutil.copytree(sample_home, home)
+    return landing, home

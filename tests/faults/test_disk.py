@@ -1,0 +1,117 @@
+"""A disk that is full, a home that may not be written, a power cut: what the file system can do to a night."""
+
+import errno
+import os
+import sqlite3
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from soundness import faults, fingerprint
+from sqlalchemy.exc import OperationalError
+
+from pipelines import cli, nightly, store
+from pipelines import faults as places
+from pipelines.ledger import Ledger
+
+
+@pytest.mark.parametrize("limit", [3_000, 20_000, 100_000])
+def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit):
+    """Parquet, SQLite and DuckDB writers all meet it; the smaller the limit, the earlier."""
+    home = children.home(tmp_path / "home")
+    ended, said = children.night(tiny.landing, home, file_limit=limit)
+    assert ended is None
+    assert said
+    intact(home)
+    assert children.night(tiny.landing, home) == (0, "")
+    assert faults(home, tiny.landing) == []
+    assert fingerprint(home) == tiny.end
+
+
+@pytest.mark.parametrize("fault", ["before_write:1", "before_rename:6", "before_mark:4", "before_register:1"])
+def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path, fault):
+    home = children.home(tmp_path / "home")
+    ended, said = children.night(tiny.landing, home, fault=f"{fault}:full", steps=3)
+    assert ended is None
+    assert "No space left on device" in said
+    intact(home)
+    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    stored = fingerprint(home)
+    assert {t: stored[t] for t in stored if t.startswith("raw_")} == {
+        t: tiny.end[t] for t in stored if t.startswith("raw_")
+    }
+
+
+def test_a_home_that_may_not_be_written(tiny, children):
+    """The night stops with the reason, and leaves the home as it was. In a folder that anyone may enter."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        root.chmod(0o755)
+        landing, home = root / "landing", children.home(root / "home")
+        landing.mkdir()
+        (landing / "fleet.csv").write_text("operator,tail\nQQX,Z9\n")
+        before = {f: f.stat().st_mtime_ns for f in home.rglob("*")}
+        for f in (home, *home.rglob("*")):
+            f.chmod(0o555 if f.is_dir() else 0o444)
+        ended, said = children.night(landing, home, nobody=True)
+        for f in (home, *home.rglob("*")):
+            f.chmod(0o755 if f.is_dir() else 0o644)
+        assert ended is None
+        assert "Permission denied" in said
+        assert str(home) in said
+        assert {f: f.stat().st_mtime_ns for f in home.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "x.part"), "hdt: No space left on device: x.part"),
+        (sqlite3.OperationalError("database or disk is full"), "hdt: database or disk is full; make room"),
+        (OperationalError("insert", {}, sqlite3.OperationalError("disk I/O error")), "hdt: disk I/O error; make room"),
+    ],
+)
+def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, line):
+    def full(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(nightly, "run_night", full)
+    monkeypatch.setattr(sys, "argv", ["hdt", "nightly", "--landing", str(tmp_path), "--home", str(tmp_path / "home")])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith(line)
+    assert len(said.splitlines()) == 1
+
+
+def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
+    """A power cut drops what was not synced: content is synced before it is named, the name before it is told."""
+    done = []
+    sync, replace = os.fsync, Path.replace
+
+    def watched_sync(fd: int) -> None:
+        done.append(f"sync {Path(os.readlink(f'/proc/self/fd/{fd}')).name}")
+        sync(fd)
+
+    def watched_replace(self: Path, target: Path) -> Path:
+        done.append(f"{self.name} becomes {target.name}")
+        return replace(self, target)
+
+    monkeypatch.setattr(store.os, "fsync", watched_sync)
+    monkeypatch.setattr(Path, "replace", watched_replace)
+    with store.replacing(tmp_path / "shard.parquet") as temporary:
+        temporary.write_bytes(b"whole")
+    part = temporary.name
+    assert done == [f"sync {part}", f"{part} becomes shard.parquet", f"sync {tmp_path.name}"]
+
+
+def test_the_ledger_waits_for_the_disk(tmp_path):
+    """What it says is stored survives a power cut: SQLite syncs each commit."""
+    with Ledger(tmp_path)._open() as con:
+        assert con.execute("pragma synchronous").fetchone() == (2,)
+
+
+def test_every_fault_point_is_in_the_code():
+    sources = "".join(p.read_text() for p in Path(store.__file__).parent.glob("*.py") if p.name != "faults.py")
+    assert [p for p in places.POINTS if f'fault_point("{p}")' not in sources] == []

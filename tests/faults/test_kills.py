@@ -1,0 +1,85 @@
+"""Killed at every named place and at any moment: nothing lost, nothing doubled, nothing torn, and the end is the same.
+
+`make soak` sets HDT_SOAK_KILLS to kill far more often than there is time for in CI.
+"""
+
+import os
+import random
+import signal
+from itertools import count
+
+import dagster as dg
+import pytest
+from soundness import faults, fingerprint
+
+from pipelines.faults import POINTS
+from pipelines.runs import open_instance
+
+KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
+"""Kills at random moments, beside those at the named places."""
+
+
+def test_killed_at_one_place_further_on_each_time(tiny, children, intact, tmp_path):
+    """Place by place through the whole night: the first night dies at its first place, the second at its second, ..."""
+    home = children.home(tmp_path / "home")
+    for place in count(1):
+        ended, said = children.night(tiny.landing, home, fault=f"any:{place}")
+        intact(home)
+        if ended != signal.SIGKILL:
+            break
+    assert (ended, said) == (0, "")
+    assert place > 20
+    assert faults(home, tiny.landing) == []
+    assert fingerprint(home) == tiny.end
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_killed_at_a_named_place_of_the_intake(tiny, children, intact, tmp_path, point):
+    """The place that writes what was delivered: rows may be stored and not yet accounted for."""
+    home = children.home(tmp_path / "home")
+    nth = 1 if "register" in point else 9
+    assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=3)[0] == signal.SIGKILL
+    intact(home)
+    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    stored = fingerprint(home)
+    delivered = [t for t in stored if t.startswith(("raw_", "legs_")) and t != "legs_admitted"]
+    assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
+
+
+def test_killed_at_any_moment(tiny, children, intact, tmp_path):
+    chance, kills, homes = random.Random(7), 0, 0
+    while kills < KILLS:
+        home, homes = children.home(tmp_path / f"home{homes}"), homes + 1
+        ended: int | None = signal.SIGKILL
+        while ended == signal.SIGKILL:
+            last = kills >= KILLS
+            ended, said = children.night(
+                tiny.landing, home, kill_after_s=600 if last else chance.uniform(0.05, 1.0) * 2 ** chance.randrange(4)
+            )
+            kills += ended == signal.SIGKILL
+            intact(home)
+        assert (ended, said) == (0, "")
+        assert not list(home.glob("**/.*.part")), "what a killed writer left is swept"
+        assert fingerprint(home) == tiny.end
+
+
+def test_a_killed_run_is_marked_failed(tiny, children, tmp_path):
+    home = children.home(tmp_path / "home")
+    assert children.night(tiny.landing, home, fault="before_mark:2")[0] == signal.SIGKILL
+    assert children.night(tiny.landing, home) == (0, "")
+    instance = open_instance(home)
+    try:
+        ended = [r.status for r in instance.get_runs()]
+    finally:
+        instance.dispose()
+    assert ended.count(dg.DagsterRunStatus.FAILURE) == 1
+    assert set(ended) == {dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.SUCCESS}
+
+
+def test_asked_to_stop(tiny, children, intact, tmp_path):
+    home = children.home(tmp_path / "home")
+    ended, _ = children.night(tiny.landing, home, fault="before_rename:14:term")
+    assert ended != 0
+    intact(home)
+    assert children.night(tiny.landing, home) == (0, "")
+    assert fingerprint(home) == tiny.end

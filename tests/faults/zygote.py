@@ -1,0 +1,90 @@
+"""A process that has imported everything and done nothing: it forks a child for each night, so that a kill is cheap.
+
+It must not touch a frame itself: a fork would take over Polars' threads as locks without owners. It reads one JSON
+object a line: `landing`, `home` and, if wanted, `fault` (HDT_FAULT), `kill_after_s`, `file_limit` (bytes a file may
+grow to), `nobody` (drop privileges), `steps` (only the first of the chain), `publish` (so often, instead of a night),
+`only` (a tail). It answers with the child's wait status and what it said.
+"""
+
+import json
+import os
+import resource
+import signal
+import sys
+import threading
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "support")]
+os.environ["POLARS_MAX_THREADS"] = "1"
+
+import polars  # noqa: E402
+from nights import Silent  # noqa: E402
+
+import pipelines.definitions  # noqa: E402
+import pipelines.runs  # noqa: E402, F401
+from pipelines import nightly  # noqa: E402
+from pipelines.catalog import publish  # noqa: E402
+
+ALL = nightly.STEPS
+
+
+def work(asked: dict) -> None:
+    """One child's life."""
+    landing, home = Path(asked["landing"]), Path(asked["home"])
+    if "fault" in asked:
+        os.environ["HDT_FAULT"] = asked["fault"]
+    if "file_limit" in asked:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (asked["file_limit"],) * 2)
+    if asked.get("nobody") and os.geteuid() == 0:
+        os.setgid(65534)
+        os.setuid(65534)
+    if "publish" in asked:
+        for _ in range(asked["publish"]):
+            publish(home)
+        return
+    only = polars.col("tail") == asked["only"] if "only" in asked else None
+    nightly.STEPS = ALL[: asked.get("steps", len(ALL))]
+    with nightly.holding(home):
+        night = nightly.run_night(landing, home, Silent(), only)
+        publish(home)
+    if night.failed:
+        sys.exit(f"failed: {night.failed}")
+
+
+def child(asked: dict, told: int) -> None:
+    """Run `work` and end, whatever it raises, without the parent's clean-up."""
+    os.dup2(told, 2)
+    code = 0
+    try:
+        work(asked)
+    except SystemExit as stop:
+        code = 1
+        os.write(2, str(stop.code).encode())
+    except BaseException as error:
+        code = 2
+        os.write(2, f"{type(error).__name__}: {error}".encode())
+    os._exit(code)
+
+
+def main() -> None:
+    """Fork, wait, answer."""
+    for line in sys.stdin:
+        asked = json.loads(line)
+        reader, writer = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.close(reader)
+            child(asked, writer)
+        os.close(writer)
+        timer = threading.Timer(asked.get("kill_after_s", 600), os.kill, (pid, signal.SIGKILL))
+        timer.start()
+        with os.fdopen(reader, errors="replace") as stream:
+            said = stream.read()
+        timer.cancel()
+        timer.join()
+        _, status = os.waitpid(pid, 0)
+        print(json.dumps({"status": status, "said": said[-2000:]}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,387 @@
+"""The classes of bad input: one line a class, what was done to a good flight and what must become of it."""
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipelines.intake import merge_deliveries
+from pipelines.intake.columns import SIGNAL_NAMES
+from pipelines.intake.reasons import REASONS
+
+FLIGHT = "LX-AAA_20240525_04"
+CSV = f"AQX/LX-AAA/acms/{FLIGHT}.csv"
+HISTORY = "AQX/LX-AAA/acms/history_2024-05.parquet"
+CPL = f"AQX/LX-AAA/cpl/{FLIGHT}.parquet"
+N = 42  # rows of the good flight
+
+Spoil = Callable[[bytes], bytes]
+
+
+def _lines(content: bytes) -> list[list[bytes]]:
+    return [line.split(b",") for line in content.splitlines()]
+
+
+def _join(lines: list[list[bytes]]) -> bytes:
+    return b"".join(b",".join(line) + b"\n" for line in lines)
+
+
+def field(row: int, column: str, value: bytes) -> Spoil:
+    """Write `value` into one field; rows count from 1."""
+
+    def spoil(content: bytes) -> bytes:
+        lines = _lines(content)
+        lines[row][lines[0].index(column.encode())] = value
+        return _join(lines)
+
+    return spoil
+
+
+def column(names: str | tuple[str, ...], change: Callable[[float], float]) -> Spoil:
+    """Change every value of some columns."""
+
+    def spoil(content: bytes) -> bytes:
+        lines = _lines(content)
+        for name in (names,) if isinstance(names, str) else names:
+            at = lines[0].index(name.encode())
+            for line in lines[1:]:
+                line[at] = f"{change(float(line[at])):.4f}".encode() if line[at] else b""
+        return _join(lines)
+
+    return spoil
+
+
+def rename(old: str, new: str) -> Spoil:
+    """Give a column another name."""
+    return lambda content: content.replace(old.encode(), new.encode(), 1)
+
+
+def drop(*names: str) -> Spoil:
+    """Leave columns out."""
+
+    def spoil(content: bytes) -> bytes:
+        lines = _lines(content)
+        at = [lines[0].index(n.encode()) for n in names]
+        return _join([[f for i, f in enumerate(line) if i not in at] for line in lines])
+
+    return spoil
+
+
+def reorder(content: bytes) -> bytes:
+    """Write the columns in the opposite order."""
+    return _join([line[::-1] for line in _lines(content)])
+
+
+def extra(content: bytes) -> bytes:
+    """Add a column nobody asked for."""
+    head, *rows = _lines(content)
+    return _join([[*head, b"operator_remark"], *([*row, b"ok"] for row in rows)])
+
+
+def line_as(row: int, text: bytes) -> Spoil:
+    """Replace a line."""
+    return lambda content: b"\n".join(text if i == row else x for i, x in enumerate(content.split(b"\n")))
+
+
+def retimed(text: Callable[[str], str]) -> Spoil:
+    """Write every time differently."""
+    return lambda c: re.sub(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", lambda m: text(m[0].decode()).encode(), c)
+
+
+def parquet(content: bytes, change: Callable[[pl.DataFrame], pl.DataFrame] = lambda frame: frame) -> bytes:
+    """The good flight as history."""
+    frame = pl.read_csv(content, schema_overrides=dict.fromkeys(SIGNAL_NAMES, pl.Float64))
+    time = pl.col("report_time").str.to_datetime("%Y-%m-%dT%H:%M:%SZ", time_zone="UTC")
+    frame = frame.with_columns(time, pl.col("phase_code").fill_null(""))
+    sink = io.BytesIO()
+    change(frame).write_parquet(sink)
+    return sink.getvalue()
+
+
+def retyped(change: pl.Expr) -> Spoil:
+    """The good flight as history, a column changed."""
+    return lambda content: parquet(content, lambda frame: frame.with_columns(change))
+
+
+def flip(content: bytes) -> bytes:
+    """History with a byte of its data pages flipped, pages carrying checksums."""
+    sink = io.BytesIO()
+    pq.write_table(pq.read_table(io.BytesIO(parquet(content))), sink, write_page_checksum=True, compression="none")
+    spoiled = bytearray(sink.getvalue())
+    spoiled[2000] ^= 0x10
+    return bytes(spoiled)
+
+
+def claims_too_much(_: bytes) -> bytes:
+    """Under half a megabyte that unpacks to a gigabyte."""
+    zeros = pa.nulls(3_000_000, pa.int32()).fill_null(0)
+    big = pa.table(dict.fromkeys(("flight_id", "report_time", "pack", *SIGNAL_NAMES), zeros))
+    sink = io.BytesIO()
+    pq.write_table(big, sink, compression="zstd", row_group_size=3_000_000)
+    assert sink.tell() < 500_000
+    return sink.getvalue()
+
+
+def long_words(content: bytes) -> bytes:
+    """A flight_id of a megabyte in every row, stored once."""
+    return parquet(content, lambda f: f.with_columns(pl.lit("X" * 1_000_000).alias("flight_id")))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What was done, and what must be said of it."""
+
+    name: str
+    spoil: Spoil
+    reason: str | None
+    n_entries: int = 1
+    n_stored: int = N
+    column: str | None = None
+    path: str = CSV
+
+
+KEEP = Case("good", lambda c: c, None)
+CASES = [
+    KEEP,
+    # transfer
+    Case("cut in the middle of a row", lambda c: c[:-40], "cut_short", n_stored=N - 1),
+    Case("number cut short", lambda c: c[:-3], "cut_short", n_stored=N - 1),
+    Case("last value gone", lambda c: c[: c.rstrip().rindex(b",") + 1], "cut_short", n_stored=N - 1),
+    Case("no newline at the end, number whole", lambda c: c[:-1], None),
+    Case("half-written: header cut", lambda c: c[:60], "missing_columns", n_stored=0, column="pack"),
+    Case("empty", lambda c: b"", "empty_file", n_stored=0),
+    Case("blank lines only", lambda c: b"\n \n\n", "empty_file", n_stored=0),
+    Case("header only", lambda c: c[: c.index(b"\n") + 1], "no_rows", n_stored=0),
+    Case("blank lines between rows", lambda c: c.replace(b"\n", b"\n\n"), None),
+    Case("garbage bytes", lambda c: bytes(range(255, 0, -1)) * 9, "not_text", n_stored=0),
+    Case("Parquet under the name of a CSV", parquet, "not_text", n_stored=0),
+    Case("NUL in a row", line_as(5, b"LX-AAA\x00,,,"), "bad_bytes", n_stored=N - 1),
+    Case("invalid UTF-8 in a row", line_as(5, b"LX-AAA\xff,,,"), "bad_bytes", n_stored=N - 1),
+    Case("two files glued together", lambda c: c + c, "repeated_header", n_stored=2 * N),
+    # shape
+    Case("one field too many", lambda c: c.replace(b",CL,", b",CL,7,", 1), "wrong_field_count", n_stored=N - 1),
+    Case("one field too few", lambda c: c.replace(b",CL,", b",", 1), "wrong_field_count", n_stored=N - 1),
+    Case("one too many and one too few", lambda c: c.replace(b",CL,", b",CL,7,", 1).replace(b",DS,", b",", 1),
+         "wrong_field_count", n_entries=2, n_stored=N - 2),
+    Case("quote that never closes", lambda c: c.replace(b",CL,", b',"CL,', 1), "bad_quoting", n_stored=N - 1),
+    Case("every field quoted", lambda c: _join([[b'"%s"' % f for f in x] for x in _lines(c)]), None),
+    Case("semicolons and decimal commas", lambda c: c.replace(b",", b";").replace(b".", b","), "wrong_separator",
+         n_stored=0),
+    Case("tabs", lambda c: c.replace(b",", b"\t"), "wrong_separator", n_stored=0),
+    Case("Windows line ends", lambda c: c.replace(b"\n", b"\r\n"), None),
+    Case("UTF-8 byte order mark", lambda c: b"\xef\xbb\xbf" + c, "other_encoding"),
+    Case("UTF-16", lambda c: c.decode().encode("utf-16"), "other_encoding"),
+    Case("UTF-16 without mark", lambda c: c.decode().encode("utf-16-le"), "not_text", n_stored=0),
+    # columns
+    Case("header missing", lambda c: c[c.index(b"\n") + 1 :], "no_header", n_stored=0, column="flight_id"),
+    Case("column renamed", rename("hx_in_degc", "T_HX_IN"), "missing_columns", n_stored=0, column="hx_in_degc"),
+    Case("key missing", drop("pack"), "missing_columns", n_stored=0, column="pack"),
+    Case("sensor not recorded by this operator", drop("cc_out_degc", "ram_out_degc", "pt_psia"), None),
+    Case("extra column", extra, "extra_columns", column="operator_remark"),
+    Case("extra column where a sensor is not recorded", lambda c: extra(drop("ram_out_degc")(c)), "extra_columns"),
+    Case("column twice", rename("hx_in_degc", "hx_out_degc"), "repeated_column", n_stored=0, column="hx_out_degc"),
+    Case("columns reordered", reorder, None),
+    Case("names in capitals", lambda c: c.replace(c.split(b"\n")[0], c.split(b"\n")[0].upper()), "other_spelling"),
+    # values
+    Case("text for a number", field(7, "hx_out_degc", b"ERR"), "not_a_number", column="hx_out_degc"),
+    Case("dash for a number", field(7, "hx_out_degc", b"-"), "not_a_number", column="hx_out_degc"),
+    Case("NaN", field(7, "pt_psia", b"NaN"), "not_a_number", column="pt_psia"),
+    Case("inf", field(7, "pt_psia", b"-inf"), "not_a_number", column="pt_psia"),
+    Case("1e999", field(7, "mach", b"1e999"), "not_a_number", column="mach"),
+    Case("decimal comma in quotes", field(7, "mach", b'"0,84"'), "not_a_number", column="mach"),
+    Case("impossible altitude", field(7, "altitude_ft", b"99999"), "out_of_range", column="altitude_ft"),
+    Case("door beyond its travel", field(7, "ram_door_pct", b"250"), "out_of_range", column="ram_door_pct"),
+    Case("unknown phase code", field(7, "phase_code", b"=cmd()"), "unknown_phase", column="phase_code"),
+    # units
+    Case("kelvin for degrees", column(("tat_degc", "hx_in_degc", "hx_out_degc", "cc_in_degc"), lambda v: v + 273.15),
+         "unit_kelvin", N, 0, "tat_degc"),
+    Case("kelvin in one column", column("hx_out_degc", lambda v: v + 273.15), "unit_kelvin", N, 0, "hx_out_degc"),
+    Case("kPa for psia", column(("pt_psia", "cc_in_psia", "cc_out_psia"), lambda v: v * 6.894757),
+         "unit_kpa", N, 0, "pt_psia"),
+    Case("kPa in one column", column("pt_psia", lambda v: v * 6.894757), "unit_kpa", N, 0, "pt_psia"),
+    Case("kg/s for lb/min", column(("pack_flow_lbpm", "cc_flow_lbpm"), lambda v: v * 0.45359237 / 60),
+         "unit_kg_s", N, 0, "pack_flow_lbpm"),
+    Case("kg/s in one column", column("pack_flow_lbpm", lambda v: v * 0.45359237 / 60),
+         "unit_kg_s", N, 0, "pack_flow_lbpm"),
+    Case("metres for feet", column("altitude_ft", lambda v: v * 0.3048), "implausible_pressure", column="altitude_ft"),
+    Case("dead flow sensor is no slip of units", column("pack_flow_lbpm", lambda v: (v * 7) % 3 - 0.5), None),
+    Case("pack switched off is no slip of units",
+         column(("pack_flow_lbpm", "cc_flow_lbpm", "cc_speed_rpm"), lambda v: 0.5 + 0.01 * (v % 7)), None),
+    # sensors: stored as recorded, judged flight by flight afterwards
+    Case("sensor stuck at the end of its range", column("hx_in_degc", lambda v: 300.0), None),
+    Case("constant sensor", column("hx_out_degc", lambda v: 20.0), None),
+    Case("dropped out sensor", column("pack_flow_lbpm", lambda v: 0.0), None),
+    Case("drifting sensor", column("hx_out_degc", lambda v: v + 8.0), None),
+    Case("spike within what can be", field(9, "altitude_ft", b"43000.0"), None),
+    Case("value missing", field(9, "altitude_ft", b""), None),
+    # times
+    Case("time in the future", retimed(lambda t: "2061" + t[4:]), "future_time", N, 0, "report_time"),
+    Case("time not ISO", retimed(lambda t: f"{t[8:10]}/{t[5:7]}/{t[:4]} {t[11:]}"), "unreadable_time", N, 0,
+         "report_time"),
+    Case("time missing", retimed(lambda t: ""), "unreadable_time", N, 0, "report_time"),
+    Case("no such day", retimed(lambda t: "2023-02-29" + t[10:]), "unreadable_time", N, 0, "report_time"),
+    Case("clock reset", retimed(lambda t: "1970-01-01" + t[10:]), "time_contradicts_flight_id", N, 0, "report_time"),
+    Case("local time with its offset", retimed(lambda t: t[:-1] + "+02:00"), None),
+    Case("time without zone", retimed(lambda t: t[:-1]), "time_without_zone", column="report_time"),
+    Case("fractions of a second", retimed(lambda t: t[:-1] + ".250Z"), None),
+    Case("clock jumps on the way", lambda c: c[:3000] + retimed(lambda t: "2024-05-26T23" + t[13:])(c[3000:]),
+         "clock_jump", column="report_time"),
+    Case("clock runs backwards, rows out of order", lambda c: _join([(x := _lines(c))[0], *x[:0:-1]]), None),
+    # identity
+    Case("injection in flight_id", field(3, "flight_id", b"X'); DROP TABLE flights;--"), "bad_flight_id",
+         n_stored=N - 1, column="flight_id"),
+    Case("flight_id climbs out", lambda c: c.replace(FLIGHT.encode(), b"../../X_20240101_01"), "bad_flight_id", N, 0),
+    Case("flight_id of no such day", lambda c: c.replace(b"_20240525_", b"_20240532_"), "bad_flight_id", N, 0),
+    Case("flight_id of another tail", lambda c: c.replace(b"LX-AAA_", b"ZZ-ZZZ_"), "flight_id_contradicts_path", N, 0),
+    Case("flight_id of another file", lambda c: c.replace(b"_04,", b"_05,"), "flight_id_contradicts_path", N, 0),
+    Case("pack 3", field(3, "pack", b"3"), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("pack 1.5", field(3, "pack", b"1.5"), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("pack missing", field(3, "pack", b""), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("file name is no flight", lambda c: c, "flight_id_from_column", path="AQX/LX-AAA/acms/NOT_A_FLIGHT.csv"),
+    Case("a copy by another name", lambda c: c, "flight_id_from_column", path=f"AQX/LX-AAA/acms/{FLIGHT} (1).csv"),
+    # Parquet
+    Case("good history", parquet, None, path=HISTORY),
+    Case("a copy of history by another name", parquet, "flight_id_from_column",
+         path="AQX/LX-AAA/acms/history (1).parquet"),
+    Case("history cut short", lambda c: parquet(c)[:-100], "cannot_read_parquet", n_stored=0, path=HISTORY),
+    Case("history with a bit flipped", flip, "cannot_read_parquet", n_stored=0, path=HISTORY),
+    Case("text under the name of Parquet", lambda c: c, "cannot_read_parquet", n_stored=0, path=HISTORY),
+    Case("history without rows", lambda c: parquet(c, pl.DataFrame.clear), "no_rows", n_stored=0, path=HISTORY),
+    Case("column renamed in history", lambda c: parquet(c, lambda f: f.rename({"hx_in_degc": "T_HX_IN"})),
+         "missing_columns", n_stored=0, column="hx_in_degc", path=HISTORY),
+    Case("numbers retyped as text", retyped(pl.col("mach", "pack", "report_time").cast(pl.String)), None, path=HISTORY),
+    Case("numbers retyped as integers", retyped(pl.col("altitude_ft", "vda_pos").cast(pl.Int64)), None, path=HISTORY),
+    Case("numbers retyped as lists", retyped(pl.concat_list("mach")), "wrong_type", n_stored=0, column="mach",
+         path=HISTORY),
+    Case("times retyped as counts", retyped(pl.col("report_time").dt.epoch()), "wrong_type", n_stored=0,
+         column="report_time", path=HISTORY),
+    Case("times in nanoseconds without zone",
+         retyped(pl.col("report_time").dt.replace_time_zone(None).dt.cast_time_unit("ns")), "time_without_zone",
+         path=HISTORY),
+    Case("NaN for missing", retyped(pl.lit(float("nan")).alias("hx_in_degc")), "not_a_number", n_entries=N,
+         column="hx_in_degc", path=CPL),
+    Case("text in a number column of history", retyped(pl.lit("ERR").alias("mach")), "not_a_number", n_entries=N,
+         column="mach", path=HISTORY),
+    Case("unpacks to more than memory", claims_too_much, "too_large", n_stored=0, path=HISTORY),
+    Case("a word of a megabyte", long_words, "too_large", n_stored=0, path=HISTORY),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_class(case, good_flight, deliver, read):
+    intake = read(deliver({case.path: case.spoil(good_flight)}))
+    found = intake.quarantine
+    assert intake.rows.height == case.n_stored
+    assert set(found["reason"]) == ({case.reason} if case.reason else set())
+    if case.reason:
+        assert found.height == case.n_entries
+        assert set(found["file"]) == {case.path}
+        assert set(found["scope"]) == {REASONS[case.reason].scope}
+        if case.column:
+            assert case.column in (found["column_name"][0] or "")
+    if found.height and REASONS[case.reason].scope in ("row", "value"):
+        assert found["row"].null_count() == 0
+
+
+def test_a_bad_value_costs_that_value_alone(good_flight, deliver, read):
+    files = deliver({CSV: field(7, "hx_out_degc", b"ERR")(good_flight)})
+    spoiled = read(files).rows.filter(pl.col("row_in_file") == 8)
+    good = read(deliver({CSV: good_flight})).rows.filter(pl.col("row_in_file") == 8)
+    assert spoiled["hx_out_k"].item() is None
+    assert spoiled.drop("hx_out_k").equals(good.drop("hx_out_k"))
+
+
+def test_units_are_those_of_physics(good_flight, deliver, read):
+    row = read(deliver({CSV: good_flight})).rows.row(0, named=True)
+    # first line: 2616 ft, 15 degC, 14.68 psia, 21.5 %, 116.5 lb/min, 12904 rpm; NIST SP 811 conversion factors
+    assert row["altitude_m"] == pytest.approx(2616 * 0.3048, rel=1e-12)
+    assert row["tat_k"] == pytest.approx(288.15, rel=1e-12)
+    assert row["total_pressure_pa"] == pytest.approx(14.68 * 6.894757e3, rel=1e-7)
+    assert row["ram_door_open"] == pytest.approx(0.215, rel=1e-12)
+    assert row["pack_flow_kg_s"] == pytest.approx(116.5 * 7.559873e-3, rel=1e-6)
+    assert row["cc_speed_rad_s"] == pytest.approx(12904 * 1.047198e-1, rel=1e-6)
+
+
+def test_csv_and_history_of_a_flight_say_the_same(good_flight, deliver, read, now):
+    rows = read(deliver({CSV: good_flight, HISTORY: parquet(good_flight)})).rows
+    merged = merge_deliveries([rows], {})
+    assert merged.rows.height == N
+    assert merged.duplicates["n_duplicate"].sum() == N
+    assert merged.quarantine.is_empty()
+
+
+def test_local_time_with_offset_is_converted(good_flight, deliver, read):
+    shifted = read(deliver({CSV: retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
+    assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
+
+
+def test_leap_day_is_a_day(good_flight, deliver, read):
+    content = good_flight.replace(b"20240525", b"20240229").replace(b"2024-05-25", b"2024-02-29")
+    content = content.replace(b"2024-05-26", b"2024-03-01")
+    intake = read(deliver({"AQX/LX-AAA/acms/LX-AAA_20240229_04.csv": content}))
+    assert intake.rows.height == N
+    assert intake.quarantine.is_empty()
+
+
+def test_one_bad_file_blocks_nothing(good_flight, deliver, read):
+    spoils = [c.spoil for c in CASES if c.path == CSV and c is not KEEP]
+    bad = {f"AQX/LX-AAA/acms/BAD_{i}.csv": spoil(good_flight) for i, spoil in enumerate(spoils)}
+    alone = read(deliver({CSV: good_flight})).rows
+    together = read(deliver({CSV: good_flight, **bad})).rows.filter(pl.col("file") == CSV)
+    assert together.equals(alone)
+
+
+def test_unknown_tail_and_tail_of_another_operator_are_noted_and_kept(good_flight, deliver, read):
+    fleet = pl.DataFrame({"operator": ["BZR"], "tail": ["LX-AAA"], "packs": [2]})
+    intake = read(deliver({CSV: good_flight}), fleet)
+    assert intake.rows.height == N
+    assert intake.quarantine["reason"].to_list() == ["unknown_tail"]
+    assert "BZR" in intake.quarantine["detail"].item()
+
+
+def test_fleet_list_bounds_the_packs(good_flight, deliver, read):
+    fleet = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "packs": [1]})
+    intake = read(deliver({CSV: good_flight}), fleet)
+    assert intake.rows["pack"].unique().to_list() == [1]
+    assert set(intake.quarantine["reason"]) == {"bad_pack"}
+
+
+def test_a_file_that_vanished_is_reported(good_flight, deliver, read):
+    files = deliver({CSV: good_flight})
+    Path(files[0].full_path).unlink()
+    assert read(files).quarantine["reason"].to_list() == ["cannot_open"]
+
+
+def test_values_at_fault_are_listed_up_to_a_limit_and_counted_beyond(good_flight, deliver, read):
+    many = good_flight + b"".join(good_flight.splitlines(keepends=True)[1:] * 5)
+    found = read(deliver({CSV: column("mach", lambda v: 9.9)(many)})).quarantine
+    assert found.height == 101
+    assert found["row"].null_count() == 1
+    assert "152 more" in found.filter(pl.col("row").is_null())["detail"].item()
+
+
+def test_every_reason_is_met_by_a_test():
+    source = "".join(p.read_text() for p in Path(__file__).parent.glob("test_*.py"))
+    assert [r for r in REASONS if f'"{r}"' not in source] == []
+
+
+def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, deliver, read):
+    head = good_flight.splitlines(keepends=True)[0]
+    lines = read(deliver({CSV: head + b"x\n" * 30_000}))
+    rows = read(deliver({CSV: head + good_flight.splitlines(keepends=True)[1].replace(b",1,", b",9,", 1) * 30_000}))
+    for intake, reason in ((lines, "wrong_field_count"), (rows, "bad_pack")):
+        assert set(intake.quarantine["reason"]) == {reason}
+        assert intake.quarantine.height == 10_001
+        assert intake.quarantine["n_rows"].sum() == 30_000 == intake.n_delivered
+
+
+def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
+    monkeypatch.setattr("pipelines.intake.opening.MAX_TEXT_BYTES", 1000)
+    assert read(deliver({CSV: good_flight})).quarantine["reason"].to_list() == ["too_large"]

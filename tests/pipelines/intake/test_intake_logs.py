@@ -1,0 +1,47 @@
+"""The classes of bad input in messages, maintenance and the fleet list."""
+
+import pytest
+
+from pipelines.intake import read_fleet, read_maintenance, read_messages
+
+MESSAGE = "message_time,flight_id,pack,code,text\n"
+WORK = "done_on,pack,component,action,finding,reference\n"
+AIRCRAFT = "operator,tail,msn,delivered_on,packs\n"
+LOGS = [
+    ("messages", MESSAGE + '2024-05-02T18:51:18Z,LX-AAA_20240502_03,1,21-52-HXTEMP,"HOT, HIGH"\n', None),
+    ("messages", MESSAGE + "yesterday,?,9,,\n", "unreadable_time"),
+    ("messages", MESSAGE + "2061-05-02T18:51:18Z,,1,21-52-HXTEMP,\n", "future_time"),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,X,1,21-52-HXTEMP,\n", "bad_flight_id"),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,LX-AAB_20240502_03,1,21-52,\n", "flight_id_contradicts_path"),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,,9,21-52-HXTEMP,\n", "bad_pack"),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1,=cmd(),\n", "bad_code"),
+    ("maintenance", WORK + "1999-01-01,1,HX,REPLACED,FOULED,WO1\n", None),
+    ("maintenance", WORK + "2024-05-03,,RAM_DOOR,INSPECTED,,\n", None),
+    ("maintenance", WORK + "03.05.2024,1,HX,REPLACED,,\n", "unreadable_time"),
+    ("maintenance", WORK + "2061-05-03,1,HX,REPLACED,,\n", "future_time"),
+    ("maintenance", WORK + "2024-05-03,1,WING,REPLACED,,\n", "bad_code"),
+    ("maintenance", WORK + "2024-05-03,1,HX\n", "wrong_field_count"),
+    ("maintenance", "when,what\n2024-01-01,changed something\n", "missing_columns"),
+    ("maintenance", "", "empty_file"),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,2\n", None),
+    ("fleet", AIRCRAFT + "AQX,../etc,40000,2014-06-01,2\n", "bad_key"),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,1,2014-06-01,2\nAQX,LX-AAA,1,2015-06-01,2\n", "bad_key"),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,soon,2\n", "unreadable_time"),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,many\n", "bad_pack"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "content", "reason"), LOGS, ids=[f"{k} {r} {i}" for i, (k, _, r) in enumerate(LOGS)])
+def test_class_of_log(kind, content, reason, deliver, now):
+    path = "fleet.csv" if kind == "fleet" else f"AQX/LX-AAA/{kind}.csv"
+    read = {"messages": read_messages, "maintenance": read_maintenance, "fleet": read_fleet}[kind]
+    log = read(deliver({path: content.encode()})[0], now)
+    assert log.quarantine["reason"].to_list() == ([reason] if reason else [])
+    assert log.n_delivered == log.rows.height + log.n_duplicate + log.quarantine["n_rows"].sum()
+
+
+def test_rows_that_stand_twice_in_a_log_count_once(deliver, now):
+    row = "2024-05-03,1,HX,REPLACED,FOULED,WO1\n"
+    content = WORK + 3 * row
+    log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now)
+    assert (log.rows.height, log.n_duplicate, log.n_delivered) == (1, 2, 3)

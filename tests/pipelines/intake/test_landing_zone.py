@@ -1,0 +1,168 @@
+"""What is found in the landing zone, and what is refused: hostile names, links, pipes."""
+
+import os
+import time
+from datetime import date
+
+import pytest
+
+from pipelines.intake import flights_in, list_landing
+from pipelines.intake.names import flight_day, flight_of_file, is_operator, is_tail
+
+GOOD = {
+    "fleet.csv": ("", "", "fleet"),
+    "AQX/LX-AAA/messages.csv": ("AQX", "LX-AAA", "messages"),
+    "AQX/LX-AAA/maintenance.csv": ("AQX", "LX-AAA", "maintenance"),
+    "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv": ("AQX", "LX-AAA", "acms"),
+    "AQX/LX-AAA/acms/history_2024-05.parquet": ("AQX", "LX-AAA", "history"),
+    "AQX/LX-AAA/cpl/LX-AAA_20240525_04.parquet": ("AQX", "LX-AAA", "cpl"),
+    "BZR/A9-BAB/acms/odd name (1).csv": ("BZR", "A9-BAB", "acms"),
+    "BZR/A9-BAB/acms/history_2024-05 (1).PARQUET": ("BZR", "A9-BAB", "history"),
+}
+STRAY = [
+    "readme.txt",
+    "AQX/notes.csv",
+    "aqx/LX-AAA/acms/LX-AAA_20240525_04.csv",
+    "AQX/lx_aaa/acms/LX-AAA_20240525_04.csv",
+    "AQX/LX-AAA/acsm/LX-AAA_20240525_04.csv",
+    "AQX/LX-AAA/acms/LX-AAA_20240525_04.xlsx",
+    "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv.gz",
+    "AQX/LX-AAA/cpl/LX-AAA_20240525_04.csv",
+    "AQX/LX-AAA/acms/line\nbreak.csv",
+    "AQX/LX-AAA/acms/\udcff.csv",
+]
+
+
+def put(root, name, content=b"x"):
+    path = os.path.join(root, name)
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    with open(path, "wb") as sink:
+        sink.write(content)
+
+
+def test_files_of_the_contract_are_found_with_their_aircraft(tmp_path):
+    for name in GOOD:
+        put(tmp_path, name)
+    landing = list_landing(tmp_path)
+    assert {f.path: (f.operator, f.tail, f.kind) for f in landing.files} == GOOD
+    assert landing.quarantine.is_empty()
+    assert all(f.size == 1 and f.mtime_ns > 0 for f in landing.files)
+    assert all(f.is_text == (f.kind not in ("history", "cpl")) for f in landing.files)
+    assert all((f.source == "cpl") == (f.kind == "cpl") for f in landing.files)
+
+
+@pytest.mark.parametrize("name", STRAY, ids=ascii)
+def test_what_fits_no_pattern_is_refused_and_blocks_nothing(tmp_path, name):
+    put(tmp_path, "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv")
+    put(tmp_path, name)
+    landing = list_landing(tmp_path)
+    assert [f.path for f in landing.files] == ["AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"]
+    assert landing.quarantine["reason"].to_list() == ["unexpected_name"]
+    assert landing.quarantine["file"].item().isprintable()
+    landing.quarantine["file"].item().encode()
+
+
+@pytest.mark.parametrize(
+    "name", ["AQX/LX-AAA/acms/LX-AAA_20240525_04.csv.part", "AQX/LX-AAA/acms/.x.csv.123.part", ".DS_Store"]
+)
+def test_what_is_still_being_written_is_left_alone(tmp_path, name):
+    put(tmp_path, name)
+    landing = list_landing(tmp_path)
+    assert not landing.files
+    assert landing.quarantine.is_empty()
+
+
+@pytest.mark.parametrize(
+    "linked", ["AQX/LX-AAA/acms/LX-AAA_20240525_04.csv", "AQX/LX-AAA/acms", "AQX/LX-AAA", "AQX", "fleet.csv"]
+)
+def test_links_out_of_the_zone_are_refused(tmp_path, linked):
+    outside, zone = tmp_path / "outside", tmp_path / "zone"
+    put(outside, "secret.csv", b"secret")
+    os.makedirs((zone / linked).parent)
+    os.symlink(outside / "secret.csv" if linked.endswith(".csv") else outside, zone / linked)
+    landing = list_landing(zone)
+    assert not landing.files
+    assert landing.quarantine["reason"].to_list() == ["outside_landing"]
+
+
+def test_links_within_the_zone_are_followed_and_dead_ones_refused(tmp_path):
+    put(tmp_path, "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv")
+    os.symlink("LX-AAA_20240525_04.csv", tmp_path / "AQX/LX-AAA/acms/LX-AAA_20240525_05.csv")
+    os.symlink("nowhere", tmp_path / "AQX/LX-AAA/acms/LX-AAA_20240525_06.csv")
+    landing = list_landing(tmp_path)
+    assert len(landing.files) == 2
+    assert landing.quarantine["reason"].to_list() == ["outside_landing"]
+
+
+def test_a_pipe_is_refused_and_never_opened(tmp_path):
+    put(tmp_path, "fleet.csv")
+    os.makedirs(tmp_path / "AQX/LX-AAA/acms")
+    os.mkfifo(tmp_path / "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv")
+    assert list_landing(tmp_path).quarantine["reason"].to_list() == ["not_a_file"]
+
+
+def test_a_folder_under_the_name_of_a_file_is_refused(tmp_path):
+    os.makedirs(tmp_path / "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv")
+    os.makedirs(tmp_path / "AQX/LX-AAA/messages.csv")
+    assert set(list_landing(tmp_path).quarantine["reason"]) == {"unexpected_name"}
+
+
+def test_a_zone_that_is_not_there_is_reported(tmp_path):
+    assert list_landing(tmp_path / "none").quarantine["reason"].to_list() == ["cannot_open"]
+
+
+def test_listing_cost_is_linear_and_small(tmp_path):
+    folder = tmp_path / "AQX/LX-AAA/acms"
+    folder.mkdir(parents=True)
+    for i in range(5_000):
+        (folder / f"LX-AAA_{20200101 + i // 99}_{i % 99 + 1:02d}.csv").touch()
+    started = time.process_time()
+    assert len(list_landing(tmp_path).files) == 5_000
+    assert time.process_time() - started < 1.0  # 20 times what it takes: 100,000 files in a second or so
+
+
+def test_flights_of_a_file_come_from_its_name_or_its_column(good_flight, deliver):
+    files = deliver(
+        {
+            "AQX/LX-AAA/acms/LX-AAA_20240101_01.csv": b"",
+            "AQX/LX-AAA/acms/odd.csv": good_flight,
+            "AQX/LX-AAA/acms/bad.csv": good_flight.replace(b"LX-AAA_", b"../../"),
+            "AQX/LX-AAA/acms/history_2024-05.parquet": b"broken",
+        }
+    )
+    held = {f.name: flights_in(f) for f in files}
+    assert held == {
+        "LX-AAA_20240101_01.csv": ["LX-AAA_20240101_01"],
+        "odd.csv": ["LX-AAA_20240525_04"],
+        "bad.csv": [],
+        "history_2024-05.parquet": [],
+    }
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "",
+        "LX-AAA",
+        "LX-AAA_20240230_01",
+        "LX-AAA_20240101_00",
+        "LX-AAA_20240101_1",
+        "lx-aaa_20240101_01",
+        "LX-AAA_20240101_01\n",
+        "../../../X_20240101_01",
+        "LX AAA_20240101_01",
+        "ＬＸ_20240101_01",
+        "LX-AAA_２０240101_01",
+        "A_20240101_01",
+    ],
+)
+def test_what_is_no_flight_id(bad):
+    assert flight_day(bad) is None
+
+
+def test_what_is_a_flight_id():
+    assert flight_day("LX-AAA_20240229_01") == date(2024, 2, 29)
+    assert flight_of_file("LX-AAA_20240229_01.csv", "LX-AAA") == "LX-AAA_20240229_01"
+    assert flight_of_file("LX-AAA_20240229_01.csv", "LX-AAB") is None
+    assert [n for n in ("AQX", "AQX\n", "../", "AQ1", "") if is_operator(n)] == ["AQX"]
+    assert [n for n in ("LX-AAA", "..", "LX/AAA", "LX-AAA\n", "X") if is_tail(n)] == ["LX-AAA"]

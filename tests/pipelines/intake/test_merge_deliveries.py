@@ -1,0 +1,100 @@
+"""Late, repeated and out-of-order deliveries end where a clean delivery ends."""
+
+import random
+
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipelines.intake import account, merge_deliveries
+from pipelines.intake.columns import SIGNAL_COLUMNS
+
+CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
+COPY = "AQX/LX-AAA/acms/copy.csv"
+
+
+def with_field(content: bytes, row: int, column: str, value: bytes) -> bytes:
+    lines = [x.split(b",") for x in content.splitlines()]
+    lines[row][lines[0].index(column.encode())] = value
+    return b"".join(b",".join(x) + b"\n" for x in lines)
+
+
+def test_the_same_flight_twice_is_stored_once(good_flight, deliver, read):
+    intake = read(deliver({CSV: good_flight, COPY: good_flight}))
+    merged = merge_deliveries([intake.rows], {})
+    assert merged.rows.height == 42
+    assert merged.duplicates["n_duplicate"].sum() == 42
+    assert merged.quarantine.is_empty()
+
+
+def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, deliver, read, now):
+    files = deliver({CSV: good_flight, COPY: with_field(good_flight, 5, "hx_out_degc", b"77.5")})
+    merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
+    assert merged.rows.height == 42
+    assert merged.duplicates["n_duplicate"].sum() == 41
+    (found,) = merged.quarantine.rows(named=True)
+    assert (found["reason"], found["scope"], found["row"]) == ("conflicting_delivery", "row", 6)
+    assert found["column_name"] == "hx_out_k"
+    assert (CSV in found["detail"]) != (found["file"] == CSV)
+    assert found["received_at"] is not None
+
+
+def test_a_delivery_with_more_values_wins_whatever_its_name(good_flight, deliver, read):
+    poorer = with_field(good_flight, 5, "hx_out_degc", b"")
+    for pair in ({CSV: poorer, COPY: good_flight}, {CSV: good_flight, COPY: poorer}):
+        merged = merge_deliveries([read(deliver(pair)).rows], {})
+        assert merged.rows["hx_out_k"].null_count() == 0
+        assert merged.quarantine.is_empty()
+
+
+def test_numbers_that_went_through_32_bits_are_the_same_numbers(good_flight, deliver, read):
+    rows = read(deliver({CSV: good_flight})).rows
+    names = [c.si_name for c in SIGNAL_COLUMNS]
+    rounded = rows.with_columns(pl.col(names).cast(pl.Float32).cast(pl.Float64), pl.lit(COPY).alias("file"))
+    merged = merge_deliveries([rows, rounded], {})
+    assert merged.rows.height == 42
+    assert merged.quarantine.is_empty()
+
+
+def test_snapshot_and_log_of_the_same_second_are_two_records(good_flight, deliver, read):
+    rows = read(deliver({CSV: good_flight})).rows
+    both = merge_deliveries([rows, rows.with_columns(pl.lit("cpl").alias("source"))], {})
+    assert both.rows.height == 84
+
+
+def test_nothing_merges_to_nothing(good_flight, deliver, read):
+    rows = read(deliver({CSV: good_flight})).rows.clear()
+    assert all(f.is_empty() for f in merge_deliveries([rows], {}))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32))
+@pytest.mark.usefixtures("tmp_path")
+def test_the_order_of_delivery_does_not_matter(seed, three_deliveries):
+    """Rows, quarantine and ledger are the same for any order of files and of rows within the frames."""
+    intake, at, clean = three_deliveries
+    rng = random.Random(seed)
+    frames = [f.sample(fraction=1.0, shuffle=True, seed=seed) for f in intake.rows.partition_by("file")]
+    rng.shuffle(frames)
+    merged = merge_deliveries(frames, at)
+    assert merged.rows.equals(clean.rows)
+    assert merged.duplicates.equals(clean.duplicates)
+    assert merged.quarantine.sort("file", "row").equals(clean.quarantine.sort("file", "row"))
+    ledger = account(intake.delivered, merged.rows, merged.duplicates, merged.quarantine)
+    assert ledger["balanced"].all()
+
+
+@pytest.fixture(scope="module")
+def three_deliveries(good_flight, tmp_path_factory, read):
+    from pipelines.intake import list_landing
+
+    root = tmp_path_factory.mktemp("zone")
+    spoiled = with_field(with_field(good_flight, 5, "mach", b"0.5"), 9, "vda_pos", b"")
+    for name, content in {CSV: good_flight, COPY: good_flight, "AQX/LX-AAA/acms/third.csv": spoiled}.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(content)
+    files = list_landing(root).files
+    intake = read(files)
+    at = {f.path: f.received_at for f in files}
+    return intake, at, merge_deliveries([intake.rows], at)

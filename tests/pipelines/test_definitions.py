@@ -1,0 +1,94 @@
+"""What `dagster dev` shows: every stage, with owners, kinds, descriptions, checks and the agreed partitions."""
+
+import dagster as dg
+import pytest
+
+from hdt_core.tables import TABLES
+from pipelines.assets.stage import CHECK
+from pipelines.definitions import build_defs
+from pipelines.versions import MADE
+
+STAGES = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis"}
+
+
+@pytest.fixture(scope="module")
+def defs(tmp_path_factory) -> dg.Definitions:
+    base = tmp_path_factory.mktemp("defs")
+    return build_defs(landing=base, home=base / "home")
+
+
+@pytest.fixture(scope="module")
+def specs(defs) -> dict[str, dg.AssetSpec]:
+    return {s.key.path[-1]: s for s in defs.resolve_all_asset_specs()}
+
+
+def test_there_is_an_asset_for_every_declared_table(specs):
+    assert set(specs) == set(TABLES) == set(MADE)
+
+
+def test_all_seven_stages_are_groups(specs):
+    assert {s.group_name for s in specs.values()} == STAGES
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_an_asset_says_what_it_is(specs, table):
+    spec = specs[table]
+    assert spec.owners
+    assert "parquet" in spec.kinds
+    assert len(spec.description or "") > 30
+    assert spec.code_version == MADE[table].code
+    partitions = {"flight": dg.MultiPartitionsDefinition, "aircraft": dg.DynamicPartitionsDefinition}
+    expected = partitions.get(TABLES[table].grain)
+    assert expected is None if spec.partitions_def is None else isinstance(spec.partitions_def, expected)
+
+
+def test_every_asset_has_a_blocking_check_from_its_declaration(defs):
+    graph = defs.resolve_asset_graph()
+    keys = {(k.asset_key.path[-1], k.name) for k in graph.asset_check_keys}
+    assert {(t, CHECK) for t in TABLES} <= keys
+    assert all(graph.get(k).blocking for k in graph.asset_check_keys)
+
+
+def test_what_the_ledger_calls_a_parent_is_a_dependency_in_the_graph(specs):
+    for table, made in MADE.items():
+        upstream = {d.asset_key.path[-1] for d in specs[table].deps}
+        stems = {u.split("_")[0] for u in upstream}
+        for parent in made.parents:
+            assert parent in upstream or parent.split("_")[0] in stems, (table, parent, upstream)
+
+
+def test_schedule_and_sensor_are_there_and_off(defs):
+    repository = defs.get_repository_def()
+    assert [s.name for s in repository.schedule_defs] == ["every_night"]
+    assert [s.name for s in repository.sensor_defs] == ["landing_zone"]
+    stopped = dg.DefaultScheduleStatus.STOPPED, dg.DefaultSensorStatus.STOPPED
+    assert (repository.schedule_defs[0].default_status, repository.sensor_defs[0].default_status) == stopped
+
+
+def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):
+    from pipelines import schedules
+    from pipelines.resources import Home
+
+    home = Home(landing=str(sample_landing), home=str(tmp_path / "home"))
+
+    def look():
+        with dg.build_sensor_context(resources={"home": home}) as context:
+            return list(schedules.landing_zone(context))
+
+    monkeypatch.setattr(schedules, "QUIET_S", 10**12)
+    (fresh,) = look()
+    assert "waiting" in fresh.skip_message
+    monkeypatch.setattr(schedules, "QUIET_S", -1)
+    first, second = look(), look()
+    assert first[0].run_key == second[0].run_key
+
+
+def test_the_job_does_what_the_command_does(own_home):
+    from pipelines.definitions import build_defs
+    from pipelines.runs import open_instance
+
+    landing, home = own_home
+    instance = open_instance(home)
+    done = build_defs(landing=landing, home=home).resolve_job_def("nightly").execute_in_process(instance=instance)
+    assert done.success
+    instance.dispose()

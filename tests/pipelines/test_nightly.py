@@ -1,0 +1,163 @@
+"""One night after another: idle, one flight more, files late or twice or broken, an aircraft that fails."""
+
+import shutil
+
+import dagster as dg
+import polars as pl
+import pytest
+from nights import keep_base, run
+
+from pipelines.catalog import connect
+from pipelines.runs import open_instance
+
+COMPARED = (
+    "raw_snapshots",
+    "raw_flights",
+    "legs_samples",
+    "calibration_dsm",
+    "twin_flights",
+    "twin_health",
+    "features",
+    "prognoses",
+)
+
+
+def made_since(home, asset: str, since: float) -> set[str]:
+    """Partitions of an asset materialised after `since`."""
+    instance = open_instance(home)
+    try:
+        records = instance.fetch_materializations(
+            dg.AssetRecordsFilter(dg.AssetKey(asset), after_timestamp=since), limit=10_000
+        )
+        return {r.partition_key for r in records.records}
+    finally:
+        instance.dispose()
+
+
+def last_time(home) -> float:
+    instance = open_instance(home)
+    try:
+        return max(r.timestamp for r in instance.fetch_materializations(dg.AssetKey("prognoses"), limit=1).records)
+    finally:
+        instance.dispose()
+
+
+def tables(home) -> dict[str, pl.DataFrame]:
+    from pipelines.store import Store
+
+    frames = {t: Store(home).read(t) for t in COMPARED}
+    return {t: f.sort([c for c in f.columns if f[c].dtype != pl.Binary]) for t, f in frames.items()}
+
+
+def test_nothing_new_does_nothing(own_home):
+    landing, home = own_home
+    before = last_time(home)
+    night = run(landing, home)
+    assert night.idle
+    assert night.new_files == 0
+    assert not made_since(home, "raw_flights", before)
+
+
+def test_a_touched_file_is_not_a_new_one(own_home):
+    landing, home = own_home
+    next(landing.glob("*/*/acms/*.csv")).touch()
+    assert run(landing, home).idle
+
+
+@pytest.fixture
+def newest(own_home):
+    """The last flight of one aircraft, taken out of landing zone and home as if it had not come yet."""
+    landing, _ = own_home
+    return max((landing / "AQX/LX-AAB/acms").glob("*.csv"))
+
+
+def test_one_new_flight_makes_that_flight_and_no_other(own_home, newest):
+    landing, home = own_home
+    text = newest.read_text()
+    flight = newest.stem[:-2] + "99"
+    newest.with_name(f"{flight}.csv").write_text(text.replace(newest.stem, flight))
+    before = last_time(home)
+    night = run(landing, home)
+    assert not night.failed
+    cell = f"AQX:LX-AAB|{flight[-11:]}"
+    for asset in ("raw_snapshots", "raw_flights", "legs_samples", "legs_verdicts", "twin_flights", "residuals"):
+        assert made_since(home, asset, before) == {cell}, asset
+    for asset in ("twin_health", "features", "features_alerts"):
+        assert made_since(home, asset, before) == {"AQX:LX-AAB"}, asset
+    assert not made_since(home, "calibration_dsm", before), (
+        "a flight after commissioning must not recalibrate the model"
+    )
+
+
+def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sample_home, tmp_path):
+    """Three nights: first the newest files, then some of them again and the logs, at last the old history."""
+    landing, home = tmp_path / "landing", tmp_path / "home"
+    shutil.copytree(sample_landing, landing, ignore=shutil.ignore_patterns("history_*", "maintenance.csv", "cpl"))
+    keep_base(sample_home, home)
+    assert not run(landing, home).failed
+    for csv in sorted(landing.glob("*/*/acms/*.csv"))[:20]:
+        shutil.copy(csv, csv.with_name(csv.stem + " (1).csv"))
+    for log in sample_landing.glob("*/*/maintenance.csv"):
+        shutil.copy(log, landing / log.relative_to(sample_landing))
+    assert not run(landing, home).failed
+    for late in (*sample_landing.glob("*/*/cpl/*"), *sample_landing.glob("*/*/acms/history_*")):
+        target = landing / late.relative_to(sample_landing)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(late, target)
+    assert not run(landing, home).failed
+    clean, late_frames = tables(sample_home), tables(home)
+    for name in COMPARED:
+        ours, theirs = clean[name].drop("file", strict=False), late_frames[name].drop("file", strict=False)
+        assert ours.equals(theirs), name
+
+
+def test_a_broken_file_is_quarantined_and_the_rest_goes_on(own_home, newest):
+    landing, home = own_home
+    lines = newest.read_text().splitlines()
+    flight = newest.stem[:-2] + "98"
+    good = [line.replace(newest.stem, flight) for line in lines]
+    good[3] = good[3].replace(good[3].split(",")[4], "ERR", 1)
+    newest.with_name(f"{flight}.csv").write_text("\n".join(good)[:-9])
+    newest.with_name("LX-AAB_20240701_01.csv").write_bytes(b"\x00\x01garbage\xff" * 50)
+    night = run(landing, home)
+    assert not night.failed
+    with connect(home) as con:
+        rows = con.execute("select file, row, column_name, reason from quarantine where file like '%98.csv'").fetchall()
+        assert ("AQX/LX-AAB/acms/" + flight + ".csv", 4, "altitude_ft", "not_a_number") in rows
+        assert any(reason == "cut_short" for *_, reason in rows)
+        assert con.execute("select count(*) from quarantine where file like '%20240701_01.csv'").fetchone()[0] == 1
+        assert con.execute("select n_snapshots > 0 from flights where flight_id = ?", [flight]).fetchone()[0]
+        assert con.execute("select bool_and(delivered = loaded + quarantined + duplicate) from deliveries").fetchone()[
+            0
+        ]
+
+
+def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, newest, monkeypatch):
+    import pipelines.assets.raw as raw_assets
+
+    landing, home = own_home
+    real = raw_assets.take_in
+    added = []
+    for name in ("AQX/LX-AAB", "BZR/A9-BAC"):
+        last = max((landing / name / "acms").glob("*.csv"))
+        flight = last.stem[:-2] + "97"
+        last.with_name(f"{flight}.csv").write_text(last.read_text().replace(last.stem, flight))
+        added.append(flight)
+
+    def sick(landing, store, ledger, aircraft, flights):
+        if aircraft == ("AQX", "LX-AAB"):
+            raise RuntimeError("disk on fire")
+        return real(landing, store, ledger, aircraft, flights)
+
+    monkeypatch.setattr(raw_assets, "take_in", sick)
+    night = run(landing, home)
+    assert list(night.failed) == ["flights and legs: AQX:LX-AAB"]
+    assert "disk on fire" in next(iter(night.failed.values()))
+    with connect(home) as con:
+        stored = {f for (f,) in con.execute("select flight_id from flights").fetchall()}
+    assert added[1] in stored
+    assert added[0] not in stored
+    monkeypatch.undo()
+    assert not run(landing, home).failed
+    with connect(home) as con:
+        assert con.execute("select count(*) from flights where flight_id = ?", [added[0]]).fetchone()[0] == 1

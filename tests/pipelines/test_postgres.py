@@ -1,0 +1,67 @@
+"""Run history in PostgreSQL, as in production: the same cells are reported as in the embedded default.
+
+Runs where HDT_TEST_POSTGRES names a server, as `postgresql://user@host:5432/database`.
+"""
+
+import os
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import dagster as dg
+import pytest
+from nights import Silent
+
+from hdt_core.simulate.design import FleetSettings
+from pipelines import nightly
+from pipelines.runs import open_instance
+from pipelines.simulated import write_fleet
+
+SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
+pytestmark = pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
+
+SETTINGS = """\
+storage:
+  postgres:
+    postgres_url: {url}
+telemetry:
+  enabled: false
+"""
+
+
+@pytest.fixture
+def database() -> Iterator[str]:
+    """A database of the test's own."""
+    import psycopg2
+
+    name = f"hdt_{uuid.uuid4().hex}"
+    admin = psycopg2.connect(SERVER)
+    admin.autocommit = True
+    admin.cursor().execute(f"create database {name}")
+    yield f"{SERVER.rpartition('/')[0]}/{name}"
+    admin.cursor().execute(f"drop database {name} with (force)")
+    admin.close()
+
+
+def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:
+    """Which cells of each asset have been made, by the instance's own account."""
+    tables = [t for _, grain, nodes in nightly.STEPS[:5] if grain == "flight" for node in nodes for t in node]
+    return {t: set(instance.get_materialized_partitions(dg.AssetKey(t))) for t in tables}
+
+
+def test_a_night_is_recorded_as_in_the_embedded_default(database: str, tmp_path: Path, monkeypatch) -> None:
+    list(write_fleet(tmp_path, 3, FleetSettings(operators=1, tails=2, flights=12)))
+    monkeypatch.setattr(nightly, "STEPS", nightly.STEPS[:5])
+    (tmp_path / "production/dagster").mkdir(parents=True)
+    (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.format(url=database))
+    made = []
+    for home in (tmp_path / "embedded", tmp_path / "production"):
+        night = nightly.run_night(tmp_path / "landing", home, Silent())
+        assert not night.failed, night.failed
+        instance = open_instance(home)
+        made.append((type(instance.event_log_storage).__name__, cells(instance)))
+        instance.dispose()
+    (embedded, first), (postgres, second) = made
+    assert (embedded, postgres) == ("BatchedSqliteEventLogStorage", "PostgresEventLogStorage")
+    assert first == second
+    assert all(len(c) >= 20 for name, c in first.items() if name in {"raw_snapshots", "legs_samples", "twin_flights"})

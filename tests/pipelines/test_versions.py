@@ -1,0 +1,137 @@
+"""What is stale: exactly the cells whose inputs changed, by content and never by time."""
+
+import datetime as dt
+
+import polars as pl
+import pytest
+
+from hdt_core.tables import TABLES
+from pipelines import versions
+from pipelines.definitions import build_defs
+from pipelines.ledger import Ledger
+from pipelines.store import Store
+from pipelines.versions import CELL, MADE, expected, stale
+
+A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
+
+
+def deliver(ledger: Ledger, aircraft, name: str, flights: list[str], digest: str, kind: str = "acms") -> None:
+    path = f"{aircraft[0]}/{aircraft[1]}/{name}"
+    ledger.register([(path, *aircraft, kind, 1, 1, digest)], {path: flights})
+
+
+def make(ledger: Ledger, *tables: str) -> None:
+    for table in tables:
+        ledger.mark(table, expected(ledger, table))
+
+
+@pytest.fixture
+def ledger(tmp_path) -> Ledger:
+    ledger = Ledger(tmp_path)
+    deliver(ledger, A, "history_2024-05.parquet", ["LX-AAA_20240501_01", "LX-AAA_20240502_01"], "h1", "history")
+    deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
+    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
+    return ledger
+
+
+def flights(frame: pl.DataFrame) -> set[str]:
+    return set(frame["flight_id"])
+
+
+def test_nothing_is_stale_after_it_was_made(ledger):
+    for table in ("raw_flights", "legs_samples", "calibration_dsm", "twin_flights"):
+        assert stale(ledger, table).is_empty(), table
+
+
+def test_a_file_delivered_again_with_the_same_content_changes_nothing(ledger):
+    deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
+    assert stale(ledger, "raw_flights").is_empty()
+
+
+def test_a_second_file_for_a_flight_makes_that_flight_stale(ledger):
+    deliver(ledger, A, "LX-AAA_20240502_01.csv", ["LX-AAA_20240502_01"], "c1")
+    assert flights(stale(ledger, "raw_flights")) == {"LX-AAA_20240502_01"}
+
+
+def test_a_corrected_history_file_makes_its_flights_stale_and_no_others(ledger):
+    deliver(ledger, A, "history_2024-05.parquet", ["LX-AAA_20240501_01", "LX-AAA_20240502_01"], "h2", "history")
+    assert flights(stale(ledger, "raw_flights")) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
+    assert stale(ledger, "legs_samples").is_empty(), "what follows is stale once its parent was made anew"
+    make(ledger, "raw_flights")
+    assert flights(stale(ledger, "legs_samples")) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
+
+
+def test_new_code_makes_a_stage_stale_and_what_follows_once_it_was_run(ledger, monkeypatch):
+    monkeypatch.setitem(versions.MADE, "legs_samples", versions.Made(("raw_flights",), code="another"))
+    assert stale(ledger, "legs_samples").height == 3
+    assert stale(ledger, "raw_flights").is_empty()
+
+
+def test_a_track_is_stale_for_the_aircraft_of_a_changed_flight_only(ledger):
+    make(ledger, "twin_health")
+    deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b2")
+    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
+    wanted = stale(ledger, "twin_health")
+    # both aircraft are within the commissioning window, so the model itself has changed with the flight
+    assert set(wanted["tail"]) == {"LX-AAA", "LX-AAB"}
+
+
+def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
+    ledger = Ledger(tmp_path)
+    ids = [f"LX-AAA_2024{m:02d}{d:02d}_{leg:02d}" for m in range(1, 4) for d in range(1, 29) for leg in (1, 2)]
+    deliver(ledger, A, "history.parquet", ids[:161], "h", "history")
+    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights", "twin_health")
+    deliver(ledger, A, f"{ids[165]}.csv", [ids[165]], "new")
+    make(ledger, "raw_flights", "legs_samples")
+    assert stale(ledger, "calibration_dsm").is_empty()
+    assert flights(stale(ledger, "twin_flights")) == {ids[165]}
+
+
+def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_path):
+    ledger, store = Ledger(tmp_path), Store(tmp_path)
+    deliver(ledger, A, "x.csv", ["LX-AAA_20240501_01"], "d")
+    make(ledger, "raw_flights", "legs_samples")
+    before = set(expected(ledger, "calibration_dsm")["version"])
+    seen = []
+    for day in (dt.date(2024, 5, 2), dt.date(2024, 5, 1)):
+        row = {"operator": "AQX", "tail": "LX-AAA", "done_on": day, "pack": 1, "component": "HX", "action": "REPLACED"}
+        store.replace("raw_maintenance", A, TABLES["raw_maintenance"].conform(pl.DataFrame([row])))
+        seen.append(set(expected(ledger, "calibration_dsm")["version"]))
+    assert seen[0] == before
+    assert seen[1] != before
+
+
+@pytest.mark.parametrize("table", MADE)
+def test_every_table_has_a_version_at_its_own_grain(ledger, table):
+    frame = expected(ledger, table)
+    assert frame.columns == [*CELL, "version"]
+    assert frame.select(pl.all().is_not_null().all()).row(0) == (True,) * 4 or frame.is_empty()
+
+
+def test_the_version_does_not_depend_on_the_order_of_delivery(tmp_path):
+    one, two = Ledger(tmp_path / "1"), Ledger(tmp_path / "2")
+    files = [("x.csv", "d1"), ("y.csv", "d2")]
+    for ledger, order in ((one, files), (two, files[::-1])):
+        for name, digest in order:
+            deliver(ledger, A, name, ["LX-AAA_20240501_01"], digest)
+    assert expected(one, "raw_flights").equals(expected(two, "raw_flights"))
+
+
+def ancestors(table: str) -> set[str]:
+    parents = set(MADE[table].parents)
+    return parents.union(*(ancestors(p) for p in parents))
+
+
+ASSETS = build_defs(landing=".", home=".").assets
+MAKER = {key.path[-1]: asset.op.name for asset in ASSETS for key in asset.keys}
+
+
+@pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.op.name)
+def test_whatever_an_asset_reads_counts_in_its_version(asset):
+    """Of tables made together one is enough: their versions are the same. A baseline reads what it hashes itself."""
+    for key in asset.keys:
+        read = {MAKER[k.path[-1]] for k in asset.asset_deps[key]} - {asset.op.name}
+        counted = {MAKER[t] for t in ancestors(key.path[-1])}
+        if MADE[key.path[-1]].baseline:
+            counted |= {MAKER["raw_messages"]}
+        assert read <= counted, read - counted

@@ -1,0 +1,57 @@
+"""One landing zone full of hostile files, and the home that a night made of it."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+import pytest
+from hostile import CANARY, plant
+from nights import keep_base
+from zones import drop_fleet, simulated
+
+from pipelines.catalog import connect
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What a night over hostile files left behind."""
+
+    root: Path
+    landing: Path
+    home: Path
+    failed: dict[str, str]
+    seen: list[tuple[str, str]]
+    quarantine: pl.DataFrame
+    said: str
+
+
+@pytest.fixture(scope="session")
+def watched(tmp_path_factory: pytest.TempPathFactory, sample_home: Path) -> Watched:
+    """A good aircraft among all that is hostile; a secret in the environment."""
+    root = tmp_path_factory.mktemp("watched")
+    landing, home = root / "landing", root / "home"
+    zone = simulated(5, 3, operator="QQX", tail="Z9")
+    drop_fleet(landing, [zone])
+    zone.drop_csv(landing)
+    zone.drop_papers(landing)
+    plant(root, landing)
+    keep_base(sample_home, home)
+    script = Path(__file__).with_name("night_under_watch.py")
+    secrets = {"DAGSTER_PG_PASSWORD": CANARY, "AWS_SECRET_ACCESS_KEY": CANARY}
+    done = subprocess.run(
+        [sys.executable, script, landing, home, root / "told.json"],
+        env=os.environ | secrets,
+        capture_output=True,
+        text=True,
+        cwd=root,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    told = json.loads((root / "told.json").read_text())
+    with connect(home) as con:
+        aside = con.sql("select * from quarantine").pl()
+    return Watched(root, landing, home, told["failed"], told["seen"], aside, done.stdout + done.stderr)

@@ -1,0 +1,218 @@
+"""Nobody in: hostile files, names, questions and models. Nothing is executed, nothing is written outside the home."""
+
+import pickle
+import sys
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pytest
+import skops.io
+import yaml
+from hostile import CANARY, FILES, LINKS, PIPE, SCRIPT, Bomb
+from skops.io.exceptions import UntrustedTypesFoundException
+
+from pipelines import cli
+from pipelines.assets.prognosis import TRUSTED
+from pipelines.catalog import ask, connect
+from pipelines.runs import open_instance
+from pipelines.store import Store
+
+ROOT = Path(__file__).parents[2]
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*FILES, *LINKS, "a pipe"])
+def test_a_hostile_file_is_turned_away_with_a_reason(watched, name):
+    planted = {n: (path, reason) for n, (path, _, reason) in (FILES | LINKS).items()} | {"a pipe": (PIPE, "not_a_file")}
+    path, reason = planted[name]
+    shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path)
+    entries = watched.quarantine.filter(pl.lit(shown).str.starts_with(pl.col("file")))
+    assert reason in entries["reason"].to_list()
+
+
+def test_the_good_aircraft_among_them_is_taken_in(watched):
+    assert watched.failed == {}
+    balance = "select bool_and(delivered = loaded + quarantined + duplicate) from deliveries"
+    with connect(watched.home) as con:
+        assert con.execute("select count(*) from flights where tail = 'Z9'").fetchone()[0] >= 3
+        assert con.execute(balance).fetchone()[0]
+
+
+def test_nothing_was_executed_loaded_or_called(watched):
+    unpickled = [e for e in watched.seen if e[0] == "pickle.find_class" and "polars" not in e[1]]
+    # Dagster follows the log of each step, joblib counts the cores
+    harmless = ("('tail', ['tail', '-F'", "watch_orphans", "('lscpu', ")
+    started = [e for e in watched.seen if e[0] not in ("write", "pickle.find_class")]
+    started = [e for e in started if not any(h in e[1] for h in harmless)]
+    assert started == []
+    assert unpickled == []
+    assert not list(watched.root.rglob("pwned*"))
+
+
+def test_nothing_was_written_outside_the_home(watched):
+    home = str(watched.home)
+    devices = ("/dev/null", "/proc/", "/sys/")
+    outside = [p for kind, p in watched.seen if kind == "write" and not p.startswith((home, *devices))]
+    assert outside == []
+    left = {p.name for p in watched.root.iterdir()}
+    assert left == {"landing", "home", "outside", "told.json"}
+    assert [p.name for p in (watched.root / "outside").iterdir()] == ["secret.csv"]
+
+
+def test_the_report_shows_markup_and_runs_none(watched):
+    page = (watched.home / "report.html").read_text()
+    assert SCRIPT not in page
+    assert "<script>alert" not in page
+    assert "<img src=x" not in page
+
+
+def test_a_secret_of_the_environment_is_told_to_nobody(watched):
+    assert CANARY not in watched.said
+    holders = [f for f in watched.home.rglob("*") if f.is_file() and CANARY.encode() in f.read_bytes()]
+    assert holders == []
+
+
+# --- names ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "aircraft",
+    [
+        ("..", "Z9"), ("QQX", ".."), ("QQX", "../../etc"), ("/tm", "Z9"), ("QQX", "Z9/../.."), ("QQX", "Z9\n"),
+        ("QQX\n", "Z9"), ("QQX", "Z9\0"), ("qqx", "Z9"), ("QQX", "\uff3a\uff19"), ("", "Z9"), ("QQX", "~"),
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_a_name_that_is_no_name_becomes_no_path(tmp_path, aircraft):
+    with pytest.raises(ValueError, match="not an operator and tail"):
+        Store(tmp_path).path("raw_snapshots", aircraft)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["backfill", "--operator", "../.."],
+        ["backfill", "--tail", "../../../etc"],
+        ["backfill", "--tail", "Z9'; drop table done; --"],
+        ["explain", "' or 1=1 --"],
+        ["explain", "%"],
+    ],
+    ids=" ".join,
+)
+def test_a_hostile_argument_is_answered_in_one_line(watched, monkeypatch, capsys, arguments):
+    monkeypatch.setenv("HDT_HOME", str(watched.home))
+    monkeypatch.setenv("HDT_LANDING", str(watched.landing))
+    before = listing(watched.home)
+    assert command(monkeypatch, *arguments) == 2
+    assert capsys.readouterr().err.startswith("hdt: ")
+    assert listing(watched.home) == before
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["hdt", *arguments])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    return int(end.value.code or 0)
+
+
+def listing(home: Path) -> set[Path]:
+    return {p for p in home.rglob("*") if "dagster" not in p.parts}
+
+
+# --- questions -----------------------------------------------------------------------------------------------------
+
+QUESTIONS = (
+    "select * from read_text('/etc/hostname')",
+    "select * from read_csv('/etc/hostname')",
+    "select * from read_blob('{home}/ledger.sqlite')",
+    "select * from read_text('{home}/tables/../dagster/dagster.yaml')",
+    "select * from glob('/etc/*')",
+    "select * from '/etc/hostname'",
+    "select * from 'https://example.com/x.parquet'",
+    "copy (select 1) to '{home}/../pwned.csv'",
+    "copy (select 1) to '{home}/tables/raw_flights/pwned.parquet'",
+    "explain analyze copy (select 1) to '{home}/tables/pwned.csv'",
+    "copy flights from '/etc/hostname'",
+    "export database '{home}/pwned'",
+    "attach '{home}/pwned.duckdb' as pwned",
+    "attach '{home}/ledger.sqlite' (type sqlite)",
+    "install httpfs",
+    "load '{home}/pwned.duckdb_extension'",
+    "set enable_external_access = true",
+    "set lock_configuration = false",
+    "set allowed_directories = ['/']",
+    "pragma enable_profiling",
+    "create table pwned (a integer)",
+    "create secret pwned (type s3, key_id 'x', secret 'y')",
+    "drop view flights",
+    "select 1; drop view flights",
+    "select 1; copy (select 1) to '{home}/pwned.csv'",
+    "call enable_logging()",
+    "",
+)
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_a_hostile_question_gets_no_answer_and_leaves_nothing(watched, monkeypatch, capsys, question):
+    before = listing(watched.root)
+    assert command(monkeypatch, "query", "--home", str(watched.home), question.format(home=watched.home)) == 2
+    assert capsys.readouterr().err.startswith("hdt: ")
+    assert listing(watched.root) == before
+
+
+def test_the_catalogs_lock_holds_without_the_commands_own_check(watched):
+    """Who has a connection, the report for one, can't reach a file or the network either, nor take the lock off."""
+    with connect(watched.home) as con:
+        for sql in (*QUESTIONS[:7], *QUESTIONS[14:19]):
+            with pytest.raises(duckdb.Error):
+                con.execute(sql.format(home=watched.home)).fetchall()
+
+
+def test_a_second_connection_is_locked_as_the_first(watched):
+    with connect(watched.home) as first, connect(watched.home) as second:
+        for con in (first, second):
+            assert con.execute("select current_setting('enable_external_access')").fetchone() == (False,)
+
+
+def test_an_honest_question_is_answered(watched):
+    with connect(watched.home) as con:
+        assert ask(con, "with f as (from flights) select count(*) from f").fetchall()[0][0] > 0
+        assert ask(con, "describe flights").fetchall()
+
+
+# --- models --------------------------------------------------------------------------------------------------------
+
+
+def test_a_pickle_is_not_a_model(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Exception, match="not a zip file"):
+        skops.io.loads(pickle.dumps(Bomb()), trusted=TRUSTED)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_a_model_that_names_another_type_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UntrustedTypesFoundException):
+        skops.io.loads(skops.io.dumps({"model": Bomb()}), trusted=TRUSTED)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_no_module_unpickles():
+    wrong = ("pickle.load", "joblib.load", "import pickle", "import joblib", "import dill", "eval(", "os.system(")
+    sources = [f for folder in ("hdt_core", "pipelines") for f in (ROOT / folder).rglob("*.py")]
+    found = [(f.name, w) for f in sources for w in wrong if w in f.read_text().replace("literal_eval(", "")]
+    assert found == []
+
+
+# --- what is sent --------------------------------------------------------------------------------------------------
+
+
+def test_telemetry_is_off(tmp_path):
+    open_instance(tmp_path).dispose()
+    for file in (ROOT / "dagster.yaml", tmp_path / "dagster/dagster.yaml"):
+        settings = yaml.safe_load(file.read_text())
+        assert settings["telemetry"] == {"enabled": False}, file
+        assert settings["nux"] == {"enabled": False}, file

@@ -1,0 +1,32 @@
+"""A night as the command runs it, without bars."""
+
+import shutil
+from pathlib import Path
+
+from pipelines.catalog import publish
+from pipelines.ledger import Ledger
+from pipelines.nightly import Night, holding, run_night
+
+
+class Silent:
+    """No progress bars."""
+
+    def start(self, label: str, total: int) -> None: ...
+
+    def advance(self, cells: int) -> None: ...
+
+
+def run(landing: Path, home: Path) -> Night:
+    """One night, as `hdt nightly` does it."""
+    with holding(home):
+        night = run_night(landing, home, Silent())
+        publish(home)
+    return night
+
+
+def keep_base(made: Path, home: Path) -> None:
+    """The model of simulated lives is the same for every fleet: `home` takes that of `made` and need not fit it."""
+    target = home / "tables/prognosis_base"
+    target.parent.mkdir(parents=True)
+    shutil.copytree(made / "tables/prognosis_base", target)
+    Ledger(home).mark("prognosis_base", Ledger(made).done("prognosis_base"))

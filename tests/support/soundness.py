@@ -1,0 +1,86 @@
+"""What must hold of every home after every night, whatever was delivered; and what two homes must agree on."""
+
+import hashlib
+import re
+from importlib import resources
+from pathlib import Path
+
+import polars as pl
+
+from hdt_core.tables import TABLES
+from pipelines.catalog import connect
+from pipelines.store import Store
+
+PROMISED = {
+    "flights": "operator tail flight_id departed_at landed_at source n_snapshots cruise_minutes",
+    "legs": "operator tail flight_id pack admitted reason n_samples n_nominal",
+    "design_parameters": (
+        "scope operator tail pack component parameter value sd unit n_flights identifiable dsm_version"
+    ),
+    "health_parameters": (
+        "operator tail flight_id pack departed_at component parameter value sd unit status estimator"
+    ),
+    "residuals": "operator tail flight_id pack component signal kind mean sd rms unit n",
+    "features": "operator tail flight_id pack departed_at",
+    "prognoses": (
+        "operator tail flight_id pack component departed_at rul_flights rul_low rul_high p_event_50 model_version split"
+    ),
+    "alerts": (
+        "alert_id operator tail pack component diagnosis raised_flight_id raised_at closed_at severity evidence"
+        " recommended_action"
+    ),
+    "quarantine": "file row column_name reason received_at",
+}
+"""The contract's views and the columns that must be there."""
+KEYS = {
+    "flights": "operator tail flight_id departed_at landed_at source n_snapshots cruise_minutes",
+    "legs": "operator tail flight_id pack admitted n_samples n_nominal",
+    "design_parameters": "scope component parameter identifiable dsm_version",
+    "health_parameters": "operator tail flight_id pack departed_at component parameter status",
+    "residuals": "operator tail flight_id pack component signal kind",
+    "features": "operator tail flight_id pack departed_at",
+    "prognoses": "operator tail flight_id pack component departed_at model_version split",
+    "alerts": "alert_id operator tail pack component diagnosis raised_flight_id raised_at severity",
+    "quarantine": "file reason received_at",
+}
+"""Columns of them that are never NULL."""
+
+
+def faults(home: Path, landing: Path) -> list[str]:
+    """Everything that is wrong with a home, in words; empty when nothing is."""
+    found = []
+    with connect(home) as con:
+        for view, columns in PROMISED.items():
+            frame = con.sql(f"select * from {view}").pl()
+            found += [f"{view} lacks {c}" for c in columns.split() if c not in frame.columns]
+            found += [f"{view}.{c} is NULL" for c in KEYS[view].split() if frame[c].null_count()]
+        for check in (resources.files("sql") / "checks").iterdir():
+            if check.name.endswith(".sql") and (rows := con.execute(check.read_text()).fetchall()):
+                found.append(f"{check.name}: {len(rows)} rows, first {rows[0]}")
+        told = {f for (f,) in con.execute("select file from deliveries union select file from quarantine").fetchall()}
+        loaded = con.execute("select coalesce(sum(loaded), 0) from deliveries").fetchone()[0]
+    stored = sum(Store(home).read(t).height for t in ("raw_snapshots", "raw_logs", *_LOGS))
+    found += [f"{loaded} rows loaded, {stored} stored"] if loaded != stored else []
+    return found + [f"nothing is told of {f}" for f in sorted(_delivered(landing) - told)]
+
+
+_LOGS = ("raw_messages", "raw_maintenance", "raw_fleet")
+
+
+def _delivered(landing: Path) -> set[str]:
+    names = {str(f.relative_to(landing)) for f in landing.rglob("*") if f.is_file()}
+    return {n for n in names if not re.search(r"(^|/)\.|\.part", n)}
+
+
+def fingerprint(home: Path) -> dict[str, str]:
+    """Hash of every table's rows, sorted.
+
+    Of a fitted model its `model_version`, which is a hash of what it knows: the archive holds the hour it was packed,
+    the card what was in service before.
+    """
+    return {table: _hash(Store(home).read(table).drop("card", strict=False)) for table in TABLES}
+
+
+def _hash(frame: pl.DataFrame) -> str:
+    plain = pl.concat_str((~pl.selectors.binary()).cast(pl.String).fill_null("\0"), separator="\x1f")
+    return hashlib.blake2b("\n".join(frame.select(plain).to_series().sort()).encode(), digest_size=16).hexdigest()
