@@ -1,0 +1,196 @@
+"""What may foretell a message, from the barest to the truth, through one learner: hazard, interval levels, alert.
+
+Each contestant learns from fleets of its own and is asked about others. They differ in their inputs alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.isotonic import IsotonicRegression
+
+from benchmarks.fleets import Frames
+from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile, within_horizon
+from hdt_core.prognosis.history import FEATURES
+from hdt_core.prognosis.limits import PRIORS
+from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.recalibrate import learn_levels
+from hdt_core.prognosis.rows import fleet_rows, tracks
+
+Array = NDArray[np.float64]
+
+RAW = (
+    "hx_out_cruise_k", "hx_in_cruise_k", "pack_flow_cruise_kg_s", "tat_cruise_k", "altitude_cruise_m", "mach_cruise",
+    "cc_speed_cruise_rad_s", "door_median", "door_full_open_share",
+)  # fmt: skip
+RESIDUALS = (
+    "hx_out_sensor_minus_dsm_k", "ram_out_sensor_minus_dsm_k", "cc_effective_diameter_sensor_minus_dsm_m",
+    "cc_flow_sensor_minus_dsm_kg_s",
+)  # fmt: skip
+SETS = ("raw sensors", "+ DSM residuals", "+ health parameters", "truth as ceiling")
+THIN = 5
+"""Of a life's flights one in so many teaches."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Rows of some fleets: key, true loss, what became of each, and inputs by contestant."""
+
+    frame: pl.DataFrame
+    inputs: dict[str, Array]
+    left: Array
+    failed: NDArray[np.bool_]
+    life: NDArray[np.int_]
+
+
+def rows_of(fleet: Frames) -> Asked:
+    """All flights of a fleet, as every contestant sees them."""
+    lives = episodes(fleet["features"], fleet["messages"], fleet["maintenance"])
+    truth = fleet["truth"].select(
+        "tail", "flight_id", "pack", "index", loss=1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
+    )
+    seen = fleet["features"].join(truth, on=["tail", "flight_id", "pack"], how="left")
+    known = tracks(seen, lives, "HX")
+    ceiling = tracks(seen.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002)), lives, "HX")
+    frame = known.keys.join(
+        seen.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
+    )
+    raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
+    health, true = (fleet_rows(t, PRIORS["HX"]).features for t in (known, ceiling))
+    inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
+    kept = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
+    return Asked(
+        kept, inputs | {"health": health, "health parameters alone": health}, known.left, known.failed, known.at[:, 0]
+    )
+
+
+def together(parts: list[Asked]) -> Asked:
+    """Rows of many fleets, lives numbered through."""
+    first = np.cumsum([0, *(int(p.life.max()) + 1 for p in parts[:-1])])
+    life = np.concatenate([p.life + k for p, k in zip(parts, first, strict=True)])
+    frame = pl.concat([p.frame for p in parts]).with_columns(life_id=pl.Series(life))
+    inputs = {name: np.vstack([p.inputs[name] for p in parts]) for name in parts[0].inputs}
+    left, failed = (np.concatenate([getattr(p, name) for p in parts]) for name in ("left", "failed"))
+    return Asked(frame, inputs, left, failed, life)
+
+
+@dataclass(frozen=True)
+class Learner:
+    """Hazard and the quantile levels of its 90 % interval."""
+
+    model: HistGradientBoostingClassifier
+    levels: tuple[float, float]
+    known: NDArray[np.bool_]
+
+    @classmethod
+    def fit(cls, asked: Asked, name: str, seed: int = 0) -> "Learner":
+        """Two thirds of the tails teach the hazard, the last third the interval."""
+        # a probe that no taught aircraft carries tells nothing
+        use = (asked.left >= 1) & (np.arange(asked.left.size) % THIN == 0)
+        tails = asked.frame["tail"].to_numpy()
+        held = np.isin(tails, np.unique(tails)[::3])
+        known = np.isfinite(asked.inputs[name][use & ~held]).any(axis=0)
+        x = np.where(known, asked.inputs[name], 0.0)
+        model = fit_hazard(x[use & ~held], asked.left[use & ~held], asked.failed[use & ~held], seed)
+        check = use & held & asked.failed
+        by = event_by(hazards([model], x[check]))
+        return cls(model, learn_levels(by, asked.left[check], asked.life[check], (0.05, 0.95), prior_lives=5.0), known)
+
+    def say(self, asked: Asked, name: str) -> pl.DataFrame:
+        """Prognoses of every row, in the columns of `prognoses`, and the risk of a message within 100 flights."""
+        by = event_by(hazards([self.model], np.where(self.known, asked.inputs[name], 0.0)))
+        given = within_horizon(by)
+        return outcome(asked).with_columns(
+            rul_flights=pl.Series(quantile(given, 0.5)),
+            rul_low=pl.Series(quantile(given, self.levels[0])),
+            rul_high=pl.Series(quantile(given, self.levels[1])),
+            p_event_50=pl.Series(by[:, EDGES.tolist().index(50.0)]),
+            risk=pl.Series(by[:, EDGES.tolist().index(100.0)]),
+        )
+
+
+def extrapolated(taught: Asked, asked: Asked) -> pl.DataFrame:
+    """The contestant without a learner: the health track's power law to the limit, its error as taught fleets show."""
+
+    def left(rows: Asked) -> Array:
+        return np.clip(np.nan_to_num(rows.inputs["health"][:, FEATURES.index("left_power")], nan=300.0), 1.0, 300.0)
+
+    known = taught.failed & (taught.left >= 1) & (taught.left <= EDGES[-1])
+    factor = np.quantile(taught.left[known] / left(taught)[known], [0.05, 0.95])
+    seen = (taught.left >= 1) & (taught.failed | (taught.left > 50))
+    hit = taught.failed & (taught.left <= 50)
+    odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(left(taught)[seen], hit[seen].astype(float))
+    said = left(asked)
+    low, high = np.sort(np.clip(np.outer(factor, said), 0.0, 300.0), axis=0)
+    return outcome(asked).with_columns(
+        rul_flights=pl.Series(said),
+        rul_low=pl.Series(low),
+        rul_high=pl.Series(high),
+        p_event_50=pl.Series(odds.predict(said)),
+        risk=pl.Series(-said),
+    )
+
+
+def outcome(asked: Asked) -> pl.DataFrame:
+    """What became of each row, as `score_prognoses` wants it."""
+    told = asked.frame.with_columns(
+        left=pl.Series(asked.left), failed=pl.Series(asked.failed), life=pl.Series(asked.life)
+    )
+    hit = pl.col("failed") & pl.col("left").is_between(1, 50)
+    return told.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("left") > 50).then(0.0))
+
+
+def lead_at_budget(said: pl.DataFrame, early_per_1000: float = 2.0) -> tuple[float, float, float]:
+    """Lead [flight] of alerts on the risk, median and 10th percentile, and alerts below 15 % loss in 1,000 flights.
+
+    The threshold is the lowest that stays within the budget on the very fleets asked about: the same favour to all.
+    An alert holds until the risk falls to half of it.
+    """
+    life = ["tail", "pack", "life"]
+    ordered = said.sort(*life, "index").with_columns(
+        risk=pl.col("risk").rolling_median(3, min_samples=1).over(life), first=pl.col("life").is_first_distinct()
+    )
+    risk, loss, left = (ordered[c].to_numpy() for c in ("risk", "loss", "left"))
+    first, failed, number = (ordered[c].to_numpy() for c in ("first", "failed", "life"))
+    flights = ordered["flight_id"].n_unique()
+    lives = np.unique(number[failed & (loss >= 0.05)])
+    for threshold in np.unique(np.quantile(risk, np.linspace(0.2, 0.999, 240))):
+        raised = _raised(risk, first, float(threshold))
+        early = 1000.0 * float((raised & (loss < 0.15)).sum()) / flights
+        if early <= early_per_1000:
+            hit = raised & failed & (left >= 1) & (loss >= 0.05)
+            lead = np.zeros(lives.size)
+            np.maximum.at(lead, np.searchsorted(lives, number[hit]), left[hit])
+            return float(np.median(lead)), float(np.quantile(lead, 0.1)), early
+    return 0.0, 0.0, 0.0
+
+
+def _raised(risk: Array, first: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:
+    """Flights on which an alert is raised: not again until the risk has fallen clearly below the threshold."""
+    out, on = np.zeros(risk.size, dtype=bool), False
+    clear = threshold * (0.5 if threshold > 0 else 2.0)
+    for k in range(risk.size):
+        before = on and not first[k]
+        on = bool(risk[k] >= threshold or (before and risk[k] >= clear))
+        out[k] = on and not before
+    return out
+
+
+def _columns(frame: pl.DataFrame, names: tuple[str, ...]) -> Array:
+    """Each column, its means over 10 and 40 flights, and its change over 30, within a unit's life."""
+    life = ["tail", "pack", "life_id"]
+    given = [n if n in frame.columns else pl.lit(None, pl.Float64).alias(n) for n in names]
+    wide = frame.select(*life, *given)
+    parts = []
+    for n in names:
+        mean_10 = pl.col(n).rolling_mean(10, min_samples=1)
+        parts += [
+            pl.col(n),
+            mean_10.over(life).alias(f"{n}_10"),
+            (mean_10 - mean_10.shift(30)).over(life).alias(f"{n}_change"),
+        ]
+        parts.append(pl.col(n).rolling_mean(40, min_samples=1).over(life).alias(f"{n}_40"))
+    seen = pl.int_range(pl.len()).over(life).cast(pl.Float64).alias("seen")
+    return np.asarray(wide.select(*parts, seen).cast(pl.Float64).to_numpy(), dtype=float)

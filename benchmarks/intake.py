@@ -1,0 +1,84 @@
+"""Claim: taking in CSV costs at most 1.5 times the CPU of Polars reading the same bytes and writing them as Parquet.
+
+The peer reads each flight's file with `pl.read_csv` and writes Parquet, either a file a flight or all in one; it checks
+nothing. Ours lists, checks, converts to SI, removes duplicates and writes all in one. CPU of one thread, best of the
+rounds, contestants in turn. Run: `python -m benchmarks.intake [landing]`.
+"""
+
+import os
+
+os.environ.setdefault("POLARS_MAX_THREADS", "1")
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import polars as pl
+
+from pipelines.intake import list_landing, merge_deliveries, read_snapshots
+from pipelines.intake.landing import LandingFile
+
+ROUNDS = 5
+NOW = datetime(2030, 1, 1, tzinfo=UTC)
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    started = time.process_time()
+    work()
+    return time.process_time() - started
+
+
+def a_file_a_flight(files: list[LandingFile], out: Path) -> None:
+    for i, file in enumerate(files):
+        pl.read_csv(file.full_path).write_parquet(out / f"{i}.parquet")
+
+
+def all_in_one(files: list[LandingFile], out: Path) -> None:
+    frames = [pl.read_csv(file.full_path) for file in files]
+    pl.concat(frames, how="diagonal_relaxed").write_parquet(out / "peer.parquet")
+
+
+def ours(landing: Path, out: Path) -> None:
+    files = [f for f in list_landing(landing).files if f.kind == "acms"]
+    rows = read_snapshots(files, NOW).rows
+    merge_deliveries([rows], {}).rows.write_parquet(out / "ours.parquet")
+
+
+def one_long_file(files: list[LandingFile], out: Path) -> LandingFile:
+    """A file of tens of megabytes, which nobody delivers: the cost a row without the cost a file."""
+    tail = files[0].tail
+    own = [Path(f.full_path).read_bytes().partition(b"\n") for f in files if f.tail == tail]
+    path = out / "landing" / files[0].operator / tail / "acms" / "long.csv"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(own[0][0] + b"\n" + b"".join(body for _, _, body in own) * 40)
+    return list_landing(out / "landing").files[0]
+
+
+def main(landing: Path) -> None:
+    files = [f for f in list_landing(landing).files if f.kind == "acms"]
+    megabytes = sum(f.size for f in files) / 1e6
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        long = one_long_file(files, out)
+        works = {
+            "peer, a file a flight": lambda: a_file_a_flight(files, out),
+            "peer, all in one": lambda: all_in_one(files, out),
+            "ours": lambda: ours(landing, out),
+            "peer, one long file": lambda: all_in_one([long], out),
+            "ours, one long file": lambda: read_snapshots(long, NOW).rows.write_parquet(out / "ours.parquet"),
+        }
+        rounds = [{name: cpu_s(work) for name, work in works.items()} for _ in range(ROUNDS)]
+    best = {name: min(r[name] for r in rounds) for name in works}
+    print(f"{len(files)} files of one flight, {megabytes:.1f} MB; one long file of {long.size / 1e6:.1f} MB")
+    for name, seconds in best.items():
+        print(f"{name:24s}{seconds:8.3f} s CPU")
+    print(f"ours / peer, a file a flight: {best['ours'] / best['peer, a file a flight']:.2f} (claim: at most 1.5)")
+    print(f"ours / peer, all in one:      {best['ours'] / best['peer, all in one']:.2f} (claim: at most 1.5)")
+    print(f"ours / peer, one long file:   {best['ours, one long file'] / best['peer, one long file']:.2f} (no claim)")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "data_samples"))

@@ -1,0 +1,213 @@
+"""Cost of a first night by size of the fleet: `python -m benchmarks.scale [S] [M] [L] [--rounds N] [--write]`.
+
+S, M, L: 1,000, 10,000 and 100,000 flights of the project's own simulator, as history files. Claims: Dagster's share of
+the processor at most 10 %, cost that grows with an exponent of at most 1.05, a first night of L in 10 minutes, peak
+memory at most 2 GB, an idle night in 5 s, the fleet's ranking in 100 ms. The peer of Dagster's share is the same chain,
+asset by asset and block by block, without Dagster: same functions, same store, same ledger. Every contestant is a
+process of its own, in turn; medians. `--write` puts the table into docs/scale.md.
+"""
+
+import argparse
+import json
+import math
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from types import SimpleNamespace
+
+import dagster as dg
+import polars as pl
+
+from hdt_core.simulate.design import FleetSettings
+from pipelines import nightly, partitions, runs
+from pipelines.catalog import connect, publish
+from pipelines.io import Asked, FrameIO
+from pipelines.simulated import write_fleet
+from pipelines.versions import CELL, expected
+
+SIZES = {
+    "S": FleetSettings(operators=2, tails=2, flights=250),
+    "M": FleetSettings(operators=4, tails=5, flights=500),
+    "L": FleetSettings(operators=5, tails=10, flights=2000),
+}
+PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
+COLUMNS = "flight_id", "pack", "report_time", "hx_in_degc", "hx_out_degc", "tat_degc", "pack_flow_lbpm", "ram_door_pct"
+
+
+class Silent:
+    """No bars."""
+
+    def start(self, label: str, total: int) -> None:
+        """A step begins."""
+
+    def advance(self, cells: int) -> None:
+        """Some of it is done."""
+
+
+class Bare(runs.Runner):
+    """Calls the assets' functions itself, with no run, event or partition of Dagster's."""
+
+    def __post_init__(self) -> None:
+        """No partition is known."""
+        self.keys: dict[str, list[str]] = {"aircraft": [], "flight": []}
+
+    def register(self, cells: pl.DataFrame) -> None:
+        """Know these partitions."""
+        aircraft = {partitions.aircraft_key(o, t) for o, t in cells.select("operator", "tail").unique().rows()}
+        flights = {partitions.flight_key(f) for f in cells["flight_id"].unique() if f}
+        self.keys["aircraft"] = sorted(aircraft | set(self.keys["aircraft"]))
+        self.keys["flight"] = sorted(flights | set(self.keys["flight"]))
+
+    def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
+        return self.keys[str(definition.name)]
+
+    def run(self, tables: list[str], block: runs.Block, label: str) -> bool:
+        """Make the tables, store them, mark them."""
+        within = [f for f in self.keys["flight"] if block.first <= f <= block.last] if block.first else []
+        cells = [f"{a}|{f}" for a in block.aircraft for f in within] or list(block.aircraft) or None
+        home, asked = self.defs.resources["home"], Asked.of(cells)
+        keeper = FrameIO(home.store, home.ledger)
+        context = SimpleNamespace(has_partition_key_range=cells is not None, partition_keys=cells)
+        for node in _nodes(self.defs, tables):
+            for made in node.op.compute_fn.decorated_fn(context, home):
+                if isinstance(made, dg.Output):
+                    keeper._store(made.output_name, asked, made.value)
+                    done = expected(home.ledger, made.output_name).join(asked.cells(), on=CELL, how="semi")
+                    home.ledger.mark(made.output_name, done)
+        self.runs, self.cells = self.runs + 1, self.cells + block.cells
+        return True
+
+
+def night(landing: Path, home: Path) -> None:
+    """What `hdt nightly` does."""
+    with nightly.holding(home):
+        done = nightly.run_night(landing, home, Silent())
+        assert not done.failed, done.failed
+        publish(home)
+
+
+def bare(landing: Path, home: Path) -> None:
+    """The same without Dagster."""
+    runs.open_instance = lambda home: None
+    runs.Runner = Bare
+    night(landing, home)
+
+
+def _nodes(defs: object, tables: list[str]) -> list:
+    """The assets that make the tables, in the order in which the tables are named."""
+    made = {key.path[-1]: asset for asset in defs.assets for key in asset.keys}
+    return list({id(made[t]): made[t] for t in tables}.values())
+
+
+def scan(landing: Path, home: Path) -> None:
+    """The peer of ingest to health: a bare Polars scan of the columns that the chain reads."""
+    files = sorted(landing.glob("*/*/acms/*.parquet"))
+    for file in files:
+        pl.scan_parquet(file).select(pl.selectors.by_name(*COLUMNS, require_all=False)).collect()
+
+
+CONTESTANTS: dict[str, Callable[[Path, Path], None]] = {"night": night, "bare": bare, "scan": scan, "idle": night}
+
+
+def measured(name: str, landing: Path, home: Path) -> dict[str, float]:
+    """Wall and processor seconds and peak memory of one contestant in a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.scale", "--child", name, str(landing), str(home)]
+    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1]
+    return dict(json.loads(told))
+
+
+def child(name: str, landing: Path, home: Path) -> None:
+    """Do it, and say what it cost, imports left out."""
+    began, before = time.monotonic(), _cpu_s()
+    CONTESTANTS[name](landing, home)
+    wall, peak_mb = time.monotonic() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"wall_s": wall, "cpu_s": _cpu_s() - before, "peak_mb": peak_mb}))
+
+
+def _cpu_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
+
+
+def ranking_ms(home: Path) -> float:
+    """Median time of "fleet ranking tonight"."""
+    taken = []
+    with connect(home) as con:
+        for _ in range(7):
+            began = time.perf_counter()
+            con.execute("select * from fleet_ranking order by place").fetchall()
+            taken.append(1e3 * (time.perf_counter() - began))
+    return median(taken)
+
+
+def sized(name: str, rounds: int, scratch: Path) -> dict[str, float]:
+    """Medians of one size."""
+    size = SIZES[name]
+    for _ in write_fleet(scratch / name, 11, size):
+        pass
+    landing, found = scratch / name / "landing", []
+    for k in range(rounds):
+        homes = {c: scratch / name / f"{c}{k}" for c in ("night", "bare")}
+        taken = {c: measured(c, landing, home) for c, home in homes.items()} | {
+            "scan": measured("scan", landing, scratch),
+            "idle": measured("idle", landing, homes["night"]),
+        }
+        found.append(
+            {f"{c}_{what}": value for c, row in taken.items() for what, value in row.items()}
+            | {"ranking_ms": ranking_ms(homes["night"])}
+        )
+    flights = size.operators * size.tails * size.flights
+    return {"flights": flights} | {key: median(row[key] for row in found) for key in found[0]}
+
+
+def table(rows: dict[str, dict[str, float]]) -> str:
+    """The table as Markdown, and the exponent of cost between the first and the last size."""
+    lines = [
+        "| size | flights | wall [s] | processor [s] | without Dagster [s] | Dagster's share | peak [MB] | idle [s] |"
+        " ranking [ms] | processor / bare scan |",
+        "| --- |" + " ---: |" * 9,
+    ]
+    for name, r in rows.items():
+        share = 1 - r["bare_cpu_s"] / r["night_cpu_s"]
+        lines.append(
+            f"| {name} | {r['flights']:,.0f} | {r['night_wall_s']:.0f} | {r['night_cpu_s']:.0f} | {r['bare_cpu_s']:.0f}"
+            f" | {share:.0%} | {r['night_peak_mb']:.0f} | {r['idle_wall_s']:.1f} | {r['ranking_ms']:.0f}"
+            f" | {r['night_cpu_s'] / r['scan_cpu_s']:.0f} |"
+        )
+    if len(rows) > 1:
+        first, *_, last = rows.values()
+        grown = math.log(last["night_cpu_s"] / first["night_cpu_s"]) / math.log(last["flights"] / first["flights"])
+        lines.append(f"\nExponent of the processor's cost from the first to the last size: {grown:.2f}.")
+    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("sizes", nargs="*", default=["S", "M"])
+    asked.add_argument("--rounds", type=int, default=1)
+    asked.add_argument("--write", action="store_true")
+    asked.add_argument("--child", nargs=3)
+    said = asked.parse_args()
+    if said.child:
+        child(said.child[0], Path(said.child[1]), Path(said.child[2]))
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        text = table({name: sized(name, said.rounds, Path(scratch)) for name in said.sizes})
+    print(text)
+    if said.write:
+        head, _, rest = PAGE.read_text().partition("<!-- table: begin -->\n")
+        PAGE.write_text(
+            f"{head}<!-- table: begin -->\n{text}\n<!-- table: end -->{rest.partition('<!-- table: end -->')[2]}"
+        )
+
+
+if __name__ == "__main__":
+    main()
