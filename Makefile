@@ -16,7 +16,7 @@ test: $(READY)
 
 # a thousand kills at random moments of a night; HDT_SOAK_KILLS=n for more
 soak: $(READY)
-	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} $(BIN)/python -m pytest tests/faults
+	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} $(BIN)/python -m pytest tests/faults -s
 
 # needs the index's advisories, so it is no part of `check`; writes sbom.json (CycloneDX) too
 audit: $(READY)

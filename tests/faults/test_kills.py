@@ -5,6 +5,7 @@
 
 import os
 import random
+import shutil
 import signal
 from itertools import count
 
@@ -61,6 +62,8 @@ def test_killed_at_any_moment(tiny, children, intact, tmp_path):
         assert (ended, said) == (0, "")
         assert not list(home.glob("**/.*.part")), "what a killed writer left is swept"
         assert fingerprint(home) == tiny.end
+        print(f"{kills} kills, {homes} nights ended: 0 lost, 0 doubled, 0 torn, all equal", flush=True)
+        shutil.rmtree(home)
 
 
 def test_a_killed_run_is_marked_failed(tiny, children, tmp_path):
