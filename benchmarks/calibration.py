@@ -23,7 +23,7 @@ import polars as pl
 from benchmarks.legs import fleet_of
 from benchmarks.race import write
 from hdt_core.flight.admission import admit
-from hdt_core.physics.compressor import inlet_flow_kg_s
+from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
 from hdt_core.simulate import flying
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
@@ -247,8 +247,9 @@ def recursion(seed: int = 1) -> str:
     fleet = fleet_of(seed, replace(SIZE, tails=1))
     legs = admit(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     kept = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
-    warm, cold = flight_by_flight(kept), flight_by_flight(kept, warm=False)
-    apart = max(float((warm[c] / cold[c] - 1.0).abs().max()) for c in ("group_m3", "intercept_m"))
+    free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
+    warm, cold = (flight_by_flight(kept, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
+    apart = max(float((warm[c] / cold[c] - 1.0).abs().max()) for c in free)
     said = (
         f"Figure 10 taken literally, {warm.height} flights and packs: {warm['n_evals'].mean():.1f} model evaluations a "
         f"flight from the flight before, {cold['n_evals'].mean():.1f} from the middle of the bounds; both end within "

@@ -91,14 +91,23 @@ def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
         *(pl.when(pl.col(s).count() * 2 > pl.len()).then(pl.col(s).mean()).alias(s) for s in SIGNALS),
         *(pl.col(c).sum() for c in counts),
         pl.len().cast(pl.Int64).alias("n_averaged"),
-        pl.all_horizontal(_drift_free(second, s) for s in DRIVERS).alias("steady"),
+        pl.all_horizontal(drift_free(second, s, harmful) for s, (harmful, _) in DRIVERS.items()).alias("steady"),
     )
     return averaged.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")
 
 
-def _drift_free(second: pl.Expr, signal: str) -> pl.Expr:
-    """Not both a significant and a harmful slope; true where the signal is not recorded."""
-    harmful, _ = DRIVERS[signal]
+def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
+    """Whether a group's readings show no slope that is both significant and harmful; true where there are none.
+
+    Parameters
+    ----------
+    second : Expr
+        Time. [s]
+    signal : str
+        Column of the readings.
+    harmful : float
+        Largest drift that leaves what the signal drives quasi-steady. [signal's unit / s]
+    """
     known = pl.col(signal).is_not_null()
     time, reading = second.filter(known), pl.col(signal).drop_nulls()
     slope = pl.cov(time, reading) / time.var()

@@ -33,6 +33,7 @@ def features(
     *,
     twin_flights: pl.DataFrame | None = None,
     witnesses: pl.DataFrame | None = None,
+    health: Sequence[str] = HEALTH,
 ) -> pl.DataFrame:
     """One row for each flight and pack, one column a feature.
 
@@ -46,25 +47,35 @@ def features(
         What each flight alone says; gives the virtual sensors.
     witnesses : DataFrame, optional
         `witnesses.witnesses(samples)`; its columns are passed on under their own names.
+    health : sequence of str, optional
+        Health parameters to describe; the first is the loss that is watched for jumps. What stands before the first
+        underscore is the component's code in the maintenance log, in small letters.
 
     Returns
     -------
     DataFrame
         The key and `departed_at`, `flight_index` (the tail's flights in order of departure, from 0),
-        `flights_since_replacement` (of the exchanger; null before the first one logged), health with trends, residual
-        means, virtual sensors, differences to the other pack, usage and weather; sorted by tail, pack and departure.
+        `flights_since_replacement` (of the first parameter's component; null before the first one logged), health with
+        trends, residual means, virtual sensors, differences to the other pack, usage and weather; sorted by tail, pack
+        and departure.
     """
     base = _flights(legs, health_parameters)
-    wide = base.join(_health(health_parameters), on=KEY, how="left").join(
+    wide = base.join(_health(health_parameters, health), on=KEY, how="left").join(
         _residual_means(residuals), on=KEY, how="left"
     )
     wide = _join_new(wide, None if twin_flights is None else virtual_sensors(twin_flights))
     wide = _join_new(wide, witnesses)
-    wide = since_maintenance(wide, maintenance)
-    life = [*UNIT, "hx_life"]
-    trends = [e for name in HEALTH for e in trend(name, life if name.startswith("hx") else [*UNIT, "cc_life"])]
-    wide = wide.with_columns(trends).with_columns(_jumps(wide.columns))
-    return _usage(_beside(wide)).drop("hx_life", "cc_life").sort("tail", "pack", "departed_at", "flight_id")
+    components = list(dict.fromkeys(_component(name) for name in health))
+    wide = since_maintenance(wide, maintenance, components)
+    trends = [e for name in health for e in trend(name, [*UNIT, f"{_component(name)}_life"])]
+    wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
+    lives = [f"{component}_life" for component in components]
+    return _usage(_beside(wide)).drop(lives).sort("tail", "pack", "departed_at", "flight_id")
+
+
+def _component(parameter: str) -> str:
+    """Code of the component a health parameter belongs to, in small letters."""
+    return parameter.partition("_")[0]
 
 
 def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
@@ -79,11 +90,11 @@ def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFram
     return rows.with_columns((started.cast(pl.Int64) - 1).alias("flight_index"))
 
 
-def _health(long: pl.DataFrame) -> pl.DataFrame:
-    said = long.filter(pl.col("parameter").is_in(HEALTH))
+def _health(long: pl.DataFrame, health: Sequence[str]) -> pl.DataFrame:
+    said = long.filter(pl.col("parameter").is_in(health))
     columns = [
         pl.col(c).filter(pl.col("parameter") == p).last().alias(p + end)
-        for p in HEALTH
+        for p in health
         for c, end in (("value", ""), ("sd", "_sd"), ("status", "_status"))
     ]
     return said.group_by(KEY).agg(columns)
@@ -120,15 +131,18 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
     return wide.join(more.select(*KEY, *(c for c in more.columns if c not in wide.columns)), on=KEY, how="left")
 
 
-def since_maintenance(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Add the lives that the log knows, `hx_life` and `cc_life` (replacements so far), and flights since the last.
+def since_maintenance(
+    flights: pl.DataFrame, maintenance: pl.DataFrame, components: Sequence[str] = ("hx", "cc")
+) -> pl.DataFrame:
+    """Add the lives that the log knows, `<component>_life` (replacements so far), and flights since the first's last.
 
     The log gives a day; the first flight of the next day is the first that surely flew with the new unit.
     """
     day = flights.with_columns(pl.col("departed_at").dt.date().alias("day")).sort("day", "departed_at", "flight_id")
-    for component, life in (("HX", "hx_life"), ("CC", "cc_life")):
+    for component in components:
+        life = f"{component}_life"
         renewed = (
-            maintenance.filter((pl.col("component") == component) & (pl.col("action") == "REPLACED"))
+            maintenance.filter((pl.col("component") == component.upper()) & (pl.col("action") == "REPLACED"))
             .select(*UNIT, "done_on")
             .unique()
         )
@@ -139,9 +153,10 @@ def since_maintenance(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.Da
             counted.select(*UNIT, "day", life).sort("day"), on="day", by=UNIT, check_sortedness=False
         ).with_columns(pl.col(life).fill_null(0))
     ordered = day.drop("day").sort(*UNIT, "departed_at", "flight_id")
-    age = pl.int_range(pl.len()).over([*UNIT, "hx_life"])
+    lead = f"{components[0]}_life"
+    age = pl.int_range(pl.len()).over([*UNIT, lead])
     return ordered.with_columns(
-        pl.when(pl.col("hx_life") > 0).then(age).alias("flights_since_replacement"), age.alias("flights_seen_of_unit")
+        pl.when(pl.col(lead) > 0).then(age).alias("flights_since_replacement"), age.alias("flights_seen_of_unit")
     )
 
 
@@ -160,14 +175,14 @@ def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
     ]
 
 
-def _jumps(columns: Sequence[str]) -> list[pl.Expr]:
+def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
     """How far the loss moved of late: the track over ten flights; three flights against twelve before, less trend."""
-    life = [*UNIT, "hx_life"]
-    track = pl.col("hx_fouling")
-    now = pl.col("hx_fouling_flight") if "hx_fouling_flight" in columns else track
+    life = [*UNIT, f"{_component(loss)}_life"]
+    track = pl.col(loss)
+    now = pl.col(f"{loss}_flight") if f"{loss}_flight" in columns else track
     # the middles of the two windows lie eight flights apart; the trend is that of the flights before the late ones
-    wear = 8.0 * pl.col("hx_fouling_slope_30_per_flight").shift(3).clip(0.0, 0.004).fill_null(0.0)
-    out = {"hx_fouling_jump_10": track - track.shift(10), "hx_fouling_step_3": _step(now) - wear}
+    wear = 8.0 * pl.col(f"{loss}_slope_30_per_flight").shift(3).clip(0.0, 0.004).fill_null(0.0)
+    out = {f"{loss}_jump_10": track - track.shift(10), f"{loss}_step_3": _step(now) - wear}
     if "ram_flow_loss" in columns:
         out["ram_flow_loss_step_3"] = _step(pl.col("ram_flow_loss"))
     return [e.over(life).alias(name) for name, e in out.items()]

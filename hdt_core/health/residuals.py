@@ -13,6 +13,7 @@ import polars as pl
 from hdt_core.health.detection import Array
 from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.model import PhysicsModel
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_samples
 from hdt_core.twin.crossing import cruise_samples
@@ -60,9 +61,35 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     rows = cruise.join(_health(twin_flights), on=KEY, how="left", maintain_order="left")
     rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
-    wide = rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)).fill_nan(None) for name, v in columns.items())
-    parts = [_statistics(wide, signal, kind) for signal in SIGNALS for kind in KINDS]
-    return pl.concat(parts).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
+    return _summarised(rows, columns, SIGNALS)
+
+
+def component_residuals(
+    samples: pl.DataFrame, twin_flights: pl.DataFrame, model: PhysicsModel, component: str
+) -> pl.DataFrame:
+    """`residuals` of a component that is all declaration: every output that has a sensor and a record.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Key and columns named as the model's inputs and outputs; the rows to compare.
+    twin_flights : DataFrame
+        Key and the health parameters of each flight, as `flight_by_flight` gives them.
+    model : PhysicsModel
+        Calibrated: its nominal values are the digital system model.
+    component : str
+        Code of the component in the tables.
+    """
+    health = [p.name for p in model.free("health")]
+    rows = samples.join(twin_flights.select(*KEY, *health), on=KEY, how="left", maintain_order="left")
+    given = {s.name: rows[s.name].to_numpy() for s in model.inputs}
+    sound = model.predict({}, given)
+    twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, given)
+    seen = {s.name: (s.unit, s.sigma) for s in model.outputs if s.sigma is not None and s.name in rows.columns}
+    columns: dict[str, Array] = {}
+    for name in seen:
+        columns |= _three(name, rows[name].cast(pl.Float64).to_numpy(), sound[name], twin[name])
+    return _summarised(rows, columns, {name: (component, *of) for name, of in seen.items()})
 
 
 def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
@@ -124,8 +151,16 @@ def _three(signal: str, sensor: Array, model: Array, twin: Array) -> dict[str, A
     }
 
 
-def _statistics(wide: pl.DataFrame, signal: str, kind: str) -> pl.DataFrame:
-    component, unit, sigma = SIGNALS[signal]
+def _summarised(
+    rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str, float]]
+) -> pl.DataFrame:
+    """Differences of each row, named `signal|kind`, as statistics by flight and pack."""
+    wide = rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)).fill_nan(None) for name, v in columns.items())
+    parts = [_statistics(wide, signal, kind, *signals[signal]) for signal in signals for kind in KINDS]
+    return pl.concat(parts).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
+
+
+def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str, sigma: float) -> pl.DataFrame:
     e = pl.col(f"{signal}|{kind}")
     known = (
         wide.filter(e.is_not_null())

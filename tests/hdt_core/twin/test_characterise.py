@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.physics.compressor import inlet_flow_kg_s
+from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
 from hdt_core.twin.characterise import BLADE_ANGLE_RAD, HUB_RATIO, fit_compressor, inlet_geometry
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
 from hdt_core.twin.crossing import PACK
@@ -99,12 +99,14 @@ def test_inlet_keeps_the_group_and_gives_the_prior_back():
 
 def test_flight_by_flight_ends_where_a_cold_start_and_the_closed_form_end(fleet, made):
     samples = made.group_flow(fleet.only("T-00").samples)
-    warm, cold = flight_by_flight(samples), flight_by_flight(samples, warm=False)
+    free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
+    warm, cold = (flight_by_flight(samples, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
     assert set(warm["status"]) == {"converged"}
-    for column in ("group_m3", "intercept_m"):
+    for column in free:
         np.testing.assert_allclose(warm[column], cold[column], rtol=1e-6)
     assert warm["n_evals"].sum() < 0.8 * cold["n_evals"].sum()
-    np.testing.assert_allclose(warm["group_m3"], made.GROUP_M3, rtol=1e-6)
+    group_m3 = warm["cc_area_diameter_tan_beta_m3"]
+    np.testing.assert_allclose(group_m3, made.GROUP_M3, rtol=1e-6)
     s = samples.filter((pl.col("flight_id") == warm["flight_id"][5]) & (pl.col("pack") == warm["pack"][5]))
-    flow = inlet_flow_kg_s(warm["group_m3"][5], *(s[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
+    flow = inlet_flow_kg_s(group_m3[5], *(s[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
     np.testing.assert_allclose(flow, s["cc_flow_kg_s"].to_numpy(), rtol=1e-6)

@@ -1,0 +1,104 @@
+"""A component that is all declaration: calibrated on nominal flights, then filtered along what each flight said.
+
+What a new component needs beside its `PhysicsModel`: nothing. The estimators are those of every other model.
+"""
+
+import numpy as np
+import polars as pl
+
+from hdt_core.estimation.ekf import ExtendedKalman
+from hdt_core.estimation.estimate import Estimate, Estimator
+from hdt_core.estimation.nls import NonlinearLeastSquares
+from hdt_core.estimation.problem import Problem, unknown
+from hdt_core.physics.model import Param, PhysicsModel
+from hdt_core.twin.crossing import IN_ORDER, PACK, Array
+from hdt_core.twin.sequential import recorded_outputs, samples_problem
+
+KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
+LEAST_STEPS = 20
+"""Steps between flights from which their scatter can be told."""
+SAYS_NOTHING = ("diverged", "not_identifiable")
+
+
+def calibrate_component(
+    model: PhysicsModel, samples: pl.DataFrame, *, estimator: Estimator | None = None
+) -> tuple[PhysicsModel, Estimate]:
+    """Free the `design` parameters on nominal samples, health at its nominal value.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Columns named as the model's inputs and outputs.
+
+    Returns
+    -------
+    PhysicsModel, Estimate
+        The digital system model: the same declaration with what was found as its nominal values; and how it was found.
+
+    Raises
+    ------
+    ValueError
+        The samples do not determine the design, or no finite answer was found.
+    """
+    free = [p.name for p in model.free("design")]
+    solve = NonlinearLeastSquares() if estimator is None else estimator
+    found = solve.estimate(samples_problem(samples, model, free, recorded_outputs(model, samples)))
+    if found.status in SAYS_NOTHING:
+        raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {found.status}")
+    return model.calibrated(dict(zip(free, map(float, found.belief.mean), strict=True))), found
+
+
+def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) -> pl.DataFrame:
+    """Health parameters of every flight as the catalog holds them, filtered along each pack.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        Of `flight_by_flight` with the health parameters free.
+    model : PhysicsModel
+        Its declared drift is how far a parameter may move from one flight to the next.
+    component : str
+        Code of the component in the tables.
+
+    Returns
+    -------
+    DataFrame
+        Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as flights
+        scatter; nothing is taken from later ones.
+    """
+    packs = flights.sort(IN_ORDER).partition_by(PACK, maintain_order=True)
+    return pl.concat([_filtered(pack, p, component) for pack in packs for p in model.free("health")])
+
+
+def _filtered(pack: pl.DataFrame, param: Param, component: str) -> pl.DataFrame:
+    """One parameter of one pack: a random walk of the declared drift, seen once a flight."""
+    said = ~pl.col("status").is_in(SAYS_NOTHING)
+    seen = pack.select(pl.when(said).then(param.name)).to_series().to_numpy().astype(float)
+    walk = Problem(
+        names=(param.name,),
+        bounds=np.array([param.bounds]),
+        prior=unknown(np.array([param.nominal])),
+        measured=seen[:, None],
+        sigma=np.array([_scatter(seen, pack[f"{param.name}_sd"].to_numpy())]),
+        observe=lambda _states, theta, _sample: theta,
+        drift=np.array([param.drift]),
+    )
+    found = ExtendedKalman(smoother_passes=0).estimate(walk)
+    path, path_sd = (np.full((pack.height, 1), np.nan) if p is None else p for p in (found.path, found.path_sd))
+    return pack.select(
+        *KEYS,
+        pl.lit(component).alias("component"),
+        pl.lit(param.name).alias("parameter"),
+        pl.Series("value", path[:, 0]).fill_nan(None),
+        pl.Series("sd", path_sd[:, 0]).fill_nan(None),
+        pl.lit(param.unit).alias("unit"),
+        pl.when(said).then(pl.lit("ok")).otherwise(pl.lit("predicted")).alias("status"),
+        pl.lit("kalman_filtered").alias("estimator"),
+    )
+
+
+def _scatter(seen: Array, sd: Array) -> float:
+    """Standard deviation of one flight about the pack's health: what its steps show, at least what it says itself."""
+    steps = np.abs(np.diff(seen[np.isfinite(seen)]))
+    shown = 1.4826 * float(np.median(steps)) / np.sqrt(2.0) if len(steps) >= LEAST_STEPS else 0.0
+    return float(np.hypot(shown, np.median(sd[np.isfinite(sd)])))
