@@ -1,0 +1,99 @@
+"""The documentation is true: its examples run, its commands exist, its site asks nothing of the network."""
+
+import doctest
+import importlib
+import inspect
+import pkgutil
+import re
+import shlex
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import duckdb
+import pytest
+import typer
+
+import hdt_core
+from pipelines.catalog import connect
+from pipelines.cli import app
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+CONTRACT = ROOT / "docs/catalog.md"  # its commands are a table of what each does
+MODULES = [
+    m.name
+    for m in pkgutil.walk_packages(hdt_core.__path__, "hdt_core.")
+    if ">>>" in inspect.getsource(importlib.import_module(m.name))
+]
+
+
+def blocks(page: Path) -> list[str]:
+    """Code of a page: fenced, or indented by four."""
+    text = page.read_text(encoding="utf-8")
+    fenced = re.findall(r"^```\w*\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    rest = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    return fenced + [textwrap.dedent(b) for b in re.findall(r"(?:(?<=\n\n)|\A)((?: {4}.*\n|\n(?= {4}))+)", rest)]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Words of each `hdt` command in the code of a page, quotes over several lines joined."""
+    found = []
+    for block in blocks(page):
+        for line in re.findall(r"^(?:\S*/)?hdt ((?:\"[^\"]*\"|[^\n\"])*)", block, flags=re.MULTILINE):
+            words = shlex.split(line, comments=True)
+            found += [words[: words.index("&&")] if "&&" in words else words]
+    return found
+
+
+SAID = [(page, words) for page in PAGES if page != CONTRACT for words in commands(page)]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_worked_examples_hold(name):
+    assert doctest.testmod(importlib.import_module(name)).failed == 0
+
+
+@pytest.mark.parametrize(("page", "words"), SAID, ids=[" ".join(w[:1]) + f"-{p.stem}" for p, w in SAID])
+def test_a_command_of_the_documentation_is_taken_as_it_stands(page, words):
+    command = typer.main.get_command(app)
+    name, sub, rest = command.resolve_command(typer.Context(command), words)
+    sub.make_context(name, rest)
+
+
+def test_every_command_is_documented():
+    assert {words[0] for _, words in SAID} >= {c.name or c.callback.__name__ for c in app.registered_commands}
+
+
+def test_the_queries_of_the_documentation_answer(sample_home):
+    asked = [w[-1] for _, w in SAID if w[0] == "query"]
+    with connect(sample_home) as con:
+        assert asked
+        assert all(con.sql(sql).fetchall() for sql in asked)
+
+
+def test_the_tutorials_python_runs(sample_home, monkeypatch):
+    (code,) = [b for b in blocks(ROOT / "docs/tutorial.md") if b.startswith("import duckdb")]
+    monkeypatch.chdir(sample_home)
+    held: dict[str, object] = {}
+    with duckdb.connect("catalog.duckdb", read_only=True):
+        exec(code.replace("hdt_home/", ""), held)
+    assert held["frame"].height > 0
+
+
+def test_the_site_is_whole_and_asks_nothing_of_the_network(tmp_path):
+    """`--strict`: no page, link or anchor may be missing."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    pages = {p: p.read_text(encoding="utf-8") for p in tmp_path.rglob("*.html")}
+    assert len(pages) > 15
+    fetched = r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+"
+    assert {p.name: found for p, text in pages.items() if (found := re.findall(fetched, text))} == {}
+
+
+def test_links_of_the_readme_hold_on_a_forge():
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        links = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
+        assert [link for link in links if not (page.parent / link).exists()] == []
