@@ -8,10 +8,10 @@ from pathlib import Path
 import duckdb
 
 from hdt_core.tables import TABLES
+from pipelines.meanings import Header, declared, meaning, read_header
 from pipelines.store import Store, replacing
 
 CATALOG = "catalog.duckdb"
-_READS = re.compile(r"Reads:\s*([a-z0-9_, \n-]+?)\.", re.IGNORECASE)
 
 
 def publish(home: Path) -> Path:
@@ -20,15 +20,23 @@ def publish(home: Path) -> Path:
     with replacing(path) as temporary:
         con = duckdb.connect(str(temporary))
         try:
+            con.begin()  # a commit for every comment would take longer than all the rest
             con.execute("create schema tables")
             for table in TABLES:
                 _base_view(con, store, table)
-            for name, sql in ordered(views()):
-                con.execute(sql)
-                _comment(con, name)
+            add_views(con)
+            con.commit()
         finally:
             con.close()
     return path
+
+
+def add_views(con: duckdb.DuckDBPyConnection) -> None:
+    """Every view, over the schema `tables`, with its question and the meaning of its columns as comments."""
+    known = {name: read_header(sql) for name, sql in views().items()}
+    for name, sql in ordered(views()):
+        con.execute(sql)
+        _comment(con, name, known)
 
 
 def views() -> dict[str, str]:
@@ -39,16 +47,14 @@ def views() -> dict[str, str]:
 
 def ordered(sql: dict[str, str]) -> list[tuple[str, str]]:
     """Views in an order in which each finds what it reads; the header's `Reads:` says what that is."""
-    reads = {
-        name: {w for w in re.findall(r"[a-z_0-9]+", _header(text)) if w in sql} - {name} for name, text in sql.items()
-    }
+    reads = {name: set(read_header(text).reads) & set(sql) for name, text in sql.items()}
     return [(name, sql[name]) for name in TopologicalSorter(reads).static_order()]
 
 
-def _header(sql: str) -> str:
-    comment = " ".join(line.removeprefix("--").strip() for line in sql.splitlines() if line.startswith("--"))
-    found = _READS.search(comment)
-    return found.group(1) if found else ""
+def tables_read() -> list[str]:
+    """Tables that some view reads: what a catalog needs to answer every question."""
+    read = {t for sql in views().values() for t in re.findall(r"\btables\.(\w+)", sql)}
+    return [t for t in TABLES if t in read]
 
 
 def _base_view(con: duckdb.DuckDBPyConnection, store: Store, table: str) -> None:
@@ -59,17 +65,20 @@ def _base_view(con: duckdb.DuckDBPyConnection, store: Store, table: str) -> None
             TABLES[table].schema.create_empty().write_parquet(temporary)
     files = _quoted(store.folder(table) / "**" / "*.parquet")
     con.execute(f"create view tables.{table} as select * from read_parquet({files}, union_by_name = true)")
-    for column, declared in TABLES[table].schema.columns().items():
-        if declared.metadata:
-            meaning = f"{declared.metadata['meaning']} [{declared.metadata['unit'] or 'text'}]".replace("'", "''")
-            con.execute(f"comment on column tables.{table}.{column} is '{meaning}'")
+    add_meanings(con, table)
 
 
-def _comment(con: duckdb.DuckDBPyConnection, name: str) -> None:
-    question = next(
-        (line.removeprefix("--").strip() for line in views()[name].splitlines() if line.startswith("--")), ""
-    )
-    con.execute(f"""comment on view {name} is '{question.replace("'", "''")}'""")
+def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
+    """What each declared column of `tables.<table>` means, as its comment."""
+    for column, kind in TABLES[table].schema.columns().items():
+        con.execute(f"comment on column tables.{table}.{column} is {_quoted(declared(kind))}")
+
+
+def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]) -> None:
+    """The question on the view, the meaning on each of its columns."""
+    con.execute(f"comment on view {name} is {_quoted(known[name].question)}")
+    for column, *_ in con.execute(f"describe {name}").fetchall():
+        con.execute(f'comment on column {name}."{column}" is {_quoted(meaning(name, column, known))}')
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
@@ -119,5 +128,5 @@ def ask(con: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyRelation | N
     return con.sql(sql)
 
 
-def _quoted(path: Path) -> str:
-    return "'" + str(path).replace("'", "''") + "'"
+def _quoted(value: Path | str) -> str:
+    return "'" + str(value).replace("'", "''") + "'"

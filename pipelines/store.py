@@ -2,7 +2,8 @@
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+import shutil
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,47 @@ def replacing(path: Path) -> Iterator[Path]:
         _sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing_folder(path: Path, ours: Collection[str]) -> Iterator[Path]:
+    """A temporary folder beside `path` that becomes `path` when the block ends well: all its files or none.
+
+    An earlier folder gives way only if it holds nothing but files named in `ours`.
+
+    Raises
+    ------
+    FileExistsError
+        Something else is in it, or `path` is a file.
+    """
+    if path.exists() and (not path.is_dir() or (strange := sorted({f.name for f in path.iterdir()} - set(ours)))):
+        held = f"it holds {strange[0]!r}, which no export wrote" if path.is_dir() else "it is a file"
+        raise FileExistsError(f"{path} is not overwritten: {held}; name a new folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _sweep_folders(path)
+    temporary, old = (path.with_name(f".{path.name}.{os.getpid()}.{end}") for end in ("part", "old.part"))
+    temporary.mkdir()
+    try:
+        yield temporary
+        for file in (*temporary.iterdir(), temporary):
+            _sync(file)
+        fault_point("before_rename")
+        if path.exists():
+            path.rename(old)
+        temporary.rename(path)
+        fault_point("after_rename")
+        _sync(path.parent)
+    finally:
+        for left in (temporary, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _sweep_folders(path: Path) -> None:
+    """Remove what killed writers of the folder `path` left beside it."""
+    for left in path.parent.glob(f".{path.name}.*.part"):
+        pid = left.name.removeprefix(f".{path.name}.").split(".")[0]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            shutil.rmtree(left)
 
 
 def _sync(path: Path) -> None:
@@ -90,13 +132,13 @@ class Store:
         """Replace the rows of `flights` by `frame`, shard by shard; other flights stay as they are."""
         entry = TABLES[table]
         asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
-        fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True)
+        fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
         for (shard,), own in asked.partition_by("shard", as_dict=True).items():
             new = entry.conform(fresh.get((shard,), frame.clear()))
             path = self.path(table, aircraft, str(shard))
             if path.exists():
                 kept = pl.read_parquet(path).filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
-                new = pl.concat([entry.conform(kept), new])
+                new = pl.concat([entry.conform(kept), new], how="diagonal")
             elif not new.height:
                 continue
             self.replace(table, aircraft, new.sort(entry.key), str(shard))

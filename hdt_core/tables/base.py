@@ -53,7 +53,13 @@ def tail_key(*, primary_key: bool = True) -> dy.String:
 
 def flight_key(**kw: Any) -> dy.String:
     """Flight id: tail, UTC date of departure, leg of that day."""
-    return text("<TAIL>_<YYYYMMDD>_<LEG>", nullable=False, primary_key=True, regex=FLIGHT_ID, **kw)
+    return text(
+        "tail, UTC day of departure and leg, `TAIL_YYYYMMDD_LEG`",
+        nullable=False,
+        primary_key=True,
+        regex=FLIGHT_ID,
+        **kw,
+    )
 
 
 def pack_key(**kw: Any) -> dy.Int32:

@@ -1,16 +1,170 @@
 """Stage features: what the differences mean, and the alerts they raise."""
 
+from collections.abc import Iterator
+from typing import Any, cast
+
+import dataframely as dy
+
 from hdt_core.tables.base import Table, flight_key, moment, operator_key, pack_key, tail_key, text
+from hdt_core.tables.raw import Signals
+
+_HEALTH = {
+    "hx_fouling": ("-", "conductance lost by the heat exchanger"),
+    "cc_efficiency_loss": ("-", "efficiency lost by the compressor"),
+    "cc_diameter_loss": ("-", "effective diameter lost, against equation (6)"),
+    "cc_effective_diameter_m": ("m", "effective diameter of the compressor, equation (5)"),
+}
+_RESIDUALS = {
+    "cc_effective_diameter_{}_m": "effective diameter, equations (5) and (6)",
+    "cc_flow_{}_kg_s": "compressor flow, equations (2)-(4)",
+    "cc_out_{}_k": "compressor exit temperature",
+    "cc_out_{}_pa": "compressor exit pressure, equation (5)",
+    "hx_out_{}_k": "exchanger outlet, bleed side",
+    "ram_out_{}_k": "exchanger outlet, ram side",
+}
+_KINDS = {"dsm_minus_twin": "model less twin", "sensor_minus_dsm": "sensor less model",
+          "sensor_minus_twin": "sensor less twin"}  # fmt: skip
+_UNITS = {"kg_s": "kg/s", "rad_s": "rad/s", "w_k": "W/K", "k": "K", "pa": "Pa", "m": "m"}
+_VIRTUAL = {
+    "ram_flow_kg_s": "ram flow by the clean duct's map",
+    "ram_outlet_k": "ram outlet temperature by heat balance",
+    "effectiveness": "hot-side effectiveness",
+    "ua_w_k": "conductance",
+    "ram_flow_loss": "share of the clean duct's ram flow that the heat balance misses; null without a ram outlet probe",
+    "hx_fouling_flight": "conductance lost by this flight alone, its unit's offset still in it",
+    "cc_diameter_deficit": "share of the diameter expected by equation (6) that is missing in this flight alone",
+}
+_LEVEL = {
+    "inlet_minus_tat_k": "compressor inlet less total air temperature",
+    "inlet_over_total_pressure_ln": "ln of compressor inlet over total pressure",
+    "total_over_pitot_pressure_ln": "ln of total pressure over that of altitude and Mach number",
+    "pack_over_compressor_flow_ln": "ln of pack over compressor flow",
+    "tat_between_packs_k": "total air temperature less the other pack's",
+    "total_pressure_between_packs_ln": "ln of total pressure over the other pack's",
+    "pack_flow_between_packs_ln": "ln of pack flow over the other pack's",
+    "compressor_flow_between_packs_ln": "ln of compressor flow over the other pack's",
+    "cc_out_pressure_between_packs_ln": "ln of compressor exit pressure over the other pack's",
+    "cc_out_pressure_over_schedule_ln": "ln of compressor exit pressure over what its controller asks for",
+    "hx_in_between_packs_k": "exchanger inlet less the other pack's",
+    "cc_out_between_packs_k": "compressor exit temperature less the other pack's",
+}
+_FREE = {
+    "hx_out_minus_target_k": "exchanger outlet less its controller's target",
+    "hx_out_between_packs_k": "exchanger outlet less the other pack's",
+}
+_DOOR = {
+    "door_span": "5 to 95 % span of the ram door's position in the flight",
+    "door_max": "widest ram door position",
+    "door_n": "readings of the ram door",
+    "door_travel": "sum of the ram door's moves",
+}
+_SETTING = {
+    "tat_cruise_k": "total air temperature",
+    "altitude_cruise_m": "pressure altitude",
+    "mach_cruise": "Mach number",
+    "hx_in_cruise_k": "exchanger inlet",
+    "hx_out_cruise_k": "exchanger outlet",
+    "pack_flow_cruise_kg_s": "pack flow",
+    "cc_speed_cruise_rad_s": "compressor speed",
+    "door_median": "ram door position, 0 shut, 1 full open",
+}
 
 
-class Features(Table):
-    """What is known of a pack after a flight, one column a feature: flight, pack."""
+def _unit(name: str) -> str:
+    """Unit that a feature's name ends in."""
+    return next((unit for end, unit in _UNITS.items() if name.endswith(f"_{end}")), "-")
 
+
+def _kept(dtype: type[dy.Column], unit: str, meaning: str) -> dy.Column:
+    """A feature: described, not judged, for a strange ratio must not stop a night; a check of the catalog finds it."""
+    free: dict[str, Any] = {"allow_inf": True, "allow_nan": True} if dtype is dy.Float64 else {}
+    return dtype(nullable=True, metadata={"unit": unit, "meaning": meaning}, **free)
+
+
+def _number(name: str, meaning: str) -> tuple[str, dy.Column]:
+    return name, _kept(dy.Float64, _unit(name), meaning)
+
+
+def _count(name: str, meaning: str) -> tuple[str, dy.Column]:
+    return name, _kept(dy.UInt32, "-", meaning)
+
+
+def _columns() -> Iterator[tuple[str, dy.Column]]:
+    """Every feature, family by family, in the order in which they are stored."""
+    yield "flight_index", _kept(dy.Int64, "-", "flights of the tail before this one, in order of departure")
+    yield from _of_health()
+    for template, what in _RESIDUALS.items():
+        yield from (_number(template.format(kind), f"{what}: {said}, mean") for kind, said in _KINDS.items())
+    for name, what in _VIRTUAL.items():
+        yield _number(name, what)
+        yield f"{name}_sd", _kept(dy.Float64, _unit(name), "standard deviation of it")
+    yield from _of_sensors()
+    yield from _of_witnesses()
+    yield from _of_life()
+
+
+def _of_health() -> Iterator[tuple[str, dy.Column]]:
+    for name, (unit, what) in _HEALTH.items():
+        yield name, _kept(dy.Float64, unit, f"{what}, after this flight")
+        yield f"{name}_sd", _kept(dy.Float64, unit, "standard deviation of it")
+        yield f"{name}_status", _kept(dy.String, "", "how that estimate ended")
+
+
+def _of_sensors() -> Iterator[tuple[str, dy.Column]]:
+    yield "running", _kept(dy.Bool, "", "the pack was on")
+    yield _count("n_snapshots", "samples of the flight")
+    for signal in Signals.columns():
+        yield f"{signal}_lost_share", _kept(dy.Float64, "-", f"share of the flight without a value of {signal}")
+    for signal in Signals.columns():
+        yield f"{signal}_still", _kept(dy.Bool, "", f"{signal} had one value all flight")
+
+
+def _of_witnesses() -> Iterator[tuple[str, dy.Column]]:
+    for name, what in _DOOR.items():
+        yield _count(name, what) if name.endswith("_n") else _number(name, what)
+    yield "flight_hours", _kept(dy.Float64, "h", "from the first to the last sample")
+    yield from (_number(f"w_{name}", f"{what}, median in cruise") for name, what in _LEVEL.items())
+    yield from (_count(f"w_{name}_n", "samples behind it") for name in _LEVEL)
+    yield from (_number(name, f"{what}, median in cruise") for name, what in _SETTING.items())
+    yield _number("door_full_open_share", "share of cruise with the ram door full open")
+    yield from (_number(f"w_{name}", f"{what}, median while the door can move") for name, what in _FREE.items())
+    yield from (_count(f"w_{name}_n", "samples behind it") for name in _FREE)
+    yield _number("door_peg_excess_k", "outlet above target where the door is widest, less the same elsewhere")
+    yield _count("door_peg_n", "samples where the door is widest")
+    yield _count("door_off_peg_n", "samples elsewhere")
+    yield _number("hx_out_target_sd_k", "scatter of the outlet about its target")
+
+
+def _of_life() -> Iterator[tuple[str, dy.Column]]:
+    yield "flights_since_replacement", _kept(dy.Int64, "-", "flights of this exchanger; null before the first logged")
+    yield "flights_seen_of_unit", _kept(dy.Int64, "-", "flights of this exchanger on record")
+    for name, (unit, _) in _HEALTH.items():
+        per_flight = f"{unit}/flight" if unit != "-" else "1/flight"
+        for n in (10, 30, 100):
+            meaning = f"slope of {name} over the unit's last {n} flights"
+            yield f"{name}_slope_{n}_per_flight", _kept(dy.Float64, per_flight, meaning)
+    yield _number("hx_fouling_jump_10", "hx_fouling less its value ten flights ago")
+    step = "median of three flights less that of the twelve before"
+    yield _number("hx_fouling_step_3", f"hx_fouling_flight: {step}, wear in between taken out")
+    yield _number("ram_flow_loss_step_3", f"ram_flow_loss: {step}")
+    for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median"):
+        yield f"{name}_between_packs", _kept(dy.Float64, _unit(name), f"{name} less the other pack's")
+    yield _number("hx_out_excess_k", "hx_out_sensor_minus_dsm_k, as the alerts name it")
+    yield _number("ram_door_open_cruise", "door_median, as the prognosis names it")
+    yield _number("ram_door_margin", "what the ram door has left at its widest, 1 - door_max")
+    yield "usage_hours", _kept(dy.Float64, "h", "flight_hours so far")
+
+
+class _FlightOfPack(Table):
     operator = operator_key()
     tail = tail_key()
     flight_id = flight_key()
     pack = pack_key()
     departed_at = moment("first recorded time")
+
+
+_DOC = "What is known of a pack after a flight, one column a feature: flight, pack."
+Features = cast("type[Table]", type("Features", (_FlightOfPack,), {"__doc__": _DOC, **dict(_columns())}))
 
 
 class FeaturesAlerts(Table):

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import dagster as dg
-import dataframely as dy
 import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.io import Asked
+from pipelines.meanings import declared
 from pipelines.resources import Home
 from pipelines.versions import MADE
 
@@ -76,7 +76,7 @@ def stage(
 def _out(table: str, group: str, description: str) -> dg.AssetOut:
     schema = TABLES[table].schema
     first = (inspect.getdoc(schema) or "").splitlines()[0]
-    columns = [dg.TableColumn(n, str(c.dtype), description=_meaning(c)) for n, c in schema.columns().items()]
+    columns = [dg.TableColumn(n, str(c.dtype), description=declared(c)) for n, c in schema.columns().items()]
     return dg.AssetOut(
         group_name=group,
         owners=OWNERS,
@@ -85,11 +85,6 @@ def _out(table: str, group: str, description: str) -> dg.AssetOut:
         code_version=MADE[table].code,
         metadata={"dagster/column_schema": dg.TableSchema(columns=columns), "grain": TABLES[table].grain},
     )
-
-
-def _meaning(column: dy.Column) -> str | None:
-    said = column.metadata or {}
-    return f"{said['meaning']} [{said['unit']}]" if said.get("unit") else said.get("meaning")
 
 
 def _promise(table: str) -> str:

@@ -1,0 +1,192 @@
+"""Views over small fleets made by hand, with answers that can be counted on fingers."""
+
+import datetime as dt
+
+import duckdb
+import polars as pl
+import pytest
+from answers import CHECKS, rows
+
+from hdt_core.tables import TABLES
+from pipelines.catalog import ordered, views
+
+START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
+OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
+
+
+def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
+    """The views over tables made of these rows; what is not named is null, tables not named are empty."""
+    con = duckdb.connect()
+    con.execute("create schema tables")
+    for name, entry in TABLES.items():
+        given = pl.DataFrame(tables.get(name, []), infer_schema_length=None)
+        frame = entry.schema.conform(given) if given.height else entry.schema.create_empty()
+        held = frame.to_arrow()  # noqa: F841
+        con.execute(f"create table tables.{name} as select * from held")
+    for _, sql in ordered(views()):
+        con.execute(sql)
+    con.execute("set TimeZone = 'America/Lima'")
+    return con
+
+
+def flight(n: int, *, tail: str = "T-1", operator: str = "AAA") -> dict:
+    """Flight n of a tail that flies once a day."""
+    at = START + dt.timedelta(days=n)
+    name = f"{tail}_{at:%Y%m%d}_01"
+    return {
+        "operator": operator,
+        "tail": tail,
+        "flight_id": name,
+        "departed_at": at,
+        "landed_at": at + dt.timedelta(hours=2),
+    }
+
+
+def fouling(n: int, value: float, *, tail: str = "T-1", pack: int = 1) -> dict:
+    estimate = {"pack": pack, "component": "HX", "parameter": "hx_fouling", "value": value, "sd": 0.01}
+    return flight(n, tail=tail) | estimate | {"unit": "-", "status": "ok", "estimator": "made up"}
+
+
+def replaced(n: int, finding: str | None = "FOULED", component: str = "HX") -> dict:
+    done = {"done_on": (START + dt.timedelta(days=n)).date(), "component": component, "action": "REPLACED"}
+    return OWN | done | {"finding": finding, "reference": f"WO{n}"}
+
+
+def message(n: int, code: str = "21-52-HXTEMP") -> dict:
+    return OWN | {
+        "message_time": START + dt.timedelta(days=n, hours=1),
+        "flight_id": flight(n)["flight_id"],
+        "code": code,
+    }
+
+
+def alert(name: str, n: int, closed: int | None = None, component: str = "HX") -> dict:
+    at = START + dt.timedelta(days=n)
+    said = {"diagnosis": "HX_FOULING", "severity": "medium", "evidence": "e", "recommended_action": "a"}
+    ends = None if closed is None else START + dt.timedelta(days=closed)
+    times = {"raised_flight_id": flight(n)["flight_id"], "raised_at": at, "closed_at": ends}
+    return OWN | said | times | {"alert_id": name, "component": component}
+
+
+def test_lead_is_counted_in_flights_from_the_first_alert_of_that_unit():
+    con = catalog(
+        raw_flights=[flight(n) for n in range(60)],
+        raw_maintenance=[replaced(20)],
+        raw_messages=[message(19), message(50), message(51), message(30, "21-51-CCFLOW")],
+        features_alerts=[alert("old", 5, closed=21), alert("new", 40), alert("door", 41, component="RAM_DOOR")],
+    )
+    found = rows(
+        con, "select component, alert_id, lead_flights, n_messages from alert_lead_times order by message_time"
+    )
+    assert found == [("HX", "old", 14, 1), ("CC", None, None, 1), ("HX", "new", 10, 2)]
+
+
+def test_an_alert_of_the_unit_before_does_not_count_as_a_warning():
+    con = catalog(
+        raw_flights=[flight(n) for n in range(60)],
+        raw_maintenance=[replaced(20)],
+        raw_messages=[message(50)],
+        features_alerts=[alert("old", 5, closed=21)],
+    )
+    assert rows(con, "select alert_id, lead_flights from alert_lead_times") == [(None, None)]
+
+
+def test_outcomes_of_alerts():
+    con = catalog(
+        raw_maintenance=[
+            replaced(10),
+            replaced(30, None),
+            replaced(50, "NO_FAULT_FOUND"),
+            replaced(95, component="CC"),
+        ],
+        raw_messages=[message(68), message(89)],
+        features_alerts=[
+            alert("found", 8, closed=11),
+            alert("spare", 29, closed=31),
+            alert("none", 75, closed=80),
+            alert("told", 67, closed=70),
+            alert("still", 92),
+        ],
+    )
+    found = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
+    assert found == {"found": "confirmed", "spare": "replaced", "none": "nothing", "told": "message", "still": "open"}
+    assert rows(con, "select alert_id, open_days from false_alarms") == [("none", 5.0)]
+
+
+def test_lives_and_their_slopes():
+    first = [fouling(n, 0.002 * n) for n in range(40)]
+    second = [fouling(40 + n, 0.004 * n) for n in range(40)]
+    other = [fouling(n, 0.001 * n, tail="T-2") for n in range(40)]
+    con = catalog(twin_health=first + second + other, raw_maintenance=[replaced(39)])
+    found = rows(
+        con, "select tail, unit, n_flights, removed_on, fouling_per_100_flights from exchanger_lives order by 1, 2"
+    )
+    day = (START + dt.timedelta(days=39)).date()
+    assert [f[:4] for f in found] == [("T-1", 0, 40, day), ("T-1", 1, 40, None), ("T-2", 0, 40, None)]
+    assert [f[4] for f in found] == pytest.approx([0.2, 0.4, 0.1])
+    assert rows(con, "select tail, unit, round(above_fleet, 9) from fouling_fast") == [("T-1", 1, 0.2)]
+
+
+def test_work_is_compared_before_and_after():
+    con = catalog(twin_health=[fouling(n, 0.4 if n < 50 else 0.01) for n in range(80)], raw_maintenance=[replaced(52)])
+    assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
+
+
+def test_gaps():
+    def leg(day: int, number: int) -> dict:
+        made = flight(day)
+        return made | {
+            "flight_id": made["flight_id"][:-2] + f"{number:02d}",
+            "departed_at": made["departed_at"] + dt.timedelta(hours=number),
+        }
+
+    days = [d for d in range(40) if not 10 <= d < 20]
+    flown = [leg(d, 1) for d in days] + [leg(5, 4)] + [flight(d, tail="T-2") for d in range(20)]
+    fleet = [{"operator": "AAA", "tail": t} for t in ("T-1", "T-2", "T-3")]
+    con = catalog(raw_flights=flown, raw_fleet=fleet)
+    found = rows(con, "select tail, gap, n_flights, round(silent_days) from data_gaps order by 1, 2")
+    assert found == [
+        ("T-1", "missing_leg", 2, None),
+        ("T-1", "silence", None, 11),
+        ("T-2", "silent_now", None, 20),
+        ("T-3", "never_heard", None, None),
+    ]
+
+
+def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
+    def sample(k: int, value: float | None, table: str) -> dict:
+        rest = {"source": "acms", "phase": "cruise", "nominal": True, "monitored": True, "n_averaged": 1, "file": "f"}
+        at = {"time_utc": START + dt.timedelta(minutes=k), "hx_out_k": value}
+        return OWN | {"flight_id": flight(0)["flight_id"]} | rest | at
+
+    recorded = [sample(k, None if k < 2 else 300.0, "raw") for k in range(10)]
+    left = [sample(k, None if k < 4 else 300.0, "legs") for k in range(10)]
+    con = catalog(raw_snapshots=recorded, legs_samples=left)
+    assert rows(con, "select recorded_share, believed_share from sensor_health where signal = 'hx_out_k'") == [
+        (0.8, 0.75)
+    ]
+    assert rows(con, "select count(*), min(recorded_share) from sensor_health") == [(16, 0.0)]
+
+
+def test_the_ranking_puts_first_what_cannot_wait():
+    health = [fouling(1, loss, tail=t) for t, loss in (("T-1", 0.1), ("T-2", 0.3), ("T-3", 0.2), ("T-4", 0.01))]
+    said = {
+        "component": "HX",
+        "rul_flights": 10.0,
+        "rul_low": 1.0,
+        "rul_high": 20.0,
+        "model_version": "m",
+        "split": "live",
+    }
+    outlook = [
+        flight(1, tail=t) | said | {"pack": 1, "p_event_50": p} for t, p in (("T-2", 0.05), ("T-3", 0.7), ("T-4", 0.01))
+    ]
+    con = catalog(twin_health=health, prognoses=outlook, features_alerts=[alert("a", 1) | {"severity": "high"}])
+    found = rows(con, "select tail, urgency from fleet_ranking order by place")
+    assert found == [("T-3", "act"), ("T-1", "act"), ("T-2", "none"), ("T-4", "none")]
+
+
+def test_an_empty_catalog_answers_every_question():
+    con = catalog()
+    assert all(rows(con, f"select count(*) from {name}") == [(0,)] for name in views())
+    assert all(rows(con, sql) == [] for sql in CHECKS.values())
