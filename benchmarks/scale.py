@@ -27,6 +27,7 @@ import polars as pl
 
 from hdt_core.simulate.design import FleetSettings
 from pipelines import nightly, partitions, runs
+from pipelines.blocks import Block
 from pipelines.catalog import connect, publish
 from pipelines.io import Asked, FrameIO
 from pipelines.simulated import write_fleet
@@ -68,7 +69,7 @@ class Bare(runs.Runner):
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return self.keys[str(definition.name)]
 
-    def run(self, tables: list[str], block: runs.Block, label: str) -> bool:
+    def run(self, tables: list[str], block: Block, label: str) -> bool:
         """Make the tables, store them, mark them."""
         within = [f for f in self.keys["flight"] if block.first <= f <= block.last] if block.first else []
         cells = [f"{a}|{f}" for a in block.aircraft for f in within] or list(block.aircraft) or None

@@ -2,9 +2,11 @@
 
 Stock `store_event_batch` is a loop: two transactions, a new engine and about twelve fsyncs an event, 19 to 59 s per
 1,000 partitions and asset. And stock makes and serialises an event of 2 kB for every partition of a step, though they
-differ in nothing but the partition: here one is made, and its text serves the others (`stands_for`). Schema and files
-are unchanged, so stock Dagster reads what this class wrote; the page of a run shows one line an asset and not one a
-partition. It leans on private API: Dagster is pinned to one minor version, and a test compares the tables with stock's.
+differ in nothing but the partition: here one is made, and its text serves the others (`stands_for`). What a run plans
+is one event an asset; cells appear as planned only where the run failed (`planned_in_vain`), since one that succeeded
+has materialised them. Schema and files are unchanged, so stock Dagster reads what this class wrote; the page of a run
+shows one line an asset and not one a partition. It leans on private API: Dagster is pinned to one minor version, and a
+test compares the tables with stock's.
 """
 
 import json
@@ -16,14 +18,25 @@ from typing import Any, Self
 
 from dagster import AssetKey, DagsterEventType, MultiPartitionKey
 from dagster._core.definitions.partitions.utils.multi import get_tags_from_multi_partition_key
-from dagster._core.events import ASSET_EVENTS
+from dagster._core.events import ASSET_EVENTS, AssetMaterializationPlannedData
 from dagster._core.events.log import EventLogEntry
-from dagster._core.storage.event_log.schema import AssetEventTagsTable, SqlEventLogStorageTable
+from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
 from dagster._core.storage.event_log.sqlite import SqliteEventLogStorage
 from dagster._serdes import ConfigurableClassData
+from sqlalchemy import Connection, text
 
 BATCH_EVENTS = 1000
 _PLANNED, _MADE = DagsterEventType.ASSET_MATERIALIZATION_PLANNED, DagsterEventType.ASSET_MATERIALIZATION
+# a further row of the index, and of its tags, is the series' first but for what names the partition
+_ALIKE = text(
+    "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
+    " select run_id, :event, dagster_event_type, timestamp, step_key, asset_key, :partition"
+    " from event_logs where id = :first"
+)
+_ALIKE_TAG = text(
+    "insert into asset_event_tags (event_id, asset_key, key, value, event_timestamp)"
+    " select :id, asset_key, key, :value, event_timestamp from asset_event_tags where event_id = :first and key = :key"
+)
 
 
 def batch_events() -> None:
@@ -40,30 +53,19 @@ class _Series:
     tags: Mapping[str, str]
     partitions: Sequence[str | None]
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """The row of every partition."""
-        for partition in self.partitions:
-            yield self.row | {"partition": partition, "event": self._text(partition)}
-
-    def tag_rows(self, ids: Sequence[int]) -> Iterator[dict[str, Any]]:
-        """Rows of the tag table, for the events' ids."""
-        same = {"asset_key": self.row["asset_key"], "event_timestamp": self.row["timestamp"]}
-        for event_id, partition in zip(ids, self.partitions, strict=True):
-            for key, value in (self.tags | _dimensions(partition) if self.tags else {}).items():
-                yield {"event_id": event_id, "key": key, "value": value, **same}
-
-    def _text(self, partition: str | None) -> str:
-        first, text = self.row["partition"], str(self.row["event"])
-        if partition == first:
-            return text
-        text = text.replace(f'"partition": {json.dumps(first)}', f'"partition": {json.dumps(partition)}')
-        for key, value in _dimensions(partition).items():
-            text = text.replace(f'"{key}": {json.dumps(_dimensions(first)[key])}', f'"{key}": {json.dumps(value)}')
-        return text
+    def others(self) -> Iterator[tuple[str, str, Mapping[str, str]]]:
+        """Partition, event in Dagster's own text, and tags of all but the first."""
+        pattern, names = str(self.row["event"]).replace("%", "%%"), {"partition": self.row["partition"]}
+        for key, value in (names | _dimensions(self.row["partition"])).items():
+            pattern = pattern.replace(f'"{key}": {json.dumps(value)}', f'"{key}": %({key})s')
+        for partition in filter(None, self.partitions[1:]):
+            own = _dimensions(partition)
+            quoted = {key: json.dumps(value) for key, value in {"partition": partition, **own}.items()}
+            yield partition, pattern % quoted, self.tags and {**self.tags, **own}
 
 
-def _what(event: EventLogEntry) -> tuple[str, DagsterEventType | None, AssetKey]:
-    return event.run_id, event.dagster_event_type, event.get_dagster_event().asset_key
+def _what(event: EventLogEntry) -> tuple[str, AssetKey | None]:
+    return event.run_id, event.get_dagster_event().asset_key
 
 
 def _dimensions(partition: str | None) -> dict[str, str]:
@@ -73,9 +75,11 @@ def _dimensions(partition: str | None) -> dict[str, str]:
 class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
     """The embedded default: same tables as stock, a transaction a batch instead of two an event."""
 
+    supports_partition_subset_in_asset_materialization_planned_events = True
+
     def __init__(self, base_dir: str, inst_data: ConfigurableClassData | None = None) -> None:
         super().__init__(base_dir, inst_data)
-        self._alike: dict[tuple[str, AssetKey], Sequence[MultiPartitionKey]] = {}
+        self._alike: dict[tuple[str, AssetKey | None], Sequence[MultiPartitionKey]] = {}
 
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:
@@ -86,9 +90,15 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         """Let the run's next materialisation of the asset, that of the first partition, count for all of these."""
         self._alike[run_id, asset_key] = partitions
 
+    def planned_in_vain(self, run_id: str, partitions: Sequence[str]) -> None:
+        """Show these partitions as planned for every asset that the failed run did not materialise."""
+        made = {e.get_dagster_event().asset_key for e in self.get_logs_for_run(run_id, of_type=_MADE)}
+        planned = self.get_logs_for_run(run_id, of_type=_PLANNED)
+        self._mirror([self._one(_of(e, partitions[0]), partitions) for e in planned if _what(e)[1] not in made])
+
     def store_event(self, event: EventLogEntry) -> None:
         """Store one event, as a batch where it stands for others."""
-        if event.is_dagster_event and event.dagster_event_type == _MADE and _what(event)[::2] in self._alike:
+        if event.is_dagster_event and event.dagster_event_type == _MADE and _what(event) in self._alike:
             self.store_event_batch([event])
         else:
             super().store_event(event)
@@ -99,38 +109,46 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         for event in events:
             if not (event.is_dagster_event and event.dagster_event_type in ASSET_EVENTS):
                 self.store_event(event)
-        series = list(self._series(together))
+        series = [self._one(e, self._partitions(e)) for e in together]
         for run_id, own in groupby(series, key=lambda s: s.event.run_id):
             with self.run_connection(run_id) as conn:
                 conn.execute(SqlEventLogStorageTable.insert(), [s.row for s in own])
         if series:
             self._mirror(series)
 
-    def _series(self, events: Sequence[EventLogEntry]) -> Iterator[_Series]:
-        """Planned cells of an asset follow each other in a batch; of made ones, one stands for all."""
-        for (run_id, kind, asset_key), found in groupby(events, key=_what):
-            alike = list(found)
-            own = [e.get_dagster_event().partition for e in alike]
-            if kind == _PLANNED:
-                yield self._one(alike[0], own)
-                continue
-            for event, partition in zip(alike, own, strict=True):
-                stands = self._alike.pop((run_id, asset_key), None) if kind == _MADE else None
-                yield self._one(event, stands or [partition])
+    def _partitions(self, event: EventLogEntry) -> Sequence[str | None]:
+        stands = self._alike.pop(_what(event), None) if event.dagster_event_type == _MADE else None
+        return stands or [event.get_dagster_event().partition]
 
     def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> _Series:
         return _Series(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
 
     def _mirror(self, series: Sequence[_Series]) -> None:
         """Copy the events to the cross-run index with their tags; of each asset the newest of a type counts."""
-        insert = SqlEventLogStorageTable.insert().returning(SqlEventLogStorageTable.c.id, sort_by_parameter_order=True)
         with self.index_transaction() as conn:
-            newest, tags = {}, []
+            newest = {}
             for one in series:
-                ids = conn.execute(insert, list(one.rows())).scalars().all()
-                tags += one.tag_rows(ids)
-                newest[one.row["asset_key"], one.event.dagster_event_type] = one.event, ids[-1]
-            if tags:
-                conn.execute(AssetEventTagsTable.insert(), tags)
+                event_id = self._copied(conn, one)
+                newest[one.row["asset_key"], one.event.dagster_event_type] = one.event, event_id
             for event, event_id in newest.values():
                 self._store_asset_event(conn, event, event_id)
+
+    def _copied(self, conn: Connection, one: _Series) -> int:
+        """Id of the series' last row; ids follow each other, for the first insert holds the shard's only write lock."""
+        first = conn.execute(SqlEventLogStorageTable.insert(), one.row).inserted_primary_key[0]
+        self._store_asset_event_tags(conn, [one.event], [first])
+        rows, tags = [], []
+        for event_id, (partition, event, own) in enumerate(one.others(), first + 1):
+            rows.append({"event": event, "partition": partition, "first": first})
+            tags += [{"id": event_id, "key": k, "value": v, "first": first} for k, v in own.items()]
+        for statement, found in ((_ALIKE, rows), (_ALIKE_TAG, tags)):
+            if found:
+                conn.execute(statement, found)
+        return int(first) + len(rows)
+
+
+def _of(event: EventLogEntry, partition: str) -> EventLogEntry:
+    """The same plan for one partition."""
+    planned = event.get_dagster_event()
+    data = AssetMaterializationPlannedData(_what(event)[1], partition)
+    return event._replace(dagster_event=planned._replace(event_specific_data=data))

@@ -23,7 +23,8 @@ from pipelines.versions import CELL, stale
 if TYPE_CHECKING:
     from dagster import DagsterInstance
 
-    from pipelines.runs import Block, Runner
+    from pipelines.blocks import Block
+    from pipelines.runs import Runner
 
 # In order: what is made in one run, over which partitions, node by node. A run has one kind of partition,
 # so the chain takes seven.
@@ -165,7 +166,7 @@ class _Chain:
         if grain != "fleet":
             runner.register(wanted)
         self.progress.start(label, wanted.height)
-        for block in runner.blocks(grain, wanted, self.ledger):
+        for block in runner.known().blocks(grain, wanted):
             self._run(runner, tables, block, label)
             self.progress.advance(block.cells)
 
@@ -188,5 +189,5 @@ class _Chain:
             from pipelines.runs import Runner, open_instance
 
             defs = build_defs(landing=self.landing.resolve(), home=self.home.resolve())
-            self.runner = Runner(defs, self.instance or open_instance(self.home))
+            self.runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
         return self.runner

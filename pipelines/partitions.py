@@ -17,6 +17,11 @@ def flight_key(flight_id: str) -> str:
     return flight_id[-11:]
 
 
+def cell_key(aircraft: str, flight: str) -> dg.MultiPartitionKey:
+    """Partition key of an aircraft's flight, of their own keys."""
+    return dg.MultiPartitionKey({"aircraft": aircraft, "flight": flight})
+
+
 def aircraft_of(key: str) -> tuple[str, str]:
     """Operator and tail of an aircraft's key."""
     operator, tail = key.split(":", 1)

@@ -60,6 +60,8 @@ def ran(base, module, cls, monkeypatch, batch: str):
     base.mkdir()
     (base / "dagster.yaml").write_text(CONFIG.format(module=module, cls=cls, base=base))
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", batch)
+    # stock plans one event an asset where it is asked to
+    monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
     instance = dg.DagsterInstance.from_config(str(base))
     instance.add_dynamic_partitions("aircraft", ["A", "B"])
     instance.add_dynamic_partitions("flight", ["1", "2", "3"])
@@ -113,3 +115,38 @@ def test_stock_dagster_reads_what_the_batch_wrote(tmp_path, monkeypatch):
     }
     assert {r.asset_materialization.metadata["rows"].value for r in newest.values()} == {6}
     instance.dispose()
+
+
+@dg.asset(partitions_def=both)
+def sound() -> None:
+    """Cells that are made before the run fails."""
+
+
+@dg.asset(partitions_def=both, deps=[sound])
+def broken() -> None:
+    """Cells that are not."""
+    raise ValueError("no")
+
+
+def test_cells_of_a_failed_run_show_as_stock_shows_them(tmp_path, monkeypatch):
+    """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
+    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
+    cells, found = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], {}
+    tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
+    for module, cls in (STOCK, OURS):
+        base = tmp_path / cls
+        base.mkdir()
+        (base / "dagster.yaml").write_text(CONFIG.format(module=module, cls=cls, base=base))
+        with dg.DagsterInstance.from_config(str(base)) as instance:
+            instance.add_dynamic_partitions("aircraft", ["A", "B"])
+            instance.add_dynamic_partitions("flight", ["1", "2"])
+            done = dg.materialize([sound, broken], instance=instance, tags=tags, raise_on_error=False)
+            log = instance.event_log_storage
+            if cls == OURS[1]:
+                log.planned_in_vain(done.run_id, cells)
+            in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
+            found[cls] = {
+                name: {cell: run_id == done.run_id for cell, (run_id, _) in in_vain(dg.AssetKey(name)).items()}
+                for name in ("sound", "broken")
+            }
+    assert found[OURS[1]] == found[STOCK[1]] == {"sound": {}, "broken": dict.fromkeys(cells, True)}

@@ -1,0 +1,131 @@
+"""Which cells share a run: a range of flights of one or several aircraft, never one flight each."""
+
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import polars as pl
+from dagster._core.storage.tags import ASSET_PARTITION_RANGE_END_TAG, ASSET_PARTITION_RANGE_START_TAG
+
+from pipelines import partitions
+
+CELLS_A_RUN = 2_000  # runs of several aircraft stay below this, so that memory does not grow with the fleet
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One run's worth of cells: aircraft in partition order and, below them, flights from `first` to `last`."""
+
+    cells: int = 1
+    aircraft: tuple[str, ...] = ()
+    first: str = ""
+    last: str = ""
+
+    def apart(self) -> list["Block"]:
+        """The same, one aircraft at a time."""
+        return [Block(1, (a,), self.first, self.last) for a in self.aircraft]
+
+    def joined(self, other: "Block", place: dict[str, int]) -> "Block":
+        """Both in one range of flights."""
+        first = min(self.first, other.first, key=place.__getitem__)
+        last = max(self.last, other.last, key=place.__getitem__)
+        return Block(self.cells + other.cells, self.aircraft + other.aircraft, first, last)
+
+    def tags(self) -> dict[str, str]:
+        """Dagster's range tags and, for whoever looks for an aircraft's runs, its name."""
+        if not self.aircraft:
+            return {}
+        start, end = self.aircraft[0], self.aircraft[-1]
+        named = {"hdt/aircraft": start} if start == end else {}
+        operators = {a.split(":")[0] for a in self.aircraft}
+        named |= {"hdt/operator": operators.pop()} if len(operators) == 1 else {}
+        if self.first:
+            start, end = f"{start}|{self.first}", f"{end}|{self.last}"
+        return {ASSET_PARTITION_RANGE_START_TAG: start, ASSET_PARTITION_RANGE_END_TAG: end, **named}
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Partition keys in Dagster's order, and the flights that each aircraft has flown."""
+
+    aircraft: list[str]
+    flights: list[str]
+    flown: dict[str, set[str]]
+
+    def cells(self, block: Block) -> list[str]:
+        """Partition keys of the block that a flight, or an aircraft, can fill."""
+        if not block.first:
+            return list(block.aircraft)
+        span = set(self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1])
+        return [partitions.cell_key(a, f) for a in block.aircraft for f in sorted(self.flown[a] & span)]
+
+    def blocks(self, grain: str, wanted: pl.DataFrame) -> Iterator[Block]:
+        """Runs that make the wanted cells (operator, tail, flight_id) and no other."""
+        if grain == "fleet":
+            return iter([Block()])
+        asked = by_aircraft(wanted)
+        return self._of_aircraft(asked) if grain == "aircraft" else self._of_flights(asked)
+
+    def _of_aircraft(self, asked: dict[str, set[str]]) -> Iterator[Block]:
+        """Neighbours that are all wanted, as many as share a run without holding too many flights at once."""
+        for stretch in _stretches(self.aircraft, asked):
+            held, shared = 0, []
+            for aircraft in stretch:
+                held += len(self.flown.get(aircraft, ()))
+                if shared and held > CELLS_A_RUN:
+                    yield Block(len(shared), tuple(shared))
+                    held, shared = len(self.flown.get(aircraft, ())), []
+                shared.append(aircraft)
+            yield Block(len(shared), tuple(shared))
+
+    def _of_flights(self, asked: dict[str, set[str]]) -> Iterator[Block]:
+        """Of each aircraft, stretches of its flights that are all wanted; neighbours share a run if none gains one."""
+        place = {k: i for i, k in enumerate(self.flights)}
+        fixed = {a: sorted(place[f] for f in own - asked.get(a, set()) if f in place) for a, own in self.flown.items()}
+        shared: Block | None = None
+        before = ""
+        for aircraft in self.aircraft:
+            own = sorted((f for f in self.flown.get(aircraft, ()) if f in place), key=place.__getitem__)
+            for stretch in _stretches(own, asked.get(aircraft, set())):
+                alone = Block(len(stretch), (aircraft,), stretch[0], stretch[-1])
+                joined = shared.joined(alone, place) if shared and shared.aircraft[-1] == before else None
+                if (
+                    joined
+                    and joined.cells <= CELLS_A_RUN
+                    and all(_free(fixed[a], joined, place) for a in joined.aircraft)
+                ):
+                    shared = joined
+                    continue
+                if shared:
+                    yield shared
+                shared = alone
+            before = aircraft
+        if shared:
+            yield shared
+
+
+def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
+    """Flight keys of each aircraft's key, from operator, tail and flight_id (empty above flights)."""
+    found: dict[str, set[str]] = {}
+    for o, t, f in cells.select("operator", "tail", "flight_id").rows():
+        found.setdefault(partitions.aircraft_key(o, t), set()).add(partitions.flight_key(f))
+    return found
+
+
+def _stretches(keys: list[str], wanted: set[str] | dict[str, set[str]]) -> Iterator[list[str]]:
+    """Runs of neighbouring keys that are all wanted."""
+    stretch: list[str] = []
+    for key in keys:
+        if key in wanted:
+            stretch.append(key)
+        elif stretch:
+            yield stretch
+            stretch = []
+    if stretch:
+        yield stretch
+
+
+def _free(fixed: list[int], block: Block, place: dict[str, int]) -> bool:
+    """Whether none of an aircraft's flights that must not be made again lies in the block's range."""
+    i = bisect_left(fixed, place[block.first])
+    return i == len(fixed) or fixed[i] > place[block.last]
