@@ -1,0 +1,51 @@
+"""The notebook over the catalog: every cell runs, and what hangs on a choice follows it."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+NOTEBOOK = Path(__file__).parents[2] / "notebooks/fleet.py"
+
+
+@pytest.fixture(scope="module")
+def notebook(sample_home):
+    spec = importlib.util.spec_from_file_location("fleet_notebook", NOTEBOOK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def at_home(sample_home, monkeypatch):
+    monkeypatch.setenv("HDT_HOME", str(sample_home))
+
+
+def test_every_cell_runs(notebook, at_home):
+    _, held = notebook.app.run()
+    assert set(held["ranking"]["tail"]) == {"LX-AAB", "A9-BAC"}
+    assert held["health"].height > 100
+    assert held["lives"].height >= held["ranking"].height
+    assert held["said"]["on_date"].unique().to_list() == [held["last"]]
+    assert held["heard"].height == 16
+
+
+def test_tables_and_track_follow_the_pack(notebook, at_home):
+    class Picked:
+        value = ("BZR", "A9-BAC", 1)
+
+    _, held = notebook.app.run(defs={"pick": Picked, "packs": {}})
+    asked = "where operator = 'BZR' and tail = 'A9-BAC' and pack = 1"
+    assert held["alerts"].height == held["con"].sql(f"from alerts {asked}").pl().height > 0
+    figure = notebook.track(held["health"], held["alerts"], held["work"])
+    fouling = held["health"].filter(parameter="hx_fouling")
+    drawn = figure.axes[0].lines[0].get_ydata()
+    assert drawn.tolist() == pytest.approx((100 * fouling["value"]).to_list())
+
+
+def test_marimo_finds_nothing_to_mend():
+    done = subprocess.run([sys.executable, "-m", "marimo", "check", "--strict", str(NOTEBOOK)], capture_output=True,
+                          text=True, check=False)  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
