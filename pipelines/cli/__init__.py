@@ -3,10 +3,10 @@
 import sqlite3
 import sys
 
-from pipelines.cli import look, make, night
+from pipelines.cli import look, make, night, share
 from pipelines.cli.base import StopError, UsageError, app, err, out
 
-__all__ = ["app", "look", "main", "make", "night"]
+__all__ = ["app", "look", "main", "make", "night", "share"]
 
 
 def main() -> None:

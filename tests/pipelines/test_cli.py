@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "ui", "simulate", "doctor")
+COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor")
 
 
 def hdt(*words: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,59 @@
+"""Commands that hand out what the catalog holds: export."""
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipelines.cli.base import HomeDir, StopError, app, home_folder, out
+
+KEY = "HDT_EXPORT_KEY"
+
+
+class Format(StrEnum):
+    """What is written."""
+
+    parquet = "parquet"
+    csv = "csv"
+    duckdb = "duckdb"
+
+
+@app.command()
+def export(
+    target: Annotated[Path, typer.Option("--out", help="Folder to write: a new one, or an earlier export's.")],
+    home: HomeDir = None,
+    operator: Annotated[str | None, typer.Option(help="Only what this operator may see, three letters.")] = None,
+    view: Annotated[list[str] | None, typer.Option(help="Only this view; may be given more than once.")] = None,
+    form: Annotated[Format, typer.Option("--format", help="Files of views, or one catalog.")] = Format.parquet,
+    pseudonymise: Annotated[
+        bool, typer.Option("--pseudonymise", help="Tell tails, serial numbers and papers by a keyed hash.")
+    ] = False,
+    key_file: Annotated[Path | None, typer.Option(help=f"File that holds the key; else {KEY} does.")] = None,
+) -> None:
+    """Write the catalog's views as Parquet, CSV or a DuckDB file, to be given away or read elsewhere."""
+    from pipelines.catalog import views
+    from pipelines.export import export as write
+    from pipelines.isolate import sight_of
+
+    where, known = home_folder(home), views()
+    if strange := [v for v in view or () if v not in known]:
+        raise StopError(f"no view {strange[0]}; the catalog has {', '.join(sorted(known))}")
+    if view and form == Format.duckdb:
+        raise StopError("a DuckDB file holds every view; leave --view out")
+    if key_file and not pseudonymise:
+        raise StopError("a key is for --pseudonymise; give both or neither")
+    try:
+        rows = write(where, target, sight_of(where, operator, _key(key_file) if pseudonymise else None), form, view)
+    except (ValueError, FileExistsError) as error:
+        raise StopError(str(error)) from None
+    out.print(f"{sum(rows.values())} rows of {len(rows)} views: {target}", soft_wrap=True)
+
+
+def _key(file: Path | None) -> bytes:
+    """The key; it is never shown, not even in part."""
+    key = file.read_bytes().strip() if file else os.environ.get(KEY, "").strip().encode()
+    if not key:
+        raise StopError(f"pseudonyms need a key: name a file with --key-file or set {KEY}")
+    return key

@@ -1,0 +1,274 @@
+"""What leaves the home: no other operator's tail, under pseudonyms no tail at all, no key, no formula; whole or not."""
+
+import csv
+import io
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pytest
+from hostile import FORMULA
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hdt_core.tables import TABLES
+from pipelines.catalog import CATALOG, connect, publish, tables_read, views
+from pipelines.export import FORMATS, MANIFEST, export, safe
+from pipelines.isolate import Sight, sight_of
+from pipelines.store import FLEET, Store
+
+KEY = b"canary-key-5e0d-tell-nobody"
+OWN, OTHER = ("AQX", "LX-AAB"), ("BZR", "A9-BAC")
+EVERYTHING = Sight(None, None, frozenset(), frozenset(), frozenset())
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+@pytest.fixture(scope="module")
+def home(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first flights of the sample home, in which both aircraft are named wherever text can name them."""
+    home = tmp_path_factory.mktemp("named") / "home"
+    store = Store(home)
+    for table in tables_read():
+        _take_first(Store(sample_home), store, table)
+    for own, other in ((OWN, OTHER), (OTHER, OWN)):
+        said = f"{own[1]}, {own[1].replace('-', '').lower()} and {other[1]}X, not {other[1].lower()} of {other[0]}"
+        _change(store, "features_alerts", own, pl.col("evidence") + said)
+        _change(store, "raw_messages", own, pl.lit(said).alias("text"))
+        _change(store, "raw_maintenance", own, pl.concat_str("reference", pl.lit(f"/{own[1]}")))
+        told = _refused(f"{own[0]}/{own[1]}/acms/{other[1]}_20240401_01.csv", said).with_columns(
+            operator=pl.lit(own[0]), tail=pl.lit(own[1]), flight_id=pl.lit(f"{own[1]}_20240401_01")
+        )
+        store.replace("raw_records_quarantine", own, told)
+    files = ("fleet.csv", "AQX/lx_aab.csv", "BZR/a9_bac.csv", "AQX/Q9-ZZZ.csv")
+    store.replace("raw_files_quarantine", FLEET, pl.concat([_refused(f, f"{OWN} {OTHER}") for f in files]))
+    publish(home)
+    return home
+
+
+def _take_first(source: Store, target: Store, table: str) -> None:
+    whole = source.read(table)
+    first = whole
+    if "flight_id" in whole.columns and table not in ("raw_messages", "raw_quarantine"):
+        first = whole.filter(pl.col("flight_id").is_null() | (pl.col("flight_id").str.slice(-11, 8) < "20240309"))
+    if TABLES[table].grain == "fleet":
+        target.replace(table, FLEET, first)
+        return
+    for (operator, tail), rows in first.partition_by("operator", "tail", as_dict=True).items():
+        target.replace(table, (operator, tail), rows)
+
+
+def _change(store: Store, table: str, aircraft: tuple[str, str], change: pl.Expr) -> None:
+    frame = store.read(table, [aircraft])
+    assert frame.height
+    store.replace(table, aircraft, frame.with_columns(change))
+
+
+def _refused(file: str, said: str) -> pl.DataFrame:
+    noted = {"file": file, "row": 2, "column_name": said, "reason": "bad_key", "detail": said, "scope": "row"}
+    return pl.DataFrame(noted | {"received_at": datetime(2024, 4, 1, tzinfo=UTC), "n_rows": 0, "content": said})
+
+
+@dataclass(frozen=True)
+class Given:
+    """An export and all it says, in plain text and as it lies on the disk."""
+
+    folder: Path
+    rows: dict[str, int]
+
+    def said(self) -> bytes:
+        """All its bytes and all its text, in small letters without hyphens."""
+        raw = b"\n".join(f.read_bytes() for f in self.folder.iterdir())
+        told = (self.frame(v).select(pl.selectors.string()).write_csv().encode() for v in (*views(), *self._tables()))
+        return (raw + b"\n".join(told)).lower().replace(b"-", b"")
+
+    def _tables(self) -> list[str]:
+        return [f"tables.{t}" for t in tables_read()] if (self.folder / CATALOG).exists() else []
+
+    def frame(self, view: str) -> pl.DataFrame:
+        if (self.folder / CATALOG).exists():
+            with duckdb.connect(str(self.folder / CATALOG), read_only=True) as con:
+                return con.sql(f"select * from {view}").pl()
+        file = next(self.folder.glob(f"{view}.*"))
+        return pl.read_parquet(file) if file.suffix == ".parquet" else pl.read_csv(file, infer_schema=False)
+
+
+@pytest.fixture(scope="module")
+def given_away(home, tmp_path_factory):
+    """An export, made once."""
+    made: dict[tuple, Given] = {}
+
+    def give(operator: str | None, key: bytes | None, form: str) -> Given:
+        if (operator, key, form) not in made:
+            folder = tmp_path_factory.mktemp("given") / "out"
+            made[operator, key, form] = Given(folder, export(home, folder, sight_of(home, operator, key), form))
+        return made[operator, key, form]
+
+    return give
+
+
+def spelt(name: str) -> bytes:
+    return name.lower().replace("-", "").encode()
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_operator_gets_its_own_rows_and_no_trace_of_others(given_away, form):
+    given = given_away("AQX", None, form)
+    said = given.said()
+    assert spelt(OTHER[1]) not in said
+    assert re.findall(rb".{0,40}\bbzr\b.{0,20}", said) == []
+    assert spelt(OWN[1]) in said
+    for view in ("flights", "legs", "health_parameters", "prognoses", "alerts", "fleet_ranking", "design_parameters"):
+        assert set(given.frame(view)["operator"]) == {"AQX"}, view
+    assert "AQX/lx_aab.csv" in given.frame("quarantine")["file"]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("operator", [None, "AQX"])
+def test_under_pseudonyms_no_tail_and_no_key_is_told(given_away, home, operator, form):
+    said = given_away(operator, KEY, form).said()
+    assert [t for t in ("LX-AAB", "LX_AAB", "A9-BAC", "A9_BAC", "Q9-ZZZ", KEY.decode()) if spelt(t) in said] == []
+    with connect(home) as con:  # an unkeyed hash of a tail, a work order or a serial number leads back as well
+        secrets = con.execute("select alert_id from alerts union select msn from tables.raw_fleet").fetchall()
+        works = con.execute("select reference from tables.raw_maintenance where reference is not null").fetchall()
+    words = set(re.findall(rb"\w+", said))
+    assert [s for (s,) in (*secrets, *works) if spelt(s) in words] == []
+
+
+def test_pseudonyms_change_names_and_nothing_else(given_away):
+    plain, told = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
+    assert plain.rows == told.rows
+    for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
+        numbers = [f.frame(view).select(pl.selectors.numeric()) for f in (plain, told)]
+        assert numbers[0].sort(pl.all()).equals(numbers[1].sort(pl.all())), view
+    for view in ("flights", "alerts"):
+        names = told.frame(view)
+        assert names["tail"].str.contains(r"^P[A-Z2-7]{9}$").all()
+        flight = "flight_id" if view == "flights" else "raised_flight_id"
+        assert names.filter(~pl.col(flight).str.starts_with(pl.col("tail") + "_")).is_empty()
+    together = told.frame("flights").join(told.frame("legs"), on=["operator", "tail", "flight_id"])
+    assert together.height == plain.rows["legs"]
+
+
+def test_a_name_depends_on_the_key_alone(home):
+    one, two = (sight_of(home, o, KEY).pseudonym("LX-AAB") for o in (None, "AQX"))
+    assert one == two != sight_of(home, None, KEY[::-1]).pseudonym("LX-AAB")
+
+
+def test_parquet_csv_and_duckdb_say_the_same(given_away):
+    frames = [given_away("AQX", None, f).frame("health_parameters") for f in FORMATS]
+    keys = ["flight_id", "pack", "parameter"]
+    values = [f.sort(*(pl.col(k).cast(pl.String) for k in keys))["value"].cast(pl.Float64) for f in frames]
+    assert values[0].equals(values[1])
+    assert values[0].equals(values[2])
+
+
+# --- spreadsheets --------------------------------------------------------------------------------------------------
+
+
+def test_no_cell_of_hostile_files_is_a_formula(watched, tmp_path):
+    export(watched.home, tmp_path / "out", EVERYTHING, "csv")
+    files = (io.StringIO(f.read_bytes().decode(), newline="") for f in (tmp_path / "out").glob("*.csv"))
+    cells = [c for f in files for row in csv.reader(f) for c in row]
+    assert [c for c in cells if c[:1] in "=+-@\t\r" and c and not NUMBER.fullmatch(c)] == []
+    assert any(FORMULA in c for c in cells)
+
+
+@given(text=st.text(), number=st.floats(allow_nan=False, allow_infinity=False))
+def test_text_is_made_harmless_and_numbers_stay_numbers(text, number):
+    frame = pl.DataFrame({"text": [text], "number": [number]})
+    written = safe(frame)
+    (_, (cell, value)) = csv.reader(io.StringIO(written.write_csv(quote_style="non_numeric"), newline=""))
+    assert cell in (text, "'" + text)
+    assert cell[:1] not in tuple("=+-@\t\r\n")
+    assert float(value) == number
+
+
+# --- the folder ----------------------------------------------------------------------------------------------------
+
+
+def hdt(*words: object, **env: str) -> tuple[int, str]:
+    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | env)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_an_export_comes_whole_or_not_at_all(home, tmp_path):
+    out, words = tmp_path / "out", ("export", "--home", home, "--view", "flights", "--out", tmp_path / "out")
+    assert hdt(*words, HDT_FAULT="before_rename:1")[0] < 0
+    assert not out.exists()
+    assert hdt(*words)[0] == 0
+    before = (out / "flights.parquet").read_bytes()
+    assert hdt(*words, "--operator", "AQX", HDT_FAULT="before_rename:1")[0] < 0
+    assert (out / "flights.parquet").read_bytes() == before
+    pseudonyms = ("--pseudonymise", "--format", "csv")
+    assert hdt(*words, *pseudonyms, HDT_EXPORT_KEY=KEY.decode())[0] == 0
+    assert {f.name for f in out.iterdir()} == {"flights.csv", MANIFEST}, "what an earlier export told is gone"
+    assert [f.name for f in tmp_path.iterdir()] == ["out"], "and so is what killed ones left"
+
+
+def test_nothing_else_is_overwritten(home, tmp_path):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("x")
+    (tmp_path / "link").symlink_to(mine)
+    for folder in (mine, tmp_path / "link", mine / "thesis.txt"):
+        with pytest.raises(FileExistsError, match="is not overwritten"):
+            export(home, folder, EVERYTHING, "csv", ["flights"])
+    for folder in (home, home / "tables/export", tmp_path / "link/../named/.." / home / "x"):
+        with pytest.raises(ValueError, match="lies in the home"):
+            export(home, folder, EVERYTHING, "csv", ["flights"])
+    assert [f.name for f in mine.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--operator", "XXX"), "no operator XXX in"),
+        (("--operator", "A' or 1=1 --"), "no operator A' or 1=1 -- in"),
+        (("--view", "../flights"), "no view ../flights; the catalog has"),
+        (("--pseudonymise",), "pseudonyms need a key"),
+        (("--pseudonymise", "--key-file", "short"), "could be guessed"),
+        (("--key-file", "short"), "a key is for --pseudonymise"),
+        (("--format", "duckdb", "--view", "flights"), "leave --view out"),
+    ],
+    ids=lambda w: " ".join(w) if isinstance(w, tuple) else "",
+)
+def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, capsys, words, says):
+    from pipelines import cli
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HDT_EXPORT_KEY", raising=False)
+    Path("short").write_text("canary-key")
+    monkeypatch.setattr(sys, "argv", ["hdt", "export", "--home", str(home), "--out", str(tmp_path / "out"), *words])
+    with pytest.raises(SystemExit):
+        cli.main()
+    said = capsys.readouterr().err
+    assert says in said
+    assert len(said.splitlines()) == 1
+    assert "canary" not in said.replace(str(tmp_path), "").replace(str(home), "")
+    assert not (tmp_path / "out").exists()
+
+
+# --- the page ------------------------------------------------------------------------------------------------------
+
+PAGE = (Path(__file__).parents[2] / "docs/howto-export.md").read_text()
+READERS = dict(re.findall(r"^```python\n((?:import (\w+).*\n)(?:.*\n)*?)^```", PAGE, re.MULTILINE))
+
+
+@pytest.mark.parametrize("code", READERS, ids=READERS.values())
+def test_the_examples_of_the_page_run(given_away, tmp_path, monkeypatch, code):
+    pytest.importorskip(READERS[code])
+    for name, form in (("out", "parquet"), ("csv", "csv"), ("aqx", "duckdb")):
+        (tmp_path / name).symlink_to(given_away("AQX", None, form).folder)
+    monkeypatch.chdir(tmp_path)
+    held: dict[str, object] = {}
+    exec(code, held)
+    answers = {k: v for k, v in held.items() if k in ("worst", "last_departure", "alerts", "lives", "own")}
+    assert answers
+    assert all(len(v) for v in answers.values() if hasattr(v, "__len__"))
