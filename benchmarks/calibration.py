@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.legs import fleet_of
-from benchmarks.race import write
+from benchmarks.page import write
 from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
 from hdt_core.simulate import flying

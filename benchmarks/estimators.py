@@ -14,14 +14,12 @@ import logging
 from collections.abc import Callable
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
-from scipy.optimize import least_squares
 
-from benchmarks.race import Claim, Contestant, race, table, write
-from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, Problem, unknown
+from benchmarks.page import write
+from hdt_core.estimation import ParticleSwarm, Problem
 from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
-
-Fit = Callable[[Problem], np.ndarray]
+from pipelines.benchmark import filter_claim, fit_claim, over
+from pipelines.race import Claim, race, table
 
 
 def main(rounds: int = 15, records: int = 8) -> list[Claim]:
@@ -34,39 +32,6 @@ def main(rounds: int = 15, records: int = 8) -> list[Claim]:
     return claims
 
 
-def fit_claim(rounds: int, records: int) -> Claim:
-    """Least squares on the oscillator: same start, same bounds, no prior.
-
-    SciPy's own stop leaves a few 1e-7: how far apart the optima are shows in the last line, tolerances tightened.
-    """
-    problems = [p.with_prior(unknown(p.prior.mean)) for p in (oscillator_problem(seed) for seed in range(records))]
-    return race(
-        "NLS fit, 1,001 samples",
-        {
-            "ours": _over(problems, lambda p: NonlinearLeastSquares().estimate(p).belief.mean),
-            "SciPy trf with bounds, plain-float loop": _over(problems, lambda p: _scipy_fit(p, "trf")),
-            "SciPy lm without bounds, plain-float loop": _over(problems, lambda p: _scipy_fit(p, "lm")),
-            "SciPy trf, tolerances of 1e-14": _over(problems, lambda p: _scipy_fit(p, "trf", tolerance=1e-14)),
-        },
-        rounds,
-        goals=dict.fromkeys(
-            ("SciPy trf with bounds, plain-float loop", "SciPy lm without bounds, plain-float loop"), 130.0
-        ),
-    )
-
-
-def filter_claim(rounds: int, records: int) -> Claim:
-    """One pass of the extended Kalman filter over states and parameters, no smoother on either side."""
-    problems, ours = [oscillator_problem(seed) for seed in range(records)], ExtendedKalman(smoother_passes=0)
-    peer = "filterpy in a Python loop"
-    return race(
-        "EKF, one pass, 1,001 samples",
-        {"ours": _over(problems, lambda p: ours.estimate(p).belief.mean), peer: _over(problems, _filterpy)},
-        rounds,
-        goals={peer: 100.0},
-    )
-
-
 def swarm_claim(rounds: int, records: int) -> Claim:
     """30 particles, 100 iterations, the same coefficients and bounds."""
     import pyswarms  # noqa: F401, PLC0415 (only with the extra)
@@ -76,55 +41,13 @@ def swarm_claim(rounds: int, records: int) -> Claim:
     return race(
         "PSO, 30 particles, 100 iterations",
         {
-            "ours": _over(problems, lambda p: swarm.estimate(p).belief.mean),
-            "pyswarms, cost in NumPy": _over(problems, lambda p: _pyswarms(p, _numpy_cost)),
-            "pyswarms, our compiled cost": _over(problems, lambda p: _pyswarms(p, lambda q, t: q.objective(t))),
+            "ours": over(problems, lambda p: swarm.estimate(p).belief.mean),
+            "pyswarms, cost in NumPy": over(problems, lambda p: _pyswarms(p, _numpy_cost)),
+            "pyswarms, our compiled cost": over(problems, lambda p: _pyswarms(p, lambda q, t: q.objective(t))),
         },
         rounds,
         goals={"pyswarms, cost in NumPy": 30.0},
     )
-
-
-def _over(problems: list[Problem], fit: Fit) -> Contestant:
-    return Contestant(lambda: np.array([fit(problem) for problem in problems]), len(problems))
-
-
-def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.ndarray:
-    force, measured = force_n().tolist(), problem.measured[:, 0].tolist()
-
-    def residual(theta: np.ndarray) -> np.ndarray:
-        damping, stiffness = float(theta[0]), float(theta[1])
-        x = v = 0.0
-        out = []
-        for f, y in zip(force, measured, strict=True):
-            out.append((x - y) / SIGMA_M)
-            x, v = x + DT_S * v, v + DT_S * (f - damping * v - stiffness * x)
-        return np.array(out)
-
-    limits = {} if method == "lm" else {"bounds": problem.bounds.T}
-    stop = {"xtol": tolerance, "ftol": tolerance, "gtol": tolerance}
-    return np.asarray(least_squares(residual, problem.origin, method=method, **limits, **stop).x)
-
-
-def _filterpy(problem: Problem) -> np.ndarray:
-    force, measured = force_n(), problem.measured
-    peer = ExtendedKalmanFilter(dim_x=4, dim_z=1)
-    peer.x = np.concatenate([np.zeros(2), problem.prior.mean])
-    peer.P = np.zeros((4, 4))
-    peer.P[2:, 2:] = problem.prior.cov
-    peer.R = np.array([[SIGMA_M**2]])
-    peer.Q = np.zeros((4, 4))
-    h = np.array([[1.0, 0.0, 0.0, 0.0]])
-    for i in range(len(measured)):
-        peer.update(measured[i], lambda _x: h, lambda x: x[:1])
-        x, v, c, k = peer.x
-        if i + 1 < len(measured):
-            peer.F = np.array(
-                [[1, DT_S, 0, 0], [-DT_S * k, 1 - DT_S * c, -DT_S * v, -DT_S * x], [0, 0, 1, 0], [0, 0, 0, 1]]
-            )
-            peer.x = np.array([x + DT_S * v, v + DT_S * (force[i] - c * v - k * x), c, k])
-            peer.P = peer.F @ peer.P @ peer.F.T + peer.Q
-    return np.asarray(peer.x[2:])
 
 
 def _pyswarms(problem: Problem, cost: Callable[[Problem, np.ndarray], np.ndarray]) -> np.ndarray:

@@ -16,52 +16,17 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from benchmarks.race import Claim, Contestant, race, table, write
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from benchmarks.page import write
+from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_lumped_resistance
 from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
 from hdt_core.physics.effectiveness import crossflow_effectiveness
-from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lumped_exchanger, steady_outlets_k
+from pipelines.benchmark import FLIGHTS, NUMPY, POINTS, SCIPY, conductance_claim, first, snapshots
+from pipelines.race import Claim, Contestant, race, table
 
-POINTS, FLIGHTS, FEW_FLIGHTS, PEER_FLIGHTS, SECONDS, MASS_KG = 30, 20000, 4000, 40, 3600, 8.0
+FEW_FLIGHTS, PEER_FLIGHTS, SECONDS, MASS_KG = 4000, 40, 3600, 8.0
 NOMINAL_H_W_K = 2500.0
-SCIPY, NUMPY = "SciPy lm, vectorised model, a flight a call", "batched, NumPy path"
 MINPACK, LOOP = "SciPy lm over a numba simulation", "SciPy lm over a plain-float loop"
-
-
-def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray]:
-    """A fleet's cruise snapshots: cross-flow truth, losses of 0 to 40 %, 0.5 K noise."""
-    rng = np.random.default_rng(1)
-    n = n_flights * points
-
-    def spread(mean: float, between: float, within: float) -> np.ndarray:
-        return np.repeat(mean * (1.0 + between * rng.normal(size=n_flights)), points) * (
-            1.0 + within * rng.normal(size=n)
-        )
-
-    hot, ram = spread(0.9, 0.06, 0.01), np.maximum(spread(1.6, 0.2, 0.05), 0.4)
-    hot_in, cold_in = spread(390.0, 0.01, 0.004), spread(250.0, 0.01, 0.002)
-    design = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}
-    clean = clean_conductance_w_k(hot, ram, **design)
-    loss = np.repeat(np.linspace(0.0, 0.4, n_flights), points)
-    hot_out = outlets_k(hot, ram, hot_in, cold_in, (1.0 - loss) * clean)[0] + 0.5 * rng.normal(size=n)
-    starts = np.arange(n_flights + 1) * points
-    return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, np.full(n, 4.0), starts), clean
-
-
-def scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: int) -> np.ndarray:
-    """ln UA over clean UA, a flight at a time, MINPACK's Levenberg-Marquardt over the vectorised model."""
-    found = []
-    for f in range(n_flights):
-        at = slice(samples.starts[f], samples.starts[f + 1])
-        flows = samples.hot_flow_kg_s[at], samples.ram_flow_kg_s[at], samples.hot_in_k[at], samples.cold_in_k[at]
-        seen, ua = samples.hot_out_k[at], clean[at]
-
-        def residuals(theta, flows=flows, seen=seen, ua=ua):
-            return 2.0 * (seen - outlets_k(*flows, np.exp(theta[0]) * ua)[0])
-
-        found.append(least_squares(residuals, [0.0], method="lm", xtol=1e-10, ftol=1e-12).x[0])
-    return np.array(found)
 
 
 def scipy_lumped(samples: ExchangerSamples, n_flights: int) -> np.ndarray:
@@ -123,18 +88,6 @@ def scipy_log(samples: ExchangerSamples, simulate: Callable, columns: list) -> f
     return float(least_squares(residuals, [np.log(NOMINAL_H_W_K)], method="lm").x[0])
 
 
-def conductance_claim(rounds: int) -> Claim:
-    """Health of a fleet: ln UA over clean UA, exact cross-flow effectiveness."""
-    samples, clean = snapshots(FLIGHTS, POINTS)
-    few = first(samples, FEW_FLIGHTS)
-    runs = {
-        "ours, batched, compiled": Contestant(lambda: fit_conductance_scale(samples, clean, "compiled").mean, FLIGHTS),
-        NUMPY: Contestant(lambda: fit_conductance_scale(few, clean[: few.starts[-1]], "arrays").mean, FEW_FLIGHTS),
-        SCIPY: Contestant(lambda: scipy_conductance(samples, clean, PEER_FLIGHTS), PEER_FLIGHTS),
-    }
-    return race("cross-flow UA, 30 points a flight", runs, rounds, per_second=1e6)
-
-
 def resistance_claim(rounds: int) -> Claim:
     """The paper's equations in steady flow: 1/H, in K/kW."""
     samples, _ = snapshots(FLIGHTS, POINTS)
@@ -176,12 +129,6 @@ def effectiveness_claim(rounds: int) -> Claim:
         "ht, quadrature": Contestant(by_ht, 100),
     }
     return race("cross-flow effectiveness", runs, rounds)
-
-
-def first(samples: ExchangerSamples, n_flights: int) -> ExchangerSamples:
-    """The first flights of a batch."""
-    end = samples.starts[n_flights]
-    return ExchangerSamples(*(column[:end] for column in samples.columns()), samples.starts[: n_flights + 1])
 
 
 def repeated(n: int, fit: Callable[[], float]) -> np.ndarray:

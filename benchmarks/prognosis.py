@@ -18,7 +18,7 @@ from benchmarks.augment import augmented, own_rows
 from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of, together
 from benchmarks.detection import GROUP
 from benchmarks.fleets import Frames, flown
-from benchmarks.race import write
+from benchmarks.page import write
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import (
     alpha_lambda,

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.race import write
+from benchmarks.page import write
 from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman
 from hdt_core.estimation.identifiability import fisher
 from hdt_core.estimation.oscillator import TRUTH, oscillator_problem, true_position_m

@@ -8,9 +8,34 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
+
+ORDER = (
+    "nightly",
+    "backfill",
+    "status",
+    "explain",
+    "report",
+    "query",
+    "export",
+    "ui",
+    "simulate",
+    "doctor",
+    "benchmark",
+)
+
+
+class ByUse(TyperGroup):
+    """Lists the commands in the order in which they are met."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names as `--help` and completion show them."""
+        return sorted(self.commands, key=ORDER.index)
+
 
 app = typer.Typer(
     name="hdt",
+    cls=ByUse,
     help="Hybrid digital twin: from recorder files to which heat exchanger to change, why, and when.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

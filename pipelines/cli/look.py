@@ -14,7 +14,10 @@ from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, home
 
 @app.command()
 def status(home: HomeDir = None, as_json: AsJson = False) -> None:
-    """What is up to date, what waits, what failed; the last good run, the catalog's age and the quarantine."""
+    """What is up to date, what waits and what failed.
+
+    With the last good run, the catalog's age and the quarantine.
+    """
     from pipelines.status import status_of
 
     told = status_of(home_folder(home))
@@ -36,7 +39,7 @@ def report(
     home: HomeDir = None,
     target: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("report.html"),
 ) -> None:
-    """Write the fleet's health as one HTML page that needs no network."""
+    """Write the fleet's health as one page that needs no network."""
     from pipelines.report import write_report
 
     where = home_folder(home)
@@ -67,7 +70,10 @@ def explain(
     alert: Annotated[str, typer.Argument(help="An alert's id, or the start of it; a tail for its latest alert.")],
     home: HomeDir = None,
 ) -> None:
-    """One alert in a paragraph: what moved, by how much, since when, what else it could be, what to do."""
+    """One alert in a paragraph, with its numbers.
+
+    What moved, by how much, since when, what else it could be, what to do.
+    """
     from pipelines.explain import explain_alert
 
     where = home_folder(home)
@@ -86,7 +92,10 @@ def ui(
     port: int = 3000,
     read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no run can be started.")] = False,
 ) -> None:
-    """Open Dagster's web page on this machine, on the same assets and run history."""
+    """Open Dagster's page on this machine.
+
+    It shows the same assets and run history that the other commands work on.
+    """
     from pipelines.runs import open_instance
 
     where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()

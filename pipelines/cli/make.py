@@ -1,9 +1,12 @@
-"""Commands for who tries, checks or measures: simulate, doctor."""
+"""Commands for who tries, checks or measures: simulate, doctor, benchmark."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, out
 
@@ -16,7 +19,10 @@ def simulate(
     tails: Annotated[int, typer.Option(min=1, help="Aircraft of each operator.")] = 4,
     flights: Annotated[int, typer.Option(min=1, help="Flights of each aircraft.")] = 350,
 ) -> None:
-    """Write a simulated fleet as a ground station would drop it, and its truth apart."""
+    """Write a simulated fleet, and its truth apart.
+
+    The files are those that a ground station would drop.
+    """
     from rich.progress import track
 
     from hdt_core.simulate.design import FleetSettings
@@ -32,9 +38,10 @@ def simulate(
 
 @app.command()
 def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = False) -> None:
-    """Check the installation, and the landing zone and home where they are given: each check with its answer."""
-    import json
+    """Check the installation, the landing zone and the home.
 
+    The folders are looked at where they are given. Each check says what it found; exit code 1 if one is a fault.
+    """
     from pipelines.doctor import examine
 
     checks = list(examine(landing, home))
@@ -45,3 +52,34 @@ def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = F
             out.print(f"{'well ' if check.well else 'FAULT'}  {check.name}: {check.says}", markup=False, soft_wrap=True)
     if not all(c.well for c in checks):
         raise typer.Exit(1)
+
+
+@app.command()
+def benchmark(
+    rounds: Annotated[int, typer.Option(min=1, help="Every contestant has this many turns.")] = 5,
+    as_json: AsJson = False,
+) -> None:
+    """Race this installation against SciPy and filterpy.
+
+    The same work for all, in turns, on one core: about ten seconds.
+    """
+    from pipelines.benchmark import PACKAGES, installed
+    from pipelines.race import clock, machine, times
+
+    claims = installed(rounds)
+    if as_json:
+        out.print_json(
+            json.dumps({"machine": machine(PACKAGES), "races": [asdict(c) | {"ratios": c.ratios} for c in claims]})
+        )
+        return
+    table = Table()
+    for name in ("work", "who", "time", "ours is faster", "answers apart"):
+        table.add_column(name, justify="left" if name in {"work", "who"} else "right")
+    for claim in claims:
+        for place, (who, taken) in enumerate(claim.seconds.items()):
+            beside = (times(claim.ratios[who]), f"{claim.apart[who]:.0e}") if place else ("", "")
+            table.add_row(
+                "" if place else claim.work, who, clock(taken), *beside, end_section=place + 1 == len(claim.seconds)
+            )
+    out.print(table)
+    out.print(machine(PACKAGES), soft_wrap=True)

@@ -48,7 +48,10 @@ class Bars:
 
 @app.command()
 def nightly(landing: LandingDir = None, home: HomeDir = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Take in everything that is new, from raw files to alerts, and say which packs need attention."""
+    """Take in what is new and say which packs need attention.
+
+    From raw files to alerts; exit code 1 if an aircraft failed, and the others are done.
+    """
     zone, where = landing_folder(landing), home_folder(home, must_exist=False)
     if dry_run:
         _say_what_is_new(zone, where, as_json)
@@ -66,8 +69,9 @@ def backfill(
     until: Day = None,
     as_json: AsJson = False,
 ) -> None:
-    """Take in history, in bulk: by operator, aircraft or departure date (both ends included). It may be stopped and
-    started again.
+    """Take in history, in bulk.
+
+    By operator, aircraft or departure date (both ends included). It may be stopped and started again.
     """
     from pipelines.intake.names import is_operator, is_tail
 

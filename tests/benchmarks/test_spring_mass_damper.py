@@ -1,8 +1,9 @@
 """The benchmark runs, and its page and figures come out of its result."""
 
 from benchmarks.estimators import filter_claim, fit_claim
-from benchmarks.race import table, write
+from benchmarks.page import write
 from benchmarks.spring_mass_damper import contestants, figures, main, tables
+from pipelines.race import table
 
 
 def test_tables_and_figures_follow_from_the_result(tmp_path):

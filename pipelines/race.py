@@ -1,6 +1,4 @@
-"""Contestants that do the same work in turn, the table that comes of it, and its place in docs/benchmark.md."""
-
-from __future__ import annotations
+"""Contestants that do the same work in turn, and the table that comes of it."""
 
 import platform
 import time
@@ -13,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-PAGE = Path(__file__).parents[1] / "docs" / "benchmark.md"
 UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
 
 
@@ -60,12 +57,12 @@ class Claim:
         """Lines of the table."""
         lines = []
         for place, (name, taken) in enumerate(self.seconds.items()):
-            ratio = _times(self.ratios[name]) if place else "-"
+            ratio = times(self.ratios[name]) if place else "-"
             goal = f"{self.goals[name]:g} x" if name in self.goals else "-"
             if not place and self.per_second is not None:
                 goal = f"{self.per_second:,.0f} /s"
             apart = f"{self.apart[name]:.0e}" if name in self.apart else "-"
-            cells = ("" if place else self.work, name, _clock(taken), f"{1.0 / taken:,.0f}", ratio, goal, apart)
+            cells = ("" if place else self.work, name, clock(taken), f"{1.0 / taken:,.0f}", ratio, goal, apart)
             lines.append("| " + " | ".join(cells) + " |")
         return lines
 
@@ -107,23 +104,18 @@ def machine(packages: Sequence[str]) -> str:
     return f"{_processor()}, {cpu_count()} cores, one used; Python {platform.python_version()}, {versions}."
 
 
-def write(mark: str, text: str, page: Path = PAGE) -> None:
-    """Put a text between the page's marks of that name."""
-    begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
-    before, rest = page.read_text().split(begin)
-    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}")
-
-
 def _apart(ours: np.ndarray, other: np.ndarray) -> float:
     """Of as many answers as the other has: a slow peer does the first few pieces only."""
     return float(np.abs(ours[: len(other)] - other[: len(ours)]).max())
 
 
-def _times(ratio: float) -> str:
+def times(ratio: float) -> str:
+    """How many times, as it is read."""
     return f"{ratio:,.0f} x" if ratio >= 10.0 else f"{ratio:.1f} x"
 
 
-def _clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
+    """A time in the unit that suits it."""
     size, unit = next((u for u in UNITS if seconds >= u[0]), UNITS[-1])
     return f"{seconds / size:.3g} {unit}"
 

@@ -1,0 +1,55 @@
+"""What the shell sees of the command: help to choose from, completion, and what this installation can do."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from pipelines.benchmark import installed
+from pipelines.cli.base import ORDER, app, out
+
+
+def hdt(*words: str, **env: str) -> str:
+    done = CliRunner().invoke(app, list(words), env=env, prog_name="hdt")
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_help_lists_every_command_in_order_and_cuts_no_sentence():
+    listed = hdt("--help", COLUMNS="80").partition("Commands:")[2]
+    assert [line.split()[0] for line in listed.strip().splitlines()] == list(ORDER)
+    assert {c.name or c.callback.__name__ for c in app.registered_commands} == set(ORDER)
+    assert "..." not in listed
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("hdt ni", ["nightly"]),
+        ("hdt b", ["backfill", "benchmark"]),
+        ("hdt nightly --dry", ["--dry-run"]),
+        ("hdt report --o", ["--out"]),
+    ],
+)
+def test_the_shell_completes_commands_and_options(typed, offered):
+    place = str(len(typed.split()) - 1)
+    assert hdt(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
+
+
+@pytest.mark.parametrize(("shell", "says"), [("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")])
+def test_the_shell_is_told_how_to_complete(shell, says):
+    assert says in hdt(_HDT_COMPLETE=f"source_{shell}")
+
+
+def test_contestants_of_the_benchmark_give_the_same_answers():
+    claims = installed(rounds=1, records=1, n_flights=200)
+    assert [max(c.apart.values()) < 1e-5 for c in claims] == [True] * 3
+    assert all(len(c.seconds) > 1 and min(c.seconds.values()) > 0 for c in claims)
+
+
+def test_the_benchmark_prints_json(monkeypatch):
+    monkeypatch.setattr("pipelines.benchmark.installed", lambda rounds: installed(rounds, 1, 200))
+    with out.capture() as printed:
+        hdt("benchmark", "--rounds", "1", "--json")
+    told = json.loads(printed.get())
+    assert all(set(race["ratios"]) == set(race["apart"]) for race in told["races"])
