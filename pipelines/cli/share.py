@@ -32,7 +32,10 @@ def export(
     ] = False,
     key_file: Annotated[Path | None, typer.Option(help=f"File that holds the key; else {KEY} does.")] = None,
 ) -> None:
-    """Write the catalog's views as Parquet, CSV or a DuckDB file, to be given away or read elsewhere."""
+    """Write the catalog's views as Parquet, CSV or a DuckDB file.
+
+    To be given away, or read elsewhere.
+    """
     from pipelines.catalog import views
     from pipelines.export import export as write
     from pipelines.isolate import sight_of
