@@ -5,6 +5,7 @@ area; film coefficients follow temperature; ram air is warmed on its way; the co
 outlet.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,11 +100,16 @@ def outlets(
 
 
 def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: Wear) -> Array:
-    """Door position that holds the outlet at its target, or the nearer stop where none does: bisection."""
+    """Door position that holds the outlet at its target, or the nearer stop where none does."""
     low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
-    for _ in range(_STEPS):
+    return held_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
+
+
+def held_door(too_hot: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, steps: int = _STEPS) -> Array:
+    """Door position between two stops from which on the outlet is no longer too hot: bisection."""
+    for _ in range(steps):
         door = 0.5 * (low + high)
-        hot = outlets(design, now, demand, door, wear)[0] > demand.target_k
+        hot = too_hot(door)
         low, high = np.where(hot, door, low), np.where(hot, high, door)
     return 0.5 * (low + high)
 

@@ -78,10 +78,27 @@ def break_sensor(
     kind: str,
     noise: float,
 ) -> Array:
-    """Recorded values of a faulty sensor on the flights where `faulty` (per row) holds."""
+    """Recorded values of a faulty sensor on the flights where `faulty` (per row) holds; the fault's size is drawn."""
+    size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * noise
+    return with_sensor_fault(rng, values, flight=flight, faulty=faulty, kind=kind, size=size)
+
+
+def with_sensor_fault(
+    rng: np.random.Generator,
+    values: Array,
+    *,
+    flight: NDArray[np.int_],
+    faulty: NDArray[np.bool_],
+    kind: str,
+    size: float,
+) -> Array:
+    """Recorded values with a fault of this size, in recorded units, on the flights where `faulty` (per row) holds.
+
+    `kind`: `drift` (reaches `size` in 25 flights and twice that in 50, where it stays), `step`, `stuck` (at the first
+    value), and any other leaves seven values in ten out.
+    """
     out = values.copy()
     since = flight - flight[faulty].min()
-    size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * noise
     if kind == "drift":
         out[faulty] += (size * np.minimum(since / 25.0, 2.0))[faulty]
     elif kind == "step":

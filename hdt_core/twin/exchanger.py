@@ -74,39 +74,47 @@ def without_bias(signals: Mapping[str, Array], bias: Array) -> dict[str, Array]:
     return clean
 
 
+def duct_values(design: Array) -> dict[str, Array]:
+    """Parameters of `RAM_DUCT` that a design vector stands for, the clean duct's."""
+    p = dict(zip(NAMES, design, strict=True))
+    # core and exit can't be told apart from a cruise: one resistance stands for both
+    half = np.sqrt(2.0) * np.exp(p["ln_rest_area"])
+    return {
+        "ram_area_closed_m2": np.exp(p["ln_door_closed"]),
+        "ram_area_open_m2": np.exp(p["ln_door_open"]),
+        "ram_door_low": p["ram_door_low"],
+        "ram_door_high": p["ram_door_high"],
+        "ram_core_area_m2": half,
+        "ram_exit_area_m2": half,
+        "ram_recovery": p["ram_recovery"],
+    }
+
+
+def core_values(design: Array) -> dict[str, Array]:
+    """Parameters of `HEAT_EXCHANGER` that a design vector stands for, the clean core's."""
+    p = dict(zip(NAMES, design, strict=True))
+    return {
+        "hx_ua_reference_w_k": np.exp(p["ln_ua_reference"]),
+        "hx_exponent_hot": p["hx_exponent_hot"],
+        "hx_exponent_cold": p["hx_exponent_cold"],
+        "hx_hot_share": (1.0 - p["hx_wall_share"]) / (1.0 + np.exp(-p["hot_share_logit"])),
+        "hx_wall_share": p["hx_wall_share"],
+    }
+
+
 def clean_ram_flow_kg_s(signals: Mapping[str, Array], design: Array) -> Array:
     """Ram flow of a clean core at this door position. (n,) [kg/s]"""
-    p = dict(zip(NAMES, design, strict=True))
     inputs = {n: signals[n] for n in ("total_pressure_pa", "tat_k", "altitude_m", "mach")}
-    return ram_flow(
-        **inputs,
-        ram_door_open=np.clip(signals["ram_door_open"], 0.0, 1.0),
-        ram_area_closed_m2=np.exp(p["ln_door_closed"]),
-        ram_area_open_m2=np.exp(p["ln_door_open"]),
-        ram_door_low=p["ram_door_low"],
-        ram_door_high=p["ram_door_high"],
-        # core and exit can't be told apart from a cruise: one resistance stands for both
-        ram_core_area_m2=np.sqrt(2.0) * np.exp(p["ln_rest_area"]),
-        ram_exit_area_m2=np.sqrt(2.0) * np.exp(p["ln_rest_area"]),
-        ram_recovery=p["ram_recovery"],
-        ram_flow_loss=np.zeros(1),
-    )
+    door = np.clip(signals["ram_door_open"], 0.0, 1.0)
+    return ram_flow(**inputs, ram_door_open=door, **duct_values(design), ram_flow_loss=np.zeros(1))
 
 
 def ln_clean_conductance(signals: Mapping[str, Array], ram_flow_kg_s: Array, design: Array) -> Array:
     """Logarithm of the UA that the digital system model expects, in W/K. (n,)"""
-    p = dict(zip(NAMES, design, strict=True))
-    clean = clean_conductance_w_k(
-        signals["pack_flow_kg_s"],
-        ram_flow_kg_s,
-        hx_ua_reference_w_k=np.exp(p["ln_ua_reference"]),
-        hx_exponent_hot=p["hx_exponent_hot"],
-        hx_exponent_cold=p["hx_exponent_cold"],
-        hx_hot_share=(1.0 - p["hx_wall_share"]) / (1.0 + np.exp(-p["hot_share_logit"])),
-        hx_wall_share=p["hx_wall_share"],
-    )
+    clean = clean_conductance_w_k(signals["pack_flow_kg_s"], ram_flow_kg_s, **core_values(design))
     film_k = 0.5 * (signals["hx_in_k"] + signals["tat_k"])
-    return np.asarray(np.log(clean) + p["film_temperature_exponent"] * np.log(film_k / REFERENCE_FILM_K))
+    exponent = design[NAMES.index("film_temperature_exponent")]
+    return np.asarray(np.log(clean) + exponent * np.log(film_k / REFERENCE_FILM_K))
 
 
 def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Array) -> Array:

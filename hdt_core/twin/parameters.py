@@ -126,8 +126,8 @@ def _pack_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float) -> Array:
     """d ln UA / d ln flow of the hot and the ram side at these flows: exponent times the film's share. (2,) [-]"""
-    p = dict(zip(hx.NAMES, design, strict=True))
-    hot_share = (1.0 - p["hx_wall_share"]) / (1.0 + np.exp(-p["hot_share_logit"]))
+    p = hx.core_values(design)
+    hot_share = p["hx_hot_share"]
     hot = hot_share * (hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S) ** -p["hx_exponent_hot"]
     cold = (1.0 - hot_share - p["hx_wall_share"]) * (ram_flow_kg_s / REFERENCE_RAM_FLOW_KG_S) ** -p["hx_exponent_cold"]
     total = hot + p["hx_wall_share"] + cold

@@ -1,0 +1,170 @@
+"""A fault laid over recorded flights: the physics it obeys, the truth it tells, and what the twin makes of it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from pages import walk
+from polars.testing import assert_frame_equal
+
+from hdt_core.simulate.inject import DoorLimit, Fouling, SensorFault, inject
+from hdt_core.simulate.recorder import LB_PER_MIN
+from hdt_core.twin.flights import estimate_flights
+from hdt_core.twin.track import track
+
+PACK = 2
+TOUCHED = ("ram_door_pct", "hx_out_degc", "ram_out_degc")
+
+
+@pytest.fixture(scope="module")
+def page() -> dict[str, Any]:
+    """Names that the how-to leaves, its printed numbers checked on the way."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(Path(__file__).parents[3])
+        return walk("howto-fault-injection.md")
+
+
+@pytest.fixture(scope="module")
+def rows(page) -> pl.DataFrame:
+    """Snapshots of one aircraft, with a ram outlet sensor that reads what the heat balance says at 1.5 kg/s."""
+    cooled = pl.col("hx_in_degc") - pl.col("hx_out_degc")
+    seen = page["rows"]["A9-BAC"].drop("ram_out_degc", strict=False)
+    return seen.with_columns(
+        (pl.col("tat_degc") + cooled * pl.col("pack_flow_lbpm") * LB_PER_MIN / 1.5).alias("ram_out_degc")
+    )
+
+
+def cruise(frame: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
+    """Rows of the faulty flights in level cruise, with their truth."""
+    late = truth.filter(pl.col("since").is_not_null())
+    return frame.join(late, on=["flight_id", "pack"]).filter(pl.col("altitude_ft") > 30_000)
+
+
+@pytest.mark.parametrize("fault", [Fouling(0.0), Fouling(0.0, masked=False), DoorLimit(1.0)], ids=str)
+def test_no_fault_changes_nothing(page, rows, fault):
+    made = inject(rows, fault, pack=PACK, first_flight=page["first"])
+    # the door is found by bisection, to a ten-millionth of its travel
+    assert_frame_equal(made.rows, rows, check_exact=False, abs_tol=1e-4)
+
+
+@pytest.mark.parametrize("fault", [Fouling(0.3), DoorLimit(0.2), SensorFault("hx_out_degc", "step", 5.0)], ids=str)
+def test_other_pack_earlier_flights_and_other_columns_stay(page, rows, fault):
+    made = inject(rows, fault, pack=PACK, first_flight=page["first"])
+    assert_frame_equal(made.rows.drop(TOUCHED), rows.drop(TOUCHED))
+    sound = made.truth.filter(pl.col("since").is_null())["flight_id"].implode()
+    spared = (pl.col("pack") != PACK) | pl.col("flight_id").is_in(sound)
+    assert_frame_equal(made.rows.filter(spared), rows.filter(spared))
+    assert not made.rows.filter(~spared).equals(rows.filter(~spared))
+
+
+def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
+    made = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
+    both = cruise(made.rows, made.truth).join(
+        rows.select("flight_id", "pack", "report_time", "ram_door_pct", "hx_out_degc"),
+        on=["flight_id", "pack", "report_time"],
+        suffix="_before",
+    )
+    known = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
+    door, before = known["ram_door_pct"], known["ram_door_pct_before"]
+    warmer = known["hx_out_degc"] - known["hx_out_degc_before"]
+    assert (door >= before - 1e-9).all()
+    held = door < 99.99
+    assert 0.3 < held.mean() < 0.99
+    assert warmer.filter(held).abs().max() < 1e-3
+    assert warmer.filter(~held).min() > -1e-3
+    assert warmer.filter(~held).max() > 0.5
+
+
+def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
+    fault = Fouling(0.3, masked=False)
+    made = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
+    key = ["flight_id", "pack", "report_time"]
+    both = cruise(made.rows, made.truth).join(
+        rows.select(*key, "hx_out_degc", "ram_out_degc"), on=key, suffix="_before"
+    )
+    known = both.drop_nulls(["hx_in_degc", "hx_out_degc", "ram_out_degc"])
+    air = {
+        "total_pressure_pa": 6894.757293168 * known["pt_psia"].to_numpy(),
+        "tat_k": known["tat_degc"].to_numpy() + 273.15,
+        "altitude_m": 0.3048 * known["altitude_ft"].to_numpy(),
+        "mach": known["mach"].to_numpy(),
+        "ram_door_open": 0.01 * known["ram_door_pct"].to_numpy(),
+    }
+    ram_kg_s = page["ours"]["duct"].predict({}, air)["ram_flow_kg_s"]
+    kept = (
+        known["pack_flow_lbpm"].to_numpy()
+        * LB_PER_MIN
+        * (known["hx_out_degc"] - known["hx_out_degc_before"]).to_numpy()
+    )
+    lacks = ram_kg_s * (known["ram_out_degc_before"] - known["ram_out_degc"]).to_numpy()
+    clear = np.isfinite(kept) & np.isfinite(lacks)
+    assert clear.sum() > 1000
+    np.testing.assert_allclose(lacks[clear], kept[clear], atol=1e-9)
+
+
+def test_the_twin_recovers_the_injected_loss(page):
+    """Flight by flight, within half a point by the fleet's own map, within three on average by one it does not know."""
+    for (_, of), said in page["found"].items():
+        off, limit = said["found"] - said["hx_fouling"], 0.005 if of == "the fleet's own map" else 0.03
+        assert said.height > 150
+        assert abs(off.mean()) < limit
+        assert off.std() < limit
+
+
+def test_the_health_track_rises_by_it(page):
+    """Filtered along the pack like any wear: within three of its standard deviations, and six points, in the end."""
+    tail, first = page["TAIL"], page["first"]
+    made = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
+    after = estimate_flights(page["judged"](made.rows, tail)[1], page["dsm"])
+    both = [track(f, page["no_work"], page["dsm"]) for f in (after, page["as_flown"].filter(pl.col("tail") == tail))]
+    late, before = (
+        t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
+        for t in both
+    )
+    expected = 1.0 - (1.0 - 0.25) * (1.0 - before["value"].to_numpy())
+    off = late["value"].to_numpy() - expected
+    assert np.abs(off).max() < 0.06
+    assert (np.abs(off) < 3.0 * late["sd"].to_numpy()).all()
+
+
+def test_a_short_door_is_no_loss(page):
+    said = page["seen"](DoorLimit(0.3), **page["ours"])
+    assert said["found"].abs().max() < 0.01
+    assert (said["ram_door_reach"] == 0.3).all()
+    assert (said["hx_out_k_after"] - said["hx_out_k"]).mean() > 2.0
+
+
+@pytest.mark.parametrize(("kind", "late"), [("step", 3.0), ("drift", 6.0)])
+def test_sensor_faults_have_the_size_they_are_given(page, rows, kind, late):
+    made = inject(rows, SensorFault("tat_degc", kind, 3.0), pack=PACK, first_flight=page["first"])
+    moved = made.rows.with_columns(error=made.rows["tat_degc"] - rows["tat_degc"])
+    error = moved.join(made.truth, on=["flight_id", "pack"]).drop_nulls(["since", "error"])
+    np.testing.assert_allclose(error.filter(pl.col("since") >= 50)["error"], late)
+    np.testing.assert_allclose(error.filter(pl.col("since") == 25)["error"], 3.0)
+    assert made.truth["sensor_fault"].unique().sort().to_list() == ["", "tat_degc"]
+
+
+def test_a_stuck_sensor_repeats_itself_and_a_dropout_leaves_gaps(page, rows):
+    stuck = inject(rows, SensorFault("hx_out_degc", "stuck"), pack=PACK, first_flight=page["first"])
+    late = stuck.rows.join(stuck.truth.drop_nulls("since"), on=["flight_id", "pack"])
+    assert late["hx_out_degc"].n_unique() == 1
+    gaps = SensorFault("hx_out_degc", "dropout")
+    first, again = (inject(rows, gaps, pack=PACK, first_flight=page["first"], seed=4) for _ in range(2))
+    assert_frame_equal(first.rows, again.rows)
+    share = first.rows.join(first.truth.drop_nulls("since"), on=["flight_id", "pack"])["hx_out_degc"].is_null().mean()
+    assert 0.65 < share < 0.75
+
+
+def test_what_cannot_be_injected_is_said(page, rows):
+    with pytest.raises(ValueError, match="pack 2 has no flight A9-BAC_19990101_01"):
+        inject(rows, Fouling(0.1), pack=2, first_flight="A9-BAC_19990101_01")
+    with pytest.raises(ValueError, match="the rows lack pt_psia"):
+        inject(rows.drop("pt_psia"), Fouling(0.1), pack=PACK, first_flight=page["first"])
+    with pytest.raises(ValueError, match="cabin_degc is no recorded signal; there are altitude_ft"):
+        SensorFault("cabin_degc", "step", 1.0)
+    with pytest.raises(ValueError, match="a loss lies in"):
+        Fouling(1.0)
+    with pytest.raises(ValueError, match="a door's reach"):
+        DoorLimit(30.0)
