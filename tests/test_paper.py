@@ -1,0 +1,91 @@
+"""docs/paper.md maps every equation, table and figure of the paper to code, test and plot that are there."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+TESTS = "tests/hdt_core"
+NUMBERED = {("eq", n) for n in range(1, 9)} | {("fig", n) for n in range(1, 17)} | {("table", n) for n in range(1, 4)}
+
+
+class Row(NamedTuple):
+    """A row of the map: its item, and the code, tests and plots it names."""
+
+    item: str
+    code: str
+    test: str
+    plot: str
+
+
+ROWS = [
+    Row(item, code, test, plot)
+    for item, _, code, test, plot in (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in PAGE.splitlines() if line.startswith("| ")
+    )
+    if item not in ("paper", "---")
+]
+
+
+def numbers(item: str) -> set[tuple[str, int]]:
+    """What `eqs (2)-(4)`, `fig. 4, 5` or `tables 1, 2` speak of."""
+    kind = re.match(r"(eq|fig|table)s?\b", item)
+    if kind is None:
+        return set()
+    found = [int(n) for n in re.findall(r"\d+", item)]
+    return {(kind[1], n) for n in (range(found[0], found[-1] + 1) if "-" in item else found)}
+
+
+def named(cell: str, below: str) -> tuple[list[Path], list[str]]:
+    """Paths and symbols in the backticks of a cell; a bare file lies beside the one before it."""
+    paths: list[Path] = []
+    symbols: list[str] = []
+    for word in re.findall(r"`([^`]+)`", cell):
+        beside = [paths[-1].parent / word] if paths else []
+        there = [p for p in (ROOT / below / word, ROOT / word, *beside) if p.exists()]
+        if there:
+            paths.append(there[0])
+        elif "/" in word or word.endswith(".py"):
+            raise AssertionError(f"docs/paper.md names {word}, which is not there")
+        elif " " not in word:
+            symbols.append(word)
+    return paths, symbols
+
+
+def defined(symbol: str, paths: list[Path]) -> bool:
+    files = [f for p in paths for f in ([p] if p.is_file() else p.rglob("*.py"))]
+    pattern = re.compile(rf"^\s*(def|class) {symbol}\b|^{symbol}\b.* = ", re.MULTILINE)
+    return any(pattern.search(f.read_text(encoding="utf-8")) for f in files)
+
+
+def test_every_equation_table_and_figure_has_a_row():
+    said = [numbers(row.item) for row in ROWS]
+    assert set().union(*said) == NUMBERED
+    assert sum(map(len, said)) == len(NUMBERED)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.item)
+def test_what_a_row_names_is_there(row):
+    (code, symbols), (tests, _), (plots, drawn) = (
+        named(row.code, "hdt_core"),
+        named(row.test, TESTS),
+        named(row.plot, "."),
+    )
+    assert code
+    assert tests
+    assert [s for s in symbols if not defined(s, code)] == []
+    assert [s for s in drawn if not defined(s, plots)] == []
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.item.startswith("eq")], ids=lambda row: row.item)
+def test_an_equations_functions_are_called_by_its_tests(row):
+    tests = "\n".join(f.read_text(encoding="utf-8") for f in named(row.test, TESTS)[0])
+    assert [s for s in named(row.code, "hdt_core")[1] if s not in tests] == []
+
+
+def test_methods_that_the_paper_cites_are_where_it_says():
+    below = PAGE[PAGE.rindex("| [physics from an FMU]") :]
+    assert len(named(below, "hdt_core")[0]) == 7
