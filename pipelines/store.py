@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import polars as pl
@@ -24,7 +25,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Temporary name, fsync, rename, fsync of the folder: none of Polars, PyArrow and DuckDB syncs, and a file written
     straight to its final name was corrupt after 20 to 25 of 25 kills.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(path.parent)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         fault_point("before_write")
@@ -77,6 +78,14 @@ def _sweep_folders(path: Path) -> None:
         pid = left.name.removeprefix(f".{path.name}.").split(".")[0]
         if pid.isdigit() and not Path("/proc", pid).exists():
             shutil.rmtree(left)
+
+
+def _make_folder(path: Path) -> None:
+    """Make a folder whose name a power cut leaves: each new one is synced into the one above it."""
+    new = list(takewhile(lambda p: not p.exists(), (path, *path.parents)))
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in new:
+        _sync(folder.parent)
 
 
 def _sync(path: Path) -> None:
@@ -134,13 +143,13 @@ class Store:
         asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
         fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
         for (shard,), own in asked.partition_by("shard", as_dict=True).items():
-            new = entry.conform(fresh.get((shard,), frame.clear()))
-            path = self.path(table, aircraft, str(shard))
+            path, new = self.path(table, aircraft, str(shard)), fresh.get((shard,))
+            if new is None and not path.exists():
+                continue
+            new = entry.conform(frame.clear() if new is None else new)
             if path.exists():
                 kept = pl.read_parquet(path).filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
                 new = pl.concat([entry.conform(kept), new], how="diagonal")
-            elif not new.height:
-                continue
             self.replace(table, aircraft, new.sort(entry.key), str(shard))
 
     def sweep(self) -> int:
