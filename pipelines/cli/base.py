@@ -3,6 +3,7 @@
 Heavy imports wait until a command needs them, so that `--help` and an idle night are quick.
 """
 
+import importlib.metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,12 +37,27 @@ class ByUse(TyperGroup):
 app = typer.Typer(
     name="hdt",
     cls=ByUse,
-    help="Hybrid digital twin: from recorder files to which heat exchanger to change, why, and when.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 out, err = Console(highlight=False), Console(stderr=True, highlight=False)
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        out.print(importlib.metadata.version("hybrid-digital-twin"))
+        raise typer.Exit
+
+
+@app.callback()
+def command(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version and exit.")
+    ] = False,
+) -> None:
+    """Hybrid digital twin: from recorder files to which heat exchanger to change, why, and when."""
+
 
 LandingDir = Annotated[
     Path | None, typer.Option(envvar="HDT_LANDING", help="Folder the ground station drops files into.")

@@ -1,5 +1,6 @@
 """What the shell sees of the command: help to choose from, completion, and what this installation can do."""
 
+import importlib.metadata
 import json
 
 import pytest
@@ -20,6 +21,10 @@ def test_help_lists_every_command_in_order_and_cuts_no_sentence():
     assert [line.split()[0] for line in listed.strip().splitlines()] == list(ORDER)
     assert {c.name or c.callback.__name__ for c in app.registered_commands} == set(ORDER)
     assert "..." not in listed
+
+
+def test_it_says_its_version():
+    assert hdt("--version").strip() == importlib.metadata.version("hybrid-digital-twin")
 
 
 @pytest.mark.parametrize(
