@@ -65,7 +65,14 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
     DataFrame
         Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as flights
         scatter; nothing is taken from later ones.
+
+    Raises
+    ------
+    ValueError
+        There is no flight.
     """
+    if flights.is_empty():
+        raise ValueError(f"{model.name}: no flight to follow")
     packs = flights.sort(IN_ORDER).partition_by(PACK, maintain_order=True)
     return pl.concat([_filtered(pack, p, component) for pack in packs for p in model.free("health")])
 

@@ -64,8 +64,18 @@ def flight_by_flight(
 
 
 def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
-    """Outputs of the model that have a sensor and a column."""
-    return [s.name for s in model.outputs if s.sigma is not None and s.name in samples.columns]
+    """Outputs of the model that have a sensor and a column.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    seen = [s.name for s in model.outputs if s.sigma is not None]
+    recorded = [name for name in seen if name in samples.columns]
+    if not recorded:
+        raise ValueError(f"{model.name}: the samples hold no column of {', '.join(seen) or 'an output with a sigma'}")
+    return recorded
 
 
 def samples_problem(

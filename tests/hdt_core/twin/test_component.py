@@ -100,6 +100,13 @@ def test_samples_that_determine_no_design_are_said_to():
         calibrate_component(HEAT_EXCHANGER, still.with_columns(held))
 
 
+def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
+    with pytest.raises(ValueError, match="heat_exchanger: the samples hold no column of hot_out_k, ram_out_k"):
+        flight_by_flight(samples.drop("hot_out_k", "ram_out_k"), BUILT, ["hx_fouling"])
+    with pytest.raises(ValueError, match="heat_exchanger: no flight to follow"):
+        track_component(flights.clear(), BUILT, "HX")
+
+
 @pytest.fixture(scope="module")
 def rig() -> dict[str, Any]:
     """Names that the how-to leaves, its printed numbers checked on the way."""
