@@ -2,9 +2,11 @@
 
 import errno
 import os
+import signal
 import sqlite3
 import sys
 import tempfile
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,10 @@ from sqlalchemy.exc import OperationalError
 from pipelines import cli, nightly, store
 from pipelines import faults as places
 from pipelines.ledger import Ledger
+from pipelines.runs import open_instance
+
+FULL = 2
+"""SQLite's `synchronous`: every commit waits until it is on the disk."""
 
 
 @pytest.mark.parametrize("limit", [3_000, 20_000, 100_000])
@@ -106,10 +112,42 @@ def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
     assert done == [f"sync {part}", f"{part} becomes shard.parquet", f"sync {tmp_path.name}"]
 
 
-def test_the_ledger_waits_for_the_disk(tmp_path):
-    """What it says is stored survives a power cut: SQLite syncs each commit."""
+def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
+    """What they say survives a power cut: SQLite syncs each commit."""
     with Ledger(tmp_path)._open() as con:
-        assert con.execute("pragma synchronous").fetchone() == (2,)
+        assert con.execute("pragma synchronous").fetchone() == (FULL,)
+    instance = open_instance(tmp_path)
+    try:
+        log, runs = instance.event_log_storage, instance.run_storage
+        for open_one in (log.index_connection, runs.connect, lambda: log.run_connection("a-run")):
+            with open_one() as con:
+                assert con.exec_driver_sql("pragma synchronous").scalar() == FULL
+    finally:
+        instance.dispose()
+
+
+def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path):
+    """Through a whole night; every other cut takes Dagster's history of that night as well."""
+    home = children.home(tmp_path / "home")
+    for place in count(3, 8):
+        cut = {"lose_history": place % 16 == 3}
+        ended, said = children.night(tiny.landing, home, fault=f"any:{place}", cut=cut)
+        intact(home)
+        if ended != signal.SIGKILL:
+            break
+    assert (ended, said) == (0, "")
+    assert place > 30
+    assert faults(home, tiny.landing) == []
+    assert fingerprint(home) == tiny.end
+
+
+def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
+    """The simulated cut bites: with syncing off, the ledger speaks of files that are gone."""
+    home = children.home(tmp_path / "home")
+    cut = {"sync": False}
+    assert children.night(tiny.landing, home, fault="before_mark:14", steps=3, cut=cut)[0] == signal.SIGKILL
+    children.night(tiny.landing, home, steps=3)
+    assert fingerprint(home)["raw_snapshots"] != tiny.end["raw_snapshots"]
 
 
 def test_every_fault_point_is_in_the_code():

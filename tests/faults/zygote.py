@@ -3,7 +3,7 @@
 It must not touch a frame itself: a fork would take over Polars' threads as locks without owners. It reads one JSON
 object a line: `landing`, `home` and, if wanted, `fault` (HDT_FAULT), `kill_after_s`, `file_limit` (bytes a file may
 grow to), `nobody` (drop privileges), `steps` (only the first of the chain), `publish` (so often, instead of a night),
-`only` (a tail). It answers with the child's wait status and what it said.
+`only` (a tail), `cut` (the fault is a power cut). It answers with the child's wait status and what it said.
 """
 
 import json
@@ -19,10 +19,11 @@ os.environ["POLARS_MAX_THREADS"] = "1"
 
 import polars  # noqa: E402
 from nights import Silent  # noqa: E402
+from powercut import Disk  # noqa: E402
 
 import pipelines.definitions  # noqa: E402
 import pipelines.runs  # noqa: E402, F401
-from pipelines import nightly  # noqa: E402
+from pipelines import faults, nightly, store  # noqa: E402
 from pipelines.catalog import publish  # noqa: E402
 
 ALL = nightly.STEPS
@@ -42,6 +43,8 @@ def work(asked: dict) -> None:
         for _ in range(asked["publish"]):
             publish(home)
         return
+    if "cut" in asked:
+        cut_the_power(home, **asked["cut"])
     only = polars.col("tail") == asked["only"] if "only" in asked else None
     nightly.STEPS = ALL[: asked.get("steps", len(ALL))]
     with nightly.holding(home):
@@ -49,6 +52,19 @@ def work(asked: dict) -> None:
         publish(home)
     if night.failed:
         sys.exit(f"failed: {night.failed}")
+
+
+def cut_the_power(home: Path, lose_history: bool = False, sync: bool = True) -> None:
+    """Let the fault take the power with it, after a night that syncs its files or, to see that it matters, doesn't."""
+    disk = Disk(home, home.with_name(f"shadow{os.getpid()}"))
+
+    def strike(*_: str) -> None:
+        disk.cut(lose_history)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    faults._strike = strike
+    if not sync:
+        store._sync = lambda path: None
 
 
 def child(asked: dict, told: int) -> None:
