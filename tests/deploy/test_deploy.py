@@ -1,0 +1,67 @@
+"""What can be checked of the container files without an engine: names, commands and settings that fit together."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from dagster._cli import create_dagster_cli
+from dagster._core.instance.config import dagster_instance_config
+from dagster._daemon.cli import create_dagster_daemon_cli
+from dagster_webserver.cli import create_dagster_webserver_cli
+
+ROOT = Path(__file__).parents[2]
+COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text())
+SERVICES = COMPOSE["services"]
+OURS = {name: s for name, s in SERVICES.items() if "build" in s}
+COMMANDS = {"dagster-webserver": create_dagster_webserver_cli, "dagster-daemon": create_dagster_daemon_cli,
+            "dagster": create_dagster_cli}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
+    program, *words = OURS[name]["entrypoint"]
+    command = COMMANDS[program]()
+    if hasattr(command, "commands") and words[0] in command.commands:
+        command = command.commands[words.pop(0)]
+    assert command.make_context(program, list(words)).params["module_name"] == ("pipelines.definitions",)
+
+
+def test_services_volumes_and_files_that_are_named_are_there():
+    mounted = [v.rsplit(":", 2 if v.endswith(":ro") else 1)[0] for s in SERVICES.values() for v in s["volumes"]]
+    for source in mounted:
+        assert source in COMPOSE["volumes"] or source.startswith("${") or (ROOT / source).is_file(), source
+    assert all(waited in SERVICES for s in OURS.values() for waited in s["depends_on"])
+
+
+def test_the_page_is_published_to_this_machine_only():
+    assert all(p.startswith("127.0.0.1:") for s in SERVICES.values() for p in s.get("ports", []))
+
+
+def test_dagster_takes_the_settings_and_finds_its_variables(tmp_path, monkeypatch):
+    text = (ROOT / "deploy/dagster.yaml").read_text()
+    (tmp_path / "dagster.yaml").write_text(text)
+    wanted = set(re.findall(r"env: (\w+)", text))
+    assert all(wanted <= set(s["environment"]) for s in OURS.values())
+    for name in wanted:
+        monkeypatch.setenv(name, "postgresql://nobody@127.0.0.1:1/none")
+    settings, _ = dagster_instance_config(str(tmp_path))
+    assert settings["telemetry"] == {"enabled": False}
+    assert "postgres" in settings["storage"]
+
+
+def test_the_image_copies_what_it_needs_and_is_let_see_it():
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    copied = [w for line in lines if line.startswith("COPY") and "--from" not in line for w in line.split()[1:-1]]
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert set(copied) == let_in
+    assert all((ROOT / name).exists() for name in copied)
+    assert [line for line in lines if line.startswith("USER")] == ["USER 10001"]
+
+
+def test_hooks_call_what_the_lock_installs():
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    checked = re.findall(r"\$\(BIN\)/(\S+)", (ROOT / "Makefile").read_text().split("\ncheck:")[1].split("\n\n")[0])
+    assert {h["entry"].split()[0].removeprefix(".venv/bin/") for h in hooks} == set(checked)
+    assert all(shutil.which(tool, path=str(ROOT / ".venv/bin")) for tool in checked) or not (ROOT / ".venv").exists()
