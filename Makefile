@@ -30,7 +30,7 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/sqlfluff lint sql
-	$(BIN)/mkdocs build --strict --quiet --site-dir .site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir .site
 
 ui: $(READY)
 	HDT_HOME=$(abspath $(HDT_HOME)) HDT_LANDING=$(abspath $(LANDING)) $(BIN)/hdt ui

@@ -23,6 +23,8 @@ telemetry:
   enabled: false
 nux:
   enabled: false
+freshness:
+  enabled: true
 compute_logs:  # the assets print nothing, and catching what they print would start two processes a step
   module: dagster._core.storage.noop_compute_log_manager
   class: NoOpComputeLogManager

@@ -68,17 +68,37 @@ def pack_key(**kw: Any) -> dy.Int32:
     return dy.Int32(nullable=False, primary_key=True, min=1, max=4, metadata=meaning, **kw)
 
 
+_BROKEN = {
+    "nullability": "is empty",
+    "nan": "is NaN",
+    "inf": "is infinite",
+    "min": "is below",
+    "max": "is above",
+    "regex": "is not of the form",
+}
+
+
 class Table(dy.Schema):
     """A declared table: its first docstring line says what a row is."""
 
     @classmethod
     def faults(cls, frame: pl.DataFrame) -> list[str]:
-        """What is wrong with `frame`, one line a broken rule; empty when it honours the declaration."""
+        """What is wrong with `frame`, a sentence a broken rule; empty when it honours the declaration."""
         missing = [f"column {c} is missing" for c in cls.columns() if c not in frame.columns]
         if missing:
             return missing
         _, failure = cls.filter(frame)
-        return [f"{rule}: {n} of {frame.height} rows" for rule, n in failure.counts().items()]
+        return [f"{cls._in_words(rule)} in {n} of {frame.height} rows" for rule, n in failure.counts().items()]
+
+    @classmethod
+    def _in_words(cls, rule: str) -> str:
+        """What a broken rule means: `sd|min` is `sd is below 0`."""
+        name, _, kind = rule.partition("|")
+        if name == "primary_key":
+            return f"the key ({', '.join(cls.primary_key())}) stands more than once"
+        column = cls.columns().get(name)
+        said = _BROKEN.get(kind, kind.replace("_", " "))
+        return f"{name} {said} {getattr(column, kind, '')}".rstrip()
 
     @classmethod
     def conform(cls, frame: pl.DataFrame) -> pl.DataFrame:

@@ -10,7 +10,8 @@ from hdt_core.prognosis.card import from_parts, model_card, to_parts
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.model import Prognosis, fit_base
 from hdt_core.prognosis.service import serve
-from pipelines.assets.stage import stage
+from pipelines.assets.stage import Shown, stage
+from pipelines.pictures import night_pictures
 from pipelines.resources import Home
 
 # what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file
@@ -31,7 +32,7 @@ def prognosis(
     raw_messages: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     home: Home,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
+) -> Shown:
     """Time to the failure message: the base corrected by the fleet's own lives, each tail judged by the others'.
 
     A base that does worse than the one in service is not promoted.
@@ -39,7 +40,8 @@ def prognosis(
     candidate, in_service = loaded(prognosis_base), home.store.read("prognosis_model")
     lives = episodes(features, raw_messages, raw_maintenance)
     served = serve(candidate, loaded(in_service) if in_service.height else None, features, lives)
-    return _kept(served.model, served.card), served.prognoses
+    pictures = night_pictures(features, served.prognoses, raw_maintenance)
+    return Shown((_kept(served.model, served.card), served.prognoses), pictures, on=1)
 
 
 def loaded(table: pl.DataFrame) -> Prognosis:

@@ -3,6 +3,7 @@
 import inspect
 import time
 from collections.abc import Callable, Iterator
+from datetime import timedelta
 from typing import Any, NamedTuple
 
 import dagster as dg
@@ -18,13 +19,18 @@ from pipelines.versions import MADE
 OWNERS = ["team:health-monitoring"]
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
 CHECK = "honours_table"
+NIGHTLY = {"raw_flights", "legs_verdicts", "twin_flights", "twin_health", "residuals", "features", "prognoses"}
+"""Tables that every flight moves: no news of them is news."""
+FRESH = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
+"""A night that brought nothing is a warning, two are a fault."""
 
 
 class Shown(NamedTuple):
-    """Frames with what their first table's materialization should show beside the counts."""
+    """Frames, with what one table's materialization shows beside its counts: the first's, or that `on` says."""
 
     frames: tuple[pl.DataFrame, ...]
     metadata: dict[str, Any]
+    on: int = 0
 
 
 Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | Shown
@@ -61,12 +67,12 @@ def stage(
             offered: dict[str, Any] = {"asked": asked, "home": home}
             began = time.monotonic()
             frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
-            shown: dict[str, Any] = {"seconds": round(time.monotonic() - began, 3)}
-            if isinstance(frames, Shown):
-                frames, shown = frames.frames, shown | frames.metadata
-            for table, frame in zip(tables, frames if isinstance(frames, tuple) else (frames,), strict=True):
+            took = {"seconds": round(time.monotonic() - began, 3)}
+            if not isinstance(frames, Shown):
+                frames = Shown(frames if isinstance(frames, tuple) else (frames,), {})
+            for place, (table, frame) in enumerate(zip(tables, frames.frames, strict=True)):
+                shown = took | frames.metadata if place == frames.on else took
                 yield from _checked(table, TABLES[table].conform(frame), shown)
-                shown = {"seconds": shown["seconds"]}
 
         return run
 
@@ -83,6 +89,7 @@ def _out(table: str, group: str, description: str) -> dg.AssetOut:
         kinds={"polars", "parquet"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
         description=f"{first}\n\n{description}",
         code_version=MADE[table].code,
+        freshness_policy=FRESH if table in NIGHTLY else None,
         metadata={"dagster/column_schema": dg.TableSchema(columns=columns), "grain": TABLES[table].grain},
     )
 
@@ -93,14 +100,16 @@ def _promise(table: str) -> str:
 
 def _checked(table: str, frame: pl.DataFrame, shown: dict[str, Any]) -> Iterator[Any]:
     faults = TABLES[table].schema.faults(frame)
+    says = "; ".join(faults) or f"{frame.height} rows, each as declared"
     yield dg.AssetCheckResult(
         check_name=CHECK,
         asset_key=table,
         passed=not faults,
+        description=f"not stored: {says}" if faults else says,
         metadata={"rows": frame.height, "faults": "; ".join(faults) or "none"},
     )
     if faults:
-        raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {'; '.join(faults)}")
+        raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {says}")
     yield dg.Output(frame, output_name=table, metadata={**shown, **_numbers(frame)})
 
 

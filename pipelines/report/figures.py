@@ -8,9 +8,9 @@ from pipelines.plots import outlet_residuals
 from pipelines.report import svg, words
 from pipelines.report.facts import Facts
 from pipelines.report.html import Html, join, tag
+from pipelines.report.replacement import FLIGHTS_BEFORE, around_replacement
 
 POINTS = 700
-FLIGHTS_BEFORE, FLIGHTS_AFTER = 200, 40
 
 
 def figures(facts: Facts) -> Html:
@@ -114,17 +114,16 @@ def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
 def coefficient_drift(facts: Facts) -> Html:
     """Figure 16: conductance over the flights before a replacement, and after it."""
     title = "Figure 16: conductance before and after a replacement"
-    chosen = _replacement(facts)
+    shares = facts.twin.with_columns(ua_share=pl.col("ua_w_k") / pl.col("ua_expected_w_k")).drop_nulls("ua_share")
+    chosen = around_replacement(shares, facts["maintenance"])
     if chosen is None:
         return _figure(title, None, "No heat exchanger was replaced with flights on record before it.")
     work, rows = chosen
     n = rows["n"].to_list()
-    share = (100 * rows["ua_w_k"] / rows["ua_expected_w_k"]).to_list()
+    share = (100 * rows["ua_share"]).to_list()
     chart = svg.Chart((-FLIGHTS_BEFORE if min(n) < -150 else min(n) - 3, max(n) + 3), svg.span(share, 0.08), title)
     chart.dots(list(zip(n, share, strict=True)), svg.SKY, size=3, opacity=0.8)
-    smooth = rows.with_columns(
-        s=(100 * pl.col("ua_w_k") / pl.col("ua_expected_w_k")).rolling_median(9, min_samples=3).over(pl.col("n") >= 0)
-    )
+    smooth = rows.with_columns(s=(100 * pl.col("ua_share")).rolling_median(9, min_samples=3).over(pl.col("n") >= 0))
     for side in (smooth.filter(pl.col("n") < 0), smooth.filter(pl.col("n") >= 0)):
         chart.line(side.drop_nulls("s").select("n", "s").rows(), svg.BLUE)
     chart.mark(0, "work", svg.GREEN, f"replaced {words.day(work['done_on'])}", "R")
@@ -137,29 +136,3 @@ def coefficient_drift(facts: Facts) -> Html:
     return _figure(
         title, chart.svg(svg.number_ticks(*chart.x), "UA, % of design", "flights from the replacement"), says
     )
-
-
-def _replacement(facts: Facts) -> tuple[dict[str, Any], pl.DataFrame] | None:
-    """The replacement of an exchanger with the deepest loss before it, and the flights around it, counted from it."""
-    best: tuple[float, dict[str, Any], pl.DataFrame] | None = None
-    work = facts["maintenance"].filter(component="HX", action="REPLACED").drop_nulls("pack")
-    for w in work.to_dicts():
-        own = facts.twin.filter(operator=w["operator"], tail=w["tail"], pack=w["pack"]).drop_nulls(
-            ["ua_w_k", "ua_expected_w_k"]
-        )
-        before = own["departed_at"].dt.date() <= w["done_on"]
-        rows = own.with_columns(n=pl.int_range(pl.len()) - int(before.sum())).filter(
-            pl.col("n").is_between(-FLIGHTS_BEFORE, FLIGHTS_AFTER)
-        )
-        ends = (pl.col("ua_w_k") / pl.col("ua_expected_w_k")).log()
-        drop = (
-            rows.filter(pl.col("n") >= 0).select(ends.median()).item(),
-            rows.filter(pl.col("n") < 0).tail(20).select(ends.median()).item(),
-        )
-        if (
-            None not in drop
-            and rows.filter(pl.col("n") < 0).height >= 20
-            and (best is None or drop[0] - drop[1] > best[0])
-        ):
-            best = drop[0] - drop[1], w, rows
-    return None if best is None else best[1:]
