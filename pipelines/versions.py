@@ -50,7 +50,7 @@ MADE: dict[str, Made] = {
     "twin_health": Made(("twin_flights", "raw_maintenance"), code="7"),
     "legs_admitted": Made(("twin_health", "raw_messages", "raw_maintenance"), code="2"),
     "features": Made(("twin_health", "residuals", "legs_admitted", "raw_maintenance"), code="2"),
-    "features_alerts": Made(("features",), code="4"),
+    "features_alerts": Made(("features",), code="5"),
     "prognosis_base": Made(),
     "prognosis_model": Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="2"),
     "prognoses": Made(("prognosis_model", "features")),

@@ -8,6 +8,7 @@ from scipy.special import ndtr
 
 from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT, Case
 from hdt_core.health.grid import Grid
+from hdt_core.tables.raw import Signals
 
 ACTIONS = {
     "HX_FOULING": "Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
@@ -59,7 +60,13 @@ def flights_left(facts: Mapping[str, Any]) -> float | None:
 def action(case: Case) -> str:
     """The maintenance task."""
     sensor = case.facts.get("sensor")
-    return ACTIONS[case.diagnosis] + (f"; sensor: {sensor}" if sensor else "")
+    return ACTIONS[case.diagnosis] + (f"; sensor: {_meaning(sensor)} ({sensor})" if sensor else "")
+
+
+def _meaning(sensor: str) -> str:
+    """What a sensor measures, without the paper's number of it."""
+    said = Signals.columns()[sensor].metadata or {}
+    return str(said["meaning"]).partition(" (")[0]
 
 
 def evidence(grid: Grid, case: Case) -> str:

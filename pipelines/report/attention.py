@@ -58,7 +58,7 @@ def _ranked(r: dict[str, Any]) -> list[Cell]:
 
 
 def alerts(facts: Facts) -> Html:
-    """Open alerts in full, those closed lately in a line each."""
+    """Open alerts in full; those closed lately in a line each, folded away until they are asked for."""
     rows = facts["alerts"]
     if not rows.height:
         return tag("p", "No alert has been raised.", class_="empty")
@@ -86,8 +86,9 @@ def _closed(facts: Facts, rows: pl.DataFrame) -> Html | None:
         for a in late.to_dicts()
     ]
     older = rows.height - late.height
-    return join(
-        tag("h3", "Closed"),
+    return tag(
+        "details",
+        tag("summary", f"{words.count(late.height, 'alert')} closed in the last {CLOSED_DAYS} days"),
         table(
             ("Raised", "Closed", "Pack", "What", "Severity", "Evidence"),
             body,

@@ -9,10 +9,14 @@
       item.hidden = !words.every((w) => item.dataset.find.includes(w));
       if (!item.hidden && item.closest("#ranking")) packs += 1;
     }
+    for (const fold of document.querySelectorAll("details")) {
+      fold.open = words.length > 0 && fold.querySelector("[data-find]:not([hidden])") !== null;
+    }
     found.textContent = words.length ? `${packs} pack${packs === 1 ? "" : "s"}` : "";
   };
   find.addEventListener("input", search);
   search();
+  addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((fold) => { fold.open = true; }));
   const key = (row, i) => row.cells[i].dataset.v;
   const number = (v) => v !== undefined && v !== "" && !Number.isNaN(Number(v));
   const compare = (a, b) => (number(a) && number(b) ? a - b : a.localeCompare(b));

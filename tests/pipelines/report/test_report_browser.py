@@ -25,7 +25,12 @@ const find = document.getElementById('find');
 find.value = 'a9-bac 2'; find.dispatchEvent(new Event('input'));
 seen.found = shown().map((r) => r.cells[2].textContent);
 seen.cards = [...document.querySelectorAll('#tracks article')].filter((r) => !r.hidden).length;
+const folds = () => [...document.querySelectorAll('details')].map((d) => d.open);
+seen.unfolded = folds();
 find.value = ''; find.dispatchEvent(new Event('input'));
+seen.folded = folds();
+dispatchEvent(new Event('beforeprint'));
+seen.printed = folds();
 const sort = (name) => {
   [...document.querySelectorAll('#ranking th button')].find((b) => b.textContent === name).click();
   return shown().map((r) => Number(r.cells[4].dataset.v));
@@ -77,6 +82,8 @@ def test_the_page_works_in_a_browser(sample_home, tmp_path, width):
     assert seen["packs"] == 4
     assert seen["found"] == ["A9-BAC pack 2 (right)"]
     assert seen["cards"] == 1
+    # closed alerts lie folded until something among them is looked for, or the page is printed
+    assert (seen["folded"], seen["unfolded"], seen["printed"]) == ([False], [True], [True])
     assert seen["up"] == sorted(seen["up"])
     assert seen["down"] == sorted(seen["up"], reverse=True)
     assert seen["links"]
