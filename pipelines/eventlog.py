@@ -128,7 +128,7 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         """Show these partitions as planned for every asset that the failed run did not materialise."""
         made = {e.get_dagster_event().asset_key for e in self.get_logs_for_run(run_id, of_type=_MADE)}
         planned = self.get_logs_for_run(run_id, of_type=_PLANNED)
-        self._mirror([self._one(_of(e, partitions[0]), partitions) for e in planned if _what(e)[1] not in made])
+        self._mirror([self._one(e, partitions) for e in planned if _what(e)[1] not in made])
 
     def store_event(self, event: EventLogEntry) -> None:
         """Store one event, as a batch where it stands for others."""
@@ -155,6 +155,8 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         return stands or [event.get_dagster_event().partition]
 
     def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> _Series:
+        if event.dagster_event_type == _PLANNED:  # the run's tags name its range; its keys once more would be 100 kB
+            event = _of(event, partitions[0])
         return _Series(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
 
     def _mirror(self, series: Sequence[_Series]) -> None:
@@ -181,8 +183,8 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         return int(first) + len(rows)
 
 
-def _of(event: EventLogEntry, partition: str) -> EventLogEntry:
-    """The same plan for one partition."""
+def _of(event: EventLogEntry, partition: str | None) -> EventLogEntry:
+    """The same plan for one partition, or for the run's."""
     planned = event.get_dagster_event()
     data = AssetMaterializationPlannedData(_what(event)[1], partition)
     return event._replace(dagster_event=planned._replace(event_specific_data=data))
