@@ -8,7 +8,8 @@ moment costs work, never truth. `nights` says when the chain last ran, and what 
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import polars as pl
@@ -39,9 +40,14 @@ _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 
 @dataclass(frozen=True)
 class Ledger:
-    """The ledger of one home."""
+    """The ledger of one home, or what it says `only` of some aircraft and of the fleet as a whole."""
 
     home: Path
+    only: tuple[tuple[str, str], ...] | None = None
+
+    def of(self, aircraft: Iterable[tuple[str, str]]) -> "Ledger":
+        """What it says of these aircraft and of the fleet: a run must not read the history of all the others."""
+        return replace(self, only=(("", ""), *aircraft))
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
@@ -81,21 +87,21 @@ class Ledger:
         """Files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
         kinds = list(kinds)
         marks = ",".join("?" * len(kinds))
-        return self._frame(f"select {_COLUMNS} from files where kind in ({marks})", kinds)
+        return self._cells(f"select {_COLUMNS} from files where kind in ({marks})", "files", kinds)
 
-    def flight_files(self, aircraft: tuple[str, str] | None = None) -> pl.DataFrame:
-        """Which file holds which flight: operator, tail, flight_id, path, digest."""
-        sql = (
-            "select l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
-            " from file_flights l join files f using (path)"
-        )
-        if aircraft is None:
-            return self._frame(sql, [])
-        return self._frame(f"{sql} where l.operator = ? and l.tail = ?", list(aircraft))
+    def flight_files(self) -> pl.DataFrame:
+        """Which file holds which flight: operator, tail, flight_id, path, digest, kind, size, mtime_ns."""
+        columns = "l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
+        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
+
+    def holdings(self) -> pl.DataFrame:
+        """What each flight is made of, a row a file that holds it: operator, tail, flight_id, line (path=digest)."""
+        columns = "l.operator, l.tail, l.flight_id, l.path || '=' || f.digest as line"
+        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
 
     def done(self, asset: str) -> pl.DataFrame:
         """Stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
-        return self._frame("select operator, tail, flight_id, version from done where asset = ?", [asset])
+        return self._cells("select operator, tail, flight_id, version from done where asset = ?", "done", [asset])
 
     def mark(self, asset: str, cells: pl.DataFrame) -> None:
         """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
@@ -113,6 +119,14 @@ class Ledger:
     def nights(self) -> pl.DataFrame:
         """All nights, oldest first, counts as text."""
         return self._frame("select * from nights order by rowid", [])
+
+    def _cells(self, sql: str, table: str, arguments: Iterable[str] = ()) -> pl.DataFrame:
+        """Rows of a query that ends in a condition, of the aircraft that it is about."""
+        if self.only is None:
+            return self._frame(sql, [*arguments])
+        pairs = ",".join(["(?, ?)"] * len(self.only))
+        within = f"{sql} and ({table}.operator, {table}.tail) in (values {pairs})"
+        return self._frame(within, [*arguments, *chain.from_iterable(self.only)])
 
     def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
         with self._open() as con:

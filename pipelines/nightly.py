@@ -157,7 +157,7 @@ class _Chain:
 
     def step(self, label: str, grain: str, nodes: list[tuple[str, ...]]) -> None:
         """Bring the nodes up to date; one that is not stale runs only if a node before it does."""
-        cells = [pl.concat([self._wanted(t) for t in node]) for node in nodes]
+        cells = [self._wanted(node) for node in nodes]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
             return
@@ -170,9 +170,9 @@ class _Chain:
             self._run(runner, tables, block, label)
             self.progress.advance(block.cells)
 
-    def _wanted(self, table: str) -> pl.DataFrame:
-        cells = stale(self.ledger, table).select(CELL)
-        return cells if self.only is None or TABLES[table].grain == "fleet" else cells.filter(self.only)
+    def _wanted(self, node: tuple[str, ...]) -> pl.DataFrame:
+        cells = stale(self.ledger, *node).select(CELL)
+        return cells if self.only is None or TABLES[node[0]].grain == "fleet" else cells.filter(self.only)
 
     def _run(self, runner: Runner, tables: list[str], block: Block, label: str) -> None:
         """One run. If several aircraft share it and it fails, each alone: one cannot stop the others."""

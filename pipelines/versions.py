@@ -79,25 +79,39 @@ def expected(ledger: Ledger, table: str) -> pl.DataFrame:
     return _hashed(first, made.code)
 
 
-def stale(ledger: Ledger, table: str) -> pl.DataFrame:
-    """Cells of `table` whose stored version is absent or not the expected one."""
-    now = ledger.done(table).rename({"version": "stored"})
-    wanted = expected(ledger, table).join(now, on=CELL, how="left")
-    return wanted.filter(pl.col("stored").is_null() | (pl.col("stored") != pl.col("version"))).drop("stored").sort(CELL)
+def stale(ledger: Ledger, *node: str) -> pl.DataFrame:
+    """Cells whose stored version is absent or not the expected one in some table of a node of the chain.
+
+    Tables made alike are stored and marked one after the other, in the order in which the node names them, so the last
+    of them speaks for all.
+    """
+    last = {MADE[table]: table for table in node}
+    return pl.concat(_undone(ledger, table) for table in last.values()).unique().sort(CELL)
+
+
+def _undone(ledger: Ledger, table: str) -> pl.DataFrame:
+    return expected(ledger, table).join(ledger.done(table), on=[*CELL, "version"], how="anti")
 
 
 def _of_files(ledger: Ledger, grain: str, made: Made) -> pl.DataFrame:
     if grain == "flight":
-        held = ledger.flight_files().select(*CELL, "path", "digest")
+        held = ledger.holdings()
     else:
-        held = ledger.files(made.files).with_columns(flight_id=pl.lit(""))
+        line = pl.concat_str("path", "digest", separator="=").alias("line")
+        held = ledger.files(made.files).with_columns(line, flight_id=pl.lit(""))
         if grain == "fleet":
             held = held.with_columns(operator=pl.lit(""), tail=pl.lit(""))
-    line = pl.concat_str("path", "digest", separator="=")
-    lines = held.group_by(CELL).agg(line.sort().str.join("|").alias("made_of"))
+    lines = _folded(held.select(*CELL, "line"))
     if grain == "fleet" and not lines.height:
         lines = pl.DataFrame({"operator": [""], "tail": [""], "flight_id": [""], "made_of": [""]})
     return _hashed(lines, made.code)
+
+
+def _folded(held: pl.DataFrame) -> pl.DataFrame:
+    """Lines of each cell as one text, in order; most cells have a single line, which is left as it is."""
+    several = pl.struct(CELL).is_duplicated()
+    many = held.filter(several).group_by(CELL).agg(pl.col("line").sort().str.join("|"))
+    return pl.concat([held.filter(~several), many]).rename({"line": "made_of"})
 
 
 def _at(grain: str, versions: pl.DataFrame, name: str) -> pl.DataFrame:

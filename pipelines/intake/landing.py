@@ -177,4 +177,6 @@ def _join(below: str, name: str) -> str:
 
 def _printable(name: str) -> str:
     """`name` without control characters and undecodable bytes, fit for a log line or a table."""
+    if name.isprintable():
+        return name
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)

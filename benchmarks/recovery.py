@@ -1,0 +1,210 @@
+"""How soon a killed night goes on, at 100,000 flights: `python -m benchmarks.recovery [--flights N] [--write]`.
+
+Claim: the home is open again within 2 s. A real night over one small aircraft is killed (SIGKILL) in the step of
+flights; then the home is given the weight of a fleet, with nothing estimated: a file a flight in the landing zone, its
+lines in the ledger, the store's files by name, Dagster's partitions and events. Timed, in a process of its own, imports
+left out, is `run_night` up to where it begins to make the first block: what a killed writer left is swept, the landing
+zone listed against the ledger, the killed run marked as failed, and it is known what is stale. The medians of several
+reopenings count. `--write` puts the table into docs/scale.md.
+"""
+
+import argparse
+import json
+import os
+import platform
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import closing
+from datetime import date, timedelta
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import polars as pl
+
+import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
+from benchmarks.scale import Silent
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.tables import TABLES
+from pipelines import nightly, partitions, runs
+from pipelines.ledger import Ledger
+from pipelines.simulated import write_fleet
+from pipelines.versions import MADE, expected
+
+PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
+AIRCRAFT = [(operator, f"T-{operator}{n:02d}") for operator in ("QAA", "QBB", "QCC", "QDD", "QEE") for n in range(10)]
+LEGS = 4
+PARTS = {
+    "sweep": "sweep what a killed writer left",
+    "scan": "list the landing zone against the ledger",
+    "ready": "open Dagster's instance, mark the killed run as failed",
+    "stale": "find out what is stale",
+    "all": "all, from the start to the first block",
+}
+
+
+def killed(root: Path) -> tuple[Path, Path]:
+    """Landing zone and home of a small night that was killed between its marks."""
+    for _ in write_fleet(root, 3, FleetSettings(operators=1, tails=1, flights=30)):
+        pass
+    landing, home = root / "landing", root / "home"
+    command = [sys.executable, "-m", "benchmarks.recovery", "--child", "night", str(landing), str(home)]
+    done = subprocess.run(command, env=os.environ | {"HDT_FAULT": "before_mark:9"}, check=False)
+    assert done.returncode == -signal.SIGKILL, done
+    return landing, home
+
+
+def grow(landing: Path, home: Path, flights: int) -> None:
+    """Give landing zone, ledger, store and history what so many more flights leave there."""
+    days = [date(2018, 1, 1) + timedelta(d) for d in range(flights // len(AIRCRAFT) // LEGS)]
+    ids = [f"{day:%Y%m%d}_{leg:02d}" for day in days for leg in range(1, LEGS + 1)]
+    ledger, files, held = Ledger(home), [], {}
+    for operator, tail in AIRCRAFT:
+        folder = landing / operator / tail / "acms"
+        folder.mkdir(parents=True)
+        for flight in (f"{tail}_{i}" for i in ids):
+            path = folder / f"{flight}.csv"
+            path.touch()
+            name = str(path.relative_to(landing))
+            files.append((name, operator, tail, "acms", 0, path.stat().st_mtime_ns, name))
+            held[name] = [flight]
+    ledger.register(files, held)
+    for table in MADE:  # parents stand before their children
+        cells = expected(ledger, table)
+        ledger.mark(table, cells.filter(pl.col("tail").is_in(["", *(t for _, t in AIRCRAFT)])))
+    _fill_store(home, days)
+    _fill_history(home, ids)
+
+
+def _fill_store(home: Path, days: list[date]) -> None:
+    """The files of every table, by name."""
+    months = sorted({f"{day:%Y-%m}" for day in days})
+    for table, entry in TABLES.items():
+        for operator, tail in AIRCRAFT if entry.grain != "fleet" else ():
+            folder = home / "tables" / table / operator / tail
+            folder.mkdir(parents=True)
+            for shard in {"month": months, "all": ["all"], "flight": [f"{d:%Y%m%d}" for d in days[::7]]}[entry.shard]:
+                (folder / f"{shard}.parquet").touch()
+
+
+def _fill_history(home: Path, ids: list[str]) -> None:
+    """Partitions, and an event for each asset and flight; of their text, which reopening does not read, a line."""
+    instance = runs.open_instance(home)
+    aircraft = [partitions.aircraft_key(*a) for a in AIRCRAFT]
+    instance.add_dynamic_partitions(str(partitions.AIRCRAFT.name), aircraft)
+    instance.add_dynamic_partitions(str(partitions.FLIGHTS.name), ids)
+    instance.dispose()
+    with closing(sqlite3.connect(home / "dagster/history/index.db")) as con, con:
+        made = "select * from event_logs where dagster_event_type = 'ASSET_MATERIALIZATION' limit 1"
+        (_, run, text, kind, at, *_) = con.execute(made).fetchone()
+        rows = (
+            (run, text[:200], kind, at, table, json.dumps([table]), f"{a}|{i}")
+            for table, entry in TABLES.items() if entry.grain == "flight"
+            for a in aircraft
+            for i in ids
+        )  # fmt: skip
+        into = "event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
+        con.executemany(f"insert into {into} values (?, ?, ?, ?, ?, ?, ?)", rows)
+
+
+class BegunError(Exception):
+    """The first block is about to be made."""
+
+
+class Until:
+    """Progress that ends where work begins."""
+
+    def start(self, label: str, total: int) -> None:
+        """A step begins."""
+        raise BegunError(label)
+
+    def advance(self, cells: int) -> None:
+        """Never reached."""
+
+
+def reopen(landing: Path, home: Path) -> dict[str, float]:
+    """Seconds of each part, up to the first block."""
+    spent: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+    places = {"sweep": (nightly.Store, "sweep"), "scan": (nightly, "scan")}
+    places |= {"ready": (nightly._Chain, "_ready"), "stale": (nightly._Chain, "_wanted")}
+    for part, (owner, name) in places.items():
+        setattr(owner, name, _timed(getattr(owner, name), part, spent))
+    began = time.perf_counter()
+    try:
+        with nightly.holding(home):
+            nightly.run_night(landing, home, Until())
+    except BegunError as step:
+        spent["all"] = time.perf_counter() - began
+        if str(step) != "flights and legs":
+            raise
+    return spent
+
+
+def _timed(call: Callable[..., Any], part: str, spent: dict[str, float]) -> Callable[..., Any]:
+    def timed(*args: Any) -> Any:
+        began = time.perf_counter()
+        try:
+            return call(*args)
+        finally:
+            spent[part] += time.perf_counter() - began
+
+    return timed
+
+
+def measured(landing: Path, home: Path, rounds: int) -> dict[str, float]:
+    """Medians over reopenings, each in a new process that finds the run still started."""
+    history = home / "dagster/history/runs.db"
+    kept = history.read_bytes()
+    found = []
+    for _ in range(rounds):
+        history.write_bytes(kept)
+        command = [sys.executable, "-m", "benchmarks.recovery", "--child", "reopen", str(landing), str(home)]
+        found.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+    return {part: median(row[part] for row in found) for part in PARTS}
+
+
+def table(flights: int, spent: dict[str, float]) -> str:
+    """As Markdown."""
+    lines = [f"| reopening at {flights:,} flights | wall [s] |", "| --- | ---: |"]
+    lines += [f"| {says} | {spent[part]:.2f} |" for part, says in PARTS.items()]
+    return "\n".join(
+        [*lines, f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."]
+    )
+
+
+def child(what: str, landing: Path, home: Path) -> None:
+    """A night that will be killed, or a reopening."""
+    if what == "night":
+        nightly.run_night(landing, home, Silent())
+    else:
+        print(json.dumps(reopen(landing, home)))
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--flights", type=int, default=100_000)
+    asked.add_argument("--rounds", type=int, default=5)
+    asked.add_argument("--write", action="store_true")
+    asked.add_argument("--child", nargs=3)
+    said = asked.parse_args()
+    if said.child:
+        child(said.child[0], Path(said.child[1]), Path(said.child[2]))
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        landing, home = killed(Path(scratch))
+        grow(landing, home, said.flights)
+        text = table(said.flights, measured(landing, home, said.rounds))
+    print(text)
+    if said.write:
+        head, _, rest = PAGE.read_text().partition("<!-- recovery: begin -->\n")
+        tail = rest.partition("<!-- recovery: end -->")[2]
+        PAGE.write_text(f"{head}<!-- recovery: begin -->\n{text}\n<!-- recovery: end -->{tail}")
+
+
+if __name__ == "__main__":
+    main()
