@@ -16,7 +16,6 @@
   };
   find.addEventListener("input", search);
   search();
-  addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((fold) => { fold.open = true; }));
   const key = (row, i) => row.cells[i].dataset.v;
   const number = (v) => v !== undefined && v !== "" && !Number.isNaN(Number(v));
   const compare = (a, b) => (number(a) && number(b) ? a - b : a.localeCompare(b));

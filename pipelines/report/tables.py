@@ -1,13 +1,14 @@
 """Tables that sort, that the search sees, and that fold into cards on a phone."""
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pipelines.report.html import Html, tag
 
 Cell = tuple[Any, Any]  # what is shown, what is sorted by
-SHORT = 18  # characters that are not worth a line break
+SHORT = 22  # characters that are not worth a line break: a pack by its name
 
 
 def table(
@@ -25,7 +26,7 @@ def table(
 
 def _cell(name: str, shown: Any, sort_value: Any) -> Html:
     value = f"{sort_value:.6g}" if isinstance(sort_value, float) else sort_value
-    short = not isinstance(shown, Html) and len(str(shown)) <= SHORT
+    short = len(re.sub(r"<[^>]*>", "", str(shown))) <= SHORT
     return tag("td", shown, data_label=name, data_v=value, class_="keep" if short else None)
 
 
