@@ -31,7 +31,6 @@ from pipelines.blocks import Block
 from pipelines.catalog import connect, publish
 from pipelines.io import Asked, FrameIO
 from pipelines.simulated import write_fleet
-from pipelines.versions import CELL, expected
 
 SIZES = {
     "S": FleetSettings(operators=2, tails=2, flights=250),
@@ -80,8 +79,7 @@ class Bare(runs.Runner):
             for made in node.op.compute_fn.decorated_fn(context, home):
                 if isinstance(made, dg.Output):
                     keeper._store(made.output_name, asked, made.value)
-                    done = expected(home.ledger, made.output_name).join(asked.cells(), on=CELL, how="semi")
-                    home.ledger.mark(made.output_name, done)
+                    home.ledger.mark(made.output_name, asked.due(home.ledger, made.output_name))
         self.runs, self.cells = self.runs + 1, self.cells + block.cells
         return True
 

@@ -31,7 +31,7 @@ class Taken:
 
 def take_in(landing: Path, store: Store, ledger: Ledger, aircraft: tuple[str, str], flights: list[str]) -> Taken:
     """Read every file that holds one of `flights` and merge what it says with what is stored of files that are gone."""
-    held = ledger.flight_files(aircraft)
+    held = ledger.of([aircraft]).flight_files()
     first = held.group_by("path").agg(pl.col("flight_id").min().alias("carrier")).rename({"path": "file"})
     files = landing_files(landing, held.filter(pl.col("flight_id").is_in(flights)))
     intake = read_snapshots(files, datetime.now(UTC), store.read("raw_fleet"))
@@ -81,9 +81,9 @@ class Stored:
     def deliveries(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Their account, with what has been said better since counted as duplicate."""
         loaded = rows.group_by(ACCOUNT).agg(pl.len().cast(pl.Int64).alias("now"))
-        broken = _count(self.rows().filter(pl.col("file").is_in(self.present)))
-        kept = broken.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
-        told = self._absent("raw_deliveries").select(kept.columns)
+        told = self._absent("raw_deliveries").select(*ACCOUNT, "delivered", "quarantined")
+        untold = _count(self.rows()).join(told, on=ACCOUNT, how="anti")  # of broken files, or stored by a killed night
+        kept = untold.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
         before = pl.concat([told, kept]).join(loaded, on=ACCOUNT, how="left")
         before = before.with_columns(loaded=pl.col("now").fill_null(0))
         said = pl.col("delivered") - pl.col("loaded") - pl.col("quarantined")

@@ -40,6 +40,11 @@ class Asked:
         rows = [(o, t, f) for (o, t), flights in (self.aircraft or {FLEET: []}).items() for f in flights or [""]]
         return pl.DataFrame(rows, schema=dict.fromkeys(CELL, pl.String), orient="row")
 
+    def due(self, ledger: Ledger, table: str) -> pl.DataFrame:
+        """The cells that `table` should have, of those asked for, each with the version it should be."""
+        own = ledger if self.aircraft is None else ledger.of(self.aircraft)
+        return expected(own, table).join(self.cells(), on=CELL, how="semi")
+
     def read(self, store: Store, table: str) -> pl.DataFrame:
         """What `table` holds for the aircraft, and the flights where both are by flight, that are asked for."""
         if self.aircraft is None or TABLES[table].grain == "fleet":
@@ -63,7 +68,7 @@ class FrameIO(dg.IOManager):
         keys = list(context.asset_partition_keys) if context.has_asset_partitions else None
         asked = Asked.of(keys)
         self._store(table, asked, frame)
-        cells = expected(self.ledger, table).join(asked.cells(), on=CELL, how="semi")
+        cells = asked.due(self.ledger, table)
         self.ledger.mark(table, cells)
         if TABLES[table].grain == "flight":
             self._report_only(context, frame, cells)
