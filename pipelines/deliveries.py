@@ -16,6 +16,7 @@ from pipelines.intake.merge import Merged, merge_deliveries
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
 from pipelines.ledger import Ledger
 from pipelines.store import Store
+from pipelines.versions import FLIGHT_FILES
 
 ACCOUNT = ("file", "flight_id")
 
@@ -31,7 +32,7 @@ class Taken:
 
 def take_in(landing: Path, store: Store, ledger: Ledger, aircraft: tuple[str, str], flights: list[str]) -> Taken:
     """Read every file that holds one of `flights` and merge what it says with what is stored of files that are gone."""
-    held = ledger.of([aircraft]).flight_files()
+    held = ledger.of([aircraft]).flight_files().filter(pl.col("kind").is_in(FLIGHT_FILES))
     first = held.group_by("path").agg(pl.col("flight_id").min().alias("carrier")).rename({"path": "file"})
     files = landing_files(landing, held.filter(pl.col("flight_id").is_in(flights)))
     intake = read_snapshots(files, datetime.now(UTC), store.read("raw_fleet"))

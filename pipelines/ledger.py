@@ -25,7 +25,6 @@ create table if not exists file_flights (
     path text not null, operator text not null, tail text not null, flight_id text not null,
     primary key (operator, tail, flight_id, path)
 ) without rowid;
-create index if not exists flights_of_file on file_flights (path);
 create table if not exists done (
     asset text not null, operator text not null, tail text not null, flight_id text not null, version text not null,
     primary key (asset, operator, tail, flight_id)
@@ -72,12 +71,12 @@ class Ledger:
     ) -> None:
         """Note new or changed files (path, operator, tail, kind, size, mtime_ns, digest) and the flights each holds.
 
-        A flight that a replaced file no longer holds keeps what was stored of it: nothing stored is lost.
+        A flight that a replaced file no longer holds stays with it: what was stored of it is kept, and accounted for
+        even where a killed night had stored its rows and no more.
         """
         rows = list(files)
         with self._open() as con:
             con.executemany("insert or replace into files values (?, ?, ?, ?, ?, ?, ?)", rows)
-            con.executemany("delete from file_flights where path = ?", [(r[0],) for r in rows])
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
             con.executemany("insert or ignore into file_flights values (?, ?, ?, ?)", held)
             fault_point("before_register")

@@ -3,7 +3,8 @@
 It must not touch a frame itself: a fork would take over Polars' threads as locks without owners. It reads one JSON
 object a line: `landing`, `home` and, if wanted, `fault` (HDT_FAULT), `kill_after_s`, `file_limit` (bytes a file may
 grow to), `nobody` (drop privileges), `steps` (only the first of the chain), `publish` (so often, instead of a night),
-`only` (a tail), `cut` (the fault is a power cut). It answers with the child's wait status and what it said.
+`only` (flights up to this one), `cut` (the fault is a power cut). It answers with the child's wait status and what it
+said.
 """
 
 import json
@@ -45,7 +46,8 @@ def work(asked: dict) -> None:
         return
     if "cut" in asked:
         cut_the_power(home, **asked["cut"])
-    only = polars.col("tail") == asked["only"] if "only" in asked else None
+    # the empty flight_id of cells above flights comes before all others
+    only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
     nightly.STEPS = ALL[: asked.get("steps", len(ALL))]
     with nightly.holding(home):
         night = nightly.run_night(landing, home, Silent(), only)
