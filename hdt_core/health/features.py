@@ -136,7 +136,8 @@ def since_maintenance(
 ) -> pl.DataFrame:
     """Add the lives that the log knows, `<component>_life` (replacements so far), and flights since the first's last.
 
-    The log gives a day; the first flight of the next day is the first that surely flew with the new unit.
+    The log gives a day; the first flight of the next day is the first that surely flew with the new unit. How many a
+    unit has flown that came before the record's first flight is not known.
     """
     day = flights.with_columns(pl.col("departed_at").dt.date().alias("day")).sort("day", "departed_at", "flight_id")
     for component in components:
@@ -156,7 +157,8 @@ def since_maintenance(
     lead = f"{components[0]}_life"
     age = pl.int_range(pl.len()).over([*UNIT, lead])
     return ordered.with_columns(
-        pl.when(pl.col(lead) > 0).then(age).alias("flights_since_replacement"), age.alias("flights_seen_of_unit")
+        pl.when(pl.col(lead) > pl.col(lead).first().over(UNIT)).then(age).alias("flights_since_replacement"),
+        age.alias("flights_seen_of_unit"),
     )
 
 

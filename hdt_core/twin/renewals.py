@@ -13,7 +13,8 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     """Where the log speaks of a component: on flights about the entry's day (open), and on the first flight after
     (due).
 
-    `WASHED` or `REPLACED`, else `NOTHING`. An entry may be days late: that is for the filter to see.
+    `WASHED` or `REPLACED`, else `NOTHING`. An entry may be days late: that is for the filter to see. An entry from
+    before a pack's first flight says nothing: how long the part flew until the record begins is not known.
     """
     log_open, log_due = np.zeros(flights.height, dtype=np.int64), np.zeros(flights.height, dtype=np.int64)
     entries = maintenance.filter(
@@ -33,6 +34,8 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
         kind = WASHED if entry["action"] == "CLEANED" else REPLACED
         index, day = np.array(entry["row"]), np.array(entry["day"], dtype="datetime64[D]")
         after = (day - np.datetime64(entry["done_on"])).astype(int)
+        if after.min() > LOG_WINDOW_DAYS:
+            continue
         near = index[(after >= 0) & (after <= LOG_WINDOW_DAYS)]
         log_open[near] = np.maximum(log_open[near], kind)
         later = index[after > 0]

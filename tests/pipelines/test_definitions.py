@@ -1,10 +1,11 @@
 """What `dagster dev` shows: every stage, with owners, kinds, descriptions, checks and the agreed partitions."""
 
 import dagster as dg
+import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.assets.stage import CHECK
+from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
 from pipelines.versions import MADE
 
@@ -47,6 +48,19 @@ def test_every_asset_has_a_blocking_check_from_its_declaration(defs):
     keys = {(k.asset_key.path[-1], k.name) for k in graph.asset_check_keys}
     assert {(t, CHECK) for t in TABLES} <= keys
     assert all(graph.get(k).blocking for k in graph.asset_check_keys)
+
+
+def test_an_account_that_does_not_balance_blocks():
+    """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
+    row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
+    account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
+    (check, output) = _checked("raw_deliveries", account, {})
+    assert check.passed
+    assert output.value.equals(account)
+    events = _checked("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {})
+    assert not next(events).passed
+    with pytest.raises(dg.Failure, match="not stored: balances"):
+        next(events)
 
 
 def test_what_the_ledger_calls_a_parent_is_a_dependency_in_the_graph(specs):

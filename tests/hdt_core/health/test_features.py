@@ -85,6 +85,13 @@ def test_a_new_unit_starts_a_new_life(replaced) -> None:
     assert out["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
 
 
+def test_the_age_of_a_unit_fitted_before_the_record_begins_is_not_known():
+    long = health(np.zeros(9))
+    log = pl.DataFrame({"operator": "TST", "tail": "T-AAA", "pack": 1, "component": "HX", "action": "REPLACED"})
+    log = log.with_columns(pl.col("pack").cast(pl.Int32), done_on=pl.lit(date(1999, 1, 1)))
+    assert features(long, NO_RESIDUALS, legs_of(long), log)["flights_since_replacement"].null_count() == 9
+
+
 def test_nothing_leaks_from_the_future(replaced) -> None:
     loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
     long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])

@@ -50,6 +50,12 @@ def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
     assert early["status"].equals(same["status"])
 
 
+def test_work_before_the_first_flight_on_record_changes_nothing(flights, model, fleet):
+    first = flights["departed_at"].min()
+    long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
+    assert track(flights, long_ago, model).equals(track(flights, NO_LOG, model))
+
+
 def test_recovers_the_truth_within_its_own_word(flights, model, fleet):
     rows = track(flights, NO_LOG, model).filter(pl.col("parameter") == "hx_fouling")
     joined = rows.join(fleet.truth, on=["tail", "flight_id", "pack"])

@@ -1,7 +1,10 @@
 """The classes of bad input: one line a class, what was done to a good flight and what must become of it."""
 
 import io
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
@@ -385,3 +388,26 @@ def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, del
 def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
     monkeypatch.setattr("pipelines.intake.opening.MAX_TEXT_BYTES", 1000)
     assert read(deliver({CSV: good_flight})).quarantine["reason"].to_list() == ["too_large"]
+
+
+UNDER_A_LIMIT = """
+import resource, sys
+from datetime import UTC, datetime
+from pathlib import Path
+from pipelines.intake import list_landing, read_snapshots
+held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (held + (600 << 20),) * 2)
+intake = read_snapshots(list_landing(Path(sys.argv[1])).files, datetime(2026, 1, 1, tzinfo=UTC))
+print(sorted(set(intake.quarantine["reason"])), intake.rows.height)
+"""
+
+
+def test_parquet_that_unpacks_to_more_than_memory_is_refused_before_it_is_unpacked(good_flight, deliver, tmp_path):
+    """In a process that may take 600 MB more: the bombs cost no memory, and the good file beside them is read."""
+    bombs = {"history_2024-06.parquet": claims_too_much, "history_2024-07.parquet": long_words}
+    deliver({f"AQX/LX-AAA/acms/{name}": make(good_flight) for name, make in bombs.items()} | {CSV: good_flight})
+    one_thread = os.environ | {"POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", UNDER_A_LIMIT, tmp_path], env=one_thread, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == f"['too_large'] {N}", done.stderr

@@ -1,5 +1,6 @@
 """Late, repeated and out-of-order deliveries end where a clean delivery ends."""
 
+import io
 import random
 
 import polars as pl
@@ -38,6 +39,50 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
     assert found["column_name"] == "hx_out_k"
     assert (CSV in found["detail"]) != (found["file"] == CSV)
     assert found["received_at"] is not None
+
+
+def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
+    said, other = (
+        pl.read_csv(content) for content in (good_flight, with_field(good_flight, 5, "hx_out_degc", b"77.5"))
+    )
+    files = {}
+    for name, frame in (("history_2024-05", said), ("history_2024-05 (1)", other)):
+        sink = io.BytesIO()
+        frame.write_parquet(sink)
+        files[f"AQX/LX-AAA/acms/{name}.parquet"] = sink.getvalue()
+    merged = merge_deliveries([read(deliver(files)).rows], {})
+    assert (merged.rows.height, merged.duplicates["n_duplicate"].sum()) == (42, 41)
+    (found,) = merged.quarantine.rows(named=True)
+    assert (found["reason"], found["row"], found["column_name"]) == ("conflicting_delivery", 5, "hx_out_k")
+    assert sum(name in found["detail"] for name in files) == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(1, 2500))
+def test_a_file_read_while_it_grows_says_nothing_that_it_does_not_say_when_it_is_whole(growing, cut):
+    """Wherever the reader met its end; and the whole file after it loses and doubles nothing."""
+    read_part, whole = growing
+    part = read_part(cut)
+    assert part.rows.join(whole.rows, on=part.rows.columns, how="anti", nulls_equal=True).is_empty()
+    assert part.rows.height >= part.n_delivered - 1
+    merged = merge_deliveries([whole.rows, part.rows], {})
+    assert merged.rows.height == 42
+    assert merged.quarantine.is_empty()
+
+
+@pytest.fixture(scope="module")
+def growing(good_flight, tmp_path_factory, read):
+    from pipelines.intake import list_landing
+
+    root = tmp_path_factory.mktemp("zone")
+    (root / CSV).parent.mkdir(parents=True)
+
+    def read_part(cut: int):
+        (root / CSV).write_bytes(good_flight[:-cut])
+        return read(list_landing(root).files)
+
+    (root / CSV).write_bytes(good_flight)
+    return read_part, read(list_landing(root).files)
 
 
 def test_a_delivery_with_more_values_wins_whatever_its_name(good_flight, deliver, read):
