@@ -21,7 +21,7 @@ soak: $(READY)
 # needs the index's advisories, so it is no part of `check`; writes sbom.json (CycloneDX) too
 audit: $(READY)
 	python3 -m venv .audit && .audit/bin/pip install --quiet pip-audit
-	.audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes --progress-spinner off -f cyclonedx-json -o sbom.json
+	.ci/sbom < requirements.lock > sbom.json
 	.audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes --progress-spinner off -f json | .ci/audited
 
 check: $(READY)

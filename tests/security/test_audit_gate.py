@@ -1,6 +1,7 @@
 """The gate on the audit of dependencies does not take silence for an answer."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,30 @@ GATE = Path(__file__).parents[2] / ".ci" / "audited"
 SOUND = {"name": "numpy", "version": "2.4.6", "vulns": []}
 SKIPPED = {"name": "polars", "skip_reason": "Dependency not found on PyPI and could not be audited"}
 SICK = {"name": "urllib3", "version": "1.0", "vulns": [{"id": "PYSEC-2020-148", "fix_versions": ["1.25.9"]}]}
+
+
+def bill(lock: str) -> subprocess.CompletedProcess[str]:
+    made = GATE.with_name("sbom")
+    return subprocess.run([sys.executable, made], input=lock, capture_output=True, text=True, check=False)
+
+
+def test_the_bill_of_materials_names_every_pinned_package():
+    lock = (GATE.parents[1] / "requirements.lock").read_text()
+    one, two = bill(lock), bill(lock)
+    assert one.stdout == two.stdout
+    made = json.loads(one.stdout)
+    assert (made["bomFormat"], made["specVersion"]) == ("CycloneDX", "1.5")
+    pins = re.findall(r"^([a-z0-9-]+)(?:\[.*?\])?==(\S+)", lock, re.MULTILINE)
+    assert [(c["name"], c["version"]) for c in made["components"]] == pins
+    assert len({c["bom-ref"] for c in made["components"]}) == len(pins) > 100
+    assert sum(len(c["hashes"]) for c in made["components"]) == lock.count("--hash=sha256:")
+
+
+@pytest.mark.parametrize("lock", ["", "numpy==2.0\n"])
+def test_a_bill_of_nothing_is_no_bill(lock):
+    done = bill(lock)
+    assert done.returncode == 1
+    assert "no package, or one without a hash" in done.stderr
 
 
 @pytest.mark.parametrize(
