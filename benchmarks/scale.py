@@ -27,9 +27,10 @@ import polars as pl
 
 from hdt_core.simulate.design import FleetSettings
 from pipelines import nightly, partitions, runs
-from pipelines.blocks import Block
+from pipelines.blocks import Block, Made
 from pipelines.catalog import connect, publish
 from pipelines.io import Asked, FrameIO
+from pipelines.ledger import Ledger
 from pipelines.simulated import write_fleet
 
 SIZES = {
@@ -54,9 +55,11 @@ class Silent:
 class Bare(runs.Runner):
     """Calls the assets' functions itself, with no run, event or partition of Dagster's."""
 
-    def __post_init__(self) -> None:
-        """No partition is known."""
-        self.keys: dict[str, list[str]] = {"aircraft": [], "flight": []}
+    def __init__(self, defs: dg.Definitions, instance: object, ledger: Ledger) -> None:
+        self.defs, self.ledger, self.keys = defs, ledger, {"aircraft": [], "flight": []}
+
+    def bury(self) -> None:
+        """Nothing was recorded."""
 
     def register(self, cells: pl.DataFrame) -> None:
         """Know these partitions."""
@@ -68,7 +71,7 @@ class Bare(runs.Runner):
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return self.keys[str(definition.name)]
 
-    def run(self, tables: list[str], block: Block, label: str) -> bool:
+    def make(self, tables: list[str], block: Block, label: str) -> Made:
         """Make the tables, store them, mark them."""
         within = [f for f in self.keys["flight"] if block.first <= f <= block.last] if block.first else []
         cells = [f"{a}|{f}" for a in block.aircraft for f in within] or list(block.aircraft) or None
@@ -80,8 +83,7 @@ class Bare(runs.Runner):
                 if isinstance(made, dg.Output):
                     keeper._store(made.output_name, asked, made.value)
                     home.ledger.mark(made.output_name, asked.due(home.ledger, made.output_name))
-        self.runs, self.cells = self.runs + 1, self.cells + block.cells
-        return True
+        return Made(block, 1, {})
 
 
 def night(landing: Path, home: Path) -> None:

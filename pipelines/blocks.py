@@ -3,13 +3,14 @@
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import polars as pl
 from dagster._core.storage.tags import ASSET_PARTITION_RANGE_END_TAG, ASSET_PARTITION_RANGE_START_TAG
 
 from pipelines import partitions
 
-CELLS_A_RUN = 2_000  # runs of several aircraft stay below this, so that memory does not grow with the fleet
+CELLS_A_RUN = 1_000  # flights a run takes at most, so that memory grows neither with the fleet nor with its history
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,15 @@ class Block:
         if self.first:
             start, end = f"{start}|{self.first}", f"{end}|{self.last}"
         return {ASSET_PARTITION_RANGE_START_TAG: start, ASSET_PARTITION_RANGE_END_TAG: end, **named}
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What came of a block: how many runs it took, and what failed, with why."""
+
+    block: Block
+    runs: int
+    failed: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +123,11 @@ def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
 
 
 def _stretches(keys: list[str], wanted: set[str] | dict[str, set[str]]) -> Iterator[list[str]]:
-    """Runs of neighbouring keys that are all wanted."""
-    stretch: list[str] = []
-    for key in keys:
-        if key in wanted:
-            stretch.append(key)
-        elif stretch:
-            yield stretch
-            stretch = []
-    if stretch:
-        yield stretch
+    """Runs of neighbouring keys that are all wanted, none longer than a run may be."""
+    for is_wanted, found in groupby(keys, key=wanted.__contains__):
+        if is_wanted:
+            stretch = list(found)
+            yield from (stretch[i : i + CELLS_A_RUN] for i in range(0, len(stretch), CELLS_A_RUN))
 
 
 def _free(fixed: list[int], block: Block, place: dict[str, int]) -> bool:

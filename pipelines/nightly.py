@@ -7,8 +7,9 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,11 +20,12 @@ from pipelines.landing import scan
 from pipelines.ledger import Ledger
 from pipelines.store import Store
 from pipelines.versions import CELL, stale
+from pipelines.workers import Workers, workers
 
 if TYPE_CHECKING:
     from dagster import DagsterInstance
 
-    from pipelines.blocks import Block
+    from pipelines.blocks import Block, Made
     from pipelines.runs import Runner
 
 # In order: what is made in one run, over which partitions, node by node. A run has one kind of partition,
@@ -108,6 +110,7 @@ def run_night(
     progress: Progress,
     only: pl.Expr | None = None,
     instance: DagsterInstance | None = None,
+    jobs: int = 1,
 ) -> Night:
     """Take in what is new and bring everything that depends on it up to date.
 
@@ -121,16 +124,17 @@ def run_night(
         Which cells (operator, tail, flight_id; empty above flights) are wanted in this run; all by default.
     instance : DagsterInstance, optional
         Where runs are recorded; the home's own by default.
+    jobs : int
+        Processes that may work side by side, where there is enough to do; 1 with an `instance` of the caller's.
     """
-    ledger, store, began = Ledger(home), Store(home), _now()
-    store.sweep()
+    ledger, began = Ledger(home), _now()
+    Store(home).sweep()
     found = scan(landing, ledger)
-    chain = _Chain(landing, home, ledger, progress, only, instance)
-    for label, grain, nodes in STEPS:
-        chain.step(label, grain, nodes)
-    runner = chain.runner
-    done = (runner.runs, runner.cells, runner.failed) if runner else (0, 0, {})
-    night = Night(found.files, found.new, *done)
+    with workers(landing, home, 1 if instance else jobs) as hands:
+        chain = _Chain(landing, home, ledger, progress, only, instance, hands)
+        for label, grain, nodes in STEPS:
+            chain.step(label, grain, nodes)
+    night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     return night
 
@@ -139,21 +143,20 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
+@dataclass
 class _Chain:
     """The steps of one night; Dagster is loaded only when there is something to run."""
 
-    def __init__(
-        self,
-        landing: Path,
-        home: Path,
-        ledger: Ledger,
-        progress: Progress,
-        only: pl.Expr | None,
-        instance: DagsterInstance | None,
-    ) -> None:
-        self.landing, self.home, self.ledger, self.progress, self.only = landing, home, ledger, progress, only
-        self.instance = instance
-        self.runner: Runner | None = None
+    landing: Path
+    home: Path
+    ledger: Ledger
+    progress: Progress
+    only: pl.Expr | None
+    instance: DagsterInstance | None
+    hands: Workers
+    runs: int = 0
+    cells: int = 0
+    failed: dict[str, str] = field(default_factory=dict)
 
     def step(self, label: str, grain: str, nodes: list[tuple[str, ...]]) -> None:
         """Bring the nodes up to date; one that is not stale runs only if a node before it does."""
@@ -162,32 +165,30 @@ class _Chain:
         if first is None:
             return
         wanted, tables = pl.concat(cells).unique(), [t for node in nodes[first:] for t in node]
-        runner = self._ready()
         if grain != "fleet":
-            runner.register(wanted)
+            self.runner.register(wanted)
         self.progress.start(label, wanted.height)
-        for block in runner.known().blocks(grain, wanted):
-            self._run(runner, tables, block, label)
-            self.progress.advance(block.cells)
+        for made in self._make(tables, list(self.runner.known().blocks(grain, wanted)), label):
+            self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
+            self.failed |= made.failed
+            self.progress.advance(made.block.cells)
 
     def _wanted(self, node: tuple[str, ...]) -> pl.DataFrame:
         cells = stale(self.ledger, *node).select(CELL)
         return cells if self.only is None or TABLES[node[0]].grain == "fleet" else cells.filter(self.only)
 
-    def _run(self, runner: Runner, tables: list[str], block: Block, label: str) -> None:
-        """One run. If several aircraft share it and it fails, each alone: one cannot stop the others."""
-        if len(block.aircraft) < 2:
-            runner.run(tables, block, f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}")
-        elif not runner.run(tables, block, label):
-            del runner.failed[label]
-            for alone in block.apart():
-                runner.run(tables, alone, f"{label}: {alone.aircraft[0]}")
+    def _make(self, tables: list[str], blocks: list[Block], label: str) -> Iterator[Made]:
+        if self.hands.worth(blocks):
+            return self.hands.make(tables, blocks, label)
+        return (self.runner.make(tables, block, label) for block in blocks)
 
-    def _ready(self) -> Runner:
-        if self.runner is None:
-            from pipelines.definitions import build_defs
-            from pipelines.runs import Runner, open_instance
+    @cached_property
+    def runner(self) -> Runner:
+        """Who runs what is not shared out."""
+        from pipelines.definitions import build_defs
+        from pipelines.runs import Runner, open_instance
 
-            defs = build_defs(landing=self.landing.resolve(), home=self.home.resolve())
-            self.runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
-        return self.runner
+        defs = build_defs(landing=self.landing.resolve(), home=self.home.resolve())
+        runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
+        runner.bury()
+        return runner

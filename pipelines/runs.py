@@ -1,6 +1,6 @@
 """Dagster runs: where they are recorded, one run of a block of cells, what failed."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import dagster as dg
@@ -9,7 +9,7 @@ from dagster._core.definitions.job_base import InMemoryJob
 from dagster._core.execution.api import execute_run
 
 from pipelines import partitions
-from pipelines.blocks import Block, Known, by_aircraft
+from pipelines.blocks import Block, Known, Made, by_aircraft
 from pipelines.eventlog import BatchedSqliteEventLogStorage, batch_events
 from pipelines.ledger import Ledger
 
@@ -47,21 +47,18 @@ def open_instance(home: Path) -> dg.DagsterInstance:
     return dg.DagsterInstance.from_config(str(base))
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Runner:
-    """Runs selections of the location's assets and remembers what failed."""
+    """Runs selections of the location's assets."""
 
     defs: dg.Definitions
     instance: dg.DagsterInstance
     ledger: Ledger
-    runs: int = 0
-    cells: int = 0
-    failed: dict[str, str] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def bury(self) -> None:
         """Mark as failed what a killed night left: its runs would stay STARTED for ever.
 
-        Who makes a runner holds the home's lock, so none of them can be alive.
+        Only for who has just taken the home's lock: none of them can be alive.
         """
         begun = [dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED]
         for run in self.instance.get_runs(dg.RunsFilter(statuses=begun, tags=_NIGHT)):
@@ -84,17 +81,25 @@ class Runner:
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return list(self.instance.get_dynamic_partitions(str(definition.name)))
 
-    def run(self, tables: list[str], block: Block, label: str) -> bool:
-        """Make `tables` for `block`; a failure is noted under `label` and does not stop the others."""
+    def make(self, tables: list[str], block: Block, label: str) -> Made:
+        """One run. If several aircraft share it and it fails, each alone: one cannot stop the others."""
+        name = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
+        why = self._run(tables, block)
+        if why is None or len(block.aircraft) < 2:
+            return Made(block, 1, {name: why} if why else {})
+        alone = [self.make(tables, one, label) for one in block.apart()]
+        return Made(block, 1 + len(alone), {where: why for one in alone for where, why in one.failed.items()})
+
+    def _run(self, tables: list[str], block: Block) -> str | None:
+        """Make `tables` for `block`; None, or why it failed."""
         keys = frozenset(dg.AssetKey(t) for t in tables)
         job = self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
         run = self.instance.create_run_for_job(job, tags=block.tags() | _NIGHT, asset_selection=keys, run_config=_QUIET)
         result = execute_run(InMemoryJob(job), run, self.instance, raise_on_error=False)
-        self.runs, self.cells = self.runs + 1, self.cells + block.cells
-        if not result.success:
-            self.failed[label] = _why(result)
-            self._show_failed(run.run_id, block)
-        return bool(result.success)
+        if result.success:
+            return None
+        self._show_failed(run.run_id, block)
+        return _why(result)
 
     def _show_failed(self, run_id: str, block: Block) -> None:
         """Let the partitions page show as failed what was asked for and not made, and no cell that no flight fills."""

@@ -12,8 +12,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, home_folder, landing_folder, out
+from pipelines.workers import cores
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]
 Day = Annotated[dt.datetime | None, typer.Option(formats=["%Y-%m-%d"])]
 
 
@@ -47,7 +49,13 @@ class Bars:
 
 
 @app.command()
-def nightly(landing: LandingDir = None, home: HomeDir = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def nightly(
+    landing: LandingDir = None,
+    home: HomeDir = None,
+    dry_run: DryRun = False,
+    jobs: Jobs = cores(),  # noqa: B008  the machine's, and it does not change
+    as_json: AsJson = False,
+) -> None:
     """Take in what is new and say which packs need attention.
 
     From raw files to alerts; exit code 1 if an aircraft failed, and the others are done.
@@ -56,7 +64,7 @@ def nightly(landing: LandingDir = None, home: HomeDir = None, dry_run: DryRun = 
     if dry_run:
         _say_what_is_new(zone, where, as_json)
     else:
-        _bring_up_to_date(zone, where, as_json)
+        _bring_up_to_date(zone, where, as_json, jobs)
 
 
 @app.command()
@@ -67,6 +75,7 @@ def backfill(
     tail: Annotated[str | None, typer.Option(help="Only this aircraft.")] = None,
     since: Day = None,
     until: Day = None,
+    jobs: Jobs = cores(),  # noqa: B008
     as_json: AsJson = False,
 ) -> None:
     """Take in history, in bulk.
@@ -86,7 +95,7 @@ def backfill(
     day = pl.col("flight_id").str.extract(r"_(\d{8})_\d+$")
     wanted &= (day >= f"{since:%Y%m%d}").fill_null(True) if since else pl.lit(True)
     wanted &= (day <= f"{until:%Y%m%d}").fill_null(True) if until else pl.lit(True)
-    _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, wanted)
+    _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, jobs, wanted)
 
 
 def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
@@ -102,14 +111,14 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
     out.print(f"{len(new)} new of {files} files; nothing was taken in")
 
 
-def _bring_up_to_date(landing: Path, home: Path, as_json: bool, only: pl.Expr | None = None) -> None:
+def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
     from pipelines.catalog import publish
     from pipelines.nightly import holding, run_night
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
     with holding(home):
         try:
-            night = run_night(landing, home, bars, only)
+            night = run_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
         if not night.idle or not (home / "catalog.duckdb").exists():

@@ -47,3 +47,15 @@ def test_blocks_of_flights_hold_the_wanted_cells_and_no_other():
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
     asked = [cell for block in known.blocks("flight", cells) for cell in known.cells(block)]
     assert sorted(asked) == sorted(f"{a}|{f}" for a, f in wanted)
+
+
+def test_a_long_history_takes_several_runs(monkeypatch):
+    monkeypatch.setattr(blocks, "CELLS_A_RUN", 2)
+    known = blocks.Known(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
+    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
+    found = list(known.blocks("flight", cells))
+    assert [(b.first, b.last, b.cells) for b in found] == [
+        (FLIGHTS[0], FLIGHTS[1], 2),
+        (FLIGHTS[2], FLIGHTS[3], 2),
+        (FLIGHTS[4], FLIGHTS[4], 1),
+    ]
