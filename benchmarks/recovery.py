@@ -133,7 +133,7 @@ def reopen(landing: Path, home: Path) -> Spent:
     """Seconds of each part, up to the first block."""
     spent: Spent = {part: [0.0, 0.0] for part in PARTS}
     places: list[tuple[str, Any, str]] = [("sweep", nightly.Store, "sweep"), ("scan", nightly, "scan")]
-    places += [("ready", runs, "open_instance"), ("ready", runs.Runner, "__post_init__"), ("stale", nightly, "stale")]
+    places += [("ready", runs, "open_instance"), ("ready", runs.Runner, "bury"), ("stale", nightly, "stale")]
     for part, owner, name in places:
         setattr(owner, name, _timed(getattr(owner, name), part, spent))
     try:
