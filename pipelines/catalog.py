@@ -92,11 +92,11 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
         raise FileNotFoundError(f"no catalog at {path}; run `hdt nightly --landing DIR --home {home}` first")
     con = duckdb.connect(str(path), read_only=True)
     tables = home.resolve() / "tables"
-    named = con.execute("select sql from duckdb_views() where schema_name = 'tables' limit 1").fetchone()
-    if named and _quoted(tables).rstrip("'") not in named[0]:  # the home was moved or copied, and its views were not
+    named = con.execute("select sql from duckdb_views() where schema_name = 'tables' limit 1").fetchall()
+    if named and _quoted(tables).rstrip("'") not in named[0][0]:  # the home was moved or copied, and its views were not
         con.close()
         con = duckdb.connect(str(publish(home)), read_only=True)
-    (locked,) = con.execute("select current_setting('lock_configuration')").fetchone() or (False,)
+    ((locked,),) = con.execute("select current_setting('lock_configuration')").fetchall()  # to its end, or `sql` fails
     if not locked:  # connections of one process share one database, and who came first has locked it
         con.execute(f"set allowed_directories = [{_quoted(tables)}]")
         for setting in _LOCKS:

@@ -30,6 +30,7 @@ def test_every_cell_runs(notebook, at_home):
     assert held["lives"].height >= held["ranking"].height
     assert held["said"]["on_date"].unique().to_list() == [held["last"]]
     assert held["heard"].height == 16
+    held["con"].close()
 
 
 def test_tables_and_track_follow_the_pack(notebook, at_home):
@@ -43,6 +44,7 @@ def test_tables_and_track_follow_the_pack(notebook, at_home):
     fouling = held["health"].filter(parameter="hx_fouling")
     drawn = figure.axes[0].lines[0].get_ydata()
     assert drawn.tolist() == pytest.approx((100 * fouling["value"]).to_list())
+    held["con"].close()
 
 
 def test_marimo_finds_nothing_to_mend():

@@ -111,6 +111,15 @@ def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
         assert con.execute("select count(*) from flights").fetchone()[0] > 0
 
 
+def test_a_second_reader_of_one_process_answers_too(sample_home):
+    """Connections of one process share one database, which the first has locked."""
+    with connect(sample_home) as first, connect(sample_home) as second:
+        assert (
+            second.sql("select count(*) from flights").fetchall()
+            == first.sql("select count(*) from flights").fetchall()
+        )
+
+
 def test_nobody_writes_through_the_catalog(sample_home):
     with connect(sample_home) as con, pytest.raises(duckdb.Error):
         con.execute("create table mine (x int)")
