@@ -26,8 +26,9 @@ def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tupl
     """
     best: tuple[float, dict[str, Any], pl.DataFrame] | None = None
     work = maintenance.filter(component="HX", action="REPLACED").drop_nulls("pack")
+    worked_on = flights.join(work, on=PACK, how="semi", maintain_order="left").partition_by(PACK, as_dict=True)
     for w in work.to_dicts():
-        own = flights.filter(pl.all_horizontal(pl.col(k) == w[k] for k in PACK))
+        own = worked_on.get(tuple(w[k] for k in PACK), flights.clear())
         before = own["departed_at"].dt.date() <= w["done_on"]
         rows = own.with_columns(n=pl.int_range(pl.len()) - int(before.sum())).filter(
             pl.col("n").is_between(-FLIGHTS_BEFORE, FLIGHTS_AFTER)
