@@ -78,7 +78,7 @@ def test_a_home_that_may_not_be_written(tiny, children):
     ],
 )
 def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, line):
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr(nightly, "run_night", full)
@@ -129,8 +129,8 @@ def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
 def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path):
     """Through a whole night; every other cut takes Dagster's history of that night as well."""
     home = children.home(tmp_path / "home")
-    for place in count(3, 8):
-        cut = {"lose_history": place % 16 == 3}
+    for place in count(3, 12):
+        cut = {"lose_history": place % 24 == 3}
         ended, said = children.night(tiny.landing, home, fault=f"any:{place}", cut=cut)
         intact(home)
         if ended != signal.SIGKILL:
