@@ -16,6 +16,7 @@ import pandas as pd
 import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
+from benchmarks.scale import Silent
 from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.simulate.design import FleetSettings
@@ -30,16 +31,6 @@ from pipelines.store import Store
 
 PEER_FLIGHTS = 100
 GOAL = 15.0
-
-
-class Silent:
-    """No bars."""
-
-    def start(self, label: str, total: int) -> None:
-        """A step begins."""
-
-    def advance(self, cells: int) -> None:
-        """Some of it is done."""
 
 
 def conductance_w_k(flow_kg_s: float, ram_kg_s: float, hot_in_k: float, hot_out_k: float, cold_in_k: float) -> float:
