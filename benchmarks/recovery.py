@@ -28,6 +28,7 @@ from typing import Any
 import polars as pl
 
 import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
+from benchmarks import page
 from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
@@ -202,9 +203,7 @@ def main() -> None:
         text = table(said.flights, measured(landing, home, said.rounds))
     print(text)
     if said.write:
-        head, _, rest = PAGE.read_text().partition("<!-- recovery: begin -->\n")
-        tail = rest.partition("<!-- recovery: end -->")[2]
-        PAGE.write_text(f"{head}<!-- recovery: begin -->\n{text}\n<!-- recovery: end -->{tail}")
+        page.write("recovery", text, PAGE)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from types import SimpleNamespace
 import dagster as dg
 import polars as pl
 
+from benchmarks import page
 from hdt_core.simulate.design import FleetSettings
 from pipelines import nightly, partitions, runs
 from pipelines.blocks import Block, Known, Made, by_aircraft
@@ -234,10 +235,7 @@ def main() -> None:
         text = table({name: sized(name, said.rounds, Path(scratch)) for name in said.sizes})
     print(text)
     if said.write:
-        head, _, rest = PAGE.read_text().partition("<!-- table: begin -->\n")
-        PAGE.write_text(
-            f"{head}<!-- table: begin -->\n{text}\n<!-- table: end -->{rest.partition('<!-- table: end -->')[2]}"
-        )
+        page.write("table", text, PAGE)
 
 
 if __name__ == "__main__":
