@@ -180,6 +180,7 @@ class _Chain:
     def _make(self, tables: list[str], blocks: list[Block], label: str) -> Iterator[Made]:
         if self.hands.worth(blocks):
             return self.hands.make(tables, blocks, label)
+        self.hands.stop()
         return (self.runner.make(tables, block, label) for block in blocks)
 
     @cached_property

@@ -59,9 +59,10 @@ class Workers:
         return self._pool
 
     def stop(self) -> None:
-        """Let the processes end."""
+        """Let the processes end, and what they hold in memory with them; there will be others when there is need."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
+            self._pool = None
 
 
 @contextmanager
