@@ -1,25 +1,29 @@
 """What was delivered and what was made of it: small tables in `<home>/ledger.sqlite`.
 
+Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
 `files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
 cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
 moment costs work, never truth. `nights` says when the chain last ran, and what failed.
 """
 
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
+from pipelines import postgres
 from pipelines.faults import fault_point
 
 _SCHEMA = """
 create table if not exists files (
     path text primary key, operator text not null, tail text not null, kind text not null,
-    size integer not null, mtime_ns integer not null, digest text not null
+    size bigint not null, mtime_ns bigint not null, digest text not null
 ) without rowid;
 create table if not exists file_flights (
     path text not null, operator text not null, tail text not null, flight_id text not null,
@@ -35,6 +39,15 @@ create table if not exists nights (
 );
 """
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
+_SET_FILE = (
+    "insert into files values (?, ?, ?, ?, ?, ?, ?) on conflict (path) do update set operator = excluded.operator,"
+    " tail = excluded.tail, kind = excluded.kind, size = excluded.size, mtime_ns = excluded.mtime_ns,"
+    " digest = excluded.digest"
+)
+_SET_VERSION = (
+    "insert into done values (?, ?, ?, ?, ?)"
+    " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
+)
 
 
 @dataclass(frozen=True)
@@ -43,13 +56,20 @@ class Ledger:
 
     home: Path
     only: tuple[tuple[str, str], ...] | None = None
+    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
 
     def of(self, aircraft: Iterable[tuple[str, str]]) -> "Ledger":
         """What it says of these aircraft and of the fleet: a run must not read the history of all the others."""
         return replace(self, only=(("", ""), *aircraft))
 
     @contextmanager
-    def _open(self) -> Iterator[sqlite3.Connection]:
+    def _open(self) -> Iterator[Any]:
+        """A transaction."""
+        with postgres.session(self.url, _SCHEMA.replace(" without rowid", "")) if self.url else self._file() as con:
+            yield con
+
+    @contextmanager
+    def _file(self) -> Iterator[sqlite3.Connection]:
         self.home.mkdir(parents=True, exist_ok=True)
         con = sqlite3.connect(self.home / "ledger.sqlite", timeout=60)
         try:
@@ -76,9 +96,9 @@ class Ledger:
         """
         rows = list(files)
         with self._open() as con:
-            con.executemany("insert or replace into files values (?, ?, ?, ?, ?, ?, ?)", rows)
+            con.executemany(_SET_FILE, rows)
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
-            con.executemany("insert or ignore into file_flights values (?, ?, ?, ?)", held)
+            con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
             fault_point("before_register")
         fault_point("after_register")
 
@@ -106,7 +126,7 @@ class Ledger:
         """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
         rows = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version").rows()
         with self._open() as con:
-            con.executemany("insert or replace into done values (?, ?, ?, ?, ?)", rows)
+            con.executemany(_SET_VERSION, rows)
             fault_point("before_mark")
         fault_point("after_mark")
 
@@ -117,7 +137,7 @@ class Ledger:
 
     def nights(self) -> pl.DataFrame:
         """All nights, oldest first, counts as text."""
-        return self._frame("select * from nights order by rowid", [])
+        return self._frame(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])
 
     def _cells(self, sql: str, table: str, arguments: Iterable[str] = ()) -> pl.DataFrame:
         """Rows of a query that ends in a condition, of the aircraft that it is about."""

@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 import polars as pl
 
 from hdt_core.tables import TABLES
+from pipelines import postgres
 from pipelines.landing import scan
 from pipelines.ledger import Ledger
 from pipelines.store import Store
@@ -88,20 +89,29 @@ class Night:
 
 @contextmanager
 def holding(home: Path) -> Iterator[None]:
-    """Be the only writer of `home`; the lock goes with the process, however it ends."""
+    """Be the only writer of `home` and, where the fleet's ledger is a database, of the fleet.
+
+    The lock goes with the process, however it ends.
+    """
     home.mkdir(parents=True, exist_ok=True)
     with open(home / ".lock", "a+") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.seek(0)
-            raise BusyError(
-                f"another run (process {lock.read().strip() or 'unknown'}) is writing {home}; wait for it to end"
-            ) from None
+            raise BusyError(_busy(f"process {lock.read().strip() or 'unknown'}", str(home))) from None
         lock.truncate(0)
         lock.write(str(os.getpid()))
         lock.flush()
-        yield
+        url = Ledger(home).url
+        with postgres.locked(url) if url else nullcontext() as other:
+            if other:
+                raise BusyError(_busy(other, "this fleet"))
+            yield
+
+
+def _busy(who: str, what: str) -> str:
+    return f"another run ({who}) is writing {what}; wait for it to end"
 
 
 def run_night(

@@ -12,10 +12,11 @@ __all__ = ["app", "look", "main", "make", "night", "share"]
 def main() -> None:
     """Run the command; whatever a user can mend is said in one line."""
     from pipelines.nightly import BusyError
+    from pipelines.postgres import DatabaseError
 
     try:
         sys.exit(app(standalone_mode=False))
-    except (StopError, BusyError) as error:
+    except (StopError, BusyError, DatabaseError) as error:
         said = str(error)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "hdt"

@@ -3,13 +3,12 @@
 Runs where HDT_TEST_POSTGRES names a server, as `postgresql://user@host:5432/database`.
 """
 
-import os
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 import dagster as dg
 import pytest
+from databases import SERVER, new_database
 from nights import Silent
 
 from hdt_core.simulate.design import FleetSettings
@@ -17,7 +16,6 @@ from pipelines import nightly
 from pipelines.runs import open_instance
 from pipelines.simulated import write_fleet
 
-SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
 pytestmark = pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
 
 SETTINGS = """\
@@ -32,15 +30,8 @@ telemetry:
 @pytest.fixture
 def database() -> Iterator[str]:
     """A database of the test's own."""
-    import psycopg2
-
-    name = f"hdt_{uuid.uuid4().hex}"
-    admin = psycopg2.connect(SERVER)
-    admin.autocommit = True
-    admin.cursor().execute(f"create database {name}")
-    yield f"{SERVER.rpartition('/')[0]}/{name}"
-    admin.cursor().execute(f"drop database {name} with (force)")
-    admin.close()
+    with new_database() as url:
+        yield url
 
 
 def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:

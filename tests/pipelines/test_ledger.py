@@ -1,0 +1,162 @@
+"""The ledger says the same from SQLite below the home and from a PostgreSQL database; one night at a time holds either.
+
+PostgreSQL where HDT_TEST_POSTGRES names a server, as `postgresql://user@host:5432/database`.
+"""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import polars as pl
+import pytest
+from databases import SERVER, new_database
+
+from pipelines import nightly, postgres
+from pipelines.ledger import Ledger
+
+A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
+FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
+         ("b/1.csv", *B, "acms", 1, 1, "d3")]  # fmt: skip
+HELD = {"a/1.csv": ["LX-AAA_20240101_01", "LX-AAA_20240102_01"], "b/1.csv": ["LX-AAB_20240101_01"]}
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def ledger(request, tmp_path, monkeypatch) -> Iterator[Ledger]:
+    """A ledger that knows three files of two aircraft."""
+    if request.param == "sqlite":
+        monkeypatch.delenv(postgres.URL, raising=False)
+        yield _filled(tmp_path)
+        return
+    if not SERVER:
+        pytest.skip("HDT_TEST_POSTGRES names no PostgreSQL server")
+    with new_database() as url:
+        monkeypatch.setenv(postgres.URL, url)
+        yield _filled(tmp_path)
+        assert not (tmp_path / "ledger.sqlite").exists()
+
+
+def _filled(home: Path) -> Ledger:
+    ledger = Ledger(home)
+    ledger.register(FILES, HELD)
+    return ledger
+
+
+def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
+    return pl.DataFrame(rows, schema=["operator", "tail", "flight_id", "version"], orient="row")
+
+
+def test_what_is_registered_is_known(ledger):
+    assert ledger.known_files() == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
+    assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
+    assert ledger.files(["acms"]).schema["mtime_ns"] == pl.Int64
+    assert ledger.holdings().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
+    assert ledger.flight_files().height == 3
+
+
+def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
+    ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
+    assert ledger.known_files()["a/1.csv"] == (9, 9)
+    held = ledger.holdings().filter(pl.col("tail") == A[1])
+    assert held["line"].unique().to_list() == ["a/1.csv=new"]
+    assert held.height == 3
+
+
+def test_a_cell_marked_again_has_its_last_version(ledger):
+    ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*A, "f2", "v1"), (*A, "f2", "v2")))
+    ledger.mark("raw_flights", _cells((*A, "f1", "v3")))
+    ledger.mark("legs_samples", _cells((*A, "f1", "other")))
+    assert ledger.done("raw_flights").sort("flight_id")["version"].to_list() == ["v3", "v2"]
+    ledger.mark("raw_flights", _cells())
+    assert ledger.done("raw_flights").height == 2
+
+
+def test_a_run_asks_about_its_own_aircraft_and_the_fleet(ledger):
+    ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
+    own = ledger.of([A])
+    assert set(own.done("raw_flights")["tail"]) == {A[1], ""}
+    assert set(own.holdings()["tail"]) == {A[1]}
+    assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
+
+
+def test_nights_are_told_in_order(ledger):
+    for k in range(12):
+        ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
+    assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
+
+
+def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
+    def fail(name: str) -> None:
+        raise OSError(name)
+
+    monkeypatch.setattr("pipelines.ledger.fault_point", fail)
+    with pytest.raises(OSError, match="before_mark"):
+        ledger.mark("raw_flights", _cells((*A, "f1", "v1")))
+    assert ledger.done("raw_flights").is_empty()
+
+
+def _hold(home: Path, held, over) -> None:
+    with nightly.holding(home):
+        held.set()
+        over.wait()
+
+
+def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_process(ledger, tmp_path):
+    """A second home stands for a second machine; without a common database each home is a fleet of its own."""
+    spawn = multiprocessing.get_context("spawn")
+    held, over = spawn.Event(), spawn.Event()
+    first = spawn.Process(target=_hold, args=(tmp_path / "one", held, over))
+    first.start()
+    assert held.wait(30)
+    other = tmp_path / ("two" if ledger.url else "one")
+    with pytest.raises(nightly.BusyError, match=rf"process {first.pid}\b.*wait for it to end"), nightly.holding(other):
+        pass
+    first.kill()
+    first.join()
+    for _ in range(100):  # the server notices the broken connection
+        try:
+            with nightly.holding(other):
+                return
+        except nightly.BusyError:
+            time.sleep(0.05)
+    pytest.fail("the lock outlived its process")
+
+
+SECRET = "s3cr3t-word"
+
+
+@pytest.mark.parametrize(
+    ("url", "says"),
+    [
+        (f"postgresql://hdt:{SECRET}@127.0.0.1:1/none", r"ledger's database at 127\.0\.0\.1:1/none .* does not answer"),
+        (f"postgres//hdt:{SECRET}@somewhere", "no address of the form postgresql://"),
+        (f"postgresql://hdt:{SECRET}@127.0.0.1:none/x", "no address of the form postgresql://|does not answer"),
+    ],
+)
+def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, says, tmp_path, monkeypatch):
+    pytest.importorskip("psycopg2")
+    monkeypatch.setenv(postgres.URL, url)
+    ledger = Ledger(tmp_path)
+    with pytest.raises(postgres.DatabaseError, match=says) as told:
+        ledger.known_files()
+    with pytest.raises(postgres.DatabaseError), nightly.holding(tmp_path):
+        pass
+    assert SECRET not in f"{told.value!r} {ledger!r}"
+    assert "\n" not in str(told.value)
+
+
+def test_the_command_says_it_in_one_line(tmp_path):
+    import subprocess
+    import sys
+
+    pytest.importorskip("psycopg2")
+    (tmp_path / "landing").mkdir()
+    words = ["nightly", "--landing", str(tmp_path / "landing"), "--home", str(tmp_path / "home")]
+    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    wrong = os.environ | {postgres.URL: f"postgresql://hdt:{SECRET}@127.0.0.1:1/none"}
+    done = subprocess.run(command, env=wrong, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("hdt: the ledger's database at 127.0.0.1:1/none")
+    assert SECRET not in done.stderr + done.stdout
