@@ -108,7 +108,7 @@ def _answering(url: str) -> Iterator[None]:
         import psycopg2
     except ImportError:
         raise DatabaseError(
-            f"{URL} names a database; pip install 'hybrid-digital-twin[postgres]' to reach it"
+            f"{URL} names a database; install the extra postgres"
         ) from None
     try:
         yield
