@@ -8,8 +8,9 @@ from pathlib import Path
 import duckdb
 
 from hdt_core.tables import TABLES
+from pipelines.files import replacing
 from pipelines.meanings import Header, declared, meaning, read_header
-from pipelines.store import Store, replacing
+from pipelines.store import URL, Store
 
 CATALOG = "catalog.duckdb"
 
@@ -17,13 +18,16 @@ CATALOG = "catalog.duckdb"
 def publish(home: Path) -> Path:
     """Build `<home>/catalog.duckdb` anew. A reader of the old one keeps it; nobody ever meets a lock."""
     store, path = Store(home.resolve()), home.resolve() / CATALOG
+    for table in TABLES:
+        store.declare(table)
     with replacing(path) as temporary:
         con = duckdb.connect(str(temporary))
         try:
+            store.open_to(con)
             con.begin()  # a commit for every comment would take longer than all the rest
             con.execute("create schema tables")
-            for table in TABLES:
-                _base_view(con, store, table)
+            for table, sources in store.snapshot().items():
+                _base_view(con, table, sources)
             add_views(con)
             con.commit()
         finally:
@@ -57,14 +61,10 @@ def tables_read() -> list[str]:
     return [t for t in TABLES if t in read]
 
 
-def _base_view(con: duckdb.DuckDBPyConnection, store: Store, table: str) -> None:
-    """`tables.<table>` over the table's files, with the declared columns even while nothing is stored."""
-    empty = store.folder(table) / "empty.parquet"
-    if not empty.exists():
-        with replacing(empty) as temporary:
-            TABLES[table].schema.create_empty().write_parquet(temporary)
-    files = _quoted(store.folder(table) / "**" / "*.parquet")
-    con.execute(f"create view tables.{table} as select * from read_parquet({files}, union_by_name = true)")
+def _base_view(con: duckdb.DuckDBPyConnection, table: str, sources: list[str]) -> None:
+    """`tables.<table>` over the table's files or objects."""
+    named = ", ".join(_quoted(source) for source in sources)
+    con.execute(f"create view tables.{table} as select * from read_parquet([{named}], union_by_name = true)")
     add_meanings(con, table)
 
 
@@ -84,24 +84,37 @@ def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
     """The published catalog, read only.
 
-    Through it nothing but the tables' own files can be reached: no other file, no network, no extension; and no
-    statement can change that.
+    Through it nothing but the tables' own files or objects can be reached: no other file, no other place in the
+    network, no extension; and no statement can change that.
+
+    Raises
+    ------
+    FileNotFoundError
+        Nothing has been published yet.
+    ValueError
+        What was published reads another store than HDT_STORE_URL names.
     """
-    path = home / CATALOG
-    if not path.exists():
-        raise FileNotFoundError(f"no catalog at {path}; run `hdt nightly --landing DIR --home {home}` first")
-    con = duckdb.connect(str(path), read_only=True)
-    tables = home.resolve() / "tables"
+    if not (home / CATALOG).exists():
+        raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
+    store, con = Store(home.resolve()), _opened(home)
     named = con.execute("select sql from duckdb_views() where schema_name = 'tables' limit 1").fetchall()
-    if named and _quoted(tables).rstrip("'") not in named[0][0]:  # the home was moved or copied, and its views were not
+    if named and _quoted(store.root).rstrip("'") not in named[0][0]:  # the home was moved or copied, its views were not
         con.close()
-        con = duckdb.connect(str(publish(home)), read_only=True)
+        if "'s3://" in named[0][0] or store.remote:
+            raise ValueError(f"the catalog in {home} reads another store than {store.root}; set {URL} as it was")
+        publish(home)
+        con = _opened(home)
     ((locked,),) = con.execute("select current_setting('lock_configuration')").fetchall()  # to its end, or `sql` fails
     if not locked:  # connections of one process share one database, and who came first has locked it
-        con.execute(f"set allowed_directories = [{_quoted(tables)}]")
+        store.open_to(con)
+        con.execute(f"set allowed_directories = [{_quoted(store.root)}]")
         for setting in _LOCKS:
             con.execute(f"set {setting}")
     return con
+
+
+def _opened(home: Path) -> duckdb.DuckDBPyConnection:
+    return duckdb.connect(str(home / CATALOG), read_only=True)
 
 
 _LOCKS = (

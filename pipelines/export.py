@@ -12,8 +12,8 @@ import polars.selectors as cs
 import pyarrow.parquet as pq
 
 from pipelines.catalog import CATALOG, connect, views
+from pipelines.files import replacing_folder
 from pipelines.isolate import Sight, build
-from pipelines.store import replacing_folder
 
 FORMATS = ("parquet", "csv", "duckdb")
 MANIFEST = "export.json"

@@ -18,7 +18,9 @@ POINTS = (
     "before_mark",
     "after_mark",
 )
-"""In `store.replacing`, which writes every shard and the catalog, and in the two writers of the ledger."""
+"""In `files.replacing`, which writes every shard and the catalog, and in the two writers of the ledger."""
+OF_OBJECTS = ("before_write", "before_manifest", "after_manifest")
+"""Where a shard becomes an object and objects get their names, in an object store."""
 
 _passed: Counter[str] = Counter()
 

@@ -7,7 +7,7 @@ import polars as pl
 
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import Aircraft, by_month, design_truth, simulate_fleet
-from pipelines.store import replacing
+from pipelines.files import replacing
 
 _TIME = "%Y-%m-%dT%H:%M:%SZ"
 

@@ -1,132 +1,73 @@
-"""Parquet is the store: where each table lies below home, and how a file gets there whole or not at all."""
+"""Parquet is the store: which shard of which table holds what, whether files or objects keep it."""
 
 import os
 import re
-import shutil
-from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import takewhile
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.faults import fault_point
+from pipelines.files import Change, Files, Held, sweep
+from pipelines.objects import Objects, objects
+
+if TYPE_CHECKING:
+    import duckdb
 
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` that becomes `path` when the block ends well.
-
-    Temporary name, fsync, rename, fsync of the folder: none of Polars, PyArrow and DuckDB syncs, and a file written
-    straight to its final name was corrupt after 20 to 25 of 25 kills.
-    """
-    _make_folder(path.parent)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        fault_point("before_write")
-        yield temporary
-        _sync(temporary)
-        fault_point("before_rename")
-        temporary.replace(path)
-        fault_point("after_rename")
-        _sync(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def replacing_folder(path: Path, ours: Collection[str]) -> Iterator[Path]:
-    """A temporary folder beside `path` that becomes `path` when the block ends well: all its files or none.
-
-    An earlier folder gives way only if it holds nothing but files named in `ours`.
-
-    Raises
-    ------
-    FileExistsError
-        Something else is in it, or `path` is a file.
-    """
-    if path.exists() and (not path.is_dir() or (strange := sorted({f.name for f in path.iterdir()} - set(ours)))):
-        held = f"it holds {strange[0]!r}, which no export wrote" if path.is_dir() else "it is a file"
-        raise FileExistsError(f"{path} is not overwritten: {held}; name a new folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _sweep_folders(path)
-    temporary, old = (path.with_name(f".{path.name}.{os.getpid()}.{end}") for end in ("part", "old.part"))
-    temporary.mkdir()
-    try:
-        yield temporary
-        for file in (*temporary.iterdir(), temporary):
-            _sync(file)
-        fault_point("before_rename")
-        if path.exists():
-            path.rename(old)
-        temporary.rename(path)
-        fault_point("after_rename")
-        _sync(path.parent)
-    finally:
-        for left in (temporary, old):
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _sweep_folders(path: Path) -> None:
-    """Remove what killed writers of the folder `path` left beside it."""
-    for left in path.parent.glob(f".{path.name}.*.part"):
-        pid = left.name.removeprefix(f".{path.name}.").split(".")[0]
-        if pid.isdigit() and not Path("/proc", pid).exists():
-            shutil.rmtree(left)
-
-
-def _make_folder(path: Path) -> None:
-    """Make a folder whose name a power cut leaves: each new one is synced into the one above it."""
-    new = list(takewhile(lambda p: not p.exists(), (path, *path.parents)))
-    path.mkdir(parents=True, exist_ok=True)
-    for folder in new:
-        _sync(folder.parent)
-
-
-def _sync(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+URL = "HDT_STORE_URL"
+EMPTY = "empty"
+"""A shard without rows: it has a table's columns while nothing else is stored."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """All tables below one home."""
+    """All tables of one home.
+
+    They lie below `<home>/tables` or, where `url` (by default the variable HDT_STORE_URL) says so, in another folder or
+    in an object store, `s3://bucket/prefix`.
+    """
 
     home: Path
+    url: str = field(default_factory=lambda: os.environ.get(URL, ""))
 
-    def folder(self, table: str) -> Path:
-        """Where a table's files lie."""
-        return self.home / "tables" / table
+    @cached_property
+    def shelf(self) -> Files | Objects:
+        """Who keeps the shards."""
+        if self.url.startswith("s3://"):
+            return objects(self.url)
+        if "://" in self.url.removeprefix("file://"):
+            raise ValueError(f"{URL} is a folder or s3://bucket/prefix, not {self.url!r}")
+        return Files(Path(self.url.removeprefix("file://")) if self.url else self.home / "tables")
 
-    def path(self, table: str, aircraft: tuple[str, str], shard: str = "all") -> Path:
-        """File of one shard. Operator and tail are checked again here: they become folder names."""
+    @property
+    def root(self) -> str:
+        """What the place of every shard begins with."""
+        return self.shelf.url if isinstance(self.shelf, Objects) else str(self.shelf.root.resolve())
+
+    @property
+    def remote(self) -> bool:
+        """Whether objects keep the shards, which no other program changes, moves or copies."""
+        return isinstance(self.shelf, Objects)
+
+    def folder(self, table: str, aircraft: tuple[str, str]) -> str:
+        """Where the shards lie. Operator and tail are checked again here: they become names of folders."""
         if aircraft == FLEET:
-            return self.folder(table) / "fleet.parquet"
+            return table
         operator, tail = aircraft
         if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(TAIL, tail)):
             raise ValueError(f"not an operator and tail: {operator!r}, {tail!r}")
-        return self.folder(table) / operator / tail / f"{shard}.parquet"
-
-    def files(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> list[Path]:
-        """The table's files, of the whole fleet or of some aircraft."""
-        if aircraft is None:
-            return sorted(self.folder(table).glob("**/[!.]*.parquet"))
-        return sorted(f for a in aircraft for f in self.path(table, a).parent.glob("[!.]*.parquet"))
+        return f"{table}/{operator}/{tail}"
 
     def scan(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.LazyFrame:
-        """The table as a lazy frame in its declared types; empty where nothing is stored yet."""
-        files = self.files(table, aircraft)
-        if not files:
-            return TABLES[table].schema.create_empty().lazy()
-        return pl.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
+        """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored."""
+        folders = None if aircraft is None else [self.folder(table, a) for a in aircraft]
+        sources = self.shelf.sources(table, folders)
+        return self.shelf.scan(sources) if sources else TABLES[table].schema.create_empty().lazy()
 
     def read(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.DataFrame:
         """The table, of the whole fleet or of some aircraft."""
@@ -134,27 +75,46 @@ class Store:
 
     def replace(self, table: str, aircraft: tuple[str, str], frame: pl.DataFrame, shard: str = "all") -> None:
         """Write one shard whole."""
-        with replacing(self.path(table, aircraft, shard)) as temporary:
-            TABLES[table].conform(frame).write_parquet(temporary, compression="zstd")
+        name = "fleet" if aircraft == FLEET else shard
+        self.shelf.change(self.folder(table, aircraft), lambda _: [(name, TABLES[table].conform(frame))])
 
     def merge(self, table: str, aircraft: tuple[str, str], flights: Iterable[str], frame: pl.DataFrame) -> None:
         """Replace the rows of `flights` by `frame`, shard by shard; other flights stay as they are."""
-        entry = TABLES[table]
-        asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
-        fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
-        for (shard,), own in asked.partition_by("shard", as_dict=True).items():
-            path, new = self.path(table, aircraft, str(shard)), fresh.get((shard,))
-            if new is None and not path.exists():
-                continue
-            new = entry.conform(frame.clear() if new is None else new)
-            if path.exists():
-                kept = pl.read_parquet(path).filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
-                new = pl.concat([entry.conform(kept), new], how="diagonal")
-            self.replace(table, aircraft, new.sort(entry.key), str(shard))
+        self.shelf.change(self.folder(table, aircraft), _merged(table, flights, frame))
+
+    def declare(self, table: str) -> None:
+        """Let the table have its columns even while nothing is stored."""
+        empty = TABLES[table].schema.create_empty()
+        self.shelf.change(table, lambda held: [(EMPTY, empty)] if held(EMPTY) is None else [])
+
+    def snapshot(self) -> dict[str, list[str]]:
+        """Of every table the files or objects, or their common pattern, that a catalog's view reads."""
+        return self.shelf.snapshot(TABLES)
+
+    def open_to(self, con: "duckdb.DuckDBPyConnection") -> None:
+        """Let a DuckDB connection read what the catalog's views name."""
+        self.shelf.open_to(con)
 
     def sweep(self) -> int:
-        """Remove what a killed writer left; called by the one who holds the home's lock."""
-        left = [f for f in self.home.glob("**/.*.part") if f.is_file()]
-        for f in left:
-            f.unlink()
-        return len(left)
+        """Remove what killed writers left; called by the one who holds the home's lock."""
+        return sweep(self.home) + self.shelf.sweep()
+
+
+def _merged(table: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
+    """Shards with the rows of `flights` replaced by `frame`."""
+    entry = TABLES[table]
+    asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
+    fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
+
+    def change(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
+        for (shard,), own in asked.partition_by("shard", as_dict=True).items():
+            new, before = fresh.get((shard,)), held(str(shard))
+            if new is None and before is None:
+                continue
+            new = entry.conform(frame.clear() if new is None else new)
+            if before is not None:
+                kept = before.filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
+                new = pl.concat([entry.conform(kept), new], how="diagonal")
+            yield str(shard), new.sort(entry.key)
+
+    return change

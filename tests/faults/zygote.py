@@ -24,7 +24,7 @@ from powercut import Disk  # noqa: E402
 
 import pipelines.definitions  # noqa: E402
 import pipelines.runs  # noqa: E402, F401
-from pipelines import faults, nightly, store  # noqa: E402
+from pipelines import faults, files, nightly  # noqa: E402
 from pipelines.catalog import publish  # noqa: E402
 
 ALL = nightly.STEPS
@@ -66,7 +66,7 @@ def cut_the_power(home: Path, lose_history: bool = False, sync: bool = True) -> 
 
     faults._strike = strike
     if not sync:
-        store._sync = lambda path: None
+        files._sync = lambda path: None
 
 
 def child(asked: dict, told: int) -> None:

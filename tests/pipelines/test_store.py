@@ -1,14 +1,23 @@
-"""A file is there whole or not at all, and a merge touches the flights it was told and no other."""
+"""What a store promises, whoever keeps the shards: a merge touches its flights alone, a reader sees all or nothing."""
 
+import threading
 from datetime import UTC, datetime
 
 import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.store import FLEET, Store, replacing
+from pipelines.files import replacing
+from pipelines.store import FLEET, Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
+MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"
+
+
+@pytest.fixture(params=["files", "objects"])
+def store(request, tmp_path) -> Store:
+    """A store of each kind."""
+    return Store(tmp_path, "" if request.param == "files" else request.getfixturevalue("s3_url"))
 
 
 def flights(*ids: str, n: int = 1) -> pl.DataFrame:
@@ -18,31 +27,106 @@ def flights(*ids: str, n: int = 1) -> pl.DataFrame:
     return TABLES["raw_flights"].conform(frame)
 
 
-def test_merge_replaces_the_flights_named_and_keeps_the_others(tmp_path):
-    store, may, june = Store(tmp_path), "LX-AAA_20240501_01", "LX-AAA_20240601_01"
-    other = "LX-AAA_20240502_01"
-    store.merge("raw_flights", AIRCRAFT, [may, other, june], flights(may, other, june))
-    store.merge("raw_flights", AIRCRAFT, [may], flights(may, n=7))
-    held = dict(store.read("raw_flights").select("flight_id", "n_snapshots").rows())
-    assert held == {may: 7, other: 1, june: 1}
-    assert {p.name for p in store.files("raw_flights")} == {"2024-05.parquet", "2024-06.parquet"}
+def held(store: Store) -> dict[str, int]:
+    return dict(store.read("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
-def test_merge_of_no_rows_removes_what_was_there_and_makes_no_file(tmp_path):
-    store, may = Store(tmp_path), "LX-AAA_20240501_01"
-    store.merge("raw_flights", AIRCRAFT, [may], flights())
-    assert not store.files("raw_flights")
-    store.merge("raw_flights", AIRCRAFT, [may], flights(may))
-    store.merge("raw_flights", AIRCRAFT, [may], flights())
+def test_merge_replaces_the_flights_named_and_keeps_the_others(store):
+    store.merge("raw_flights", AIRCRAFT, [MAY, MAY_TOO, JUNE], flights(MAY, MAY_TOO, JUNE))
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=7))
+    assert held(store) == {MAY: 7, MAY_TOO: 1, JUNE: 1}
+    assert len(store.shelf.sources("raw_flights")) == 2  # a shard a month
+
+
+def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights())
+    assert not store.shelf.sources("raw_flights")
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights())
     assert store.read("raw_flights").is_empty()
 
 
+def test_one_aircraft_is_read_without_the_others(store):
+    other = ("BZR", "LX-AAA")
+    for operator, n in (("AQX", 1), ("BZR", 2)):
+        own = flights(MAY, n=n).with_columns(operator=pl.lit(operator))
+        store.merge("raw_flights", (operator, "LX-AAA"), [MAY], own)
+    assert store.read("raw_flights", [other])["n_snapshots"].to_list() == [2]
+    assert sorted(store.read("raw_flights", [AIRCRAFT, other])["n_snapshots"]) == [1, 2]
+    assert store.read("raw_flights", [("CCC", "LX-AAA")]).is_empty()
+
+
+def test_a_reader_keeps_what_it_began_to_read_and_the_next_sees_the_new(s3_url, tmp_path):
+    """Between a reader's first look and its last byte the shard is replaced, by objects of fresh names."""
+    store = Store(tmp_path, s3_url)
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=1))
+    first = store.scan("raw_flights")
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=2))
+    second = store.scan("raw_flights")
+    assert [f.collect()["n_snapshots"].to_list() for f in (first, second)] == [[1], [2]]
+
+
+def test_two_writers_of_one_month_lose_nothing(store):
+    """Runs of an aircraft's flights go side by side, and one may end and the next begin in the same month."""
+    days = [[f"LX-AAA_202405{day:02}_{leg:02}" for day in range(1, 11)] for leg in (1, 2)]
+
+    def write(ids: list[str]) -> None:
+        for flight in ids:
+            store.merge("raw_flights", AIRCRAFT, [flight], flights(flight))
+
+    both = [threading.Thread(target=write, args=(ids,)) for ids in days]
+    for thread in both:
+        thread.start()
+    for thread in both:
+        thread.join()
+    assert sorted(held(store)) == sorted(days[0] + days[1])
+
+
+def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
+    frame = store.read("prognoses")
+    assert frame.is_empty()
+    assert frame.columns == list(TABLES["prognoses"].schema.columns())
+    store.declare("prognoses")
+    store.declare("prognoses")
+    assert len(store.shelf.sources("prognoses")) == 1
+    assert store.read("prognoses").equals(frame)
+
+
+def test_the_fleet_has_one_shard(store):
+    for version in ("1", "2"):
+        row = pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]})
+        store.replace("prognosis_model", FLEET, row)
+    assert store.read("prognosis_model")["model_version"].to_list() == ["2"]
+    assert len(store.shelf.sources("prognosis_model")) == 1
+
+
+@pytest.mark.parametrize(
+    "aircraft", [("..", "x"), ("AQX", "../../etc"), ("AQX", ""), ("aqx", "LX-AAA"), ("AQX", "A/B")]
+)
+def test_no_name_leads_out_of_home(tmp_path, aircraft):
+    with pytest.raises(ValueError, match="not an operator and tail"):
+        Store(tmp_path).folder("raw_flights", aircraft)
+
+
+def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
+    monkeypatch.setenv("HDT_STORE_URL", str(tmp_path / "elsewhere"))
+    Store(tmp_path / "home").merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
+    assert (tmp_path / "elsewhere/raw_flights/AQX/LX-AAA/2024-05.parquet").exists()
+    assert not (tmp_path / "home").exists()
+    monkeypatch.setenv("HDT_STORE_URL", "gs://bucket")
+    with pytest.raises(ValueError, match="HDT_STORE_URL is a folder or s3"):
+        _ = Store(tmp_path).shelf
+    monkeypatch.delenv("HDT_STORE_URL")
+    assert Store(tmp_path / "home").root == str(tmp_path / "home/tables")
+
+
 def test_the_same_rows_make_the_same_file(tmp_path):
-    store, ids = Store(tmp_path), ["LX-AAA_20240501_01", "LX-AAA_20240502_01"]
+    store, ids = Store(tmp_path), [MAY, MAY_TOO]
     store.merge("raw_flights", AIRCRAFT, ids, flights(*ids))
-    first = store.path("raw_flights", AIRCRAFT, "2024-05").read_bytes()
+    (file,) = store.shelf.sources("raw_flights")
+    first = file.read_bytes()
     store.merge("raw_flights", AIRCRAFT, ids, flights(*reversed(ids)))
-    assert store.path("raw_flights", AIRCRAFT, "2024-05").read_bytes() == first
+    assert file.read_bytes() == first
 
 
 def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -62,29 +146,9 @@ def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
 
 def test_leftovers_of_a_killed_writer_are_swept_and_never_read(tmp_path):
     store = Store(tmp_path)
-    store.merge("raw_flights", AIRCRAFT, ["LX-AAA_20240501_01"], flights("LX-AAA_20240501_01"))
-    left = store.path("raw_flights", AIRCRAFT).with_name(".2024-05.parquet.99.part")
+    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
+    left = tmp_path / "tables/raw_flights/AQX/LX-AAA/.2024-05.parquet.99.part"
     left.write_bytes(b"PAR1 torn")
     assert store.read("raw_flights").height == 1
     assert store.sweep() == 1
     assert not left.exists()
-
-
-@pytest.mark.parametrize(
-    "aircraft", [("..", "x"), ("AQX", "../../etc"), ("AQX", ""), ("aqx", "LX-AAA"), ("AQX", "A/B")]
-)
-def test_no_name_leads_out_of_home(tmp_path, aircraft):
-    with pytest.raises(ValueError, match="not an operator and tail"):
-        Store(tmp_path).path("raw_flights", aircraft)
-
-
-def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(tmp_path):
-    frame = Store(tmp_path).read("prognoses")
-    assert frame.is_empty()
-    assert frame.columns == list(TABLES["prognoses"].schema.columns())
-
-
-def test_the_fleet_has_one_file(tmp_path):
-    store = Store(tmp_path)
-    store.replace("prognosis_model", FLEET, pl.DataFrame({"model_version": ["1"], "card": ["{}"], "model": [b"x"]}))
-    assert store.path("prognosis_model", FLEET) == tmp_path / "tables/prognosis_model/fleet.parquet"

@@ -88,7 +88,7 @@ def test_a_secret_of_the_environment_is_told_to_nobody(watched):
 )  # fmt: skip
 def test_a_name_that_is_no_name_becomes_no_path(tmp_path, aircraft):
     with pytest.raises(ValueError, match="not an operator and tail"):
-        Store(tmp_path).path("raw_snapshots", aircraft)
+        Store(tmp_path).folder("raw_snapshots", aircraft)
 
 
 @pytest.mark.parametrize(

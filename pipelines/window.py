@@ -1,0 +1,56 @@
+"""The window through which DuckDB reads a store's objects: read only, and nothing beside the tables."""
+
+import io
+import re
+from typing import Any
+
+import fsspec
+import obstore
+
+from pipelines.objects import Objects
+
+WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
+_KEY = re.compile(r"data/(\w+)(/[\w-]+)*/[\w.-]+\.parquet")
+
+
+class Window(fsspec.AbstractFileSystem):
+    """The objects below `data/` of one store; that they never change is what lets DuckDB open one twice."""
+
+    protocol = "s3"
+    cachable = False
+
+    def __init__(self, objects: Objects) -> None:
+        super().__init__()
+        self._objects = objects
+        self._root = objects.url.removeprefix("s3://") + "/"
+        self._sizes: dict[str, int] = {}
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        """Name and size."""
+        return {"name": path, "size": self._size(self._key(path)), "type": "file"}
+
+    def modified(self, path: str) -> float:
+        """When it was made: never changed since."""
+        return 0.0
+
+    def _open(self, path: str, mode: str = "rb", **_: Any) -> Any:
+        if mode != "rb":
+            raise PermissionError(f"{path} is read only")
+        key = self._key(path)
+        if self._size(key) > WHOLE_BYTES:
+            return obstore.open_reader(self._objects.store, key, size=self._size(key))
+        return io.BytesIO(bytes(obstore.get(self._objects.store, key).bytes()))
+
+    def _key(self, path: str) -> str:
+        key = self._strip_protocol(path).removeprefix(self._root)
+        if not _KEY.fullmatch(key):
+            raise FileNotFoundError(f"{path} is no object of the tables")
+        return key
+
+    def _size(self, key: str) -> int:
+        """Bytes of an object, known by one listing of its table."""
+        if key not in self._sizes:
+            self._sizes |= self._objects.sizes("/".join(key.split("/")[:2]))
+        if key not in self._sizes:
+            raise FileNotFoundError(f"{key} is not in the store")
+        return self._sizes[key]
