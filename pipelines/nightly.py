@@ -53,7 +53,7 @@ STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
         "aircraft",
         [("twin_health",), ("legs_admitted",), ("features",), ("features_alerts",)],
     ),
-    ("prognosis", "fleet", [("prognosis_base",), ("prognosis_model", "prognoses")]),
+    ("prognosis", "fleet", [("prognosis_base",), ("prognoses", "prognosis_model")]),
 ]
 
 

@@ -15,17 +15,18 @@ from pipelines.report.html import Html, join, tag
 from pipelines.report.replacement import around_replacement
 
 PACKS, COLUMNS, POINTS, Z_90 = 6, 2, 120, 1.645
-_DRAWN = (
+DRAWN = (
     "hx_fouling", "hx_fouling_sd", "hx_fouling_flight", "cc_efficiency_loss", "cc_efficiency_loss_sd",
     "hx_out_sensor_minus_dsm_k", "hx_out_sensor_minus_twin_k",
 )  # fmt: skip
+"""Features that pictures show."""
 _STYLE = ".grid{stroke:#e4e4e4;fill:none}.axis{stroke:#444;fill:none}text{font:11px sans-serif}.name{font-weight:bold}"
 
 
 def night_pictures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, Any]:
     """Health and outlet residuals of the packs most in need, and Figure 16, as Dagster shows them."""
     packs = _most_in_need(prognoses)
-    flown = features.select(*PACK, "departed_at", *_DRAWN).sort("departed_at")
+    flown = features.select(*PACK, "departed_at", *DRAWN).sort("departed_at")
     own = [
         (f"{p['tail']} pack {p['pack']}", flown.filter(pl.all_horizontal(pl.col(k) == p[k] for k in PACK)))
         for p in packs

@@ -52,8 +52,11 @@ MADE: dict[str, Made] = {
     "features": Made(("twin_health", "residuals", "legs_admitted", "raw_maintenance"), code="3"),
     "features_alerts": Made(("features",), code="5"),
     "prognosis_base": Made(),
-    "prognosis_model": Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="2"),
-    "prognoses": Made(("prognosis_model", "features")),
+    # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
+    **dict.fromkeys(
+        ("prognoses", "prognosis_model"),
+        Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="3"),
+    ),
 }
 
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hdt_core.prognosis.limits import Limit
-from hdt_core.prognosis.model import Fit, Prognosis
+from hdt_core.prognosis.model import Fit, Fits, Fold, Prognosis
 from hdt_core.prognosis.recalibrate import Correction
 
 Card = dict[str, Any]
@@ -15,14 +15,25 @@ def to_parts(model: Prognosis) -> dict[str, Any]:
     return {
         "hazard": list(model.hazard),
         "base_levels": list(model.base_levels),
-        "fits": {component: asdict(fit) for component, fit in model.fits.items()},
+        "fits": _plain(model.fits),
         "version": model.version,
+        "folds": [{"held": list(fold.held), "fits": _plain(fold.fits)} for fold in model.folds],
     }
 
 
 def from_parts(parts: dict[str, Any]) -> Prognosis:
     """Model from what `to_parts` gave."""
-    fits = {
+    low, high = parts["base_levels"]
+    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in parts.get("folds", []))
+    return Prognosis(tuple(parts["hazard"]), (low, high), _fits(parts["fits"]), parts["version"], folds)
+
+
+def _plain(fits: Fits) -> dict[str, Any]:
+    return {component: asdict(fit) for component, fit in fits.items()}
+
+
+def _fits(plain: dict[str, Any]) -> Fits:
+    return {
         component: Fit(
             Limit(**fit["limit"]),
             Correction(tuple(fit["correction"]["weights"])),
@@ -30,10 +41,8 @@ def from_parts(parts: dict[str, Any]) -> Prognosis:
             fit["failures"],
             fit["lives"],
         )
-        for component, fit in parts["fits"].items()
+        for component, fit in plain.items()
     }
-    low, high = parts["base_levels"]
-    return Prognosis(tuple(parts["hazard"]), (low, high), fits, parts["version"])
 
 
 def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card:

@@ -7,7 +7,7 @@ the interval. Remaining life is told for the case that the message comes within 
 
 import hashlib
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,12 @@ HORIZON = float(EDGES[-1])
 _LEVEL = FEATURES.index("level")
 MEMBERS = 3
 """Models in the base."""
-LEARN_EVERY = 4
-"""Of a life's flights one in so many corrects the base: neighbours say the same."""
+LEARN_EVERY, LEARN_ROWS = 4, 15_000
+"""Of a life's flights one in so many corrects the base: neighbours say the same. Of a large fleet fewer still: what is
+learned are a few numbers, and so many rows tell them."""
+FOLDS = 5
+HELD = "out_of_fold"
+IN_ORDER = ("component", *PACK, "departed_at")
 _AT_50 = int(np.searchsorted(EDGES, 50.0))
 
 
@@ -42,6 +46,18 @@ class Fit:
     levels: tuple[float, float] = (0.05, 0.95)
     failures: int = 0
     lives: int = 0
+
+
+Fits = dict[str, Fit]
+"""By component."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Groups that are judged together by what the others taught."""
+
+    held: tuple[str, ...]
+    fits: Fits
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +74,15 @@ class Prognosis:
         By component.
     version : str
         Digest of all the above.
+    folds : tuple of Fold
+        What judges each of the fleet's own tails; empty where the model was not learned from a fleet.
     """
 
     hazard: tuple[HistGradientBoostingClassifier, ...]
     base_levels: tuple[float, float]
-    fits: dict[str, Fit] = field(default_factory=dict)
+    fits: Fits = field(default_factory=dict)
     version: str = ""
+    folds: tuple[Fold, ...] = ()
 
 
 def fit_prognosis(
@@ -83,8 +102,12 @@ def fit_prognosis(
     base : Prognosis, optional
         What `fit_base` gave, where it is kept; it depends on no fleet.
     """
-    base = base or fit_base(seed)
-    return _with_fits(base, {c: _learn(base, tracks(features, lives, c), c) for c in PRIORS})
+    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in PRIORS})
+
+
+def fit_tracks(base: Prognosis, lived: dict[str, Tracks]) -> Prognosis:
+    """`base` with what all tracks of a fleet teach."""
+    return named(base, {c: _learn(base, track, c) for c, track in lived.items()})
 
 
 def predict_prognosis(
@@ -99,14 +122,13 @@ def predict_prognosis(
         the row is there and its values are null.
     """
     parts = [_say(model, tracks(features, lives, c), model.fits[c], c, split) for c in PRIORS]
-    return pl.concat(parts).sort("component", *PACK, "departed_at")
+    return pl.concat(parts).sort(IN_ORDER)
 
 
 def out_of_fold(
     features: pl.DataFrame,
     lives: pl.DataFrame,
     seed: int = 0,
-    folds: int = 5,
     base: Prognosis | None = None,
     by: str = "tail",
 ) -> pl.DataFrame:
@@ -115,16 +137,38 @@ def out_of_fold(
     With `by="operator"` no life of the tail's whole operator was seen: what a new operator may expect.
     """
     base = base or fit_base(seed)
-    parts = []
-    for component in PRIORS:
-        track = tracks(features, lives, component)
+    lived = {c: tracks(features, lives, c) for c in PRIORS}
+    return say_by_fold(base, learn_folds(base, lived, features[by].unique().to_list(), by), lived, by=by)
+
+
+def learn_folds(base: Prognosis, lived: dict[str, Tracks], groups: list[str], by: str = "tail") -> tuple[Fold, ...]:
+    """What all but a fold's groups teach, for each fold; groups of which nothing is known yet have their fold too."""
+    folds = []
+    for k in range(min(FOLDS, len(groups))):
+        held = tuple(sorted(groups)[k::FOLDS])
+        others = {c: ~np.isin(track.keys[by].to_numpy().astype(str), held) for c, track in lived.items()}
+        folds.append(Fold(held, {c: _learn(base, lived[c], c, others[c]) for c in lived}))
+    return tuple(folds)
+
+
+def say_by_fold(
+    base: Prognosis,
+    folds: tuple[Fold, ...],
+    lived: dict[str, Tracks],
+    asked: dict[str, NDArray[np.bool_]] | None = None,
+    by: str = "tail",
+) -> pl.DataFrame:
+    """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
+    parts = [
+        _say(base, _only(track, np.zeros(len(track.at), bool)), Fit(PRIORS[c]), c, HELD) for c, track in lived.items()
+    ]
+    for component, track in lived.items():
+        wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
         own = track.keys[by].to_numpy().astype(str)
-        groups = np.unique(own)
-        for held in (groups[k::folds] for k in range(max(1, min(folds, groups.size)))):  # nobody at all: no row
-            inside = np.isin(own, held)
-            model = _with_fits(base, {component: _learn(base, track, component, ~inside)})
-            parts.append(_say(model, _only(track, inside), model.fits[component], component, "out_of_fold"))
-    return pl.concat(parts).sort("component", *PACK, "departed_at")
+        for fold in folds:
+            rows, model = wanted & np.isin(own, fold.held), named(base, {component: fold.fits[component]})
+            parts.append(_say(model, _only(track, rows), fold.fits[component], component, HELD))
+    return pl.concat(parts).sort(IN_ORDER)
 
 
 def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognosis:
@@ -153,9 +197,9 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
     seen = np.unique(track.keys["tail"].to_numpy().astype(str)[use])
     levels = levels[np.isin(tails, seen)]
     limit = learn_limit(levels, PRIORS[component])
-    rows = fleet_rows(track, limit)
-    thin = track.at[:, 1] % LEARN_EVERY == 0
-    rows = rows.take(use & thin & (rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
+    every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
+    rows = fleet_rows(track, limit).take(use & (track.at[:, 1] % every == 0))
+    rows = rows.take((rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
     failures = int(np.unique(rows.life[rows.failed]).size)
     if not failures:
         return Fit(limit, levels=base.base_levels, lives=int(np.unique(rows.life).size))
@@ -167,10 +211,11 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
 
 
 def _only(track: Tracks, rows: NDArray[np.bool_]) -> Tracks:
-    """The same tracks, asked about some of their flights."""
-    return replace(
-        track, at=track.at[rows], keys=track.keys.filter(rows), left=track.left[rows], failed=track.failed[rows]
-    )
+    """The tracks of the lives that some flights belong to, asked about those flights."""
+    lives, life = np.unique(track.at[rows, 0], return_inverse=True)
+    at = np.column_stack([life, track.at[rows, 1]])
+    cut = {name: getattr(track, name)[lives] for name in ("value", "sd", "age", "door")}
+    return Tracks(**cut, at=at, keys=track.keys.filter(rows), left=track.left[rows], failed=track.failed[rows])
 
 
 def _say(model: Prognosis, track: Tracks, fit: Fit, component: str, split: str) -> pl.DataFrame:
@@ -191,7 +236,9 @@ def _say(model: Prognosis, track: Tracks, fit: Fit, component: str, split: str) 
     )  # fmt: skip
 
 
-def _with_fits(base: Prognosis, fits: dict[str, Fit]) -> Prognosis:
+def named(base: Prognosis, fits: Fits | None = None) -> Prognosis:
+    """`base` with these fits, and the digest of both for a version."""
+    fits = fits or {}
     told: dict[str, Any] = {c: [f.limit.mean, f.limit.sd, f.correction.weights, f.levels] for c, f in fits.items()}
     told["base"] = [
         base.base_levels,

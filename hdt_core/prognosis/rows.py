@@ -14,6 +14,11 @@ from hdt_core.simulate.training import draw_fleets
 Array = NDArray[np.float64]
 
 INPUTS = (*FEATURES, "limit_sd")
+LOSSES = (
+    "hx_fouling", "hx_fouling_sd", "door_full_open_share", "cc_efficiency_loss", "cc_efficiency_loss_sd",
+    "cc_diameter_loss",
+)  # fmt: skip
+"""Features that a prognosis is made of."""
 
 
 @dataclass(frozen=True, slots=True)

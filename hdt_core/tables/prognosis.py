@@ -11,6 +11,8 @@ class PrognosisModel(Table):
     model_version = text("hash of what it was trained on", nullable=False, primary_key=True)
     card = text("model card as JSON", nullable=False)
     model = dy.Binary(nullable=False, metadata={"unit": "", "meaning": "the fitted model, skops bytes"})
+    lesson = text("hash of what was known of the fleet when the model learned; null in a base")
+    heard = text("by component and pack, how many flights were spoken about, and a hash of their health, as JSON")
 
 
 class Prognoses(Table):

@@ -7,12 +7,15 @@ import polars as pl
 import skops.io
 
 from hdt_core.prognosis.card import from_parts, model_card, to_parts
-from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.lives import PACK
 from hdt_core.prognosis.model import Prognosis, fit_base
-from hdt_core.prognosis.service import serve
+from hdt_core.prognosis.record import Heard, Record
+from hdt_core.prognosis.rows import LOSSES
+from hdt_core.prognosis.service import Served, serve
 from pipelines.assets.stage import Shown, stage
-from pipelines.pictures import night_pictures
+from pipelines.pictures import DRAWN, night_pictures
 from pipelines.resources import Home
+from pipelines.store import Store
 
 # what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file
 TRUSTED = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
@@ -25,23 +28,34 @@ def prognosis_base() -> pl.DataFrame:
     return _kept(base, model_card(base))
 
 
-@stage("prognosis_model", "prognoses", group="prognosis")
+@stage("prognoses", "prognosis_model", group="prognosis", after=("features",))
 def prognosis(
-    prognosis_base: pl.DataFrame,
-    features: pl.DataFrame,
-    raw_messages: pl.DataFrame,
-    raw_maintenance: pl.DataFrame,
-    home: Home,
+    prognosis_base: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> Shown:
     """Time to the failure message: the base corrected by the fleet's own lives, each tail judged by the others'.
 
     A base that does worse than the one in service is not promoted.
     """
-    candidate, in_service = loaded(prognosis_base), home.store.read("prognosis_model")
-    lives = episodes(features, raw_messages, raw_maintenance)
-    served = serve(candidate, loaded(in_service) if in_service.height else None, features, lives)
+    features = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False)).collect()
+    served = serve(loaded(prognosis_base), _last(home.store), Record(features, raw_messages, raw_maintenance))
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
-    return Shown((_kept(served.model, served.card), served.prognoses), pictures, on=1)
+    return Shown((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)
+
+
+READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))
+"""Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
+
+
+def _last(store: Store) -> Served | None:
+    """What served until now; None where there is none, or none that says what it has spoken about."""
+    table = store.read("prognosis_model")
+    if not table.height or table["heard"][0] is None:
+        return None
+    row = table.row(0, named=True)
+    told = {
+        c: {pack: (n, digest) for pack, (n, digest) in packs.items()} for c, packs in json.loads(row["heard"]).items()
+    }
+    return Served(loaded(table), store.read("prognoses"), json.loads(row["card"]), row["lesson"], told)
 
 
 def loaded(table: pl.DataFrame) -> Prognosis:
@@ -49,7 +63,8 @@ def loaded(table: pl.DataFrame) -> Prognosis:
     return from_parts(skops.io.loads(table["model"][0], trusted=TRUSTED))
 
 
-def _kept(model: Prognosis, card: dict[str, Any]) -> pl.DataFrame:
-    return pl.DataFrame(
-        {"model_version": [model.version], "card": [json.dumps(card)], "model": [skops.io.dumps(to_parts(model))]}
-    )
+def _kept(
+    model: Prognosis, card: dict[str, Any], lesson: str | None = None, heard: dict[str, Heard] | None = None
+) -> pl.DataFrame:
+    row = {"model_version": model.version, "card": json.dumps(card), "model": skops.io.dumps(to_parts(model))}
+    return pl.DataFrame([row | {"lesson": lesson, "heard": None if heard is None else json.dumps(heard)}])

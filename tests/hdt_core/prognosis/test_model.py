@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
@@ -13,6 +14,7 @@ from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import fit_base, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.record import Record
 from hdt_core.prognosis.rows import INPUTS
 from hdt_core.prognosis.service import serve
 
@@ -109,20 +111,48 @@ def test_a_worse_model_is_not_promoted(fitted):
 
 
 def test_service_keeps_the_model_that_does_better(fleet, fitted):
-    features, lives, model = fitted
+    features, _, model = fitted
+    record = Record(*fleet)
     blind = replace(model, base_levels=(0.45, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
-    first = serve(model, None, features, lives)
+    first = serve(model, None, record)
     assert first.card["promoted"]
     assert first.card["scores"]["failures"] > 5
-    again = serve(blind, first.model, features, lives)
+    again = serve(blind, first, record)
     assert not again.card["promoted"]
     assert "worse" in again.card["promotion"]
     assert again.model.version == first.model.version
     assert again.prognoses.equals(first.prognoses)
-    better = serve(model, blind, features, lives)
+    better = serve(model, replace(first, model=blind, lesson="another"), record)
     assert better.card["promoted"]
     assert better.model.version == first.model.version
+
+
+def test_what_was_served_night_by_night_is_what_one_night_serves(fleet, base):
+    """Within a month, over its end, with a flight that came late: the same record, the same prognoses."""
+    whole, at = Record(*fleet), datetime(2024, 3, 10, tzinfo=UTC)
+    late = replace(whole, features=whole.features.filter(pl.col("flight_id") != whole.features["flight_id"][40]))
+    last, learned = None, set()
+    for record in (late.before(at), late.before(at + timedelta(days=2)), whole.before(at + timedelta(days=2))):
+        last = serve(base, last, record)
+        learned.add(last.model.version)
+        alone = serve(base, None, record)
+        assert last.prognoses.equals(alone.prognoses)
+        assert last.heard == alone.heard
+    assert len(learned) == 2  # the late flight was flown in a month that had been learned from; new ones had not
+    assert serve(base, last, whole).lesson != last.lesson
+
+
+def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
+    at = datetime(2024, 3, 10, tzinfo=UTC)
+    first = serve(base, None, Record(*fleet).before(at))
+    marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
+    after = serve(base, marked, Record(*fleet).before(at + timedelta(days=1)))
+    kept = after.prognoses.filter(pl.col("departed_at") < at)
+    assert (kept["p_event_50"] == 0.123).all()
+    new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")
+    assert new.height == 8 * 2 * 3
+    assert not (new["p_event_50"] == 0.123).any()
 
 
 def _contrary(seed: int) -> HistGradientBoostingClassifier:

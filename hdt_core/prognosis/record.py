@@ -1,0 +1,78 @@
+"""What a fleet has on record, as it stood at any time, and which of it has been said already."""
+
+import hashlib
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import polars as pl
+
+from hdt_core.prognosis.limits import PRIORS
+from hdt_core.prognosis.lives import PACK, episodes
+from hdt_core.prognosis.rows import Tracks, tracks
+
+Heard = dict[str, tuple[int, str]]
+"""Of each pack, `operator|tail|pack`: how many flights, and a digest of their health."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Flights with their health, messages and log of a fleet.
+
+    Attributes
+    ----------
+    features : DataFrame
+        operator, tail, flight_id, pack, departed_at and the losses that `rows.tracks` reads.
+    messages, maintenance : DataFrame
+        As for `lives.episodes`.
+    """
+
+    features: pl.DataFrame
+    messages: pl.DataFrame
+    maintenance: pl.DataFrame
+
+    def before(self, moment: datetime) -> "Record":
+        """What was known then: nothing that was flown, raised or signed later."""
+        return Record(
+            self.features.filter(pl.col("departed_at") < moment),
+            self.messages.filter(pl.col("message_time") < moment),
+            self.maintenance.filter(pl.col("done_on") < moment.date()),
+        )
+
+    def month(self) -> datetime:
+        """First moment of the month of the last flight, UTC; of the year 1 where none has flown."""
+        last = self.features["departed_at"].max()
+        newest = last if isinstance(last, datetime) else datetime(1, 1, 1, tzinfo=UTC)
+        return datetime(newest.year, newest.month, 1, tzinfo=UTC)
+
+    def lives(self) -> pl.DataFrame:
+        """Lives of all units."""
+        return episodes(self.features, self.messages, self.maintenance)
+
+    def tracks(self) -> dict[str, Tracks]:
+        """Health tracks by component."""
+        lives = self.lives()
+        return {c: tracks(self.features, lives, c) for c in PRIORS}
+
+
+def heard(track: Tracks, earlier: Heard | None = None) -> tuple[Heard, np.ndarray]:
+    """Digest of each pack's track, and which flights are not, or not as they now are, in `earlier`. (n,) bool"""
+    told: Heard = {}
+    new, start = np.ones(len(track.at), dtype=bool), 0
+    for *pack, flights in track.keys.group_by(PACK, maintain_order=True).len().rows():
+        name, end = "|".join(str(part) for part in pack), start + flights
+        told[name] = (flights, _digest(track, start, end))
+        n, digest = (earlier or {}).get(name, (0, ""))
+        if 0 < n <= flights and _digest(track, start, start + n) == digest:
+            new[start : start + n] = False
+        start = end
+    return told, new
+
+
+def _digest(track: Tracks, start: int, end: int) -> str:
+    """Of what a prognosis is made of, flight by flight: health, door, age, and the flight's name."""
+    life, column = track.at[start:end].T
+    known = [values[life, column] for values in (track.value, track.sd, track.age, track.door)]
+    numbers = np.column_stack([*known, column]).astype(float)
+    names = "|".join(track.keys["flight_id"][start:end])
+    return hashlib.blake2b(numbers.tobytes() + names.encode(), digest_size=10).hexdigest()
