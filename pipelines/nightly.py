@@ -21,12 +21,13 @@ from pipelines.landing import scan
 from pipelines.ledger import Ledger
 from pipelines.store import Store
 from pipelines.versions import CELL, stale
-from pipelines.workers import Workers, workers
+from pipelines.workers import Workers, sends_out, workers
 
 if TYPE_CHECKING:
     from dagster import DagsterInstance
 
     from pipelines.blocks import Block, Made
+    from pipelines.elsewhere import Elsewhere
     from pipelines.runs import Runner
 
 # In order: what is made in one run, over which partitions, node by node. A run has one kind of partition,
@@ -138,10 +139,12 @@ def run_night(
         Processes that may work side by side, where there is enough to do; 1 with an `instance` of the caller's.
     """
     ledger, began = Ledger(home), _now()
-    Store(home).sweep()
-    found = scan(landing, ledger)
     with workers(landing, home, 1 if instance else jobs) as hands:
         chain = _Chain(landing, home, ledger, progress, only, instance, hands)
+        if sends_out(home):
+            chain.send_out()
+        Store(home).sweep()
+        found = scan(landing, ledger)
         for label, grain, nodes in STEPS:
             chain.step(label, grain, nodes)
     night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
@@ -163,10 +166,17 @@ class _Chain:
     progress: Progress
     only: pl.Expr | None
     instance: DagsterInstance | None
-    hands: Workers
+    hands: Workers | Elsewhere
     runs: int = 0
     cells: int = 0
     failed: dict[str, str] = field(default_factory=dict)
+
+    def send_out(self) -> None:
+        """Let other machines make the blocks, once what a killed night had sent them is done."""
+        from pipelines.elsewhere import Elsewhere
+
+        self.hands = Elsewhere(self.runner)
+        self.hands.settle()
 
     def step(self, label: str, grain: str, nodes: list[tuple[str, ...]]) -> None:
         """Bring the nodes up to date; one that is not stale runs only if a node before it does."""
@@ -201,5 +211,6 @@ class _Chain:
 
         defs = build_defs(landing=self.landing.resolve(), home=self.home.resolve())
         runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
-        runner.bury()
+        if not sends_out(self.home):
+            runner.bury()
         return runner

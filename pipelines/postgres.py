@@ -107,9 +107,7 @@ def _answering(url: str) -> Iterator[None]:
     try:
         import psycopg2
     except ImportError:
-        raise DatabaseError(
-            f"{URL} names a database; install the extra postgres"
-        ) from None
+        raise DatabaseError(f"{URL} names a database; install the extra postgres") from None
     try:
         yield
     except psycopg2.ProgrammingError as error:

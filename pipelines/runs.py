@@ -1,7 +1,9 @@
 """Dagster runs: where they are recorded, one run of a block of cells, what failed."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import dagster as dg
 import polars as pl
@@ -15,7 +17,7 @@ from pipelines.ledger import Ledger
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
-_NIGHT = {"hdt/night": "yes"}  # a run of the chain, and none that someone started from the page
+NIGHT = {"hdt/night": "yes"}  # a run of the chain, and none that someone started from the page
 _OURS = "# Written by hdt."
 _INSTANCE = """\
 # Written by hdt. Delete this line to make the file yours. Everything lies below this folder; nothing is sent anywhere.
@@ -61,7 +63,7 @@ class Runner:
         Only for who has just taken the home's lock: none of them can be alive.
         """
         begun = [dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED]
-        for run in self.instance.get_runs(dg.RunsFilter(statuses=begun, tags=_NIGHT)):
+        for run in self.instance.get_runs(dg.RunsFilter(statuses=begun, tags=NIGHT)):
             self.instance.report_run_failed(run, "the process was stopped; the next night made what was missing")
 
     def register(self, cells: pl.DataFrame) -> None:
@@ -90,16 +92,25 @@ class Runner:
         alone = [self.make(tables, one, label) for one in block.apart()]
         return Made(block, 1 + len(alone), {where: why for one in alone for where, why in one.failed.items()})
 
+    def job(self, tables: list[str]) -> dg.JobDefinition:
+        """Dagster's job that makes `tables`."""
+        keys = frozenset(dg.AssetKey(t) for t in tables)
+        return self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
+
+    def create(self, job: dg.JobDefinition, block: Block, **origins: Any) -> dg.DagsterRun:
+        """A run for `block` that is yet to begin; `origins` say where another process finds its code."""
+        tags, asked = block.tags() | NIGHT, job.asset_selection
+        return self.instance.create_run_for_job(job, tags=tags, asset_selection=asked, run_config=_QUIET, **origins)
+
     def _run(self, tables: list[str], block: Block) -> str | None:
         """Make `tables` for `block`; None, or why it failed."""
-        keys = frozenset(dg.AssetKey(t) for t in tables)
-        job = self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
-        run = self.instance.create_run_for_job(job, tags=block.tags() | _NIGHT, asset_selection=keys, run_config=_QUIET)
+        job = self.job(tables)
+        run = self.create(job, block)
         result = execute_run(InMemoryJob(job), run, self.instance, raise_on_error=False)
         if result.success:
             return None
         self._show_failed(run.run_id, block)
-        return _why(result)
+        return why_failed(result.all_events) or "the run stopped before a step could say why"
 
     def _show_failed(self, run_id: str, block: Block) -> None:
         """Let the partitions page show as failed what was asked for and not made, and no cell that no flight fills."""
@@ -108,12 +119,12 @@ class Runner:
             log.planned_in_vain(run_id, cells)
 
 
-def _why(result: object) -> str:
-    """The innermost error of a failed run, in one line."""
-    for event in result.filter_events(lambda e: e.is_step_failure):  # type: ignore[attr-defined]
-        error = event.event_specific_data.error
+def why_failed(events: Iterable[dg.DagsterEvent]) -> str | None:
+    """The innermost error of the first step that failed, in one line."""
+    for event in events:
+        error = event.step_failure_data.error if event.is_step_failure else None
         while error is not None and error.cause is not None:
             error = error.cause
         if error is not None:
             return str(error.message).strip().splitlines()[0].removeprefix("dagster._core.definitions.events.Failure: ")
-    return "the run stopped before a step could say why"
+    return None

@@ -27,6 +27,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+class EngineError(Exception):
+    """Runs can't be sent out to other machines; says why and what to do, in one line."""
+
+
+def sends_out(home: Path) -> bool:
+    """Whether the home's `dagster.yaml` names a launcher of runs; read as text, for Dagster takes seconds to load."""
+    settings = home / "dagster" / "dagster.yaml"
+    return settings.exists() and any(line.startswith("run_launcher:") for line in settings.read_text().splitlines())
+
+
 class Workers:
     """Processes that make blocks of one home; started when there is first something to share out."""
 

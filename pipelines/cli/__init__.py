@@ -13,10 +13,11 @@ def main() -> None:
     """Run the command; whatever a user can mend is said in one line."""
     from pipelines.nightly import BusyError
     from pipelines.postgres import DatabaseError
+    from pipelines.workers import EngineError
 
     try:
         sys.exit(app(standalone_mode=False))
-    except (StopError, BusyError, DatabaseError) as error:
+    except (StopError, BusyError, DatabaseError, EngineError) as error:
         said = str(error)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "hdt"
