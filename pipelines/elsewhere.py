@@ -59,7 +59,7 @@ class Elsewhere:
                 if (again := run.tags.get(AUTO_RETRY_RUN_ID_TAG)) and not run.is_success:
                     waiting[again] = block
                     continue
-                why = None if run.is_success else self._why(run)
+                why = None if run.is_success else self._why(run, block)
                 if why and len(block.aircraft) > 1:  # their cells count once: as their block's
                     waiting |= {self._send(tables, one): replace(one, cells=0) for one in block.apart()}
                     why = None
@@ -104,7 +104,8 @@ class Elsewhere:
         under_way = self.instance.get_runs(dg.RunsFilter(statuses=_UNDER_WAY, tags=NIGHT), limit=1)
         return bool(under_way) or any(self._in_doubt(r) for r in self.instance.get_runs(lost))
 
-    def _why(self, run: dg.DagsterRun) -> str:
+    def _why(self, run: dg.DagsterRun, block: Block) -> str:
+        self.runner.show_failed(run.run_id, block)
         kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
         events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]
         return why_failed(events) or (events[-1].message if events else f"it ended as {run.status.value}")

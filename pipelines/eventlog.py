@@ -47,7 +47,7 @@ def batch_events() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Series:
+class Series:
     """Events that differ only in their partition: the first as it was handed over, its row, and all partitions."""
 
     event: EventLogEntry
@@ -74,10 +74,37 @@ def _dimensions(partition: str | None) -> dict[str, str]:
     return dict(get_tags_from_multi_partition_key(partition)) if isinstance(partition, MultiPartitionKey) else {}
 
 
-class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
-    """The embedded default: same tables as stock, a transaction a batch instead of two an event."""
+class OneForMany:
+    """What an event log needs to let one event stand for those that differ in nothing but the partition.
+
+    Whoever mixes it in stores a series of them by `_mirror`.
+    """
 
     supports_partition_subset_in_asset_materialization_planned_events = True
+    _alike: dict[tuple[str, AssetKey | None], Sequence[MultiPartitionKey]]
+
+    def stands_for(self, run_id: str, asset_key: AssetKey, partitions: Sequence[MultiPartitionKey]) -> None:
+        """Let the run's next materialisation of the asset, that of the first partition, count for all of these."""
+        self._alike[run_id, asset_key] = partitions
+
+    def planned_in_vain(self, run_id: str, partitions: Sequence[str]) -> None:
+        """Show these partitions as planned for every asset that the failed run did not materialise."""
+        made = {e.get_dagster_event().asset_key for e in self.get_logs_for_run(run_id, of_type=_MADE)}
+        planned = self.get_logs_for_run(run_id, of_type=_PLANNED)
+        self._mirror([self._one(e, partitions) for e in planned if _what(e)[1] not in made])
+
+    def _partitions(self, event: EventLogEntry) -> Sequence[str | None]:
+        stands = self._alike.pop(_what(event), None) if event.dagster_event_type == _MADE else None
+        return stands or [event.get_dagster_event().partition]
+
+    def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> Series:
+        if event.dagster_event_type == _PLANNED:  # the run's tags name its range; its keys once more would be 100 kB
+            event = _of(event, partitions[0])
+        return Series(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
+
+
+class BatchedSqliteEventLogStorage(OneForMany, SqliteEventLogStorage):
+    """The embedded default: same tables as stock, a transaction a batch instead of two an event."""
 
     def __init__(self, base_dir: str, inst_data: ConfigurableClassData | None = None) -> None:
         self._alike: dict[tuple[str, AssetKey | None], Sequence[MultiPartitionKey]] = {}
@@ -120,16 +147,6 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
             engine.dispose()
         self._engines.clear()
 
-    def stands_for(self, run_id: str, asset_key: AssetKey, partitions: Sequence[MultiPartitionKey]) -> None:
-        """Let the run's next materialisation of the asset, that of the first partition, count for all of these."""
-        self._alike[run_id, asset_key] = partitions
-
-    def planned_in_vain(self, run_id: str, partitions: Sequence[str]) -> None:
-        """Show these partitions as planned for every asset that the failed run did not materialise."""
-        made = {e.get_dagster_event().asset_key for e in self.get_logs_for_run(run_id, of_type=_MADE)}
-        planned = self.get_logs_for_run(run_id, of_type=_PLANNED)
-        self._mirror([self._one(e, partitions) for e in planned if _what(e)[1] not in made])
-
     def store_event(self, event: EventLogEntry) -> None:
         """Store one event, as a batch where it stands for others."""
         if event.is_dagster_event and event.dagster_event_type == _MADE and _what(event) in self._alike:
@@ -150,16 +167,7 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
         if series:
             self._mirror(series)
 
-    def _partitions(self, event: EventLogEntry) -> Sequence[str | None]:
-        stands = self._alike.pop(_what(event), None) if event.dagster_event_type == _MADE else None
-        return stands or [event.get_dagster_event().partition]
-
-    def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> _Series:
-        if event.dagster_event_type == _PLANNED:  # the run's tags name its range; its keys once more would be 100 kB
-            event = _of(event, partitions[0])
-        return _Series(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
-
-    def _mirror(self, series: Sequence[_Series]) -> None:
+    def _mirror(self, series: Sequence[Series]) -> None:
         """Copy the events to the cross-run index with their tags; of each asset the newest of a type counts."""
         with self.index_transaction() as conn:
             newest = {}
@@ -169,7 +177,7 @@ class BatchedSqliteEventLogStorage(SqliteEventLogStorage):
             for event, event_id in newest.values():
                 self._store_asset_event(conn, event, event_id)
 
-    def _copied(self, conn: Connection, one: _Series) -> int:
+    def _copied(self, conn: Connection, one: Series) -> int:
         """Id of the series' last row; ids follow each other, for the first insert holds the shard's only write lock."""
         first = conn.execute(SqlEventLogStorageTable.insert(), one.row).inserted_primary_key[0]
         self._store_asset_event_tags(conn, [one.event], [first])

@@ -9,7 +9,7 @@ from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.eventlog import BatchedSqliteEventLogStorage
+from pipelines.eventlog import OneForMany
 from pipelines.ledger import Ledger
 from pipelines.store import FLEET, Store
 from pipelines.versions import CELL, expected
@@ -98,7 +98,7 @@ class FrameIO(dg.IOManager):
         filled = set((frame if frame.height else cells).select(CELL).unique().rows())
         kept = [k for k in context.asset_partition_keys if partitions.cell_of(k) in filled]
         log = context.step_context.instance.event_log_storage
-        if isinstance(log, BatchedSqliteEventLogStorage) and kept:
+        if isinstance(log, OneForMany) and kept:
             log.stands_for(context.run_id, context.asset_key, kept)
             kept = kept[:1]
         context._asset_partitions_subset = DefaultPartitionsSubset(set(kept))

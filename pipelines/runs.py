@@ -12,7 +12,7 @@ from dagster._core.execution.api import execute_run
 
 from pipelines import partitions
 from pipelines.blocks import Block, Known, Made, by_aircraft
-from pipelines.eventlog import BatchedSqliteEventLogStorage, batch_events
+from pipelines.eventlog import OneForMany, batch_events
 from pipelines.ledger import Ledger
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
@@ -109,13 +109,13 @@ class Runner:
         result = execute_run(InMemoryJob(job), run, self.instance, raise_on_error=False)
         if result.success:
             return None
-        self._show_failed(run.run_id, block)
+        self.show_failed(run.run_id, block)
         return why_failed(result.all_events) or "the run stopped before a step could say why"
 
-    def _show_failed(self, run_id: str, block: Block) -> None:
+    def show_failed(self, run_id: str, block: Block) -> None:
         """Let the partitions page show as failed what was asked for and not made, and no cell that no flight fills."""
         log, cells = self.instance.event_log_storage, self.known().cells(block)
-        if isinstance(log, BatchedSqliteEventLogStorage) and cells:
+        if isinstance(log, OneForMany) and cells:
             log.planned_in_vain(run_id, cells)
 
 

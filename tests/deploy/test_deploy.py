@@ -1,5 +1,6 @@
 """What can be checked of the container files without an engine: names, commands and settings that fit together."""
 
+import importlib
 import re
 import shutil
 from pathlib import Path
@@ -39,16 +40,22 @@ def test_the_page_is_published_to_this_machine_only():
     assert all(p.startswith("127.0.0.1:") for s in SERVICES.values() for p in s.get("ports", []))
 
 
-def test_dagster_takes_the_settings_and_finds_its_variables(tmp_path, monkeypatch):
-    text = (ROOT / "deploy/dagster.yaml").read_text()
+@pytest.mark.parametrize("name", ["dagster.yaml", "celery.yaml"])
+def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tmp_path, monkeypatch):
+    text = (ROOT / "deploy" / name).read_text()
     (tmp_path / "dagster.yaml").write_text(text)
     wanted = set(re.findall(r"env: (\w+)", text))
-    assert all(wanted <= set(s["environment"]) for s in OURS.values())
-    for name in wanted:
-        monkeypatch.setenv(name, "postgresql://nobody@127.0.0.1:1/none")
+    assert name != "dagster.yaml" or all(wanted <= set(s["environment"]) for s in OURS.values())
+    for variable in wanted:
+        monkeypatch.setenv(variable, "postgresql://nobody@127.0.0.1:1/none")
     settings, _ = dagster_instance_config(str(tmp_path))
     assert settings["telemetry"] == {"enabled": False}
-    assert "postgres" in settings["storage"]
+    named = [s for s in settings.values() if isinstance(s, dict) and "class" in s]
+    assert len(named) >= 4
+    assert all(hasattr(importlib.import_module(s["module"]), s["class"]) for s in named)
+    kept_in = [s["module"] for key, s in settings.items() if key.endswith("_storage")]
+    assert len(kept_in) == 3
+    assert all("postgres" in module for module in kept_in)
 
 
 def test_the_image_copies_what_it_needs_and_is_let_see_it():

@@ -1,20 +1,30 @@
 """The batched event log writes what stock Dagster writes, so that stock Dagster reads it."""
 
 import re
-import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
 
 import dagster as dg
+import pytest
+import sqlalchemy
 from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
+from databases import SERVER, new_database
 
-CONFIG = """
-event_log_storage:
-  module: {module}
-  class: {cls}
-  config:
-    base_dir: {base}/history
-"""
-STOCK = ("dagster._core.storage.event_log", "SqliteEventLogStorage")
-OURS = ("pipelines.eventlog", "BatchedSqliteEventLogStorage")
+KEPT_IN = {
+    "sqlite": ("base_dir: {base}/history", "sqlite:///{base}/history/index.db"),
+    "postgresql": ("postgres_url: {url}", "{url}"),
+}
+STOCK, OURS = (
+    {
+        "sqlite": ("dagster._core.storage.event_log", "SqliteEventLogStorage"),
+        "postgresql": ("dagster_postgres.event_log", "PostgresEventLogStorage"),
+    },
+    {
+        "sqlite": ("pipelines.eventlog", "BatchedSqliteEventLogStorage"),
+        "postgresql": ("pipelines.eventlog_postgres", "BatchedPostgresEventLogStorage"),
+    },
+)
 TABLES = ("event_logs", "asset_keys", "asset_event_tags", "asset_check_executions", "dynamic_partitions")
 UNLIKE = re.compile(r'"(timestamp|pid)": [\d.]+|"run_id": "[^"]+"|event_pointer/\w+": "\d+"|_version[/\w]*": "\w{64}"')
 
@@ -55,29 +65,59 @@ def third(context):
     return 0
 
 
-def ran(base, module, cls, monkeypatch, batch: str):
-    """Tables of the index shard after one run over 2 x 3 cells."""
-    base.mkdir()
-    (base / "dagster.yaml").write_text(CONFIG.format(module=module, cls=cls, base=base))
+class Log:
+    """Where one contestant's events are kept: the folder of an instance, and the address of its tables."""
+
+    def __init__(self, base: Path, kept_in: str, url: str) -> None:
+        base.mkdir()
+        settings, tables = KEPT_IN[kept_in]
+        self.base, self.kept_in, self.settings = base, kept_in, settings.format(base=base, url=url)
+        self.tables = sqlalchemy.create_engine(tables.format(base=base, url=url), poolclass=sqlalchemy.NullPool)
+
+    def instance(self, who: dict[str, tuple[str, str]]) -> dg.DagsterInstance:
+        """Stock's or ours, over the same tables."""
+        module, cls = who[self.kept_in]
+        where = {"log": "event_log_storage", "module": module, "class": cls}
+        said = "{log}:\n  module: {module}\n  class: {class}\n  config:\n    ".format(**where)
+        (self.base / "dagster.yaml").write_text(f"{said}{self.settings}\n")
+        instance = dg.DagsterInstance.from_config(str(self.base))
+        assert type(instance.event_log_storage).__name__ == cls
+        return instance
+
+
+@pytest.fixture(params=KEPT_IN)
+def new_log(request, tmp_path) -> Iterator[Callable[[str], Log]]:
+    """Makes an empty log; of PostgreSQL where HDT_TEST_POSTGRES names a server."""
+    if request.param == "postgresql" and not SERVER:
+        pytest.skip("HDT_TEST_POSTGRES names no PostgreSQL server")
+    with ExitStack() as databases:
+
+        def make(name: str) -> Log:
+            url = databases.enter_context(new_database()) if request.param == "postgresql" else ""
+            return Log(tmp_path / name, request.param, url)
+
+        yield make
+
+
+def ran(log: Log, who, monkeypatch, batch: str):
+    """Tables of the index after one run over 2 x 3 cells."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", batch)
     # stock plans one event an asset where it is asked to
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
-    instance = dg.DagsterInstance.from_config(str(base))
+    instance = log.instance(who)
     instance.add_dynamic_partitions("aircraft", ["A", "B"])
     instance.add_dynamic_partitions("flight", ["1", "2", "3"])
     tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|3"}
     assets, keeper = [first, second, third], {"one": OneStandsForAll()}
     done = dg.materialize(assets, resources=keeper, instance=instance, tags=tags)
     assert done.success
-    assert type(instance.event_log_storage).__name__ == cls
     records = instance.fetch_materializations(dg.AssetKey("second"), limit=100).records
     instance.dispose()
-    return shape(base / "history/index.db"), sorted(r.partition_key for r in records)
+    return shape(log), sorted(r.partition_key for r in records)
 
 
-def shape(path):
+def shape(log: Log):
     """What the tables hold, less what must differ between two runs: ids, times, hashes of the run."""
-    con = sqlite3.connect(path)
     asked = {
         "event_logs": "select dagster_event_type, step_key, asset_key, partition, count(*) from event_logs"
         " group by 1, 2, 3, 4",
@@ -89,24 +129,26 @@ def shape(path):
         " from asset_check_executions group by 1, 2, 3, 4",
         "dynamic_partitions": "select partitions_def_name, partition from dynamic_partitions",
     }
-    found = {name: sorted(map(str, con.execute(sql).fetchall())) for name, sql in asked.items()}
-    events = con.execute("select event from event_logs where asset_key = '[\"third\"]' and partition is not null")
-    found["events"] = sorted(UNLIKE.sub("", text) for (text,) in events)
-    con.close()
+    with log.tables.connect() as con:
+        found = {name: sorted(map(str, con.exec_driver_sql(sql))) for name, sql in asked.items()}
+        events = con.exec_driver_sql(
+            "select event from event_logs where asset_key = '[\"third\"]' and partition is not null"
+        )
+        found["events"] = sorted(UNLIKE.sub("", text) for (text,) in events)
     return found
 
 
-def test_tables_equal_those_of_stock_dagster(tmp_path, monkeypatch):
-    stock, said_by_stock = ran(tmp_path / "stock", *STOCK, monkeypatch, "0")
-    ours, said_by_ours = ran(tmp_path / "ours", *OURS, monkeypatch, "1000")
+def test_tables_equal_those_of_stock_dagster(new_log, monkeypatch):
+    stock, said_by_stock = ran(new_log("stock"), STOCK, monkeypatch, "0")
+    ours, said_by_ours = ran(new_log("ours"), OURS, monkeypatch, "1000")
     assert ours == stock
     assert said_by_ours == said_by_stock == sorted(f"{a}|{f}" for a in "AB" for f in "123")
 
 
-def test_stock_dagster_reads_what_the_batch_wrote(tmp_path, monkeypatch):
-    ran(tmp_path / "ours", *OURS, monkeypatch, "1000")
-    (tmp_path / "ours/dagster.yaml").write_text(CONFIG.format(module=STOCK[0], cls=STOCK[1], base=tmp_path / "ours"))
-    instance = dg.DagsterInstance.from_config(str(tmp_path / "ours"))
+def test_stock_dagster_reads_what_the_batch_wrote(new_log, monkeypatch):
+    log = new_log("ours")
+    ran(log, OURS, monkeypatch, "1000")
+    instance = log.instance(STOCK)
     for name in ("first", "third"):
         assert len(instance.get_materialized_partitions(dg.AssetKey(name))) == 6
     newest = {r.partition_key: r for r in instance.fetch_materializations(dg.AssetKey("third"), limit=100).records}
@@ -128,25 +170,25 @@ def broken() -> None:
     raise ValueError("no")
 
 
-def test_cells_of_a_failed_run_show_as_stock_shows_them(tmp_path, monkeypatch):
+def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
     """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
-    cells, found = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], {}
+    cells, found = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
     tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
-    for module, cls in (STOCK, OURS):
-        base = tmp_path / cls
-        base.mkdir()
-        (base / "dagster.yaml").write_text(CONFIG.format(module=module, cls=cls, base=base))
-        with dg.DagsterInstance.from_config(str(base)) as instance:
+    for who in (STOCK, OURS):
+        with new_log(f"log{len(found)}").instance(who) as instance:
             instance.add_dynamic_partitions("aircraft", ["A", "B"])
             instance.add_dynamic_partitions("flight", ["1", "2"])
             done = dg.materialize([sound, broken], instance=instance, tags=tags, raise_on_error=False)
             log = instance.event_log_storage
-            if cls == OURS[1]:
+            if who is OURS:
                 log.planned_in_vain(done.run_id, cells)
             in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
-            found[cls] = {
-                name: {cell: run_id == done.run_id for cell, (run_id, _) in in_vain(dg.AssetKey(name)).items()}
-                for name in ("sound", "broken")
-            }
-    assert found[OURS[1]] == found[STOCK[1]] == {"sound": {}, "broken": dict.fromkeys(cells, True)}
+            found.append(
+                {
+                    name: {cell: run_id == done.run_id for cell, (run_id, _) in in_vain(dg.AssetKey(name)).items()}
+                    for name in ("sound", "broken")
+                }
+            )
+    stock, ours = found
+    assert ours == stock == {"sound": {}, "broken": dict.fromkeys(cells, True)}

@@ -18,13 +18,7 @@ from pipelines.simulated import write_fleet
 
 pytestmark = pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
 
-SETTINGS = """\
-storage:
-  postgres:
-    postgres_url: {url}
-telemetry:
-  enabled: false
-"""
+SETTINGS = Path(__file__).parents[2] / "deploy/dagster.yaml"
 
 
 @pytest.fixture
@@ -44,7 +38,8 @@ def test_a_night_is_recorded_as_in_the_embedded_default(database: str, tmp_path:
     list(write_fleet(tmp_path, 3, FleetSettings(operators=1, tails=2, flights=12)))
     monkeypatch.setattr(nightly, "STEPS", nightly.STEPS[:5])
     (tmp_path / "production/dagster").mkdir(parents=True)
-    (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.format(url=database))
+    (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.read_text())
+    monkeypatch.setenv("HDT_POSTGRES_URL", database)
     made = []
     for home in (tmp_path / "embedded", tmp_path / "production"):
         night = nightly.run_night(tmp_path / "landing", home, Silent())
@@ -53,6 +48,6 @@ def test_a_night_is_recorded_as_in_the_embedded_default(database: str, tmp_path:
         made.append((type(instance.event_log_storage).__name__, cells(instance)))
         instance.dispose()
     (embedded, first), (postgres, second) = made
-    assert (embedded, postgres) == ("BatchedSqliteEventLogStorage", "PostgresEventLogStorage")
+    assert (embedded, postgres) == ("BatchedSqliteEventLogStorage", "BatchedPostgresEventLogStorage")
     assert first == second
     assert all(len(c) >= 20 for name, c in first.items() if name in {"raw_snapshots", "legs_samples", "twin_flights"})
