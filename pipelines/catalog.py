@@ -98,7 +98,9 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
         raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
     store, con = Store(home.resolve()), _opened(home)
     named = con.execute("select sql from duckdb_views() where schema_name = 'tables' limit 1").fetchall()
-    if named and _quoted(store.root).rstrip("'") not in named[0][0]:  # the home was moved or copied, its views were not
+    if (
+        named and _quoted(f"{store.root}/").rstrip("'") not in named[0][0]
+    ):  # the home was moved or copied, its views were not
         con.close()
         if "'s3://" in named[0][0] or store.remote:
             raise ValueError(f"the catalog in {home} reads another store than {store.root}; set {URL} as it was")

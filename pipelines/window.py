@@ -2,6 +2,7 @@
 
 import io
 import re
+from datetime import UTC, datetime
 from typing import Any
 
 import fsspec
@@ -29,9 +30,9 @@ class Window(fsspec.AbstractFileSystem):
         """Name and size."""
         return {"name": path, "size": self._size(self._key(path)), "type": "file"}
 
-    def modified(self, path: str) -> float:
-        """When it was made: never changed since."""
-        return 0.0
+    def modified(self, path: str) -> datetime:
+        """The same for all: an object never changes."""
+        return datetime.fromtimestamp(0, UTC)
 
     def _open(self, path: str, mode: str = "rb", **_: Any) -> Any:
         if mode != "rb":
@@ -44,7 +45,7 @@ class Window(fsspec.AbstractFileSystem):
     def _key(self, path: str) -> str:
         key = self._strip_protocol(path).removeprefix(self._root)
         if not _KEY.fullmatch(key):
-            raise FileNotFoundError(f"{path} is no object of the tables")
+            raise PermissionError(f"{path} is no object of the tables")
         return key
 
     def _size(self, key: str) -> int:

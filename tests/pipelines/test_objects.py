@@ -1,0 +1,141 @@
+"""Tables in an object store: killed between objects and manifest, swept, looked at from the catalog, a whole night."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pytest
+from nights import run
+from soundness import faults, fingerprint
+
+from pipelines.catalog import connect, publish, views
+from pipelines.export import export
+from pipelines.faults import OF_OBJECTS
+from pipelines.isolate import sight_of
+from pipelines.ledger import Ledger
+from pipelines.objects import Objects, objects
+from pipelines.report import write_report
+from pipelines.store import FLEET, URL, Store
+
+TABLE = "prognosis_model"
+WRITE = "import sys, polars as pl; from pathlib import Path; from pipelines.store import FLEET, Store;" + (
+    f" Store(Path(sys.argv[1])).replace({TABLE!r}, FLEET, pl.read_json(sys.argv[2].encode()))"
+)
+
+
+def write(store: Store, version: str) -> None:
+    store.replace(TABLE, FLEET, pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]}))
+
+
+def version(store: Store) -> list[str]:
+    return store.read(TABLE)["model_version"].to_list()
+
+
+@pytest.mark.parametrize("point", OF_OBJECTS)
+def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_path, point):
+    store = Store(tmp_path, s3_url)
+    write(store, "old")
+    row = json.dumps([{"model_version": "new", "card": "{}", "model": ""}])
+    told = os.environ | {URL: s3_url, "HDT_FAULT": f"{point}:1"}
+    died = subprocess.run([sys.executable, "-c", WRITE, str(tmp_path), row], env=told, check=False)
+    assert died.returncode == -signal.SIGKILL
+    assert version(store) == ["new" if point == "after_manifest" else "old"]
+    assert len(store.shelf.sizes("data")) == (1 if point == "before_write" else 2)
+
+
+def test_what_nobody_names_goes_when_it_has_been_so_for_long(s3_url, tmp_path):
+    """Not before: a reader may still be at it. What the published catalog reads is named too."""
+    patient, hasty = Objects(s3_url), Objects(s3_url, grace_s=0.0)
+    store = Store(tmp_path, s3_url)
+    write(store, "1")
+    published = patient.snapshot([TABLE])[TABLE]
+    for later in ("2", "3"):
+        write(store, later)
+    assert (patient.sweep(), patient.sweep()) == (0, 0)
+    assert hasty.sweep() == 1  # of three: one is named by the manifest, one by the catalog
+    left = {f"{s3_url}/{key}" for key in hasty.sizes("data")}
+    assert left == {*published, *store.shelf.sources(TABLE)}
+    patient.snapshot([TABLE])
+    assert hasty.sweep() == 1
+    assert version(store) == ["3"]
+
+
+def test_a_catalog_reads_the_objects_of_its_hour(s3_url, tmp_path, monkeypatch):
+    monkeypatch.setenv(URL, s3_url)
+    store = Store(tmp_path)
+    write(store, "1")
+    publish(tmp_path)
+    write(store, "2")
+    for expected in ("1", "2"):
+        with connect(tmp_path) as con:
+            assert con.sql(f"select model_version from tables.{TABLE}").fetchall() == [(expected,)]
+        publish(tmp_path)
+
+
+FORBIDDEN = (
+    "select * from read_text('{url}/published.json')",
+    "select * from read_text('{url}/manifests/prognosis_model/manifest.json')",
+    "select * from read_text('{url}/data/../published.json')",
+    "select * from read_parquet('{url}/data/prognosis_model/*.parquet')",
+    "select * from read_parquet('s3://tests/other/data/prognosis_model/fleet.0.parquet')",
+    "select * from read_text('/etc/passwd')",
+    "select * from read_text('http://127.0.0.1/')",
+    "copy (select 1) to '{url}/data/prognosis_model/pwned.parquet'",
+    "set enable_external_access = true",
+)
+
+
+def test_through_the_catalog_nothing_but_the_tables_is_reached(s3_url, tmp_path, monkeypatch):
+    monkeypatch.setenv(URL, s3_url)
+    write(Store(tmp_path), "1")
+    publish(tmp_path)
+    before = set(objects(s3_url).sizes(""))
+    with connect(tmp_path) as con:
+        for sql in FORBIDDEN:
+            with suppress(duckdb.Error):  # refused; what the window does not show is not found, or no rows
+                assert con.execute(sql.format(url=s3_url)).fetchall() == []
+        assert con.execute("select current_setting('enable_external_access')").fetchall() == [(False,)]
+        assert con.execute(f"select model_version from tables.{TABLE}").fetchall() == [("1",)]
+    assert set(objects(s3_url).sizes("")) == before
+
+
+def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypatch):
+    """Whoever forgets the variable must not publish a catalog over no tables."""
+    monkeypatch.setenv(URL, s3_url)
+    publish(tmp_path)
+    before = (tmp_path / "catalog.duckdb").read_bytes()
+    for other in ("", f"{s3_url}x", str(tmp_path / "elsewhere")):
+        monkeypatch.setenv(URL, other)
+        with pytest.raises(ValueError, match="reads another store"):
+            connect(tmp_path)
+    assert (tmp_path / "catalog.duckdb").read_bytes() == before
+
+
+def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_home, tmp_path, monkeypatch):
+    base = Store(sample_home).read("prognosis_base")
+    monkeypatch.setenv(URL, s3_url)
+    home = tmp_path / "home"
+    Store(home).replace("prognosis_base", FLEET, base)
+    Ledger(home).mark("prognosis_base", Ledger(sample_home).done("prognosis_base"))
+    assert not run(sample_landing, home).failed
+    assert not (home / "tables").exists()
+    assert faults(home, sample_landing) == []
+    on_objects = fingerprint(home)
+    write_report(home, tmp_path / "report.html")
+    rows = export(home, tmp_path / "out", sight_of(home, None, None), "parquet")
+    assert run(sample_landing, home).idle
+    monkeypatch.delenv(URL)
+    assert on_objects == fingerprint(sample_home)
+    assert rows == {v: n for v, n in _counts(sample_home).items() if v in rows}
+    assert set(rows) == set(views())
+
+
+def _counts(home: Path) -> dict[str, int]:
+    with connect(home) as con:
+        return {v: con.execute(f"select count(*) from {v}").fetchone()[0] for v in views()}
