@@ -10,6 +10,7 @@ import duckdb
 from hdt_core.tables import TABLES
 from pipelines.files import replacing
 from pipelines.meanings import Header, declared, meaning, read_header
+from pipelines.objects import StoreError
 from pipelines.store import URL, Store
 
 CATALOG = "catalog.duckdb"
@@ -91,7 +92,7 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     ------
     FileNotFoundError
         Nothing has been published yet.
-    ValueError
+    StoreError
         What was published reads another store than HDT_STORE_URL names.
     """
     if not (home / CATALOG).exists():
@@ -103,7 +104,7 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     ):  # the home was moved or copied, its views were not
         con.close()
         if "'s3://" in named[0][0] or store.remote:
-            raise ValueError(f"the catalog in {home} reads another store than {store.root}; set {URL} as it was")
+            raise StoreError(f"the catalog in {home} reads another store than {store.root}; set {URL} as it was")
         publish(home)
         con = _opened(home)
     ((locked,),) = con.execute("select current_setting('lock_configuration')").fetchall()  # to its end, or `sql` fails

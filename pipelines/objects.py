@@ -15,12 +15,13 @@ import json
 import os
 import time
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
 
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
 GRACE_S = 24 * 3600.0
 _AT_ONCE = 32  # requests under way: each waits for the network far longer than it works
 _PUBLISHED, _UNNAMED = "published.json", "unnamed.json"
+
+
+class StoreError(OSError):
+    """What keeps the tables from being read or written, in one line."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Objects:
         try:
             from obstore.store import S3Store
         except ImportError:
-            raise RuntimeError("an object store needs the extra s3: pip install 'hybrid-digital-twin[s3]'") from None
+            raise StoreError("an object store needs the extra s3: pip install 'hybrid-digital-twin[s3]'") from None
         return S3Store.from_url(self.url, client_options={"allow_http": _plain_http()})
 
     def sources(self, table: str, folders: Iterable[str] | None = None) -> list[str]:
@@ -81,7 +86,7 @@ class Objects:
             now = self._read(_manifest(folder))
 
             def held(shard: str, now: Manifest = now) -> pl.DataFrame | None:
-                return pl.read_parquet(io.BytesIO(self._get(now.shards[shard]))) if shard in now.shards else None
+                return pl.read_parquet(io.BytesIO(self.get(now.shards[shard]))) if shard in now.shards else None
 
             new = {shard: self._put_shard(folder, shard, frame) for shard, frame in change(held)}
             done = not new or self._commit(folder, now, new)
@@ -110,7 +115,8 @@ class Objects:
             return 0
         there = set(self._list("data"))  # listed first: what is named in between is found among the named
         named = {key for m in self._manifests(self._list("manifests")) for key in m.shards.values()}
-        stray = there - named - set(json.loads(self._get(_PUBLISHED, b"[]")))
+        published = self._ask(_PUBLISHED)
+        stray = there - named - set(json.loads(published.content) if published else ())
         now = time.time()
         gone = {key for key in stray if now - seen.get(key, now) >= self.grace_s}
         self._delete(gone)
@@ -121,21 +127,19 @@ class Objects:
         """Bytes of each object below a prefix."""
         import obstore
 
-        found = chain.from_iterable(obstore.list(self.store, prefix))
-        return {meta["path"]: meta["size"] for meta in found}
+        with _told():
+            found = chain.from_iterable(obstore.list(self.store, prefix))
+            return {meta["path"]: meta["size"] for meta in found}
 
     def _list(self, prefix: str) -> list[str]:
         return list(self.sizes(prefix))
 
     def _unnamed(self) -> tuple[dict[str, float], float]:
         """What nobody named at the last sweep, each since when, and how long ago that sweep was."""
-        import obstore
-
-        try:
-            answer = obstore.get(self.store, _UNNAMED)
-        except FileNotFoundError:
+        answer = self._ask(_UNNAMED)
+        if answer is None:
             return {}, float("inf")
-        return json.loads(bytes(answer.bytes())), time.time() - answer.meta["last_modified"].timestamp()
+        return json.loads(answer.content), time.time() - answer.meta["last_modified"].timestamp()
 
     def _manifests(self, keys: list[str]) -> list[Manifest]:
         if len(keys) < 2:
@@ -144,13 +148,8 @@ class Objects:
             return list(pool.map(self._read, keys))
 
     def _read(self, key: str) -> Manifest:
-        import obstore
-
-        try:
-            answer = obstore.get(self.store, key)
-        except FileNotFoundError:
-            return Manifest()
-        return Manifest(json.loads(bytes(answer.bytes())), answer.meta["e_tag"])
+        answer = self._ask(key)
+        return Manifest(json.loads(answer.content), answer.meta["e_tag"]) if answer else Manifest()
 
     def _commit(self, folder: str, before: Manifest, new: dict[str, str]) -> bool:
         """Name the new objects beside those that stay; False if another writer has named his own meanwhile."""
@@ -172,26 +171,55 @@ class Objects:
         self._put(key, packed.getvalue())
         return key
 
-    def _get(self, key: str, default: bytes | None = None) -> bytes:
+    def get(self, key: str) -> bytes:
+        """An object whole."""
+        answer = self._ask(key)
+        if answer is None:
+            raise StoreError(f"{self.url}/{key} is gone; it was replaced more than {self.grace_s / 3600:.0f} hours ago")
+        return answer.content
+
+    def _ask(self, key: str) -> "_Answer | None":
         import obstore
 
-        try:
-            return bytes(obstore.get(self.store, key).bytes())
-        except FileNotFoundError:
-            if default is None:
-                raise
-            return default
+        with _told():
+            try:
+                answer = obstore.get(self.store, key)
+                return _Answer(bytes(answer.bytes()), answer.meta)
+            except FileNotFoundError:
+                return None
 
     def _put(self, key: str, content: bytes, **how: Any) -> None:
         import obstore
 
-        obstore.put(self.store, key, content, **how)
+        with _told():
+            obstore.put(self.store, key, content, **how)
 
     def _delete(self, keys: set[str]) -> None:
         import obstore
 
-        if keys:
-            obstore.delete(self.store, sorted(keys))
+        with _told():
+            if keys:
+                obstore.delete(self.store, sorted(keys))
+
+
+class _Answer(NamedTuple):
+    """An object and what the store says of it."""
+
+    content: bytes
+    meta: Any
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """What the server or the network says, in one line; a refused condition goes on its way."""
+    from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+
+    try:
+        yield
+    except (AlreadyExistsError, PreconditionError):
+        raise
+    except BaseError as error:
+        raise StoreError(str(error).splitlines()[0]) from None
 
 
 @cache

@@ -13,7 +13,7 @@ import polars as pl
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
 from pipelines.files import Change, Files, Held, sweep
-from pipelines.objects import Objects, objects
+from pipelines.objects import Objects, StoreError, objects
 
 if TYPE_CHECKING:
     import duckdb
@@ -41,7 +41,7 @@ class Store:
         if self.url.startswith("s3://"):
             return objects(self.url)
         if "://" in self.url.removeprefix("file://"):
-            raise ValueError(f"{URL} is a folder or s3://bucket/prefix, not {self.url!r}")
+            raise StoreError(f"{URL} is a folder or s3://bucket/prefix, not {self.url!r}")
         return Files(Path(self.url.removeprefix("file://")) if self.url else self.home / "tables")
 
     @property

@@ -40,7 +40,7 @@ class Window(fsspec.AbstractFileSystem):
         key = self._key(path)
         if self._size(key) > WHOLE_BYTES:
             return obstore.open_reader(self._objects.store, key, size=self._size(key))
-        return io.BytesIO(bytes(obstore.get(self._objects.store, key).bytes()))
+        return io.BytesIO(self._objects.get(key))
 
     def _key(self, path: str) -> str:
         key = self._strip_protocol(path).removeprefix(self._root)

@@ -6,9 +6,10 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-import object_server
 import pytest
 from nights import run
+
+from benchmarks import object_server
 
 SAMPLES = Path(__file__).parents[1] / "data_samples"
 AIRCRAFT = ("AQX/LX-AAB", "BZR/A9-BAC")

@@ -19,7 +19,7 @@ from pipelines.export import export
 from pipelines.faults import OF_OBJECTS
 from pipelines.isolate import sight_of
 from pipelines.ledger import Ledger
-from pipelines.objects import Objects, objects
+from pipelines.objects import Objects, StoreError, objects
 from pipelines.report import write_report
 from pipelines.store import FLEET, URL, Store
 
@@ -112,7 +112,7 @@ def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypa
     before = (tmp_path / "catalog.duckdb").read_bytes()
     for other in ("", f"{s3_url}x", str(tmp_path / "elsewhere")):
         monkeypatch.setenv(URL, other)
-        with pytest.raises(ValueError, match="reads another store"):
+        with pytest.raises(StoreError, match="reads another store"):
             connect(tmp_path)
     assert (tmp_path / "catalog.duckdb").read_bytes() == before
 
@@ -139,3 +139,11 @@ def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_
 def _counts(home: Path) -> dict[str, int]:
     with connect(home) as con:
         return {v: con.execute(f"select count(*) from {v}").fetchone()[0] for v in views()}
+
+
+def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, monkeypatch):
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "a-wrong-secret")
+    with pytest.raises(StoreError, match="403") as told:
+        Objects(s3_url).sources(TABLE)
+    assert "\n" not in str(told.value)
+    assert "a-wrong-secret" not in str(told.value)

@@ -8,6 +8,7 @@ import pytest
 
 from hdt_core.tables import TABLES
 from pipelines.files import replacing
+from pipelines.objects import StoreError
 from pipelines.store import FLEET, Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
@@ -114,7 +115,7 @@ def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     assert (tmp_path / "elsewhere/raw_flights/AQX/LX-AAA/2024-05.parquet").exists()
     assert not (tmp_path / "home").exists()
     monkeypatch.setenv("HDT_STORE_URL", "gs://bucket")
-    with pytest.raises(ValueError, match="HDT_STORE_URL is a folder or s3"):
+    with pytest.raises(StoreError, match="HDT_STORE_URL is a folder or s3"):
         _ = Store(tmp_path).shelf
     monkeypatch.delenv("HDT_STORE_URL")
     assert Store(tmp_path / "home").root == str(tmp_path / "home/tables")

@@ -1,6 +1,7 @@
-"""A real S3 server for the tests: SeaweedFS, on the local host, with ports and a folder of its own."""
+"""A real S3 server for tests and benchmarks: SeaweedFS, on the local host, with ports and a folder of its own."""
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -15,12 +16,13 @@ from pathlib import Path
 SERVER = shutil.which("weed", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
 _PARTS = ("master.port", "volume.port", "filer.port", "s3.port")
 _KEYS = {"AWS_ACCESS_KEY_ID": "tests", "AWS_SECRET_ACCESS_KEY": "only-for-tests", "AWS_REGION": "us-east-1"}
+METRICS = "HDT_TEST_S3_METRICS"
 
 
 @contextmanager
 def serving(folder: Path, patience_s: float = 60.0) -> Iterator[dict[str, str]]:
     """The variables by which a client finds the server and may write to it, while it runs."""
-    ports = dict(zip((*_PARTS, *(f"{p}.grpc" for p in _PARTS)), _free(2 * len(_PARTS)), strict=True))
+    ports = dict(zip((*_PARTS, *(f"{p}.grpc" for p in _PARTS), "metricsPort"), _free(2 * len(_PARTS) + 1), strict=True))
     where = ["-ip=127.0.0.1", "-ip.bind=127.0.0.1", f"-dir={folder}", *(f"-{p}={n}" for p, n in ports.items())]
     size = ["-master.volumeSizeLimitMB=64", "-volume.max=50", "-s3.port.iceberg=0", "-s3.port.lance=0"]
     folder.mkdir(parents=True, exist_ok=True)
@@ -30,12 +32,22 @@ def serving(folder: Path, patience_s: float = 60.0) -> Iterator[dict[str, str]]:
     address = f"http://127.0.0.1:{ports['s3.port']}"
     try:
         _wait(address, server, time.monotonic() + patience_s)
-        yield {**_KEYS, "AWS_ENDPOINT_URL": address}
+        yield {**_KEYS, "AWS_ENDPOINT_URL": address, METRICS: f"http://127.0.0.1:{ports['metricsPort']}/metrics"}
     finally:
         server.kill()
         server.wait()
         for socket_file in (f for n in ports.values() for f in Path("/tmp").glob(f"seaweedfs-*-{n}.sock")):
             socket_file.unlink()
+
+
+def requests() -> dict[str, int]:
+    """How many requests of each kind the server has answered, by its own count."""
+    with urllib.request.urlopen(os.environ[METRICS]) as page:
+        said = page.read().decode()
+    found: dict[str, int] = {}
+    for kind, n in re.findall(r'^SeaweedFS_s3_request_total\{.*?type="(\w+)".*?\} (\S+)$', said, flags=re.MULTILINE):
+        found[kind] = found.get(kind, 0) + int(float(n))
+    return found
 
 
 def _free(n: int) -> list[int]:
