@@ -52,7 +52,7 @@ STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
     (
         "health, features, alerts",
         "aircraft",
-        [("twin_health",), ("legs_admitted",), ("features",), ("features_alerts",)],
+        [("twin_health", "twin_chapters"), ("legs_admitted",), ("features",), ("features_alerts",)],
     ),
     ("prognosis", "fleet", [("prognosis_base",), ("prognoses", "prognosis_model")]),
 ]

@@ -47,7 +47,7 @@ MADE: dict[str, Made] = {
     **dict.fromkeys(("calibration_dsm", "calibration_design"), Made(("legs_samples",), baseline=True, code="4")),
     "twin_flights": Made(("legs_samples", "calibration_dsm"), code="2"),
     "residuals": Made(("twin_flights",)),
-    "twin_health": Made(("twin_flights", "raw_maintenance"), code="8"),
+    **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="9")),
     "legs_admitted": Made(("twin_health", "raw_messages", "raw_maintenance"), code="2"),
     "features": Made(("twin_health", "residuals", "legs_admitted", "raw_maintenance"), code="3"),
     "features_alerts": Made(("features",), code="5"),

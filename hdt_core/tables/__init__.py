@@ -75,6 +75,7 @@ TABLES: dict[str, Entry] = {
     ),
     "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
     "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
+    "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history")),
     "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
     "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),

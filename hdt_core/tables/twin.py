@@ -1,12 +1,22 @@
 """Stage twin: how each pack is now, flight by flight."""
 
+from typing import Any
+
 import dataframely as dy
 
-from hdt_core.tables.base import Table, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import Table, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
 
 
 def _samples(meaning: str) -> dy.Int32:
     return dy.Int32(nullable=False, min=0, metadata={"unit": "-", "meaning": meaning})
+
+
+def _key(meaning: str, **kw: Any) -> dy.Int64:
+    return dy.Int64(nullable=False, primary_key=kw.pop("primary_key", True), metadata={"unit": "-", "meaning": meaning})
+
+
+def _numbers(meaning: str) -> dy.List:
+    return dy.List(dy.Float64(nullable=False), nullable=False, metadata={"unit": "-", "meaning": meaning})
 
 
 class TwinFlights(Table):
@@ -69,3 +79,21 @@ class TwinHealth(Table):
     unit = text("unit", nullable=False)
     status = text("how the estimate ended", nullable=False)
     estimator = text("method", nullable=False)
+
+
+class TwinChapters(Table):
+    """One of the histories a pack may have had, as believed when a chapter of a hundred flights began; for going on."""
+
+    operator = operator_key()
+    tail = tail_key()
+    pack = pack_key()
+    chapter = _key("chapter of the pack's flights, from 1; the first begins with no belief")
+    seen = text("hash of the flights before the chapter and of all else the belief rests on", nullable=False)
+    history = _key("number of the history within the belief")
+    log_weight = number("ln of its probability", nullable=False)
+    mean = _numbers("wear [-], its rate [1/flight], offsets of sensors and unit [-], what is not the core's [-]")
+    cov = _numbers("covariance of these five, row by row")
+    pace = _key("way to wear, an index of `PACES`", primary_key=False)
+    since = _key("flights since the core was renewed or washed", primary_key=False)
+    unlogged = flag("no entry of the log has spoken of that renewal yet")
+    faulty = flag("something else than the core is wrong")

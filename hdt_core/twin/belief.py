@@ -35,6 +35,21 @@ class Belief(NamedTuple):
         """Histories at `rows`, copied."""
         return Belief(*(values[rows] for values in self))
 
+    def of(self, pack: int) -> "Belief":
+        """Histories of one pack."""
+        first, last = np.searchsorted(self.pack, [pack, pack + 1])
+        return self.at(np.arange(first, last))
+
+    def of_first(self, n: int) -> "Belief":
+        """Histories of the first n packs, not copied."""
+        rows = int(np.searchsorted(self.pack, n))
+        return self if rows == len(self.pack) else Belief(*(values[:rows] for values in self))
+
+    @property
+    def n_packs(self) -> int:
+        """How many packs there are, numbered without gaps."""
+        return int(self.pack[-1]) + 1
+
 
 class Passage(NamedTuple):
     """How one flight led from histories to histories, for looking back.
@@ -86,14 +101,14 @@ def _runs(heads: Array, n: int) -> Array:
 
 def _merged(b: Belief, heads: Array) -> Belief:
     """One history for each run that starts at `heads`; labels are those of the heaviest, which stands first."""
-    if len(heads) == len(b.pack):
-        return b
     run = _runs(heads, len(b.pack))
-    weight = np.exp(b.log_weight)
+    top = b.log_weight[heads]
+    # against the heaviest: a history that stands alone stays what it was to the last digit, whoever else is there
+    weight = np.exp(b.log_weight - top[run])
     total = np.add.reduceat(weight, heads)
     share = weight / total[run]
     mean = np.add.reduceat(share[:, None] * b.mean, heads)
     off = b.mean - mean[run]
     spread = b.cov + off[:, :, None] * off[:, None, :]
     cov = np.add.reduceat(share[:, None, None] * spread, heads)
-    return b.at(heads)._replace(log_weight=np.log(total), mean=mean, cov=cov)
+    return b.at(heads)._replace(log_weight=top + np.log(total), mean=mean, cov=cov)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hdt_core.twin.belief import Belief, Passage
+from hdt_core.twin.belief import Belief, Passage, joined
 from hdt_core.twin.crossing import Array
 from hdt_core.twin.histories import wear_summary
 from hdt_core.twin.wear import WEAR, transition
@@ -12,13 +12,13 @@ from hdt_core.twin.wear import WEAR, transition
 LEAST_SD, LEAST_WEIGHT = 1e-4, 1e-300
 
 
-def looking_back(beliefs: Sequence[Belief], passages: Sequence[Passage], n: int) -> tuple[Array, Array]:
-    r"""Mean and standard deviation of ln loss of n packs at each flight, from all flights. (flights, n) each
+def looking_back(beliefs: Sequence[Belief], passages: Sequence[Passage]) -> list[tuple[Array, Array]]:
+    r"""Mean and standard deviation of ln loss at each flight, from all flights: (packs,) each, packs that still fly.
 
     Parameters
     ----------
     beliefs, passages : sequence
-        After each flight, and how it was come by: of `histories.step`.
+        After each flight, and how it was come by: of `histories.step`. Packs drop out from the last.
 
     Notes
     -----
@@ -27,13 +27,14 @@ def looking_back(beliefs: Sequence[Belief], passages: Sequence[Passage], n: int)
 
     .. math:: x_{k|N} = x_{k|k} + P_{k|k} (D F)^T P_{k+1|k}^{-1} (x_{k+1|N} - x_{k+1|k})
     """
-    wear, sd = np.empty((len(beliefs), n)), np.empty((len(beliefs), n))
     smoothed = beliefs[-1]
-    wear[-1], sd[-1] = wear_summary(smoothed, n)
-    for k in range(len(beliefs) - 2, -1, -1):
-        smoothed = _one_back(beliefs[k], passages[k + 1], smoothed)
-        wear[k], sd[k] = wear_summary(smoothed, n)
-    return wear, sd
+    told = [wear_summary(smoothed, smoothed.n_packs)]
+    for before, passage in zip(beliefs[-2::-1], passages[:0:-1], strict=True):
+        led_on = before.of_first(smoothed.n_packs)
+        ended = before.at(np.arange(len(led_on.pack), len(before.pack)))
+        smoothed = joined([_one_back(led_on, passage, smoothed), ended])
+        told.append(wear_summary(smoothed, smoothed.n_packs))
+    return told[::-1]
 
 
 def _one_back(before: Belief, passage: Passage, after: Belief) -> Belief:

@@ -13,8 +13,9 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     """Where the log speaks of a component: on flights about the entry's day (open), and on the first flight after
     (due).
 
-    `WASHED` or `REPLACED`, else `NOTHING`. An entry may be days late: that is for the filter to see. An entry from
-    before a pack's first flight says nothing: how long the part flew until the record begins is not known.
+    `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`crossing.IN_ORDER`). An entry may be days late:
+    that is for the filter to see. An entry from before a pack's first flight says nothing: how long the part flew until
+    the record begins is not known.
     """
     log_open, log_due = np.zeros(flights.height, dtype=np.int64), np.zeros(flights.height, dtype=np.int64)
     entries = maintenance.filter(
@@ -24,21 +25,23 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     )
     if not entries.height or not flights.height:
         return log_open, log_due
-    rows = (
-        flights.with_row_index("row")
-        .group_by(PACK, maintain_order=True)
-        .agg("row", pl.col("departed_at").dt.date().alias("day"))
-    )
-    met = entries.select(*PACK, "done_on", "action").join(rows, on=PACK)
-    for entry in met.iter_rows(named=True):
-        kind = WASHED if entry["action"] == "CLEANED" else REPLACED
-        index, day = np.array(entry["row"]), np.array(entry["day"], dtype="datetime64[D]")
-        after = (day - np.datetime64(entry["done_on"])).astype(int)
-        if after.min() > LOG_WINDOW_DAYS:
+    day = flights["departed_at"].dt.date().to_numpy()
+    start, last = 0, {}
+    for *pack, n in flights.group_by(PACK, maintain_order=True).len().rows():
+        last[tuple(pack)] = (start, start + n)
+        start += n
+    for *pack, done_on, action in entries.select(*PACK, "done_on", "action").rows():
+        first, end = last.get(tuple(pack), (0, 0))
+        window = np.datetime64(done_on) + np.arange(LOG_WINDOW_DAYS + 1)
+        if first == end or day[first] > window[-1]:
             continue
-        near = index[(after >= 0) & (after <= LOG_WINDOW_DAYS)]
+        kind = WASHED if action == "CLEANED" else REPLACED
+        near = slice(
+            first + np.searchsorted(day[first:end], window[0]),
+            first + np.searchsorted(day[first:end], window[-1], "right"),
+        )
         log_open[near] = np.maximum(log_open[near], kind)
-        later = index[after > 0]
-        if len(later):
-            log_due[later[0]] = max(int(log_due[later[0]]), kind)
+        due = first + int(np.searchsorted(day[first:end], window[0], "right"))
+        if due < end:
+            log_due[due] = max(int(log_due[due]), kind)
     return log_open, log_due

@@ -6,19 +6,26 @@ import numpy as np
 import polars as pl
 
 from hdt_core.twin import histories
+from hdt_core.twin.bookmarks import first_page, read_pages, written
+from hdt_core.twin.chapters import CHAPTER, pass_along
 from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.hindsight import looking_back
 from hdt_core.twin.lumped import lumped_coefficients
 from hdt_core.twin.machine import compressor_parameters
-from hdt_core.twin.renewals import log_flags
-from hdt_core.twin.wear import Observation, Settings
+from hdt_core.twin.wave import Wave, prints, side_by_side
+from hdt_core.twin.wear import Settings
 from hdt_core.twin.witness import Corrections, corrections
 
 FILTERED, SMOOTHED = "kalman_filtered", "kalman_smoothed"
-BLOCK_FLIGHTS = 8_000
-"""Flights of packs that advance side by side: looking back keeps all their beliefs, some 15 kB a flight."""
+LOSS, IN_HINDSIGHT = "hx_fouling", "hx_fouling_smoothed"
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
+
+
+class Tracked(NamedTuple):
+    """Health parameters in long form, and the bookmarks from which the next night goes on."""
+
+    health: pl.DataFrame
+    chapters: pl.DataFrame
 
 
 def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
@@ -38,47 +45,68 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
     DataFrame
         Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator.
     """
+    return track_on(twin_flights, maintenance, dsm).health
+
+
+def track_on(
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: Tracked | None = None, seal: str = ""
+) -> Tracked:
+    """`track`, going on from what is `known` of packs whose earlier flights are what they were.
+
+    Parameters
+    ----------
+    known : Tracked, optional
+        What an earlier call gave for the same packs, or for some of them.
+    seal : str
+        Names what else the track rests on, the version of the code; what is known under another is not gone on from.
+    """
     flights = twin_flights.sort(IN_ORDER)
-    exchanger = fouling(flights, maintenance, dsm)
-    rows = [exchanger, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
-    return pl.concat(rows).sort(*PACK, "departed_at", "flight_id", "component", "parameter")
-
-
-class Wave(NamedTuple):
-    """Flights of all packs side by side, (flights, packs); `row` is the row in the frame, -1 where a pack has no
-    more."""
-
-    row: Array
-    ratio: Array
-    variance: Array
-    exposure: Array
-    log_open: Array
-    log_due: Array
-
-    @property
-    def n_rows(self) -> int:
-        """Rows of the frame."""
-        return int((self.row >= 0).sum())
-
-    def flight(self, k: int, packs: slice) -> Observation:
-        """Flight k of some packs."""
-        return Observation(*(values[k, packs] for values in self[1:]))
+    health, chapters = _exchanger(flights, maintenance, dsm, known, f"{seal}|{dsm.dsm_version}")
+    rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
+    return Tracked(pl.concat(rows).sort(*PACK, "departed_at", "flight_id", "component", "parameter"), chapters)
 
 
 def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:
-    """`hx_fouling` of every row of `flights` (in order), and `hx_fouling_smoothed`, which also knows later flights.
+    """`hx_fouling` of every row of `flights` (in order), and `hx_fouling_smoothed`, which also knows flights to come,
+    one to two hundred of them.
 
     `literal` walks pack by pack, flight by flight, and does not look back.
     """
+    if not literal:
+        return _exchanger(flights, maintenance, dsm, None, "")[0]
     faults = corrections(flights)
-    wave = _side_by_side(flights, faults, maintenance, dsm)
-    settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
-    map_sd = np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float))
-    if literal:
-        return _rows(flights, "hx_fouling", FILTERED, *one_by_one(wave, settings), map_sd, faults)
-    filtered, smoothed = all_at_once(wave, settings)
-    tracks = (("hx_fouling", FILTERED, filtered), ("hx_fouling_smoothed", SMOOTHED, smoothed))
-    return pl.concat(_rows(flights, name, how, *track, map_sd, faults) for name, how, track in tracks)
+    wave = side_by_side(flights, faults, maintenance, dsm)
+    return _rows(flights, LOSS, FILTERED, *one_by_one(wave, _settings(dsm)), _map_sd(flights), faults)
+
+
+def _exchanger(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: Tracked | None, seal: str) -> Tracked:
+    faults, map_sd = corrections(flights), _map_sd(flights)
+    wave = side_by_side(flights, faults, maintenance, dsm)
+    named = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
+    seen = prints(wave, [map_sd, faults.variance, faults.fault], named, seal, CHAPTER)
+    packs = flights.select(PACK).unique(maintain_order=True)
+    pages = first_page(packs.height) if known is None else read_pages(known.chapters, packs, seen)
+    passed = pass_along(wave, _settings(dsm), pages.begin, pages.bookmarks)
+    new = pl.Series(np.isfinite(passed.found[0]))
+    tracks = ((LOSS, FILTERED, passed.found[:2]), (IN_HINDSIGHT, SMOOTHED, passed.found[2:]))
+    health = pl.concat(
+        _rows(flights, name, how, told[0], told[1], map_sd, faults).filter(new) for name, how, told in tracks
+    )
+    if known is not None and not new.all():
+        kept = known.health.filter(pl.col("parameter").is_in([LOSS, IN_HINDSIGHT])).select(health.columns)
+        kept = kept.join(flights.filter(~new).select(KEYS), on=KEYS, how="semi")
+        if kept.height != len(tracks) * (~new).sum():  # something removed what the bookmarks speak of
+            return _exchanger(flights, maintenance, dsm, None, seal)
+        health = pl.concat([kept, health])
+    return Tracked(health, written(packs, seen, pages, passed.bookmarks))
+
+
+def _settings(dsm: Dsm) -> Settings:
+    return Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
+
+
+def _map_sd(flights: pl.DataFrame) -> Array:
+    return np.asarray(np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float)))
 
 
 def _rows(
@@ -104,26 +132,6 @@ def _rows(
     )
 
 
-def all_at_once(wave: Wave, settings: Settings) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Filtered and smoothed (mean, sd) of ln loss after each flight, packs advancing together. (rows of the frame,)"""
-    found = np.empty((4, wave.n_rows))
-    side_by_side = max(1, BLOCK_FLIGHTS // max(1, wave.row.shape[0]))
-    for first in range(0, wave.row.shape[1], side_by_side):
-        packs = slice(first, min(first + side_by_side, wave.row.shape[1]))
-        n, beliefs, passages = packs.stop - packs.start, [], []
-        belief = histories.start(n, settings)
-        for k in range(wave.row.shape[0]):
-            belief, passage = histories.step(belief, wave.flight(k, packs), settings)
-            beliefs.append(belief)
-            passages.append(passage)
-        summaries = np.array([histories.wear_summary(b, n) for b in beliefs])
-        back = looking_back(beliefs, passages, n)
-        here = wave.row[:, packs] >= 0
-        for j, track in enumerate((summaries[:, 0], summaries[:, 1], *back)):
-            found[j, wave.row[:, packs][here]] = track[here]
-    return (found[0], found[1]), (found[2], found[3])
-
-
 def one_by_one(wave: Wave, settings: Settings) -> tuple[Array, Array]:
     """Return the filtered track by the literal recursion: flight k of a pack starts from what is known after k - 1."""
     level, sd = np.empty(wave.n_rows), np.empty(wave.n_rows)
@@ -131,7 +139,7 @@ def one_by_one(wave: Wave, settings: Settings) -> tuple[Array, Array]:
         belief = histories.start(1, settings)
         for k, row in enumerate(wave.row[:, pack]):
             if row >= 0:
-                belief, _ = histories.step(belief, wave.flight(k, slice(pack, pack + 1)), settings)
+                belief, _ = histories.step(belief, wave.flight(np.array([k]), np.array([pack])), settings)
                 mean, spread = histories.wear_summary(belief, 1)
                 level[row], sd[row] = mean[0], spread[0]
     return level, sd
@@ -141,30 +149,3 @@ def loss_of(level: Array, sd: Array) -> tuple[Array, Array]:
     """Loss as a fraction and its standard deviation, from ln loss and its own."""
     left = np.exp(-level)
     return 1.0 - left, left * sd
-
-
-def _side_by_side(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame, dsm: Dsm) -> Wave:
-    pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
-    n_packs = int(pack.max()) + 1 if len(pack) else 0
-    start = np.searchsorted(pack, np.arange(n_packs))
-    turn = np.arange(len(pack)) - start[pack] if len(pack) else np.zeros(0, dtype=np.int64)
-    shape = (int(turn.max()) + 1 if len(turn) else 0, n_packs)
-    index = np.full(shape, -1)
-    index[turn, pack] = np.arange(len(pack))
-    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
-    sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
-    variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
-    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
-    log_open, log_due = log_flags(flights, maintenance, "HX")
-
-    def spread(values: Array, empty: float) -> Array:
-        return np.where(index >= 0, values[np.maximum(index, 0)], empty)
-
-    return Wave(
-        index,
-        spread(ratio, np.nan),
-        spread(variance, 1.0),
-        spread(exposure, 1.0),
-        spread(log_open, 0),
-        spread(log_due, 0),
-    )

@@ -120,8 +120,9 @@ def predict(mean: Array, cov: Array, pace: Array, since: Array, faulty: Array) -
 
 def innovation(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array]:
     """Residual and its variance for each state, 0 where nothing was seen. (m,) each"""
-    variance = (cov @ ROW) @ ROW + seen.variance
-    return np.where(np.isfinite(seen.ratio), seen.ratio - level - mean @ ROW, 0.0), variance
+    # sums and no product of matrices: that one's last digits depend on which packs stand side by side
+    variance = ((cov @ ROW) * ROW).sum(axis=1) + seen.variance
+    return np.where(np.isfinite(seen.ratio), seen.ratio - level - (mean * ROW).sum(axis=1), 0.0), variance
 
 
 def update(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array, Array]:

@@ -6,8 +6,11 @@ import polars as pl
 
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import track
+from hdt_core.twin.track import Tracked, track_on
 from pipelines.assets.stage import stage
+from pipelines.io import Asked
+from pipelines.resources import Home
+from pipelines.versions import MADE
 
 
 def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
@@ -21,9 +24,13 @@ def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame) -> p
     return estimate_flights(legs_samples, model_of(calibration_dsm))
 
 
-@stage("twin_health", group="twin")
+@stage("twin_health", "twin_chapters", group="twin")
 def twin_health(
-    twin_flights: pl.DataFrame, raw_maintenance: pl.DataFrame, calibration_dsm: pl.DataFrame
-) -> pl.DataFrame:
-    """The Operational Digital Twin: health after each flight, from that flight and all before it."""
-    return track(twin_flights, raw_maintenance, model_of(calibration_dsm))
+    asked: Asked, home: Home, twin_flights: pl.DataFrame, raw_maintenance: pl.DataFrame, calibration_dsm: pl.DataFrame
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """The Operational Digital Twin: health after each flight, from that flight and all before it.
+
+    It goes on from the last bookmark before what is new; a bookmark says which flights it has seen.
+    """
+    known = Tracked(*(asked.read(home.store, table) for table in ("twin_health", "twin_chapters")))
+    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, MADE["twin_health"].code)

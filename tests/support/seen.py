@@ -37,3 +37,10 @@ def seen_flights(
         pl.lit("ok").alias("status"),
         pl.col("departed_at").cast(pl.Datetime("us", "UTC")),
     )
+
+
+def entry(seen: pl.DataFrame, k: int, component: str, action: str) -> pl.DataFrame:
+    """A log of one line: work on the day of flight k - 1, the first with it being flight k."""
+    row = seen.row(k - 1, named=True)
+    told = {"component": component, "action": action, "done_on": row["departed_at"].date()}
+    return pl.DataFrame([{c: row[c] for c in ("operator", "tail", "pack")} | told], schema=NO_LOG.schema)

@@ -6,7 +6,7 @@ from datetime import timedelta
 import numpy as np
 import polars as pl
 import pytest
-from seen import NO_LOG, seen_flights
+from seen import NO_LOG, entry, seen_flights
 
 from hdt_core.twin.track import fouling as both_tracks
 from hdt_core.twin.track import track
@@ -26,15 +26,14 @@ def test_batched_pass_equals_the_literal_recursion(flights, model):
     parts = [flights.filter(pl.col("tail") == "T-01").head(90), flights.filter(pl.col("tail") != "T-01")]
     uneven = pl.concat(parts).sort(IN_ORDER)
     batched, literal = (fouling(uneven, NO_LOG, model, literal=way) for way in (False, True))
-    for column in ("value", "sd"):
-        np.testing.assert_allclose(batched[column], literal[column], atol=1e-6, rtol=0)
+    assert batched.equals(literal)
 
 
 def test_batched_pass_equals_the_literal_one_where_histories_branch(model):
     loss = np.r_[np.linspace(0.0, 0.3, 60), np.full(20, 0.55), np.zeros(40)]
     many = pl.concat([seen_flights(model, loss, seed=k, tail=f"S-{k}") for k in range(4)]).sort(IN_ORDER)
     batched, literal = (fouling(many, NO_LOG, model, literal=way) for way in (False, True))
-    np.testing.assert_allclose(batched["value"], literal["value"], atol=1e-6, rtol=0)
+    assert batched.equals(literal)
 
 
 def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
@@ -202,9 +201,3 @@ def replaced(fleet, tail: str, k: int) -> pl.DataFrame:
     day = fleet.legs.filter(pl.col("tail") == tail).sort("departed_at")["departed_at"].dt.date().unique().sort()[k]
     row = {"operator": "TST", "tail": tail, "pack": 1, "component": "HX", "action": "REPLACED", "done_on": day}
     return pl.DataFrame([row], schema=NO_LOG.schema)
-
-
-def entry(seen: pl.DataFrame, k: int, component: str, action: str) -> pl.DataFrame:
-    row = seen.row(k - 1, named=True)
-    told = {"component": component, "action": action, "done_on": row["departed_at"].date()}
-    return pl.DataFrame([{c: row[c] for c in ("operator", "tail", "pack")} | told], schema=NO_LOG.schema)

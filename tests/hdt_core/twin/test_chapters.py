@@ -1,0 +1,97 @@
+"""Going on from a bookmark ends where one pass over all of history ends, to the last digit."""
+
+from datetime import timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+from seen import NO_LOG, entry, seen_flights
+
+from hdt_core.tables.twin import TwinFlights
+from hdt_core.twin import chapters
+from hdt_core.twin.track import Tracked, fouling, track_on
+
+N = 430
+WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(140, 0.3)]
+
+
+@pytest.fixture(scope="module")
+def three(model) -> pl.DataFrame:
+    """Three packs, of 430, 330 and 150 flights."""
+    parts = [seen_flights(model, WEAR, seed=k, tail=f"S-{k}").head(N - n) for k, n in enumerate((0, 100, 280))]
+    return TwinFlights.conform(pl.concat(parts)).with_columns(cc_n_samples=pl.lit(0, pl.Int32))
+
+
+@pytest.fixture(scope="module")
+def log(three) -> pl.DataFrame:
+    return entry(three.filter(tail="S-0"), 170, "HX", "REPLACED")
+
+
+@pytest.fixture(scope="module")
+def whole(three, log, model) -> Tracked:
+    return track_on(three, log, model)
+
+
+def same(one: Tracked, other: Tracked) -> bool:
+    return one.health.equals(other.health) and one.chapters.equals(other.chapters)
+
+
+@pytest.mark.parametrize("days", [1, 20, 36, 80, 200])
+def test_nights_add_up_to_one_pass(three, log, model, whole, days):
+    end = three["departed_at"].max()
+    early = track_on(three.filter(pl.col("departed_at") < end - timedelta(days=days)), log, model)
+    assert same(track_on(three, log, model, early), whole)
+
+
+def test_a_flight_that_came_late_changes_what_follows_it(three, log, model, whole):
+    without = three.filter(~((pl.col("tail") == "S-0") & pl.col("flight_id").is_in([three["flight_id"][222]])))
+    assert without.height == three.height - 1
+    assert same(track_on(three, log, model, track_on(without, log, model)), whole)
+
+
+def test_an_entry_that_came_late_counts(three, log, model, whole):
+    before = track_on(three, NO_LOG, model)
+    assert not same(before, whole)
+    assert same(track_on(three, log, model, before), whole)
+
+
+def test_who_flies_beside_does_not_matter(three, log, model, whole):
+    for (tail,), own in three.group_by("tail"):
+        alone = track_on(own, log, model)
+        assert alone.health.equals(whole.health.filter(tail=tail))
+        assert alone.chapters.equals(whole.chapters.filter(tail=tail))
+
+
+def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model):
+    batched = fouling(three, log, model).filter(parameter="hx_fouling")
+    assert batched.equals(fouling(three, log, model, literal=True))
+
+
+def test_only_the_last_chapters_are_gone_through_again(three, log, model, whole, monkeypatch):
+    flown, step = [], chapters.histories.step
+    monkeypatch.setattr(
+        chapters.histories, "step", lambda b, seen, s: flown.append(len(seen.ratio)) or step(b, seen, s)
+    )
+    assert same(track_on(three, log, model, whole), whole)
+    assert sum(flown) == (430 - 300) + (330 - 200) + (150 - 0)
+
+
+def test_hindsight_stands_once_the_next_chapter_is_flown(three, log, model, whole):
+    end = three.filter(tail="S-0")["departed_at"][3 * chapters.CHAPTER - 1]
+    early = track_on(three.filter(pl.col("departed_at") <= end), log, model)
+    settled = three.filter(tail="S-0").head(2 * chapters.CHAPTER)["flight_id"].implode()
+    then, now = (
+        t.health.filter(pl.col("flight_id").is_in(settled), parameter="hx_fouling_smoothed") for t in (early, whole)
+    )
+    assert then.height == 2 * chapters.CHAPTER
+    assert then.equals(now)
+
+
+def test_nothing_is_gone_on_from_that_is_not_as_it_was(three, log, model, whole):
+    """Another code, rows lost, bookmarks lost: the pass begins where it must."""
+    other = track_on(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
+    assert other.health.equals(whole.health)
+    lost = whole._replace(health=whole.health.filter(pl.col("flight_id") != whole.health["flight_id"][40]))
+    assert same(track_on(three, log, model, lost), whole)
+    torn = whole._replace(chapters=whole.chapters.filter(pl.col("chapter") != 2))
+    assert track_on(three, log, model, torn).health.equals(whole.health)
