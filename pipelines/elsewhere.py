@@ -23,6 +23,7 @@ from pipelines.runs import NIGHT, Runner, why_failed
 from pipelines.workers import EngineError
 
 LOOK_S = 0.5
+_SILENT_S = 60  # beyond the half minute between two of the daemon's heartbeats
 LOCATION = "pipelines.definitions"
 _UNDER_WAY = [dg.DagsterRunStatus[s] for s in ("QUEUED", "STARTING", "STARTED", "CANCELING")]
 
@@ -35,7 +36,7 @@ class Elsewhere:
 
     def settle(self) -> None:
         """Wait for what a killed night had sent out: it goes on without its night, and none of it is made twice."""
-        if not all_daemons_live(self.instance):
+        if not all_daemons_live(self.instance, heartbeat_tolerance_seconds=_SILENT_S):
             raise EngineError(f"no Dagster daemon answers; start one: `dagster-daemon run --module-name {LOCATION}`")
         for run in self.instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.NOT_STARTED], tags=NIGHT)):
             self.instance.report_run_canceled(run, "its night was stopped before it was sent out")

@@ -1,0 +1,197 @@
+"""Several machines for one fleet: `python -m benchmarks.distributed [--flights N] [--write]`.
+
+Claims: a backfill on two workers gives the tables of one process, by hash; its throughput is at least 1.7 times that of
+one worker where two cores are free; a worker killed in the middle (SIGKILL, its whole process group) or a broker that
+restarts loses nothing; of two schedulers one works, and one that is killed is followed without doubling a run. Twenty
+aircraft of the project's simulator as history files; Celery on RabbitMQ, PostgreSQL, machines as benchmarks/site.py
+plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the table into docs/distributed.md.
+"""
+
+import argparse
+import hashlib
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+from dagster import DagsterRun, RunsFilter
+
+from benchmarks import page
+from benchmarks.site import Site, restart_broker, site, wait
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.tables import TABLES
+from pipelines.runs import NIGHT
+from pipelines.simulated import write_fleet
+from pipelines.store import Store
+
+PAGE = Path(__file__).parents[1] / "docs" / "distributed.md"
+SHARED = {"raw_flights", "twin_flights", "features"}
+"""A table of each step whose blocks are made side by side."""
+MADE = "select count(distinct tail) from done where asset = 'raw_flights'"
+
+
+@dataclass
+class Row:
+    """What a backfill was like."""
+
+    how: str
+    wall_s: float
+    shared_s: float  # of the steps whose blocks are made side by side, from the first run sent to the last one done
+    work_s: float  # within their steps
+    runs: int
+    retried: int
+    twice: int
+    tables: dict[str, str]
+    load: float
+
+    def line(self, first: "Row", flights: int, workers: int) -> str:
+        """Of the table."""
+        same = "equal" if self.tables == first.tables else "DIFFER: " + ", ".join(
+            t for t in self.tables if self.tables[t] != first.tables[t]
+        )  # fmt: skip
+        aside = f"{1 - self.work_s / (workers * self.shared_s):.0%}" if self.shared_s else ""
+        rate = f"{flights / self.shared_s:.0f}" if self.shared_s else ""
+        return (
+            f"| {self.how} | {self.wall_s:.0f} | {rate} | {aside} | {self.runs} | {self.retried} | {self.twice}"
+            f" | {same} | {self.load:.1f} |"
+        )
+
+
+def hashes(store: Store) -> dict[str, str]:
+    """Of every table's rows, sorted; of a fitted model, whose archive holds the hour it was packed, its version."""
+    return {table: _hash(store.read(table).drop("card", strict=False)) for table in TABLES}
+
+
+def _hash(frame: pl.DataFrame) -> str:
+    plain = pl.concat_str((~pl.selectors.binary()).cast(pl.String).fill_null("\0"), separator="\x1f")
+    return hashlib.blake2b("\n".join(frame.select(plain).to_series().sort()).encode(), digest_size=16).hexdigest()
+
+
+def alone(fleet: Site) -> Row:
+    """One process: ledger, history and tables below its home."""
+    home, began = fleet.root / "alone", time.monotonic()
+    words = ("nightly", "--landing", str(fleet.landing), "--home", str(home), "--jobs", "1", "--json")
+    told = fleet.by_itself(*words)
+    assert not told["failed"], told
+    load = os.getloadavg()[0]
+    return Row("one process", time.monotonic() - began, 0, 0, told["runs"], 0, 0, hashes(Store(home, "")), load)
+
+
+def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "night") -> Row:
+    """A backfill by the workers that are there; `meanwhile` meddles, and says on which machine the night ends."""
+    fleet.forget()
+    since, began = fleet.now(), time.monotonic()
+    fleet.night("night")
+    ends_on = meanwhile()
+    assert fleet.processes[ends_on].wait() == 0, fleet.said(ends_on)[-2000:]
+    wall = time.monotonic() - began
+    with fleet.instance() as instance:
+        records = instance.get_run_records(RunsFilter(tags=NIGHT))
+        mine = [r for r in records if str(r.create_timestamp.replace(tzinfo=None)) >= since]
+        shared_s, work_s = _steps(mine), 0.0
+        for record in (r for r in mine if _shared(r.dagster_run)):
+            stats = instance.get_run_step_stats(record.dagster_run.run_id)
+            work_s += sum(s.end_time - s.start_time for s in stats if s.start_time and s.end_time)
+    retried = sum("dagster/retry_number" in r.dagster_run.tags for r in mine)
+    made, twice = hashes(Store(fleet.home("night"), str(fleet.root / "store"))), len(fleet.made_twice(since))
+    return Row(how, wall, shared_s, work_s, len(mine), retried, twice, made, os.getloadavg()[0])
+
+
+def _shared(run: DagsterRun) -> bool:
+    return any(key.path[-1] in SHARED for key in run.asset_selection or ())
+
+
+def _steps(records: list) -> float:
+    """Seconds of the shared steps, each from the first run made to the last one done."""
+    spans: dict[str, list[tuple[float, float]]] = {}
+    for r in records:
+        for table in SHARED & {key.path[-1] for key in r.dagster_run.asset_selection or ()}:
+            spans.setdefault(table, []).append((r.create_timestamp.timestamp(), r.end_time or 0.0))
+    return sum(max(end for _, end in s) - min(start for start, _ in s) for s in spans.values())
+
+
+def half_way(fleet: Site, aircraft: int) -> None:
+    """Until half of the aircraft have their flights."""
+    wait(lambda: fleet.rows(MADE)[0][0] >= aircraft // 2, 1800, "the backfill does not begin")
+
+
+def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
+    """Every row, with the number of its workers, printed as it comes."""
+    list(write_fleet(root, 11, FleetSettings(operators=4, tails=aircraft // 4, flights=flights // aircraft)))
+    servers = os.environ["HDT_TEST_POSTGRES"], os.environ["HDT_TEST_BROKER"]
+    rows: list[tuple[Row, int]] = []
+    with site(root / "site", root / "landing", *servers, ("one", "two")) as fleet:
+
+        def note(row: Row, workers: int = 2) -> None:
+            rows.append((row, workers))
+            print(row.line(rows[0][0], flights, workers), flush=True)
+
+        def kill() -> str:
+            half_way(fleet, aircraft)
+            fleet.kill("one")
+            return "night"
+
+        def restart() -> str:
+            half_way(fleet, aircraft)
+            restart_broker()
+            return "night"
+
+        def schedulers() -> str:
+            half_way(fleet, aircraft)
+            assert fleet.night("other").wait() == 2, "two nights at once"
+            assert "another run (process" in fleet.said("other")
+            fleet.kill("night")
+            fleet.night("other")
+            return "other"
+
+        note(alone(fleet), 1)
+        fleet.daemon()
+        fleet.worker("one")
+        note(together(fleet, "one worker"), 1)
+        fleet.worker("two")
+        note(together(fleet, "two workers"))
+        note(together(fleet, "two, one killed half-way", kill))
+        fleet.worker("one")
+        note(together(fleet, "two, broker restarted half-way", restart))
+        note(together(fleet, "two, a second scheduler; the first killed", schedulers))
+        print(f"addresses: {fleet.names or 'this machine has one'}", flush=True)
+    return rows
+
+
+def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
+    """As Markdown."""
+    first, by = rows[0][0], {row.how: row for row, _ in rows}
+    gained = by["one worker"].shared_s / by["two workers"].shared_s
+    head = "| backfill | wall [s] | flights/s | not in steps | runs | retried | cells twice | tables | load |"
+    return "\n".join(
+        [
+            f"{aircraft} aircraft, {flights:,} flights:\n",
+            head,
+            "| --- |" + " ---: |" * 6 + " --- | ---: |",
+            *(row.line(first, flights, workers) for row, workers in rows),
+            f"\nThroughput of the steps that are shared out, two workers to one: {gained:.2f}; of the whole backfill:"
+            f" {by['one worker'].wall_s / by['two workers'].wall_s:.2f}.",
+            f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.",
+        ]
+    )
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--flights", type=int, default=10_000)
+    asked.add_argument("--aircraft", type=int, default=20)
+    asked.add_argument("--write", action="store_true")
+    said = asked.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        text = table(measured(Path(scratch), said.flights, said.aircraft), said.flights, said.aircraft)
+    print(text)
+    if said.write:
+        page.write("table", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""A fleet on several machines, played on one: for benchmarks/distributed.py and the tests of the same claims.
+
+Every machine is processes with a home of their own and, where namespaces can be made, an address of their own; they
+share a PostgreSQL database, a virtual host of RabbitMQ, the landing zone and the store. All is gone with the block.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from unittest.mock import patch
+
+import psycopg2
+from dagster import DagsterInstance
+from dagster._daemon.controller import all_daemons_live
+
+from benchmarks.addresses import BRIDGE_IP, namespaces
+from pipelines.runs import open_instance
+
+BIN = Path(sys.executable).parent
+SETTINGS = Path(__file__).parents[1] / "deploy/celery.yaml"
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
+GRACE_S = 6  # a broker that restarts here is back in a few seconds; 60 by default
+LEDGER = ("files", "file_flights", "done", "nights")
+
+
+@dataclass
+class Site:
+    """What the machines share, and the processes that were started."""
+
+    root: Path
+    landing: Path
+    database: str
+    broker: str
+    names: dict[str, str] = field(default_factory=dict)  # namespace of each machine that has one
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def home(self, machine: str) -> Path:
+        """The machine's own, with the settings that the project ships; lost runs are found sooner."""
+        settings = self.root / machine / "dagster" / "dagster.yaml"
+        settings.parent.mkdir(parents=True, exist_ok=True)
+        text = SETTINGS.read_text().replace("poll_interval_seconds: 10", "poll_interval_seconds: 1")
+        broker = "broker: {env: HDT_BROKER_URL}\n"
+        assert broker in text
+        settings.write_text(text.replace(broker, f"{broker}    grace_s: {GRACE_S}\n"))
+        return self.root / machine
+
+    def environment(self, machine: str) -> dict[str, str]:
+        """The variables that make it part of the fleet."""
+        home, at = self.home(machine), BRIDGE_IP if machine in self.names else "127.0.0.1"
+        folders = {"HDT_LANDING": str(self.landing), "HDT_HOME": str(home), "DAGSTER_HOME": str(home / "dagster")}
+        database, broker = (url.replace("127.0.0.1", at) for url in (self.database, self.broker))
+        servers = {"HDT_POSTGRES_URL": database, "HDT_LEDGER_URL": database, "HDT_BROKER_URL": broker}
+        return folders | servers | {"HDT_STORE_URL": str(self.root / "store")}
+
+    def start(self, machine: str, *command: str) -> subprocess.Popen[bytes]:
+        """A process group on a machine; what it says goes to `<root>/<machine>.log`."""
+        within = ["ip", "netns", "exec", self.names[machine]] if machine in self.names else []
+        with open(self.root / f"{machine}.log", "ab") as log:
+            env = os.environ | ONE_THREAD | self.environment(machine)
+            started = subprocess.Popen([*within, *command], env=env, stdout=log, stderr=log, start_new_session=True)
+        self.processes[machine] = started
+        return started
+
+    def daemon(self) -> None:
+        """Dagster's daemon; back when it answers."""
+        self.start("daemon", str(BIN / "dagster-daemon"), "run", "--module-name", "pipelines.definitions")
+        with self.instance() as instance:
+            wait(lambda: all_daemons_live(instance), 60, "the daemon does not answer")
+
+    def worker(self, machine: str) -> None:
+        """One that makes a run at a time; back when it takes runs."""
+        quiet = ("--without-gossip", "--without-mingle", "--loglevel", "info")
+        words = ("worker", "--concurrency", "1", "--hostname", f"{machine}@%h", *quiet)
+        before = self.said(machine).count(" ready.")
+        self.start(machine, str(BIN / "celery"), "--app", "pipelines.celery_worker", *words)
+        wait(lambda: self.said(machine).count(" ready.") > before, 60, f"{machine} does not begin")
+
+    def night(self, machine: str, *words: str) -> subprocess.Popen[bytes]:
+        """A night, under way."""
+        return self.start(machine, str(BIN / "hdt"), "nightly", "--json", *words)
+
+    def by_itself(self, *words: str) -> dict:
+        """What `hdt` says where no variable leads elsewhere."""
+        env = {k: v for k, v in os.environ.items() if not k.startswith(("HDT_", "DAGSTER_"))} | ONE_THREAD
+        done = subprocess.run([BIN / "hdt", *words], env=env, check=True, capture_output=True, text=True)
+        return dict(json.loads(done.stdout))
+
+    def kill(self, machine: str) -> None:
+        """As when its power is cut: the whole process group, at once."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.processes[machine].pid, signal.SIGKILL)
+        self.processes.pop(machine).wait()
+
+    def said(self, machine: str) -> str:
+        """Everything its processes wrote."""
+        log = self.root / f"{machine}.log"
+        return log.read_text(errors="replace") if log.exists() else ""
+
+    @contextmanager
+    def instance(self) -> Iterator[DagsterInstance]:
+        """Dagster's, as a machine of no address of its own has it."""
+        with patch.dict(os.environ, self.environment("onlooker")), open_instance(self.home("onlooker")) as instance:
+            yield instance
+
+    def rows(self, sql: str) -> list[tuple]:
+        """Answer of the database."""
+        connection = psycopg2.connect(self.database)
+        try:
+            with connection, connection.cursor() as cursor:
+                cursor.execute(sql)
+                return cursor.fetchall() if cursor.description else []
+        finally:
+            connection.close()
+
+    def forget(self) -> None:
+        """An empty fleet again; Dagster keeps its history."""
+        shutil.rmtree(self.root / "store", ignore_errors=True)
+        for table in LEDGER:
+            with suppress(psycopg2.errors.UndefinedTable):
+                self.rows(f"truncate {table}")
+
+    def made_twice(self, since: str) -> list[tuple]:
+        """Cells of an asset that were made more than once after an hour of the clock."""
+        return self.rows(
+            "select asset_key, partition, count(*) from event_logs where dagster_event_type = 'ASSET_MATERIALIZATION'"
+            f" and timestamp > '{since}' group by 1, 2 having count(*) > 1"
+        )
+
+    def now(self) -> str:
+        """As the events' time is written."""
+        return str(self.rows("select (now() at time zone 'utc')::text")[0][0])
+
+
+@contextmanager
+def site(root: Path, landing: Path, postgres: str, broker: str, machines: tuple[str, ...] = ()) -> Iterator[Site]:
+    """A database, a virtual host and, where they can be made, a namespace for each of `machines`."""
+    name = f"hdt_{uuid.uuid4().hex[:12]}"
+    root.mkdir(parents=True, exist_ok=True)
+    admin = psycopg2.connect(postgres)
+    admin.autocommit = True
+    admin.cursor().execute(f"create database {name}")
+    control("add_vhost", name)
+    control("set_permissions", "-p", name, "guest", ".*", ".*", ".*")
+    with namespaces(machines) as names:
+        made = Site(root, landing, f"{postgres.rpartition('/')[0]}/{name}", f"{broker.rstrip('/')}/{name}", names)
+        try:
+            yield made
+        finally:
+            for machine in list(made.processes):
+                made.kill(machine)
+            control("delete_vhost", name)
+            admin.cursor().execute(f"drop database {name} with (force)")
+            admin.close()
+
+
+def control(*words: str) -> None:
+    """Ask RabbitMQ's own tool."""
+    subprocess.run(["rabbitmqctl", "--quiet", *words], check=True, capture_output=True, text=True)
+
+
+def restart_broker() -> None:
+    """Every connection is cut; what is kept on disk is there again."""
+    control("stop_app")
+    control("start_app")
+    control("await_startup")
+
+
+def wait(ready: Callable[[], bool], seconds: float, why: str) -> None:
+    """Until it is so."""
+    deadline = time.monotonic() + seconds
+    while not ready():
+        if time.monotonic() > deadline:
+            raise TimeoutError(why)
+        time.sleep(0.1)
