@@ -17,6 +17,7 @@ SERVER = shutil.which("weed", path=f"{Path(sys.executable).parent}{os.pathsep}{o
 _PARTS = ("master.port", "volume.port", "filer.port", "s3.port")
 _KEYS = {"AWS_ACCESS_KEY_ID": "tests", "AWS_SECRET_ACCESS_KEY": "only-for-tests", "AWS_REGION": "us-east-1"}
 METRICS = "HDT_TEST_S3_METRICS"
+BUCKET = "fleets"
 
 
 @contextmanager
@@ -32,12 +33,22 @@ def serving(folder: Path, patience_s: float = 60.0) -> Iterator[dict[str, str]]:
     address = f"http://127.0.0.1:{ports['s3.port']}"
     try:
         _wait(address, server, time.monotonic() + patience_s)
+        _make_bucket(address)
         yield {**_KEYS, "AWS_ENDPOINT_URL": address, METRICS: f"http://127.0.0.1:{ports['metricsPort']}/metrics"}
     finally:
         server.kill()
         server.wait()
         for socket_file in (f for n in ports.values() for f in Path("/tmp").glob(f"seaweedfs-*-{n}.sock")):
             socket_file.unlink()
+
+
+def _make_bucket(address: str) -> None:
+    """The server makes a bucket with its first object."""
+    import obstore  # noqa: PLC0415  the extra s3
+    from obstore.store import S3Store  # noqa: PLC0415
+
+    how = {k.removeprefix("AWS_").lower(): v for k, v in _KEYS.items()} | {"endpoint": address}
+    obstore.put(S3Store(BUCKET, **how, client_options={"allow_http": True}), "here", b"")
 
 
 def requests() -> dict[str, int]:

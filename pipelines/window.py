@@ -11,6 +11,7 @@ import obstore
 from pipelines.objects import Objects
 
 WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
+KEPT_BYTES = 64 << 20  # of what came is held in memory: DuckDB opens an object for its columns, and again for its rows
 _KEY = re.compile(r"data/(\w+)(/[\w-]+)*/[\w.-]+\.parquet")
 
 
@@ -25,6 +26,7 @@ class Window(fsspec.AbstractFileSystem):
         self._objects = objects
         self._root = objects.url.removeprefix("s3://") + "/"
         self._sizes: dict[str, int] = {}
+        self._kept: dict[str, bytes] = {}
 
     def info(self, path: str, **_: Any) -> dict[str, Any]:
         """Name and size."""
@@ -40,7 +42,15 @@ class Window(fsspec.AbstractFileSystem):
         key = self._key(path)
         if self._size(key) > WHOLE_BYTES:
             return obstore.open_reader(self._objects.store, key, size=self._size(key))
-        return io.BytesIO(self._objects.get(key))
+        return io.BytesIO(self._whole(key))
+
+    def _whole(self, key: str) -> bytes:
+        kept = self._kept.get(key)
+        if kept is None:
+            if sum(len(other) for other in list(self._kept.values())) > KEPT_BYTES:
+                self._kept = {}
+            kept = self._kept[key] = self._objects.get(key)
+        return kept
 
     def _key(self, path: str) -> str:
         key = self._strip_protocol(path).removeprefix(self._root)

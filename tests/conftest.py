@@ -77,4 +77,4 @@ def s3_url(s3_variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> str
     """A place of the test's own in an object store, that this process and its children can reach."""
     for name, value in s3_variables.items():
         monkeypatch.setenv(name, value)
-    return f"s3://tests/{uuid.uuid4().hex}"
+    return f"s3://{object_server.BUCKET}/{uuid.uuid4().hex}"

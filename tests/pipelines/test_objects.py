@@ -83,7 +83,7 @@ FORBIDDEN = (
     "select * from read_text('{url}/manifests/prognosis_model/manifest.json')",
     "select * from read_text('{url}/data/../published.json')",
     "select * from read_parquet('{url}/data/prognosis_model/*.parquet')",
-    "select * from read_parquet('s3://tests/other/data/prognosis_model/fleet.0.parquet')",
+    "select * from read_parquet('s3://fleets/other/data/prognosis_model/fleet.0.parquet')",
     "select * from read_text('/etc/passwd')",
     "select * from read_text('http://127.0.0.1/')",
     "copy (select 1) to '{url}/data/prognosis_model/pwned.parquet'",

@@ -1,0 +1,242 @@
+"""What partitions and events alone cost: `python -m benchmarks.cells [--cells N ...] [--postgres URL] [--write]`.
+
+One empty asset over aircraft x flight, ten years of flight keys, 10,000 cells an aircraft: no data, no table. The event
+log is filled run by run of 1,000 cells through the project's own storage classes, SQLite and, where a server is named,
+PostgreSQL. At each size some runs are real ones, executed and timed, and what the partitions page asks Dagster for is
+asked. `--write` puts the table into docs/beyond.md.
+"""
+
+import argparse
+import os
+import platform
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+from urllib.parse import urlsplit
+
+import dagster as dg
+import polars as pl
+from dagster._core.definitions.partitions.utils.multi import get_tags_from_multi_partition_key
+from dagster._core.events import StepMaterializationData
+from dagster._core.events.log import EventLogEntry
+from dagster._core.storage.partition_status_cache import get_and_update_asset_status_cache_value
+
+from benchmarks import page
+from pipelines import partitions
+from pipelines.blocks import CELLS_A_RUN, Block
+from pipelines.io import FrameIO
+from pipelines.ledger import Ledger
+from pipelines.runs import Runner, open_instance
+
+PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+FLIGHTS = [
+    f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}_{leg:02}" for day in range(3334) for leg in (1, 2, 3)
+]
+FLIGHTS = FLIGHTS[:10_000]
+REAL_RUNS = 5
+POSTGRES = """\
+event_log_storage:
+  module: pipelines.eventlog_postgres
+  class: BatchedPostgresEventLogStorage
+  config: {{postgres_url: "{url}"}}
+run_storage:
+  module: dagster_postgres.run_storage
+  class: PostgresRunStorage
+  config: {{postgres_url: "{url}"}}
+compute_logs:
+  module: dagster._core.storage.noop_compute_log_manager
+  class: NoOpComputeLogManager
+telemetry: {{enabled: false}}
+"""
+
+
+class Nothing(dg.IOManager):
+    """Stores nothing and reports the cells of the run, as the project's own manager does."""
+
+    def handle_output(self, context: dg.OutputContext, obj: object) -> None:
+        """Every cell of the range is filled."""
+        rows = [partitions.cell_of(key) for key in context.asset_partition_keys]
+        cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+        FrameIO._report_only(context, cells, cells)
+
+    def load_input(self, context: dg.InputContext) -> None:
+        """Nothing is there."""
+
+
+@dg.asset(partitions_def=partitions.AIRCRAFT_FLIGHTS, backfill_policy=dg.BackfillPolicy.single_run())
+def empty() -> int:
+    """An asset without data; something must be returned, or no IO manager is asked."""
+    return 0
+
+
+@dataclass
+class History:
+    """An instance, and how many bytes its storage takes."""
+
+    instance: dg.DagsterInstance
+    size_bytes: Callable[[], int]
+    filled: int = 0
+
+    def fill(self, cells: int, runner: Runner) -> None:
+        """So many cells, the last of them by real runs that are timed."""
+        event = None
+        while self.filled < cells - REAL_RUNS * CELLS_A_RUN:
+            event = event or self._example(runner)
+            self._record(event, self._block())
+        self.run_s = [self._timed(lambda: self._run(runner)) for _ in range((cells - self.filled) // CELLS_A_RUN)]
+
+    def _block(self) -> Block:
+        """The next thousand cells."""
+        first, at = self.filled % len(FLIGHTS), self.filled // len(FLIGHTS)
+        self.filled += CELLS_A_RUN
+        return Block(CELLS_A_RUN, (aircraft(at),), FLIGHTS[first], FLIGHTS[first + CELLS_A_RUN - 1])
+
+    def _run(self, runner: Runner) -> None:
+        why = runner._run(["empty"], self._block())
+        assert why is None, why
+
+    def _example(self, runner: Runner) -> EventLogEntry:
+        """A materialisation of a real run."""
+        self._run(runner)
+        (run,) = self.instance.get_runs(limit=1)
+        made = dg.DagsterEventType.ASSET_MATERIALIZATION
+        return next(iter(self.instance.all_logs(run.run_id, of_type=made)))
+
+    def _record(self, event: EventLogEntry, block: Block) -> None:
+        """The event, as of a run that made the block."""
+        first = FLIGHTS.index(block.first)
+        keys = [partitions.cell_key(block.aircraft[0], f) for f in FLIGHTS[first : first + CELLS_A_RUN]]
+        made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
+        told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
+        log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
+        log.stands_for(run_id, empty.key, keys)
+        log.store_event_batch([event._replace(run_id=run_id, dagster_event=told)])
+
+    @staticmethod
+    def _timed(call: Callable[[], Any]) -> float:
+        began = time.perf_counter()
+        call()
+        return time.perf_counter() - began
+
+    def row(self) -> dict[str, float]:
+        """What a run took, what a cell takes, how long the partitions page waits."""
+        loader = {"partitions_def": partitions.AIRCRAFT_FLIGHTS, "dynamic_partitions_loader": self.instance}
+
+        def status() -> None:
+            found = get_and_update_asset_status_cache_value(self.instance, empty.key, **loader)
+            held = found.deserialize_materialized_partition_subsets(partitions.AIRCRAFT_FLIGHTS)
+            assert len(held) == self.filled, len(held)
+
+        first = self._timed(status)
+        return {
+            "cells": self.filled,
+            "run_s": median(self.run_s),
+            "bytes": self.size_bytes() / self.filled,
+            "page_first_s": first,
+            "page_again_s": self._timed(status),
+            "all_s": self._timed(lambda: self.instance.get_materialized_partitions(empty.key)),
+        }
+
+
+def aircraft(n: int) -> str:
+    """Key of an aircraft."""
+    return partitions.aircraft_key("QAA", f"T{n:04}")
+
+
+@contextmanager
+def sqlite(scratch: Path) -> Iterator[History]:
+    """The embedded default."""
+    instance = open_instance(scratch / "sqlite")
+    yield History(instance, lambda: sum(f.stat().st_size for f in (scratch / "sqlite").rglob("*") if f.is_file()))
+    instance.dispose()
+
+
+@contextmanager
+def postgres(scratch: Path, server: str) -> Iterator[History]:
+    """A database of its own on a server, dropped in the end."""
+    import psycopg2  # noqa: PLC0415  the extra postgres
+
+    name = f"hdt_cells_{uuid.uuid4().hex}"
+    admin = psycopg2.connect(server)
+    admin.autocommit = True
+    cursor = admin.cursor()
+    cursor.execute(f"create database {name}")
+    settings = scratch / "postgres/dagster/dagster.yaml"
+    settings.parent.mkdir(parents=True)
+    settings.write_text(POSTGRES.format(url=urlsplit(server)._replace(path=f"/{name}").geturl()))
+    instance = open_instance(scratch / "postgres")
+
+    def size_bytes() -> int:
+        cursor.execute("select pg_database_size(%s)", (name,))
+        return int(cursor.fetchone()[0])
+
+    try:
+        yield History(instance, size_bytes)
+    finally:
+        instance.dispose()
+        cursor.execute(f"drop database {name} with (force)")
+        admin.close()
+
+
+def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
+    """A row a size."""
+    defs = dg.Definitions([empty], resources={"io_manager": Nothing()}, executor=dg.in_process_executor)
+    runner = Runner(defs, history.instance, Ledger(Path()))
+    keys = [aircraft(n) for n in range(max(sizes) // len(FLIGHTS) + 1)]
+    add = history.instance.add_dynamic_partitions
+    registered = history._timed(lambda: (add("aircraft", keys), add("flight", FLIGHTS)))
+    rows = []
+    for size in sizes:
+        began = history.filled, time.perf_counter()
+        history.fill(size, runner)
+        row = history.row() | {"register_s": registered, "fill_s": time.perf_counter() - began[1]}
+        print(row, flush=True)
+        rows.append(row)
+    return rows
+
+
+def table(found: dict[str, list[dict[str, float]]]) -> str:
+    """As Markdown."""
+    lines = [
+        "| event log | cells | a run of 1,000 [s] | bytes a cell | status of all cells, first [s] | again [s]"
+        " | all made cells [s] |",
+        "| --- |" + " ---: |" * 6,
+    ]
+    for name, rows in found.items():
+        lines += [
+            f"| {name} | {r['cells']:,} | {r['run_s']:.2f} | {r['bytes']:.0f} | {r['page_first_s']:.2f}"
+            f" | {r['page_again_s']:.2f} | {r['all_s']:.2f} |"
+            for r in rows
+        ]
+    told = ", ".join(f"{rows[0]['register_s']:.1f} s in {name}" for name, rows in found.items())
+    lines.append(f"\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {told}.")
+    lines.append(f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked.add_argument("--cells", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
+    asked.add_argument("--postgres", default=os.environ.get("HDT_TEST_POSTGRES", ""), help="URL of a server")
+    asked.add_argument("--write", action="store_true")
+    said = asked.parse_args()
+    found = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        with sqlite(Path(scratch)) as history:
+            found["SQLite"] = measured(history, said.cells)
+        if said.postgres:
+            with postgres(Path(scratch), said.postgres) as history:
+                found["PostgreSQL"] = measured(history, said.cells)
+    print(text := table(found))
+    if said.write:
+        page.write("cells", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()

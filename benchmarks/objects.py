@@ -1,0 +1,95 @@
+"""A night on an object store against the same on local files: `python -m benchmarks.objects [S] [--write]`.
+
+Fleets of benchmarks/scale.py; the store is SeaweedFS on this host, so what a request costs is its work and no distance:
+the count of requests, by the server's own meter, is what carries over to another store. `--write` puts the table into
+docs/storage.md.
+"""
+
+import argparse
+import os
+import platform
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks import object_server, page
+from benchmarks.scale import SIZES, measured, ranking_ms
+from pipelines.report import write_report
+from pipelines.simulated import write_fleet
+from pipelines.store import URL, Store
+
+PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
+KINDS = {"GET": "reads", "PUT": "writes", "LIST": "lists", "DELETE": "deletions"}
+
+
+def kept(landing: Path, home: Path) -> dict[str, object]:
+    """What a first night, an idle one, the report and the fleet's ranking cost, and what then lies in the store."""
+    row: dict[str, object] = {}
+    for what in ("night", "idle"):
+        before = _requests()
+        row[what] = measured(what, landing, home)["wall_s"]
+        row[f"{what}_requests"] = _since(before)
+    before, began = _requests(), time.monotonic()
+    write_report(home, home.with_suffix(".html"))
+    row |= {"report": time.monotonic() - began, "report_requests": _since(before), "ranking_ms": ranking_ms(home)}
+    return row | _stored(Store(home))
+
+
+def _stored(store: Store) -> dict[str, object]:
+    if store.remote:
+        sizes = store.shelf.sizes("").values()
+    else:
+        sizes = [f.stat().st_size for f in Path(store.root).rglob("*.parquet")]
+    return {"objects": len(sizes), "megabytes": sum(sizes) / 1e6}
+
+
+def _requests() -> dict[str, int]:
+    return object_server.requests() if URL in os.environ else {}
+
+
+def _since(before: dict[str, int]) -> str:
+    """Requests by kind since `before`."""
+    more = {kind: n - before.get(kind, 0) for kind, n in _requests().items()}
+    return ", ".join(f"{n:,} {KINDS.get(kind, kind)}" for kind, n in sorted(more.items()) if n) or "none"
+
+
+def table(rows: dict[str, dict[str, object]]) -> str:
+    """As Markdown."""
+    lines = ["| | " + " | ".join(rows) + " |", "| --- |" + " ---: |" * len(rows)]
+    for says, key, form in (
+        ("first night [s]", "night", ".0f"),
+        ("its requests", "night_requests", ""),
+        ("idle night [s]", "idle", ".1f"),
+        ("its requests", "idle_requests", ""),
+        ("report [s]", "report", ".1f"),
+        ("its requests", "report_requests", ""),
+        ("fleet's ranking [ms]", "ranking_ms", ".0f"),
+        ("files or objects", "objects", ",.0f"),
+        ("megabytes", "megabytes", ".1f"),
+    ):
+        lines.append(f"| {says} | " + " | ".join(format(row[key], form) for row in rows.values()) + " |")
+    return "\n".join(
+        [*lines, f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."]
+    )
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("size", nargs="?", default="S", choices=SIZES)
+    asked.add_argument("--write", action="store_true")
+    said = asked.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch)
+        for _ in write_fleet(root, 11, SIZES[said.size]):
+            pass
+        rows = {"local files": kept(root / "landing", root / "local")}
+        with object_server.serving(root / "s3") as variables:
+            os.environ |= {**variables, URL: f"s3://{object_server.BUCKET}/fleet"}
+            rows["objects"] = kept(root / "landing", root / "remote")
+    print(text := table(rows))
+    if said.write:
+        page.write("objects", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()
