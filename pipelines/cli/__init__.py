@@ -38,6 +38,17 @@ def main() -> None:
 def _of_the_disk(error: Exception) -> str:
     """What SQLite says of a full or read-only disk, Dagster's storage included; any other error goes on its way."""
     cause = getattr(error, "orig", error)
-    if not isinstance(cause, sqlite3.OperationalError):
-        raise error
-    return f"{cause}; make room in the home or leave to write there, the next run goes on from here"
+    if isinstance(cause, sqlite3.OperationalError):
+        return f"{cause}; make room in the home or leave to write there, the next run goes on from here"
+    return _of_the_database(error)
+
+
+def _of_the_database(error: BaseException) -> str:
+    """What PostgreSQL's client says when the database of Dagster's history does not answer: never a password."""
+    seen: BaseException | None = error
+    while seen is not None:
+        cause = getattr(seen, "orig", None) or seen
+        if type(cause).__module__ == "psycopg2" and type(cause).__name__ == "OperationalError":
+            return f"the database of Dagster's history (dagster.yaml) does not answer: {str(cause).splitlines()[0]}"
+        seen = seen.__cause__ or seen.__context__
+    raise error
