@@ -47,8 +47,12 @@ STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
             ("legs_samples", "legs_verdicts"),
         ],
     ),
-    ("digital system model", "fleet", [("calibration_dsm", "calibration_design")]),
-    ("operational twins", "flight", [("twin_flights",), ("residuals",)]),
+    ("digital system model", "fleet", [("calibration_dsm", "calibration_design", "calibration_laws")]),
+    (
+        "operational twins",
+        "flight",
+        [("twin_flights",), ("residuals",), ("legs_signs", "features_witnesses")],
+    ),
     (
         "health, features, alerts",
         "aircraft",

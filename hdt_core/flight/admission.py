@@ -3,11 +3,14 @@
 With hindsight, for calibration only. A leg turned away here is still monitored.
 """
 
+from dataclasses import replace
+
 import polars as pl
 
-from hdt_core.flight.cross_checks import check_sensors
-from hdt_core.flight.manifold import add_conductance_index, leg_conductance
-from hdt_core.flight.nominal import judge_conductance, reject_outliers
+from hdt_core.flight.cross_checks import CHECKS, check_sensors, learn_outlet_law
+from hdt_core.flight.manifold import learn_manifold
+from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
+from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import flag_windows, number_flights
 
@@ -32,6 +35,16 @@ SECOND_LEVEL = {
 }
 
 
+def learn_norm(legs: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Norm:
+    """Learn from a fleet, sick legs among it; parameters as for `admit`."""
+    numbered = number_flights(legs.drop("flight_number", strict=False))
+    laws = Norm(learn_manifold(samples, numbered), learn_outlet_law(samples))
+    signs = leg_signs(samples, laws)
+    laws = replace(laws, level=learn_level(numbered.join(signs, on=LEG_KEY, how="left"), maintenance))
+    passed = _residuals(_judged(numbered, signs, maintenance, messages, laws, None))
+    return replace(laws, scatter=learn_scatter(passed, [c for c in passed.columns if c.endswith("_off")]))
+
+
 def admit(
     legs: pl.DataFrame,
     samples: pl.DataFrame,
@@ -39,12 +52,12 @@ def admit(
     messages: pl.DataFrame,
     health_parameters: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """Add to level one's verdicts what the log, the fleet and the twin know.
+    """Add to level one's verdicts what the log, the fleet and the twin know; the fleet's norm is learned here.
 
     Parameters
     ----------
     legs, samples : DataFrame
-        Of `judge_legs`, whole histories: one aircraft, or better the fleet.
+        Of `judge_legs`, whole histories of a fleet.
     maintenance, messages : DataFrame
         The logs, as `judge_legs` takes them.
     health_parameters : DataFrame, optional
@@ -56,13 +69,39 @@ def admit(
     DataFrame
         `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) renewed; no leg is dropped.
     """
+    norm = learn_norm(legs, samples, maintenance, messages)
+    return admit_by(norm, legs, leg_signs(samples, norm), maintenance, messages, health_parameters)
+
+
+def admit_by(
+    norm: Norm,
+    legs: pl.DataFrame,
+    signs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    messages: pl.DataFrame,
+    health_parameters: pl.DataFrame | None = None,
+) -> pl.DataFrame:
+    """`admit` by a norm learned before; `signs` of `leg_signs`, all flights of each tail. No tail sways another."""
     numbered = number_flights(legs.drop("flight_number", strict=False))
-    indexed = add_conductance_index(samples, numbered)
-    levels = numbered.join(leg_conductance(indexed), on=LEG_KEY, how="left")
+    known = _judged(numbered, signs, maintenance, messages, norm, health_parameters)
+    return _without_outliers(known, norm.scatter).select(legs.columns)
+
+
+def _judged(
+    numbered: pl.DataFrame,
+    signs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    messages: pl.DataFrame,
+    norm: Norm,
+    health_parameters: pl.DataFrame | None,
+) -> pl.DataFrame:
+    """Every rule but the last."""
+    levels = numbered.join(signs.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left")
     known = flag_windows(numbered, maintenance, messages)
-    for part in (check_sensors(samples, numbered), judge_conductance(levels, maintenance), _wear(health_parameters)):
+    checked = check_sensors(signs.select(*LEG_KEY, *CHECKS), numbered)
+    for part in (checked, judge_conductance(levels, maintenance, norm.level), _wear(health_parameters)):
         known = known.join(part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left")
-    return _without_outliers(_give_reasons(known)).select(legs.columns)
+    return _give_reasons(known)
 
 
 def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
@@ -94,14 +133,17 @@ def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
     return known.with_columns(pl.coalesce(own, *broken, "wear", pl.lit("")).alias("reason"))
 
 
-def _without_outliers(known: pl.DataFrame) -> pl.DataFrame:
-    """The last screen, among legs that passed all others: FAST-MCD over a leg's deviations from its unit's habit."""
-    passed = known.filter(pl.col("reason") == "")
-    # a leg of few samples deviates by chance: weighted as its mean deserves
+def _residuals(known: pl.DataFrame) -> pl.DataFrame:
+    """Deviations of legs that passed all rules; a leg of few samples deviates by chance, and is weighted as its mean
+    deserves."""
     weight = (pl.col("index_n").fill_null(1) / ENOUGH_SAMPLES).clip(upper_bound=1.0).sqrt()
-    weighted = passed.with_columns(pl.col("^.*_off$") * weight)
-    columns = [c for c in known.columns if c.endswith("_off")]
-    found = passed.select(LEG_KEY).with_columns(reject_outliers(weighted, columns))
+    return known.filter(pl.col("reason") == "").with_columns(pl.col("^.*_off$") * weight)
+
+
+def _without_outliers(known: pl.DataFrame, scatter: Scatter | None) -> pl.DataFrame:
+    """The last screen, among legs that passed all others: a leg's deviations together, against the fleet's."""
+    passed = _residuals(known)
+    found = passed.select(LEG_KEY).with_columns(scatter.outlying(passed) if scatter else pl.lit(False).alias("outlier"))
     joined = known.join(found, on=LEG_KEY, how="left", maintain_order="left")
     reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
     final = joined.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))

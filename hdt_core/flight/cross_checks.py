@@ -3,6 +3,8 @@
 None of the checks needs a model of the exchanger and none is moved by its wear.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import polars as pl
 
@@ -25,15 +27,42 @@ TOLERANCE = {
     "pack_flow_between_packs_ln": 0.045,
 }
 BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}
+CHECKS = (*TOLERANCE, *BETWEEN_PACKS.values())
 
 
-def check_sensors(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+@dataclass(frozen=True, slots=True)
+class OutletLaw:
+    """The outlet temperature [K] that the controllers hold: linear in `LAW_TERMS` about a centre, which it leads."""
+
+    centre: tuple[float, ...]
+    slopes: tuple[float, ...]
+
+    def column(self) -> pl.Expr:
+        """What it says of a sample."""
+        held, *at = self.centre
+        terms = zip(LAW_TERMS, at, self.slopes, strict=True)
+        return pl.sum_horizontal(pl.lit(held), *((pl.col(name) - c) * slope for name, c, slope in terms))
+
+
+def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
+    """The law by least squares from samples of running packs whose door is free; None where there are hardly any."""
+    running = samples.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
+    if free.height < 10:
+        return None
+    centre = free.select(pl.col("hx_out_k", *LAW_TERMS).median()).row(0)
+    off = free.select("hx_out_k", *LAW_TERMS).to_numpy() - np.array(centre)
+    slopes = np.linalg.lstsq(off[:, 1:], off[:, 0], rcond=None)[0]
+    return OutletLaw(centre, tuple(slopes.tolist()))
+
+
+def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     """Legs on which a sensor has left what it is tied to.
 
     Parameters
     ----------
-    samples : DataFrame
-        Screened samples of both packs with `phase`.
+    values : DataFrame
+        Of `leg_checks`, all flights of each tail.
     legs : DataFrame
         `LEG_KEY` and `flight_number`.
 
@@ -50,13 +79,12 @@ def check_sensors(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     flights leaves zero by more than a tolerance and by four of its own standard deviations, or one flight by far
     more. A check between packs accuses both; the pack is cleared whose own reading is the nearer to the fleet's law.
     """
-    values = _leg_values(samples).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    numbered = values.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
     tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
-    names = [*TOLERANCE, *BETWEEN_PACKS.values()]
-    off = values.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in names)
+    off = numbered.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
     smooth = off.with_columns(
         pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(unit).alias(f"{c}_smooth")
-        for c in names
+        for c in CHECKS
     )
     scores = smooth.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
     cleared = scores.with_columns(
@@ -85,8 +113,16 @@ def _nearer(own: str, flight: list[str]) -> pl.Expr:
     return (displaced < 0.5 * displaced.max().over(flight)).fill_null(False)
 
 
-def _leg_values(samples: pl.DataFrame) -> pl.DataFrame:
-    """Mean of each check over the leg."""
+def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
+    """Mean of each check over the leg: `LEG_KEY`, `CHECKS`.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Screened samples of both packs with `phase`.
+    law : OutletLaw, optional
+        Where it is not known, a check between packs accuses both.
+    """
     running = samples.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     shared = [*LEG_KEY[:3], "time_utc", "source"]
     other = running.select(
@@ -94,7 +130,8 @@ def _leg_values(samples: pl.DataFrame) -> pl.DataFrame:
         (3 - pl.col("pack")).cast(running.schema["pack"]).alias("pack"),
         *(pl.col(c).alias(f"other_{c}") for c in ("hx_out_k", "ram_door_open", "pack_flow_kg_s")),
     )
-    paired = _with_law(running).join(other, on=[*shared, "pack"], how="left")
+    known = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
+    paired = known.join(other, on=[*shared, "pack"], how="left")
     free = pl.col("ram_door_open").is_between(*DOOR_FREE)
     both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
     cruise = pl.col("phase") == "cruise"
@@ -111,19 +148,3 @@ def _leg_values(samples: pl.DataFrame) -> pl.DataFrame:
 
 def _ln_ratio(top: str, bottom: str) -> pl.Expr:
     return pl.when((pl.col(top) > 0.0) & (pl.col(bottom) > 0.0)).then((pl.col(top) / pl.col(bottom)).log())
-
-
-def _with_law(running: pl.DataFrame) -> pl.DataFrame:
-    """Add `law_k`, the outlet temperature the controllers hold: linear in altitude and total temperature."""
-    free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
-    centre = free.select(pl.col("hx_out_k", *LAW_TERMS).median())
-    if free.height < 10:
-        return running.with_columns(pl.lit(None, pl.Float64).alias("law_k"))
-    x = free.select(pl.col(c) - centre[c].item() for c in LAW_TERMS).to_numpy()
-    y = free["hx_out_k"].to_numpy() - centre["hx_out_k"].item()
-    slopes = np.linalg.lstsq(x, y, rcond=None)[0]
-    law = sum(
-        ((pl.col(c) - centre[c].item()) * float(b) for c, b in zip(LAW_TERMS, slopes, strict=True)),
-        start=pl.lit(float(centre["hx_out_k"].item())),
-    )
-    return running.with_columns(law.alias("law_k"))

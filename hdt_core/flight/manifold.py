@@ -3,6 +3,8 @@
 First indicator of wear and of ice, good enough to choose the legs that a model is then calibrated on.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
@@ -20,14 +22,31 @@ SCAN_LENGTHS = (2, 3, 4, 6, 9)
 TERMS = ("pack_flow", "door", "ram_density", "mach", "door_door", "door_density", "flow_door")
 
 
-def add_conductance_index(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
-    r"""Add `conductance_index`, the logarithm of the exchanger's temperature ratio at one and the same operating
-    point. [-]
+@dataclass(frozen=True, slots=True)
+class Manifold:
+    """The fleet's law of the conductance index.
+
+    Attributes
+    ----------
+    centre, slopes : tuple of float
+        Of `TERMS`: the operating point that the index belongs to, and how the measured ratio depends on the terms.
+    noise : float
+        Of the index, from sample to sample; of the fleet and not of the leg: a leg in ice must not excuse itself.
+    """
+
+    centre: tuple[float, ...]
+    slopes: tuple[float, ...]
+    noise: float
+
+
+def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None:
+    r"""Learn how the logarithm of the exchanger's temperature ratio depends on the operating point; None where there is
+    too little.
 
     Parameters
     ----------
     samples : DataFrame
-        Samples with `monitored`; only these get an index, the others null.
+        Samples with `monitored`, sorted by `LEG_KEY` and time.
     legs : DataFrame
         `LEG_KEY` and `flight_number`.
 
@@ -38,21 +57,43 @@ def add_conductance_index(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataF
     rises with conductance and ram flow and falls with pack flow. Its dependence on pack flow, door, ram density and
     Mach (second order in the logarithms) is learned by Huber regression with an offset for every ten flights of a
     pack: wear, unit, and constant sensor errors fall into the offsets, so that no healthy fleet is needed to learn
-    from. The index is what is left, offsets included. A loss of conductance of 10 % lowers it by 0.08 to 0.12.
+    from.
 
     References
     ----------
     .. [1] P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
     """
-    numbered = samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
-    usable = numbered.with_row_index("_row").filter("monitored").with_columns(_regressors()).drop_nulls(["y", *TERMS])
-    usable = usable.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
+    usable = _usable(
+        samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
+    )
     if usable.height <= 10 * len(TERMS):
+        return None
+    x, slopes = usable.select(TERMS).to_numpy(), _slopes(usable)
+    centre = np.median(x, axis=0)
+    off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
+    step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG_KEY)).abs().median()).item()
+    noise = 1.4826 * float(step or 1.0) / 2**0.5
+    return Manifold(tuple(centre.tolist()), tuple(slopes.tolist()), noise)
+
+
+def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:
+    """Add `conductance_index`, the logarithm of the exchanger's temperature ratio at one and the same operating
+    point. [-]
+
+    Only samples with `monitored` get an index, the others null. A loss of conductance of 10 % lowers it by 0.08 to
+    0.12.
+    """
+    if manifold is None:
         return samples.with_columns(pl.lit(None, pl.Float64).alias("conductance_index"))
-    x = usable.select(TERMS).to_numpy()
-    index = usable["y"].to_numpy() - (x - np.median(x, axis=0)) @ _slopes(usable)
-    found = usable.select("_row").with_columns(pl.Series("conductance_index", index))
+    terms = zip(TERMS, manifold.centre, manifold.slopes, strict=True)
+    index = pl.col("y") - pl.sum_horizontal((pl.col(name) - centre) * slope for name, centre, slope in terms)
+    found = _usable(samples.with_row_index("_row")).select("_row", index.alias("conductance_index"))
     return samples.with_row_index("_row").join(found, on="_row", how="left", maintain_order="left").drop("_row")
+
+
+def _usable(samples: pl.DataFrame) -> pl.DataFrame:
+    known = samples.filter("monitored").with_columns(_regressors()).drop_nulls(["y", *TERMS])
+    return known.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
 
 
 def _regressors() -> list[pl.Expr]:
@@ -90,13 +131,13 @@ def _slopes(usable: pl.DataFrame) -> Array:
     return np.asarray(slopes)
 
 
-def leg_conductance(samples: pl.DataFrame) -> pl.DataFrame:
+def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:
     """Level and unrest of the index, leg by leg.
 
     Parameters
     ----------
     samples : DataFrame
-        With `conductance_index`, sorted by `LEG_KEY` and time.
+        As for `add_conductance_index`, sorted by `LEG_KEY` and time.
 
     Returns
     -------
@@ -105,15 +146,13 @@ def leg_conductance(samples: pl.DataFrame) -> pl.DataFrame:
         leaves the leg's median, in standard errors; ice that comes and goes makes it large, wear does not move it.
     """
     keys = list(LEG_KEY)
-    known = samples.filter(pl.col("conductance_index").is_not_null())
+    known = add_conductance_index(samples, manifold).filter(pl.col("conductance_index").is_not_null())
     off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
-    centred = known.with_columns(off.alias("_off"))
-    # noise from sample to sample, of the fleet and not of the leg: a leg in ice must not excuse itself
-    step = centred["_off"] - centred.select(pl.col("_off").shift(1).over(keys))["_off"]
-    noise = 1.4826 * float(step.abs().median() or 1.0) / 2**0.5  # type: ignore[arg-type]
     runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
+    noise = manifold.noise if manifold else 1.0
     return (
-        centred.with_columns(runs)
+        known.with_columns(off.alias("_off"))
+        .with_columns(runs)
         .group_by(keys)
         .agg(
             pl.col("conductance_index").median().alias("index_level"),

@@ -3,6 +3,8 @@
 For calibration only, and with hindsight: monitoring must go on seeing the sick.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import polars as pl
 from scipy.stats import chi2
@@ -11,6 +13,7 @@ from sklearn.covariance import MinCovDet
 from hdt_core.flight.phases import LEG_KEY
 
 UNIT = ("operator", "tail", "pack")
+_UNIT = [*UNIT, "unit"]
 SMOOTHED_FLIGHTS = 7
 WORN_INDEX = 0.09  # drop of the conductance index, about the fraction of conductance lost
 CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, which noise and a few strays don't lift
@@ -21,15 +24,39 @@ MCD_QUANTILE, MCD_MIN_LEGS = 0.9995, 200
 MCD_SUPPORT = 0.75  # what comes here has passed all rules: a quarter of it may still be sick
 
 
-def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+@dataclass(frozen=True, slots=True)
+class Level:
+    """What the fleet's levels of the index have in common.
+
+    Attributes
+    ----------
+    clean : float, optional
+        Clean level of the median unit; None in a fleet without levels.
+    stray : float, optional
+        Median deviation of a leg from its neighbours.
+    """
+
+    clean: float | None = None
+    stray: float | None = None
+
+
+def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> Level:
+    """The fleet's, from levels as `judge_conductance` takes them."""
+    smooth = _smooth(levels, maintenance)
+    return Level(*(_number(v) for v in (_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())))
+
+
+def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: Level) -> pl.DataFrame:
     """Wear, unrest and strays, from the first-pass index.
 
     Parameters
     ----------
     levels : DataFrame
-        `LEG_KEY`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`.
+        `LEG_KEY`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
     maintenance : DataFrame
         Replaced exchangers (`component` HX) begin a new unit.
+    fleet : Level
+        Of `learn_level`.
 
     Returns
     -------
@@ -42,29 +69,35 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.Dat
     A unit's clean level is the upper decile of its smoothed level, but no lower than the clean fleet less two
     standard deviations between units: an exchanger that came worn has never shown its clean level.
     """
-    unit = [*UNIT, "unit"]
-    known = number_units(levels, maintenance).sort(*UNIT, "flight_number")
-    running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
-    level = known.with_columns(running.over(unit).alias("smooth"))
-    clean = level.group_by(unit).agg(pl.col("smooth").quantile(CLEAN_QUANTILE).alias("clean"))
-    away = level.join(clean, on=unit, how="left").with_columns(
-        (pl.max_horizontal("clean", _fleet_floor(clean)) - pl.col("smooth")).alias("drop"),
-        (pl.col("index_level") - pl.col("smooth")).alias("index_off"),
+    smooth = _smooth(levels, maintenance)
+    floor = pl.lit(None if fleet.clean is None else fleet.clean - 2.0 * UNIT_SD, pl.Float64)
+    away = smooth.join(_clean(smooth), on=_UNIT, how="left").with_columns(
+        (pl.max_horizontal("clean", floor) - pl.col("smooth")).alias("drop")
     )
-    off = pl.col("index_off").abs()
     flags = {
         "worn": pl.col("drop") > WORN_INDEX,
         "unrest": pl.col("index_unrest") > UNREST,
-        "stray": off > pl.max_horizontal(pl.lit(STRAY_INDEX), STRAY_SD * 1.4826 * off.median()),
+        "stray": pl.col("index_off").abs() > max(STRAY_INDEX, STRAY_SD * 1.4826 * (fleet.stray or 0.0)),
     }
     return away.select(
         *LEG_KEY, "index_n", "index_off", *(flag.fill_null(False).alias(name) for name, flag in flags.items())
     )
 
 
-def _fleet_floor(clean: pl.DataFrame) -> pl.Expr:
-    """Lowest level to which a clean unit may be believed; null in a fleet without levels."""
-    return pl.lit(clean["clean"].median(), pl.Float64) - 2.0 * UNIT_SD
+def _smooth(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Levels with the running median of each unit, and how far a leg leaves it."""
+    known = number_units(levels, maintenance).sort(*UNIT, "flight_number")
+    running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
+    smooth = known.with_columns(running.over(_UNIT).alias("smooth"))
+    return smooth.with_columns((pl.col("index_level") - pl.col("smooth")).alias("index_off"))
+
+
+def _clean(smooth: pl.DataFrame) -> pl.DataFrame:
+    return smooth.group_by(_UNIT).agg(pl.col("smooth").quantile(CLEAN_QUANTILE).alias("clean"))
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, float) else None
 
 
 def number_units(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
@@ -79,19 +112,28 @@ def number_units(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFra
     return placed.with_columns(pl.col("unit").fill_null(0))
 
 
-def reject_outliers(residuals: pl.DataFrame, columns: list[str]) -> pl.Series:
-    """Legs whose residual vector the nominal fleet does not produce: FAST-MCD, fitted once, each leg scored.
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """How residuals of nominal legs scatter together: `columns`, their mean and the inverse of their covariance."""
+
+    columns: tuple[str, ...]
+    mean: tuple[float, ...]
+    precision: tuple[tuple[float, ...], ...]
+
+    def outlying(self, residuals: pl.DataFrame) -> pl.Series:
+        """Rows whose squared robust distance is above the chi-square quantile. Nulls count as zero."""
+        off = residuals.select(pl.col(self.columns).fill_null(0.0)).to_numpy() - np.array(self.mean)
+        distance = ((off @ np.array(self.precision)) * off).sum(axis=1)
+        return pl.Series("outlier", distance > chi2.ppf(MCD_QUANTILE, len(self.columns)))
+
+
+def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None:
+    """Scatter of a nominal fleet, by FAST-MCD; None for fewer than 200 legs: too few for a robust covariance.
 
     Parameters
     ----------
     residuals : DataFrame
         One row a leg; `columns` hold residuals with the unit's own level removed. Nulls count as zero.
-
-    Returns
-    -------
-    Series of bool
-        True where the squared robust distance is above the chi-square quantile. All False in a fleet of fewer than
-        200 legs: too few for a robust covariance.
 
     References
     ----------
@@ -99,13 +141,10 @@ def reject_outliers(residuals: pl.DataFrame, columns: list[str]) -> pl.Series:
        Technometrics 41(3), 1999.
     """
     x = residuals.select(pl.col(columns).fill_null(0.0)).to_numpy()
-    none = pl.Series("outlier", np.zeros(x.shape[0], dtype=bool))
-    if x.shape[0] < MCD_MIN_LEGS:
-        return none
     # a residual that is nothing for most legs (not recorded, door at its stop) has no scatter to be far from
-    moving = (x == 0.0).mean(axis=0) < 0.5
-    if not moving.any():
-        return none
-    scatter = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moving])
-    far = scatter.mahalanobis(x[:, moving]) > chi2.ppf(MCD_QUANTILE, int(moving.sum()))
-    return pl.Series("outlier", far)
+    moving = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)
+    if len(x) < MCD_MIN_LEGS or not moving.any():
+        return None
+    fitted = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moving])
+    named = tuple(c for c, moves in zip(columns, moving, strict=True) if moves)
+    return Scatter(named, tuple(fitted.location_.tolist()), tuple(map(tuple, fitted.get_precision().tolist())))

@@ -68,15 +68,18 @@ TABLES: dict[str, Entry] = {
     "raw_files_quarantine": Entry(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
     "legs_samples": Entry(legs.LegsSamples, "flight", _SAMPLE, "month"),
     "legs_verdicts": Entry(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
+    "legs_signs": Entry(legs.LegsSigns, "flight", _FLIGHT_PACK, "month"),
     "legs_admitted": Entry(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
     "calibration_dsm": Entry(calibration.CalibrationDsm, "fleet", ("dsm_version",)),
     "calibration_design": Entry(
         calibration.CalibrationDesign, "fleet", ("scope", "operator", "tail", "pack", "component", "parameter")
     ),
+    "calibration_laws": Entry(calibration.CalibrationLaws, "fleet", ("name",)),
     "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
     "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
     "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history")),
     "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
+    "features_witnesses": Entry(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
     "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
     "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",)),

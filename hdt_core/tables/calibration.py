@@ -13,6 +13,15 @@ class CalibrationDsm(Table):
     n_flights = count("flights it was calibrated from")
 
 
+class CalibrationLaws(Table):
+    """What the fleet's aircraft hold to, learned from the commissioning window: one set of laws."""
+
+    name = text(
+        "legs: what legs are admitted by; controllers: what the witnesses lean on", nullable=False, primary_key=True
+    )
+    laws = text("the laws as JSON", nullable=False)
+
+
 class CalibrationDesign(Table):
     """One design parameter: scope, component, parameter."""
 

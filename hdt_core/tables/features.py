@@ -167,6 +167,11 @@ _DOC = "What is known of a pack after a flight, one column a feature: flight, pa
 Features = cast("type[Table]", type("Features", (_FlightOfPack,), {"__doc__": _DOC, **dict(_columns())}))
 
 
+_DOC = "What sensors, door and controllers of a pack say of themselves in a flight: flight, pack."
+_WITNESSES = {**dict(_of_sensors()), **dict(_of_witnesses())}
+FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (_FlightOfPack,), {"__doc__": _DOC, **_WITNESSES}))
+
+
 class FeaturesAlerts(Table):
     """One case that wants a person's attention."""
 

@@ -47,6 +47,25 @@ class LegsVerdicts(Table):
     n_frozen = count("values taken out because the sensor repeats itself")
 
 
+class LegsSigns(Table):
+    """What a leg shows by itself, held against the fleet's laws: flight, pack."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+    index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")
+    index_n = count("samples behind it", nullable=True)
+    index_unrest = number("how far a few samples in a row leave the leg's median, in standard errors", low=0)
+    outlet_between_packs_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
+    outlet_above_law_k = number("exchanger outlet above the law the controllers hold", "K")
+    inlet_minus_tat_k = number("compressor inlet above TAT", "K")
+    inlet_over_total_pressure_ln = number("ln of compressor inlet over total pressure")
+    pack_over_compressor_flow_ln = number("ln of pack flow over compressor flow")
+    pack_flow_between_packs_ln = number("ln of pack flow over the other pack's")
+    pack_flow_ln = number("ln of pack flow in kg/s")
+
+
 class LegsAdmitted(Table):
     """The final verdict on a leg, with the twin and the maintenance log at hand: flight, pack."""
 

@@ -4,7 +4,9 @@ import json
 
 import polars as pl
 
-from hdt_core.flight.admission import admit
+from hdt_core.flight.admission import admit_by, learn_norm
+from hdt_core.flight.norm import leg_signs
+from hdt_core.health.controller import learn_laws
 from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.parameters import design_parameters
@@ -17,6 +19,7 @@ from pipelines.resources import Home
 @stage(
     "calibration_dsm",
     "calibration_design",
+    "calibration_laws",
     group="calibration",
     after=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages"),
 )
@@ -26,7 +29,19 @@ def calibration(home: Home) -> Shown:
     within = pl.col("flight_id").is_in(cells["flight_id"].implode())
     samples, verdicts = (store.scan(t).filter(within).collect() for t in ("legs_samples", "legs_verdicts"))
     maintenance, messages = (baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages"))
-    dsm = calibrate(samples, admit(verdicts, samples, maintenance, messages), maintenance)
+    norm = learn_norm(verdicts, samples, maintenance, messages)
+    admitted = admit_by(norm, verdicts, leg_signs(samples, norm), maintenance, messages)
+    dsm = calibrate(samples, admitted, maintenance)
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
     shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
-    return Shown((pl.DataFrame(model), design_parameters(dsm)), shown)
+    laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_laws(samples).to_dict())}
+    held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
+    return Shown((pl.DataFrame(model), design_parameters(dsm), held), shown)
+
+
+LEGS, CONTROLLERS = "legs", "controllers"
+
+
+def laws_of(calibration_laws: pl.DataFrame, name: str) -> str:
+    """One set of laws in service, as JSON."""
+    return str(calibration_laws.filter(name=name)["laws"].item())

@@ -1,25 +1,44 @@
 """What the differences mean: features of each pack after each flight, and the alerts they raise."""
 
+import json
+
 import polars as pl
 
+from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.health.alerts import raise_alerts
+from hdt_core.health.controller import Laws
 from hdt_core.health.features import features as describe
 from hdt_core.health.witnesses import witnesses
+from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage
+
+
+@stage("legs_signs", "features_witnesses", group="features")
+def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
+    norm = Norm.from_json(laws_of(calibration_laws, LEGS))
+    laws = Laws.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    return leg_signs(legs_samples, norm), witnesses(legs_samples, laws)
 
 
 @stage("features", group="features")
 def features(
     twin_health: pl.DataFrame,
     residuals: pl.DataFrame,
-    legs_admitted: pl.DataFrame,
+    legs_verdicts: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     twin_flights: pl.DataFrame,
-    legs_samples: pl.DataFrame,
+    features_witnesses: pl.DataFrame,
 ) -> pl.DataFrame:
     """Health, residuals and their trends, virtual sensors, witnesses for door and sensors, by flight and pack."""
-    seen = witnesses(legs_samples)
-    return describe(twin_health, residuals, legs_admitted, raw_maintenance, twin_flights=twin_flights, witnesses=seen)
+    return describe(
+        twin_health,
+        residuals,
+        legs_verdicts,
+        raw_maintenance,
+        twin_flights=twin_flights,
+        witnesses=features_witnesses,
+    )
 
 
 @stage("features_alerts", group="features")

@@ -2,9 +2,11 @@
 
 import polars as pl
 
-from hdt_core.flight.admission import admit
+from hdt_core.flight.admission import admit_by
 from hdt_core.flight.legs import judge_legs
+from hdt_core.flight.norm import Norm
 from hdt_core.tables.raw import RawMaintenance, RawMessages
+from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage
 
 
@@ -23,10 +25,12 @@ def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFr
 @stage("legs_admitted", group="legs")
 def legs_admitted(
     legs_verdicts: pl.DataFrame,
-    legs_samples: pl.DataFrame,
+    legs_signs: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     raw_messages: pl.DataFrame,
     twin_health: pl.DataFrame,
+    calibration_laws: pl.DataFrame,
 ) -> pl.DataFrame:
     """The final verdict, with hindsight: what logs, cross checks and the twin say of each leg."""
-    return admit(legs_verdicts, legs_samples, raw_maintenance, raw_messages, twin_health)
+    norm = Norm.from_json(laws_of(calibration_laws, LEGS))
+    return admit_by(norm, legs_verdicts, legs_signs, raw_maintenance, raw_messages, twin_health)

@@ -4,11 +4,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import SECOND_LEVEL, admit, yields
-from hdt_core.flight.cross_checks import check_sensors
+from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_norm, yields
+from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_checks
 from hdt_core.flight.legs import REASONS, judge_legs
-from hdt_core.flight.manifold import add_conductance_index, leg_conductance
-from hdt_core.flight.nominal import reject_outliers
+from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
+from hdt_core.flight.nominal import learn_scatter
+from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import number_flights
 
@@ -64,8 +65,12 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     tail = legs["tail"][0]
     span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
     off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
-    found = check_sensors(off, legs).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
-    before = check_sensors(samples, legs).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    found = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(
+        legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY
+    )
+    before = check_sensors(leg_checks(samples, learn_outlet_law(samples)), legs).join(
+        legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY
+    )
     sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))
     hit = found.join(sound.select(LEG_KEY), on=LEG_KEY, how="semi")
     assert hit["sensor_shift"].mean() >= 0.9
@@ -78,14 +83,14 @@ def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
     legs, samples = level_one
     enough = pl.col("monitored").sum().over(LEG_KEY) >= 10
     place = pl.col("monitored").cum_sum().over(LEG_KEY)
-    calm = leg_conductance(add_conductance_index(samples, legs))
+    calm = leg_conductance(samples, learn_manifold(samples, legs))
     iced = samples.with_columns(
         pl.when(enough & pl.col("monitored") & place.is_between(3, 6))
         .then(pl.col("hx_out_k") + ice_k)
         .otherwise("hx_out_k")
         .alias("hx_out_k")
     )
-    restless = leg_conductance(add_conductance_index(iced, legs))
+    restless = leg_conductance(iced, learn_manifold(samples, legs))
     both = calm.join(restless, on=LEG_KEY, suffix="_iced").filter(pl.col("index_n") >= 10)
     assert (both["index_unrest"] > 6.5).mean() <= 0.05
     assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
@@ -93,7 +98,7 @@ def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
 
 def test_index_falls_with_true_loss(fleet, level_one):
     legs, samples = level_one
-    level = leg_conductance(add_conductance_index(samples, legs)).join(fleet.truth, on=KEY)
+    level = leg_conductance(samples, learn_manifold(samples, legs)).join(fleet.truth, on=KEY)
     sound = level.filter(~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == ""))
     change = sound.select(
         (pl.col(c) - pl.col(c).median().over("tail", "pack")).alias(c) for c in ("index_level", "apparent_ua_ratio")
@@ -104,7 +109,7 @@ def test_index_falls_with_true_loss(fleet, level_one):
 def test_without_samples_the_index_is_null_not_an_error(level_one):
     legs, samples = level_one
     few = samples.head(3)
-    assert add_conductance_index(few, legs)["conductance_index"].null_count() == 3
+    assert add_conductance_index(few, learn_manifold(few, legs))["conductance_index"].null_count() == 3
 
 
 @pytest.mark.parametrize("share", [0.02, 0.10, 0.25])
@@ -114,7 +119,8 @@ def test_mcd_is_not_masked_by_what_it_must_reject(share):
     x = rng.normal(size=(1000, 3)) * scales
     sick = np.arange(1000) < 1000 * share
     x[sick] += 8.0 * scales * rng.choice([-1, 1], size=3)
-    out = reject_outliers(pl.DataFrame(x, schema=["a", "b", "c"]), ["a", "b", "c"]).to_numpy()
+    residuals = pl.DataFrame(x, schema=["a", "b", "c"])
+    out = learn_scatter(residuals, residuals.columns).outlying(residuals).to_numpy()
     assert out[sick].all()
     assert out[~sick].mean() <= 0.01
 
@@ -124,3 +130,22 @@ def test_yield_is_reported_by_month_tail_and_operator(admitted):
     assert {"operator", "tail", "month", "n_legs", "n_admitted", "yield"} == set(shares.columns)
     assert shares["n_legs"].sum() == admitted.height
     assert shares["n_admitted"].sum() == admitted["admitted"].sum()
+
+
+def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, admitted):
+    legs, samples = level_one
+    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
+    assert Norm.from_json(norm.to_json()) == norm
+    assert Norm.from_json(Norm().to_json()) == Norm()
+    for (tail,), own in legs.group_by("tail"):
+        signs = leg_signs(samples.filter(tail=tail), norm)
+        alone = admit_by(norm, own, signs, fleet.maintenance, fleet.messages)
+        assert alone.equals(admitted.filter(tail=tail).select(alone.columns))
+
+
+def test_signs_of_a_leg_are_its_own(fleet, level_one):
+    legs, samples = level_one
+    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
+    some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
+    whole, part = (leg_signs(s, norm).sort(LEG_KEY) for s in (samples, some))
+    assert part.equals(whole.join(part.select(LEG_KEY), on=LEG_KEY, how="semi").sort(LEG_KEY))

@@ -1,0 +1,49 @@
+"""What nominal legs of a fleet have in common, learned once in its commissioning window, and legs held against it."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import polars as pl
+
+from hdt_core.flight.cross_checks import OutletLaw, leg_checks
+from hdt_core.flight.manifold import Manifold, leg_conductance
+from hdt_core.flight.nominal import Level, Scatter
+from hdt_core.flight.phases import LEG_KEY
+
+
+@dataclass(frozen=True, slots=True)
+class Norm:
+    """What nominal legs of a fleet have in common: the laws that legs are held against."""
+
+    manifold: Manifold | None = None
+    outlet: OutletLaw | None = None
+    level: Level = field(default_factory=Level)
+    scatter: Scatter | None = None
+
+    def to_json(self) -> str:
+        """Plain text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> "Norm":
+        """Inverse of `to_json`."""
+        plain = json.loads(text)
+        kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": Level, "scatter": Scatter}
+        return cls(**{name: kind(**_frozen(plain[name])) for name, kind in kinds.items() if plain[name] is not None})
+
+
+def leg_signs(samples: pl.DataFrame, norm: Norm) -> pl.DataFrame:
+    """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
+    means of the cross checks. Each from its own samples only."""
+    checks = leg_checks(samples, norm.outlet)
+    return checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True)
+
+
+def _frozen(plain: dict[str, Any]) -> dict[str, Any]:
+    """Lists as tuples, as the laws hold them."""
+    return {k: _tuple(v) for k, v in plain.items()}
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
