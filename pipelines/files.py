@@ -90,14 +90,14 @@ def _make_folder(path: Path) -> None:
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Two runs may hold flights of one aircraft and month: the second waits, and finds the rows of the first."""
+    """Two runs may hold flights of one aircraft and month: the second waits, and finds the rows of the first.
+
+    The lock is on a file, since a shared folder of another machine (NFS) locks only what is open for writing.
+    """
     _make_folder(folder)
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX)
+    with open(folder / ".lock", "ab") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-    finally:
-        os.close(fd)
 
 
 def _sync(path: Path) -> None:
