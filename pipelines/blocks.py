@@ -11,6 +11,7 @@ from dagster._core.storage.tags import ASSET_PARTITION_RANGE_END_TAG, ASSET_PART
 from pipelines import partitions
 
 CELLS_A_RUN = 1_000  # flights a run takes at most, so that memory grows neither with the fleet nor with its history
+FOLDED = 20  # times as many where whole aircraft are made: no samples are read, and packs cost least side by side
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,7 @@ class Known:
             held, shared = 0, []
             for aircraft in stretch:
                 held += len(self.flown.get(aircraft, ()))
-                if shared and held > CELLS_A_RUN:
+                if shared and held > FOLDED * CELLS_A_RUN:
                     yield Block(len(shared), tuple(shared))
                     held, shared = len(self.flown.get(aircraft, ())), []
                 shared.append(aircraft)

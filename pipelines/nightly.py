@@ -62,6 +62,9 @@ STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
 ]
 
 
+MANY_FLIGHTS = 3_000
+
+
 class BusyError(Exception):
     """Another run holds this home."""
 
@@ -173,6 +176,7 @@ class _Chain:
     hands: Workers | Elsewhere
     runs: int = 0
     cells: int = 0
+    flights: int = 0
     failed: dict[str, str] = field(default_factory=dict)
 
     def send_out(self) -> None:
@@ -191,8 +195,10 @@ class _Chain:
         wanted, tables = pl.concat(cells).unique(), [t for node in nodes[first:] for t in node]
         if grain != "fleet":
             self.runner.register(wanted)
+        if grain == "flight":
+            self.flights = max(self.flights, wanted.height)
         self.progress.start(label, wanted.height)
-        for made in self._make(tables, list(self.runner.known().blocks(grain, wanted)), label):
+        for made in self._make(tables, list(self.runner.known().blocks(grain, wanted)), label, grain):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
             self.failed |= made.failed
             self.progress.advance(made.block.cells)
@@ -201,8 +207,10 @@ class _Chain:
         cells = stale(self.ledger, *node).select(CELL)
         return cells if self.only is None or TABLES[node[0]].grain == "fleet" else cells.filter(self.only)
 
-    def _make(self, tables: list[str], blocks: list[Block], label: str) -> Iterator[Made]:
-        if self.hands.worth(blocks):
+    def _make(self, tables: list[str], blocks: list[Block], label: str, grain: str) -> Iterator[Made]:
+        """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""
+        few = grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
+        if not few and self.hands.worth(blocks):
             return self.hands.make(tables, blocks, label)
         self.hands.stop()
         return (self.runner.make(tables, block, label) for block in blocks)

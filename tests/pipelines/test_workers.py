@@ -27,6 +27,7 @@ def landing(tmp_path_factory) -> Path:
 def small_blocks(monkeypatch) -> None:
     """An aircraft a run, shared out however few; up to the twin, whose fleet-wide steps are no different."""
     monkeypatch.setattr(blocks, "CELLS_A_RUN", 12)
+    monkeypatch.setattr(blocks, "FOLDED", 1)
     monkeypatch.setattr(workers, "BLOCKS_TO_SHARE", 2)
     monkeypatch.setattr(nightly, "STEPS", nightly.STEPS[:5])
 
@@ -64,7 +65,7 @@ def _night(landing: Path, home: Path) -> None:
         def advance(self, cells: int) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
-    workers.BLOCKS_TO_SHARE, blocks.CELLS_A_RUN = 2, 12
+    workers.BLOCKS_TO_SHARE, blocks.CELLS_A_RUN, blocks.FOLDED = 2, 12, 1
     with nightly.holding(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 
