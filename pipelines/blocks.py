@@ -70,20 +70,20 @@ class Known:
         span = set(self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1])
         return [partitions.cell_key(a, f) for a in block.aircraft for f in sorted(self.flown[a] & span)]
 
-    def blocks(self, grain: str, wanted: pl.DataFrame) -> Iterator[Block]:
+    def blocks(self, grain: str, wanted: pl.DataFrame, folded: bool = True) -> Iterator[Block]:
         """Runs that make the wanted cells (operator, tail, flight_id) and no other."""
         if grain == "fleet":
             return iter([Block()])
         asked = by_aircraft(wanted)
-        return self._of_aircraft(asked) if grain == "aircraft" else self._of_flights(asked)
+        return self._of_aircraft(asked, FOLDED if folded else 1) if grain == "aircraft" else self._of_flights(asked)
 
-    def _of_aircraft(self, asked: dict[str, set[str]]) -> Iterator[Block]:
+    def _of_aircraft(self, asked: dict[str, set[str]], times: int) -> Iterator[Block]:
         """Neighbours that are all wanted, as many as share a run without holding too many flights at once."""
         for stretch in _stretches(self.aircraft, asked):
             held, shared = 0, []
             for aircraft in stretch:
                 held += len(self.flown.get(aircraft, ()))
-                if shared and held > FOLDED * CELLS_A_RUN:
+                if shared and held > times * CELLS_A_RUN:
                     yield Block(len(shared), tuple(shared))
                     held, shared = len(self.flown.get(aircraft, ())), []
                 shared.append(aircraft)

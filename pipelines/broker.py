@@ -57,8 +57,8 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
 
         While nobody answers the broker may be down and its workers well; and with no worker there is none to retry on.
         """
-        tasks = self._tasks()
-        if tasks is None or run.tags.get(DAGSTER_CELERY_TASK_ID_TAG) in tasks:
+        task, tasks = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG), self._tasks()
+        if task is None or tasks is None or task in tasks:  # a run without a task was never sent out
             self._missed.pop(run.run_id, None)
             return CheckRunHealthResult(WorkerStatus.RUNNING)
         missed_s = time.monotonic() - self._missed.setdefault(run.run_id, time.monotonic())

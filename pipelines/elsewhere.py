@@ -31,6 +31,8 @@ _UNDER_WAY = [dg.DagsterRunStatus[s] for s in ("QUEUED", "STARTING", "STARTED", 
 class Elsewhere:
     """Hands on other machines; the same to a night as `Workers`."""
 
+    folded = False  # several machines want several runs
+
     def __init__(self, runner: Runner) -> None:
         self.runner, self.instance = runner, runner.instance
 
@@ -43,7 +45,7 @@ class Elsewhere:
         while self._at_large():
             time.sleep(LOOK_S)
 
-    def worth(self, blocks: list[Block]) -> bool:
+    def worth(self, blocks: list[Block], few: bool) -> bool:
         """Whether the blocks are sent out: always, for the night's own machine may be a small one."""
         return bool(blocks)
 
@@ -109,4 +111,4 @@ class Elsewhere:
         self.runner.show_failed(run.run_id, block)
         kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
         events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]
-        return why_failed(events) or (events[-1].message if events else f"it ended as {run.status.value}")
+        return why_failed(events) or next((e.message for e in reversed(events) if e.message), run.status.value)

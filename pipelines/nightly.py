@@ -198,7 +198,8 @@ class _Chain:
         if grain == "flight":
             self.flights = max(self.flights, wanted.height)
         self.progress.start(label, wanted.height)
-        for made in self._make(tables, list(self.runner.known().blocks(grain, wanted)), label, grain):
+        blocks = self.runner.known().blocks(grain, wanted, self.hands.folded)
+        for made in self._make(tables, list(blocks), label, grain):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
             self.failed |= made.failed
             self.progress.advance(made.block.cells)
@@ -210,7 +211,7 @@ class _Chain:
     def _make(self, tables: list[str], blocks: list[Block], label: str, grain: str) -> Iterator[Made]:
         """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""
         few = grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
-        if not few and self.hands.worth(blocks):
+        if self.hands.worth(blocks, few):
             return self.hands.make(tables, blocks, label)
         self.hands.stop()
         return (self.runner.make(tables, block, label) for block in blocks)

@@ -40,13 +40,15 @@ def sends_out(home: Path) -> bool:
 class Workers:
     """Processes that make blocks of one home; started when there is first something to share out."""
 
+    folded = True  # few large runs of whole aircraft cost one machine least
+
     def __init__(self, landing: Path, home: Path, jobs: int) -> None:
         self.landing, self.home, self.jobs = landing.resolve(), home.resolve(), jobs
         self._pool: ProcessPoolExecutor | None = None
 
-    def worth(self, blocks: list[Block]) -> bool:
-        """Whether the blocks are enough to share out."""
-        return self.jobs > 1 and len(blocks) >= BLOCKS_TO_SHARE
+    def worth(self, blocks: list[Block], few: bool) -> bool:
+        """Whether the blocks are enough to share out; not where there is little new in each of a few."""
+        return not few and self.jobs > 1 and len(blocks) >= BLOCKS_TO_SHARE
 
     def make(self, tables: list[str], blocks: list[Block], label: str) -> Iterator[Made]:
         """Make the blocks in any order and say of each when it is done.

@@ -82,5 +82,6 @@ def fingerprint(home: Path) -> dict[str, str]:
 
 
 def _hash(frame: pl.DataFrame) -> str:
+    frame = frame.with_columns(pl.col(pl.List(pl.Float64)).cast(pl.List(pl.String)).list.join(","))
     plain = pl.concat_str((~pl.selectors.binary()).cast(pl.String).fill_null("\0"), separator="\x1f")
     return hashlib.blake2b("\n".join(frame.select(plain).to_series().sort()).encode(), digest_size=16).hexdigest()
