@@ -58,6 +58,23 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
     assert all("postgres" in module for module in kept_in)
 
 
+def test_what_a_cluster_is_given_fits_together():
+    """Names that one manifest makes and another uses; the settings in it are those of the other engines but for one."""
+    found = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
+    made = {(d["kind"], d["metadata"]["name"]) for d in found}
+    text = (ROOT / "deploy/kubernetes.yaml").read_text()
+    for kind, key in (("ConfigMap", "configMap"), ("PersistentVolumeClaim", "claimName"), ("ServiceAccount", "")):
+        pattern = {"configMap": r"(?:configMap|configMapRef): \{name: ([\w-]+)", "claimName": r"claimName: ([\w-]+)"}
+        named = set(re.findall(pattern.get(key, r"service_?[aA]ccount_?[nN]ame: ([\w-]+)"), text))
+        assert named
+        assert {(kind, name) for name in named} <= made
+    (inside,) = [d["data"]["dagster.yaml"] for d in found if "dagster.yaml" in d.get("data", {})]
+    ours, celery = yaml.safe_load(inside), yaml.safe_load((ROOT / "deploy/celery.yaml").read_text())
+    alike = ("event_log_storage", "run_storage", "schedule_storage", "run_coordinator", "run_monitoring", "run_retries")
+    assert {k: ours[k] for k in alike} == {k: celery[k] for k in alike}
+    assert ours["run_launcher"]["class"] == "K8sRunLauncher"
+
+
 def test_the_image_copies_what_it_needs_and_is_let_see_it():
     lines = (ROOT / "Dockerfile").read_text().splitlines()
     copied = [w for line in lines if line.startswith("COPY") and "--from" not in line for w in line.split()[1:-1]]
