@@ -1,8 +1,8 @@
 """Learning across operators that share no flights: `python -m benchmarks.federated [--fleets N] [--write]`.
 
-One type flown by five operators, each in a climate of its own, through the whole chain. What an operator's lives teach
-(the limit, the correction of the simulated base, the interval's levels: six numbers a component) is compared when it is
-taught by its own lives, by everybody's in one place, and by everybody's at home with only the numbers, or only the
+One type flown by five operators, each in a climate of its own, through the whole chain. What lives teach (the limit,
+the correction of the simulated base, the interval's levels: seven numbers a component) is compared when it is taught by
+an operator's own lives, by everybody's in one place, and by everybody's at home with only the numbers, or only the
 prognoses, put together. The same without the simulated base, where each operator fits a hazard of its own. Every tail
 is judged by what other tails taught; then an operator by what the other operators taught. `--write` puts the tables
 into docs/federated.md.

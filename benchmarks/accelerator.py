@@ -1,0 +1,86 @@
+"""What a night could gain from an accelerator at most: `python -m benchmarks.accelerator [S|M|L] [--write]`.
+
+One first night in one process, Dagster and all; processor seconds of what could go to a device because it works on all
+flights at once as arrays, and Amdahl's bound on the whole if it took no time there. `--write` puts the table into
+docs/beyond.md.
+"""
+
+import argparse
+import importlib
+import os
+import platform
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks import page
+from benchmarks.scale import SIZES, night
+from pipelines.simulated import write_fleet
+
+PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+PARTS = {
+    "estimation of all flights at once": [("pipelines.assets.twin", "estimate_flights")],
+    "of it the exchanger's equations over arrays": [("hdt_core.twin.exchanger", "ln_conductance_ratio")],
+    "the Digital System Model": [("pipelines.assets.calibration", "calibrate")],
+    "tracks of the twins, flight after flight": [("pipelines.assets.twin", "track_on")],
+    "boosting on simulated lives, once a code version": [("pipelines.assets.prognosis", "fit_base")],
+}
+
+
+def timed(spent: Counter[str]) -> None:
+    """Let the named functions count their processor seconds."""
+    for part, places in PARTS.items():
+        for module_name, name in places:
+            module = importlib.import_module(module_name)
+            setattr(module, name, _timed(getattr(module, name), part, spent))
+
+
+def _timed(call: Callable[..., Any], part: str, spent: Counter[str]) -> Callable[..., Any]:
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        began = time.process_time()
+        try:
+            return call(*args, **kwargs)
+        finally:
+            spent[part] += time.process_time() - began
+
+    return counted
+
+
+def table(size: str, whole_s: float, spent: Counter[str]) -> str:
+    """As Markdown."""
+    s = SIZES[size]
+    lines = [
+        f"| a first night of {s.operators * s.tails * s.flights:,} flights | processor [s] | share | bound |",
+        "| --- | ---: | ---: | ---: |",
+        f"| all | {whole_s:.1f} | | |",
+    ]
+    for part in PARTS:
+        share = spent[part] / whole_s
+        lines.append(f"| {part} | {spent[part]:.2f} | {share:.1%} | {1 / (1 - share):.3f} |")
+    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked.add_argument("size", nargs="?", default="M", choices=SIZES)
+    asked.add_argument("--write", action="store_true")
+    said = asked.parse_args()
+    spent: Counter[str] = Counter()
+    timed(spent)
+    with tempfile.TemporaryDirectory() as scratch:
+        for _ in write_fleet(Path(scratch), 11, SIZES[said.size]):
+            pass
+        began = time.process_time()
+        night(Path(scratch, "landing"), Path(scratch, "home"), shared=False)
+        text = table(said.size, time.process_time() - began, spent)
+    print(text)
+    if said.write:
+        page.write("accelerator", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""Files and answers of a store that grows: `python -m benchmarks.growth [--aircraft N ...] [--write]`.
+
+A real night over fleet S of benchmarks/scale.py (250 flights an aircraft); its aircraft are then stored again and again
+under other tails, every table of them, through the store itself. At each size: files, bytes, the time to publish the
+catalog, and of some questions, each the median of several askings. `--write` puts the table into docs/beyond.md.
+"""
+
+import argparse
+import os
+import platform
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+import polars as pl
+
+from benchmarks import page
+from benchmarks.scale import SIZES, measured
+from hdt_core.tables import TABLES
+from pipelines.catalog import connect, publish
+from pipelines.simulated import write_fleet
+from pipelines.store import FLEET, Store
+
+PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+QUESTIONS = {
+    "fleet's ranking": "select * from fleet_ranking order by place",
+    "one pack's fouling": "select * from health_parameters where tail = (select min(tail) from fleet_ranking)"
+    " and pack = 1 and parameter = 'hx_fouling'",
+    "open alerts": "select * from alerts where closed_at is null",
+    "flights a month": "select date_trunc('month', departed_at), count(*) from flights group by all",
+    "mean residual by signal": "select signal, avg(mean) from residuals group by signal",
+}
+ROUNDS = 5
+Aircraft = tuple[str, str]
+
+
+def multiply(store: Store, originals: list[Aircraft], first: int, last: int) -> None:
+    """Store the aircraft again under the numbers from `first` to `last`."""
+    for table, entry in TABLES.items():
+        if entry.grain == "fleet":
+            _multiply_fleet(store, table, len(originals), first, last)
+            continue
+        for k, (operator, tail) in enumerate(originals):
+            frame = store.read(table, [(operator, tail)]).filter(pl.col("tail") == tail)
+            for number in range(first, last):
+                if number % len(originals) == k:
+                    _keep(store, table, (operator, f"N{number:05}"), _renamed(frame, tail, f"N{number:05}"))
+
+
+def _keep(store: Store, table: str, aircraft: Aircraft, frame: pl.DataFrame) -> None:
+    entry = TABLES[table]
+    if entry.grain == "flight":
+        store.merge(table, aircraft, frame["flight_id"].unique().drop_nulls(), frame)
+    else:
+        store.replace(table, aircraft, frame)
+
+
+def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int) -> None:
+    """Rows of aircraft in a table of the whole fleet; a model stays the one row it is."""
+    held = store.read(table)
+    if "tail" not in held.columns or not held.height or table == "raw_fleet":
+        return
+    own = held.filter(~pl.col("tail").str.starts_with("N")).partition_by("tail", as_dict=True)
+    more = [
+        _renamed(frame, str(tail), f"N{number:05}")
+        for k, ((tail,), frame) in enumerate(own.items())
+        for number in range(first, last)
+        if tail and number % count == k
+    ]
+    store.replace(table, FLEET, pl.concat([held, *more]))
+
+
+def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:
+    ids = [c for c in ("flight_id", "raised_flight_id", "alert_id", "file") if c in frame.columns]
+    renamed = [pl.col(c).str.replace(tail, name, literal=True) for c in ids]
+    return frame.with_columns(pl.lit(name).alias("tail"), *renamed)
+
+
+def asked(home: Path) -> dict[str, float]:
+    """Milliseconds each question takes."""
+    taken = {}
+    with connect(home) as con:
+        for name, sql in QUESTIONS.items():
+            rounds = []
+            for _ in range(ROUNDS):
+                began = time.perf_counter()
+                con.execute(sql).fetchall()
+                rounds.append(1e3 * (time.perf_counter() - began))
+            taken[name] = median(rounds)
+    return taken
+
+
+def row(home: Path, aircraft: int) -> dict[str, float]:
+    """What a home of so many aircraft holds and takes."""
+    files = list((home / "tables").rglob("*.parquet"))
+    began = time.perf_counter()
+    publish(home)
+    found = {"publish_s": time.perf_counter() - began, "files": len(files)}
+    found |= {"megabytes": sum(f.stat().st_size for f in files) / 1e6, "aircraft": aircraft}
+    return found | asked(home)
+
+
+def table(rows: list[dict[str, float]], flights: int) -> str:
+    """As Markdown."""
+    head = ["aircraft", "flights", "files", "MB", "publish [s]", *(f"{q} [ms]" for q in QUESTIONS)]
+    lines = ["| " + " | ".join(head) + " |", "|" + " ---: |" * len(head)]
+    for r in rows:
+        cells = [f"{r['aircraft']:,}", f"{r['aircraft'] * flights:,}", f"{r['files']:,}", f"{r['megabytes']:,.0f}"]
+        cells += [f"{r['publish_s']:.1f}", *(f"{r[q]:,.0f}" for q in QUESTIONS)]
+        lines.append("| " + " | ".join(cells) + " |")
+    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    said = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    said.add_argument("--aircraft", type=int, nargs="*", default=[4, 20, 100, 400])
+    said.add_argument("--write", action="store_true")
+    given = said.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        root, home, rows = Path(scratch), Path(scratch) / "home", []
+        for _ in write_fleet(root, 11, SIZES["S"]):
+            pass
+        measured("night", root / "landing", home)
+        store = Store(home)
+        originals = sorted(store.read("raw_flights").select("operator", "tail").unique().rows())
+        there = len(originals)
+        for aircraft in given.aircraft:
+            multiply(store, originals, there, aircraft)
+            there = aircraft
+            rows.append(row(home, aircraft))
+            print(rows[-1], flush=True)
+        text = table(rows, SIZES["S"].flights)
+    print(text)
+    if given.write:
+        page.write("growth", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()
