@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
@@ -120,15 +121,17 @@ def scan(landing: Path, home: Path) -> None:
 
 
 def deliver(landing: Path, count: int) -> None:
-    """So many new flights, a CSV file each: the last ones of every aircraft flown again a week later."""
+    """So many new flights, a CSV file each: the last ones of every aircraft flown again on the day after the fleet's
+    last."""
     aircraft = sorted({f.parent.parent for f in landing.glob("*/*/acms/*.parquet")})
-    for folder in aircraft:
-        rows = pl.read_parquet(sorted((folder / "acms").glob("*.parquet"))[-1])
-        own = rows["flight_id"].unique().sort()[-math.ceil(count / len(aircraft)) :]
-        for flight in own:
-            later = rows.filter(flight_id=flight).with_columns(pl.col("report_time").dt.offset_by("7d"))
+    latest = {folder: pl.read_parquet(sorted((folder / "acms").glob("*.parquet"))[-1]) for folder in aircraft}
+    tonight = max(rows["report_time"].max() for rows in latest.values()).date() + timedelta(days=1)
+    for folder, rows in latest.items():
+        for flight in rows["flight_id"].unique().sort()[-math.ceil(count / len(aircraft)) :]:
+            own = rows.filter(flight_id=flight)
+            later = own.with_columns(pl.col("report_time") + (tonight - own["report_time"].min().date()))
             tail, _, leg = flight.rsplit("_", 2)
-            name = f"{tail}_{later['report_time'].min():%Y%m%d}_{leg}"
+            name = f"{tail}_{tonight:%Y%m%d}_{leg}"
             stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
             later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(folder / "acms" / f"{name}.csv")
 

@@ -82,7 +82,7 @@ class TwinHealth(Table):
 
 
 class TwinChapters(Table):
-    """One of the histories a pack may have had, as believed when a chapter of a hundred flights began; for going on."""
+    """One of the histories a pack may have had, as believed when a chapter of fifty flights began; for going on."""
 
     operator = operator_key()
     tail = tail_key()

@@ -68,7 +68,7 @@ def track_on(
 
 def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:
     """`hx_fouling` of every row of `flights` (in order), and `hx_fouling_smoothed`, which also knows flights to come,
-    one to two hundred of them.
+    fifty to a hundred of them.
 
     `literal` walks pack by pack, flight by flight, and does not look back.
     """
