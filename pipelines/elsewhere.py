@@ -7,6 +7,7 @@ failed, its aircraft are sent out again one by one.
 
 import sys
 import time
+from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ import dagster as dg
 from dagster._core.code_pointer import ModuleCodePointer
 from dagster._core.origin import DEFAULT_DAGSTER_ENTRY_POINT, JobPythonOrigin, RepositoryPythonOrigin
 from dagster._core.remote_origin import ManagedGrpcPythonEnvCodeLocationOrigin, RemoteJobOrigin, RemoteRepositoryOrigin
+from dagster._core.storage.dagster_run import FINISHED_STATUSES
 from dagster._core.storage.tags import AUTO_RETRY_RUN_ID_TAG, WILL_RETRY_TAG
 from dagster._core.types.loadable_target_origin import LoadableTargetOrigin
 from dagster._daemon.controller import all_daemons_live
@@ -23,6 +25,7 @@ from pipelines.runs import NIGHT, Runner, why_failed
 from pipelines.workers import EngineError
 
 LOOK_S = 0.5
+AHEAD = 500  # runs that are sent before those before them are done: Dagster looks at its whole queue each time
 _SILENT_S = 60  # beyond the half minute between two of the daemon's heartbeats
 LOCATION = "pipelines.definitions"
 _UNDER_WAY = [dg.DagsterRunStatus[s] for s in ("QUEUED", "STARTING", "STARTED", "CANCELING")]
@@ -55,8 +58,12 @@ class Elsewhere:
         A run that Dagster starts again is followed; one of several aircraft that failed for good makes room for a run
         of each.
         """
-        waiting = {self._send(tables, block): block for block in blocks}
-        while waiting:
+        job, unsent = self.runner.job(tables), deque(blocks)
+        waiting: dict[str, Block] = {}
+        while unsent or waiting:
+            while unsent and len(waiting) < AHEAD:
+                block = unsent.popleft()
+                waiting[self._send(job, block)] = block
             for run in self._ended(waiting):
                 block = waiting.pop(run.run_id)
                 if (again := run.tags.get(AUTO_RETRY_RUN_ID_TAG)) and not run.is_success:
@@ -64,7 +71,7 @@ class Elsewhere:
                     continue
                 why = None if run.is_success else self._why(run, block)
                 if why and len(block.aircraft) > 1:  # their cells count once: as their block's
-                    waiting |= {self._send(tables, one): replace(one, cells=0) for one in block.apart()}
+                    unsent.extend(replace(one, cells=0) for one in block.apart())
                     why = None
                 where = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
                 yield Made(block, 1, {where: why} if why else {})
@@ -73,14 +80,13 @@ class Elsewhere:
     def stop(self) -> None:
         """They are not ours to stop."""
 
-    def _send(self, tables: list[str], block: Block) -> str:
+    def _send(self, job: dg.JobDefinition, block: Block) -> str:
         """Submit one run; its id."""
         target = LoadableTargetOrigin(executable_path=sys.executable, module_name=LOCATION)
         location = ManagedGrpcPythonEnvCodeLocationOrigin(target, LOCATION)
         code = RepositoryPythonOrigin(
             sys.executable, ModuleCodePointer(LOCATION, "defs", None), entry_point=DEFAULT_DAGSTER_ENTRY_POINT
         )
-        job = self.runner.job(tables)
         run = self.runner.create(
             job,
             block,
@@ -92,8 +98,8 @@ class Elsewhere:
 
     def _ended(self, waiting: Collection[str]) -> list[dg.DagsterRun]:
         """Runs that have ended, for good or with another that takes their place."""
-        runs = self.instance.get_runs(dg.RunsFilter(run_ids=list(waiting)))
-        return [r for r in runs if r.is_finished and not self._in_doubt(r)]
+        runs = self.instance.get_runs(dg.RunsFilter(run_ids=list(waiting), statuses=FINISHED_STATUSES))
+        return [r for r in runs if not self._in_doubt(r)]
 
     def _in_doubt(self, run: dg.DagsterRun) -> bool:
         """Whether it failed and Dagster is yet to say if it starts again, or to start it."""

@@ -124,7 +124,8 @@ class Ledger:
 
     def mark(self, asset: str, cells: pl.DataFrame) -> None:
         """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
-        rows = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version").rows()
+        wanted = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version")
+        rows = sorted(wanted.rows(), key=lambda row: row[:4])  # in one order, or two who mark the same cells deadlock
         with self._open() as con:
             con.executemany(_SET_VERSION, rows)
             fault_point("before_mark")
