@@ -1,0 +1,88 @@
+"""A run is lost when workers answer and none of them is at it, and not before."""
+
+import dagster as dg
+import pytest
+from dagster._core.launcher import WorkerStatus
+
+from pipelines import broker
+
+AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """A launcher, what its workers answer, and the time."""
+    launcher = broker.WatchedCeleryRunLauncher(default_queue="dagster", broker="memory://", grace_s=60)
+    told = {"answer": AT_WORK, "now": 1000.0}
+
+    class Inspect:
+        def __init__(self, timeout: float) -> None: ...
+
+        def active(self):
+            if isinstance(told["answer"], Exception):
+                raise told["answer"]
+            return told["answer"]
+
+    monkeypatch.setattr(launcher.celery.control, "inspect", Inspect)
+    monkeypatch.setattr(broker.time, "monotonic", lambda: told["now"])
+    return launcher, told
+
+
+def run_of(task: str | None) -> dg.DagsterRun:
+    return dg.DagsterRun(job_name="any", tags={"dagster-celery/task_id": task} if task else {})
+
+
+def status(launcher, run):
+    return launcher.check_run_worker_health(run).status
+
+
+def test_a_run_that_a_worker_is_at_lives(asked):
+    launcher, _ = asked
+    assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
+
+
+def test_a_run_that_nobody_is_at_is_lost_after_a_while(asked):
+    launcher, told = asked
+    run = run_of("task-2")
+    assert status(launcher, run) == WorkerStatus.RUNNING
+    told["now"] += 59
+    assert status(launcher, run) == WorkerStatus.RUNNING
+    told["now"] += 2
+    found = launcher.check_run_worker_health(run)
+    assert found.status == WorkerStatus.NOT_FOUND
+    assert found.msg == "no worker has been at it for 61 s"
+
+
+@pytest.mark.parametrize("silence", [None, broker.OperationalError("refused"), ConnectionResetError()])
+def test_while_nobody_answers_nothing_is_lost_and_the_while_begins_anew(asked, silence):
+    launcher, told = asked
+    run = run_of("task-2")
+    assert status(launcher, run) == WorkerStatus.RUNNING
+    told |= {"answer": silence, "now": told["now"] + 100}
+    assert status(launcher, run) == WorkerStatus.RUNNING
+    told |= {"answer": AT_WORK, "now": told["now"] + 100}
+    assert status(launcher, run) == WorkerStatus.RUNNING
+    told["now"] += 61
+    assert status(launcher, run) == WorkerStatus.NOT_FOUND
+
+
+def test_workers_are_asked_once_for_all_runs_of_a_look(asked):
+    launcher, told = asked
+    status(launcher, run_of("task-1"))
+    told["answer"] = RuntimeError("asked again")
+    assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
+
+
+def test_a_run_that_was_never_sent_out_is_not_the_workers(asked):
+    launcher, told = asked
+    run = run_of(None)
+    for _ in range(3):
+        told["now"] += 100
+        assert status(launcher, run) == WorkerStatus.RUNNING
+
+
+def test_what_is_sent_is_acknowledged_when_it_begins_and_asks_for_no_result(asked):
+    launcher, _ = asked
+    conf = launcher.celery.conf
+    assert (conf.task_acks_late, conf.task_ignore_result, conf.result_backend) == (False, True, None)
+    assert conf.worker_prefetch_multiplier == 1
