@@ -2,7 +2,8 @@
 
 Stock `store_event_batch` is a loop: two transactions, a new engine and about twelve fsyncs an event, 19 to 59 s per
 1,000 partitions and asset. And stock makes and serialises an event of 2 kB for every partition of a step, though they
-differ in nothing but the partition: here one is made, and its text serves the others (`stands_for`). What a run plans
+differ in nothing but the partition: here one is made, and its text, less what it tells of the run, serves the others
+(`stands_for`). What a run plans
 is one event an asset; cells appear as planned only where the run failed (`planned_in_vain`), since one that succeeded
 has materialised them. Schema and files are unchanged, so stock Dagster reads what this class wrote; the page of a run
 shows one line an asset and not one a partition. It leans on private API: Dagster is pinned to one minor version, and a
@@ -57,13 +58,23 @@ class Series:
 
     def others(self) -> Iterator[tuple[str, str, Mapping[str, str]]]:
         """Partition, event in Dagster's own text, and tags of all but the first."""
-        pattern, names = str(self.row["event"]).replace("%", "%%"), {"partition": self.row["partition"]}
+        pattern, names = _bare(str(self.row["event"])).replace("%", "%%"), {"partition": self.row["partition"]}
         for key, value in (names | _dimensions(self.row["partition"])).items():
             pattern = pattern.replace(f'"{key}": {json.dumps(value)}', f'"{key}": %({key})s')
         for partition in filter(None, self.partitions[1:]):
             own = _dimensions(partition)
             quoted = {key: json.dumps(value) for key, value in {"partition": partition, **own}.items()}
             yield partition, pattern % quoted, self.tags and {**self.tags, **own}
+
+
+def _bare(event: str) -> str:
+    """An event's text without the numbers of its run, which stand with the series' first: half of what is stored."""
+    said = json.loads(event)
+    said["dagster_event"]["logging_tags"] = {}
+    made = said["dagster_event"]["event_specific_data"].get("materialization")
+    if made:
+        made["metadata_entries"] = []
+    return json.dumps(said)
 
 
 def _what(event: EventLogEntry) -> tuple[str, AssetKey | None]:
