@@ -21,7 +21,7 @@ from pipelines.landing import scan
 from pipelines.ledger import Ledger
 from pipelines.store import Store
 from pipelines.versions import CELL, stale
-from pipelines.workers import Workers, sends_out, workers
+from pipelines.workers import EngineError, Workers, sends_out, workers
 
 if TYPE_CHECKING:
     from dagster import DagsterInstance
@@ -149,7 +149,7 @@ def run_night(
     with workers(landing, home, 1 if instance else jobs) as hands:
         chain = _Chain(landing, home, ledger, progress, only, instance, hands)
         if sends_out(home):
-            chain.send_out()
+            chain.send_out()  # first: what a killed night sent out may still be writing
         Store(home).sweep()
         found = scan(landing, ledger)
         for label, grain, nodes in STEPS:
@@ -183,6 +183,8 @@ class _Chain:
         """Let other machines make the blocks, once what a killed night had sent them is done."""
         from pipelines.elsewhere import Elsewhere
 
+        if self.instance:
+            raise EngineError("a night that is itself a run would wait for a worker that waits behind it; use cron")
         self.hands = Elsewhere(self.runner)
         self.hands.settle()
 

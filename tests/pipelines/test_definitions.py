@@ -8,6 +8,7 @@ from hdt_core.tables import TABLES
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
 from pipelines.versions import MADE
+from pipelines.workers import EngineError
 
 STAGES = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis"}
 
@@ -106,3 +107,12 @@ def test_the_job_does_what_the_command_does(own_home):
     done = build_defs(landing=landing, home=home).resolve_job_def("nightly").execute_in_process(instance=instance)
     assert done.success
     instance.dispose()
+
+
+def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing, tmp_path):
+    """It would hold a worker that a run of its own may wait behind."""
+    (tmp_path / "dagster").mkdir()
+    (tmp_path / "dagster/dagster.yaml").write_text("run_launcher:\n  module: any\n")
+    job = build_defs(landing=sample_landing, home=tmp_path).resolve_job_def("nightly")
+    with pytest.raises(EngineError, match="use cron"), dg.DagsterInstance.ephemeral() as instance:
+        job.execute_in_process(instance=instance)
