@@ -22,6 +22,7 @@ ORDER = (
     "ui",
     "simulate",
     "doctor",
+    "tidy",
     "benchmark",
 )
 

@@ -98,6 +98,26 @@ def backfill(
     _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, jobs, wanted)
 
 
+@app.command()
+def tidy(
+    home: HomeDir = None,
+    keep_days: Annotated[int, typer.Option("--keep-days", min=0, help="Runs younger than so many days stay.")] = 90,
+) -> None:
+    """Forget Dagster's history of runs that ended long ago.
+
+    Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
+    materialized on Dagster's page.
+    """
+    from pipelines.history import forget
+    from pipelines.nightly import holding
+    from pipelines.runs import open_instance
+
+    where = home_folder(home)
+    with holding(where), open_instance(where) as instance:
+        runs = forget(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
+    out.print(f"{runs} runs forgotten")
+
+
 def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
     from pipelines.landing import unseen
     from pipelines.ledger import Ledger

@@ -5,8 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from soundness import fingerprint
 
-COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor")
+COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 
 
 def hdt(*words: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -108,6 +109,22 @@ def test_an_alert_is_explained_with_its_evidence_and_what_to_do(sample_home):
     none = hdt("explain", "nosuchalert", "--home", str(sample_home))
     assert none.returncode == 2
     assert "lists them" in none.stderr
+
+
+def test_history_may_be_forgotten_and_nothing_is_made_again(own_home):
+    landing, home = own_home
+    before = fingerprint(home)
+    shards = {f.name for f in (home / "dagster" / "history").glob("*.db")}
+    assert len(shards) > 5
+    assert hdt("tidy", "--home", str(home)).stdout == "0 runs forgotten\n"
+    done = hdt("tidy", "--home", str(home), "--keep-days", "0")
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[0]) > 5
+    left = {f.name.split(".")[0] for f in (home / "dagster" / "history").glob("*.db*")}
+    assert left == {"index", "runs"}
+    idle = hdt("nightly", "--landing", str(landing), "--home", str(home), "--json")
+    assert json.loads(idle.stdout)["runs"] == 0
+    assert fingerprint(home) == before
 
 
 def test_a_simulated_fleet_passes_the_doctor(tmp_path):
