@@ -43,7 +43,7 @@ def test_killed_at_a_named_place_of_the_intake(tiny, children, intact, tmp_path,
     intact(home)
     assert children.night(tiny.landing, home, steps=3) == (0, "")
     stored = fingerprint(home)
-    delivered = [t for t in stored if t.startswith(("raw_", "legs_")) and t != "legs_admitted"]
+    delivered = [t for t in stored if t.startswith(("raw_", "legs_samples", "legs_verdicts"))]
     assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
 
 
