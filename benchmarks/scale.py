@@ -97,7 +97,8 @@ def night(landing: Path, home: Path, shared: bool = True) -> None:
     with nightly.holding(home):
         done = nightly.run_night(landing, home, Silent(), jobs=cores() if shared else 1)
         assert not done.failed, done.failed
-        publish(home)
+        if not done.idle:
+            publish(home)
 
 
 def bare(landing: Path, home: Path) -> None:

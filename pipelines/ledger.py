@@ -3,7 +3,8 @@
 Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
 `files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
 cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
-moment costs work, never truth. `nights` says when the chain last ran, and what failed.
+moment costs work, never truth. `nights` says when the chain last ran, and what failed; `settled`, until something is
+noted, that nothing was stale after it: an idle night need not look at every cell.
 """
 
 import os
@@ -37,6 +38,7 @@ create table if not exists nights (
     began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
     runs integer not null, cells integer not null, failed text not null
 );
+create table if not exists settled (made_as text not null);
 """
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 _SET_FILE = (
@@ -48,6 +50,7 @@ _SET_VERSION = (
     "insert into done values (?, ?, ?, ?, ?)"
     " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
 )
+_UNSETTLE = "delete from settled"
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,7 @@ class Ledger:
         """
         rows = list(files)
         with self._open() as con:
+            con.execute(_UNSETTLE)
             con.executemany(_SET_FILE, rows)
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
             con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
@@ -127,9 +131,21 @@ class Ledger:
         wanted = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version")
         rows = sorted(wanted.rows(), key=lambda row: row[:4])  # in one order, or two who mark the same cells deadlock
         with self._open() as con:
+            con.execute(_UNSETTLE)
             con.executemany(_SET_VERSION, rows)
             fault_point("before_mark")
         fault_point("after_mark")
+
+    def settle(self, made_as: str) -> None:
+        """Note that nothing is stale where cells are made in this way."""
+        with self._open() as con:
+            con.execute(_UNSETTLE)
+            con.execute("insert into settled values (?)", (made_as,))
+
+    def is_settled(self, made_as: str) -> bool:
+        """Whether nothing was stale when something was last noted."""
+        with self._open() as con:
+            return con.execute("select made_as from settled").fetchall() == [(made_as,)]
 
     def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
         """Note that a night ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""

@@ -20,7 +20,7 @@ from pipelines import postgres
 from pipelines.landing import scan
 from pipelines.ledger import Ledger
 from pipelines.store import Store
-from pipelines.versions import CELL, stale
+from pipelines.versions import CELL, MADE, digest, stale
 from pipelines.workers import EngineError, Workers, sends_out, workers
 
 if TYPE_CHECKING:
@@ -152,8 +152,11 @@ def run_night(
             chain.send_out()  # first: what a killed night sent out may still be writing
         Store(home).sweep()
         found = scan(landing, ledger)
-        for label, grain, nodes in STEPS:
+        made_as = digest(repr(MADE), repr(STEPS))
+        for label, grain, nodes in () if ledger.is_settled(made_as) else STEPS:
             chain.step(label, grain, nodes)
+    if only is None and not chain.failed:
+        ledger.settle(made_as)
     night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     return night

@@ -169,3 +169,15 @@ def test_the_command_says_it_in_one_line(variable, says, tmp_path):
     assert done.stderr.splitlines()[-1].startswith(says)
     assert "Traceback" not in done.stderr
     assert SECRET not in done.stderr + done.stdout
+
+
+def test_settled_lasts_until_something_is_noted(ledger):
+    cells = pl.DataFrame({"operator": ["AAA"], "tail": ["T1"], "flight_id": [""], "version": ["1"]})
+    file = ("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, "d")
+    assert not ledger.is_settled("so")
+    for note in (lambda: ledger.mark("features", cells), lambda: ledger.register([file], {})):
+        ledger.settle("so")
+        assert ledger.is_settled("so")
+        assert not ledger.is_settled("otherwise")
+        note()
+        assert not ledger.is_settled("so")
