@@ -1,8 +1,9 @@
 """Partitions: aircraft x flight below, aircraft above, the fleet on top."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, wraps
 from itertools import product
+from typing import Any
 
 import dagster as dg
 from dagster._core.definitions.partitions.context import partition_loading_context
@@ -38,6 +39,30 @@ AIRCRAFT_FLIGHTS = Cells({"aircraft": AIRCRAFT, "flight": FLIGHTS})
 @lru_cache(maxsize=2)
 def _product(aircraft: tuple[str, ...], flights: tuple[str, ...]) -> tuple[dg.MultiPartitionKey, ...]:
     return tuple(cell_key(a, f) for a, f in product(aircraft, flights))
+
+
+def remember_flights_of_aircraft() -> None:
+    """Let Dagster find the flights of a run's aircraft once and not anew for every table that the run reads.
+
+    To look up the version of what a step reads it makes all cells of those aircraft, a hundred thousand keys, and then
+    leaves it, for there are more than a hundred. There is no public way to say so beforehand.
+    """
+    mapping = dg.MultiToSingleDimensionPartitionMapping
+    stock = mapping.get_upstream_mapped_partitions_result_for_partitions
+    if hasattr(stock, "__wrapped__"):
+        return
+    last: dict[str, Any] = {}
+
+    @wraps(stock)
+    def remembered(self: Any, subset: Any, below: Any, above: Any, *args: Any, **kwargs: Any) -> Any:
+        if above is not AIRCRAFT_FLIGHTS or below is not AIRCRAFT or subset is None:
+            return stock(self, subset, below, above, *args, **kwargs)
+        asked = (frozenset(subset.get_partition_keys()), tuple(FLIGHTS.get_partition_keys()))
+        if last.get("asked") != asked:
+            last.update(asked=asked, found=stock(self, subset, below, above, *args, **kwargs))
+        return last["found"]
+
+    mapping.get_upstream_mapped_partitions_result_for_partitions = remembered
 
 
 def aircraft_key(operator: str, tail: str) -> str:

@@ -3,10 +3,13 @@
 import dagster as dg
 import polars as pl
 import pytest
+from dagster._core.definitions.partitions.context import partition_loading_context
 
 from hdt_core.tables import TABLES
+from pipelines import partitions
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
+from pipelines.runs import open_instance
 from pipelines.versions import MADE
 from pipelines.workers import EngineError
 
@@ -100,6 +103,7 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
 
 def test_the_job_does_what_the_command_does(own_home):
     from pipelines.definitions import build_defs
+from pipelines.runs import open_instance
     from pipelines.runs import open_instance
 
     landing, home = own_home
@@ -116,3 +120,21 @@ def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing
     job = build_defs(landing=sample_landing, home=tmp_path).resolve_job_def("nightly")
     with pytest.raises(EngineError, match="use cron"), dg.DagsterInstance.ephemeral() as instance:
         job.execute_in_process(instance=instance)
+
+
+def test_flights_of_an_aircraft_are_looked_up_once_and_anew_when_there_are_more(tmp_path):
+    mapping = dg.MultiToSingleDimensionPartitionMapping("aircraft")
+    find = dg.MultiToSingleDimensionPartitionMapping.get_upstream_mapped_partitions_result_for_partitions
+    with open_instance(tmp_path) as instance:
+        instance.add_dynamic_partitions("aircraft", ["AAA:T1", "AAA:T2"])
+        instance.add_dynamic_partitions("flight", ["20260101_01", "20260101_02"])
+        asked = partitions.AIRCRAFT.empty_subset().with_partition_keys(["AAA:T1"])
+        of = (mapping, asked, partitions.AIRCRAFT, partitions.AIRCRAFT_FLIGHTS, None, instance)
+        with partition_loading_context(dynamic_partitions_store=instance):
+            found = find(*of)
+            assert find(*of) is found
+            assert found == find.__wrapped__(*of)
+            assert len(found.partitions_subset) == 2
+        instance.add_dynamic_partitions("flight", ["20260102_01"])
+        with partition_loading_context(dynamic_partitions_store=instance):
+            assert len(find(*of).partitions_subset) == 3
