@@ -102,9 +102,6 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
 
 
 def test_the_job_does_what_the_command_does(own_home):
-    from pipelines.definitions import build_defs
-from pipelines.runs import open_instance
-    from pipelines.runs import open_instance
 
     landing, home = own_home
     instance = open_instance(home)
