@@ -4,6 +4,7 @@ import dagster as dg
 import polars as pl
 import pytest
 from dagster._core.definitions.partitions.context import partition_loading_context
+from dagster._core.definitions.partitions.utils import infer_partition_mapping
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
@@ -102,7 +103,6 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
 
 
 def test_the_job_does_what_the_command_does(own_home):
-
     landing, home = own_home
     instance = open_instance(home)
     done = build_defs(landing=landing, home=home).resolve_job_def("nightly").execute_in_process(instance=instance)
@@ -120,7 +120,7 @@ def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing
 
 
 def test_flights_of_an_aircraft_are_looked_up_once_and_anew_when_there_are_more(tmp_path):
-    mapping = dg.MultiToSingleDimensionPartitionMapping("aircraft")
+    mapping = infer_partition_mapping(None, partitions.AIRCRAFT, partitions.AIRCRAFT_FLIGHTS)
     find = dg.MultiToSingleDimensionPartitionMapping.get_upstream_mapped_partitions_result_for_partitions
     with open_instance(tmp_path) as instance:
         instance.add_dynamic_partitions("aircraft", ["AAA:T1", "AAA:T2"])
