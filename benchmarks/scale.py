@@ -161,7 +161,7 @@ def child(name: str, landing: Path, home: Path) -> None:
     CONTESTANTS[name](landing, home)
     wall = time.monotonic() - began
     here, below = (resource.getrusage(who).ru_maxrss / 1024 for who in _WHO)
-    peak_mb = here + cores() * below  # at most: each worker as large as the largest, all at one moment
+    peak_mb = max(here, below)  # of the largest process
     print(json.dumps({"wall_s": wall, "cpu_s": _cpu_s() - before, "peak_mb": peak_mb}))
 
 
