@@ -3,7 +3,6 @@
 import numpy as np
 import polars as pl
 
-from hdt_core.estimation.kernels.compiled import compiled
 from hdt_core.physics.model import Array
 from hdt_core.twin.crossing import PACK
 from hdt_core.twin.dsm import Dsm
@@ -82,7 +81,6 @@ def filtered_loss(
     return pl.Series(loss).fill_nan(None), pl.Series(sd).fill_nan(None)
 
 
-@compiled
 def _filter(seen: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float) -> tuple[Array, Array]:
     loss, sd = np.full(len(seen), np.nan), np.full(len(seen), np.nan)
     x, w = 0.0, 0.005  # level, loss

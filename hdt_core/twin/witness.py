@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from hdt_core.estimation.kernels.compiled import compiled
 from hdt_core.twin.crossing import PACK, Array
 
 WITNESSES: dict[str, tuple[str, float]] = {
@@ -56,13 +55,11 @@ def corrections(flights: pl.DataFrame) -> Corrections:
     return total
 
 
-@compiled
 def _to_blame(change: float, expected: float) -> bool:
     """Whether the conductance moved as this sensor's error would move it."""
-    return np.isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH
+    return bool(np.isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)
 
 
-@compiled
 def _walk(apart: Array, slope: Array, ratio: Array, least: float) -> Array:
     """Follow one witness along a pack; the correction of each flight, from that flight and earlier ones."""
     shift = np.zeros(len(apart))
