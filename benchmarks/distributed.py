@@ -8,7 +8,6 @@ plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the tabl
 """
 
 import argparse
-import hashlib
 import os
 import platform
 import tempfile
@@ -17,16 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import polars as pl
 from dagster import DagsterRun, RunsFilter
 
 from benchmarks import page
+from benchmarks.fingerprint import fingerprint
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.tables import TABLES
 from pipelines.runs import NIGHT
 from pipelines.simulated import write_fleet
-from pipelines.store import Store
 
 PAGE = Path(__file__).parents[1] / "docs" / "distributed.md"
 SHARED = {"raw_flights", "twin_flights", "features"}
@@ -61,17 +58,6 @@ class Row:
         )
 
 
-def hashes(store: Store) -> dict[str, str]:
-    """Of every table's rows, sorted; of a fitted model, whose archive holds the hour it was packed, its version."""
-    return {table: _hash(store.read(table).drop("card", strict=False)) for table in TABLES}
-
-
-def _hash(frame: pl.DataFrame) -> str:
-    frame = frame.with_columns(pl.col(pl.List(pl.Float64)).cast(pl.List(pl.String)).list.join(","))
-    plain = pl.concat_str((~pl.selectors.binary()).cast(pl.String).fill_null("\0"), separator="\x1f")
-    return hashlib.blake2b("\n".join(frame.select(plain).to_series().sort()).encode(), digest_size=16).hexdigest()
-
-
 def alone(fleet: Site) -> Row:
     """One process: ledger, history and tables below its home."""
     home, began = fleet.root / "alone", time.monotonic()
@@ -79,7 +65,7 @@ def alone(fleet: Site) -> Row:
     told = fleet.by_itself(*words)
     assert not told["failed"], told
     load = os.getloadavg()[0]
-    return Row("one process", time.monotonic() - began, 0, 0, told["runs"], 0, 0, hashes(Store(home, "")), load)
+    return Row("one process", time.monotonic() - began, 0, 0, told["runs"], 0, 0, fingerprint(home, ""), load)
 
 
 def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "night") -> Row:
@@ -98,7 +84,7 @@ def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "nigh
             stats = instance.get_run_step_stats(record.dagster_run.run_id)
             work_s += sum(s.end_time - s.start_time for s in stats if s.start_time and s.end_time)
     retried = sum("dagster/retry_number" in r.dagster_run.tags for r in mine)
-    made, twice = hashes(Store(fleet.home("night"), str(fleet.root / "store"))), len(fleet.made_twice(since))
+    made, twice = fingerprint(fleet.home("night"), str(fleet.root / "store")), len(fleet.made_twice(since))
     return Row(how, wall, shared_s, work_s, len(mine), retried, twice, made, os.getloadavg()[0])
 
 

@@ -23,13 +23,13 @@ from dagster import DagsterInstance
 from dagster._daemon.controller import all_daemons_live
 
 from benchmarks.addresses import BRIDGE_IP, namespaces
+from pipelines.ledger import NAMES
 from pipelines.runs import open_instance
 
 BIN = Path(sys.executable).parent
 SETTINGS = Path(__file__).parents[1] / "deploy/celery.yaml"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
 GRACE_S = 6  # a broker that restarts here is back in a few seconds; 60 by default
-LEDGER = ("files", "file_flights", "done", "nights")
 
 
 @dataclass
@@ -124,7 +124,7 @@ class Site:
     def forget(self) -> None:
         """An empty fleet again; Dagster keeps its history."""
         shutil.rmtree(self.root / "store", ignore_errors=True)
-        for table in LEDGER:
+        for table in NAMES:
             with suppress(psycopg2.errors.UndefinedTable):
                 self.rows(f"truncate {table}")
 

@@ -8,6 +8,7 @@ noted, that nothing was stale after it: an idle night need not look at every cel
 """
 
 import os
+import re
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -40,6 +41,7 @@ create table if not exists nights (
 );
 create table if not exists settled (made_as text not null);
 """
+NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 _SET_FILE = (
     "insert into files values (?, ?, ?, ?, ?, ?, ?) on conflict (path) do update set operator = excluded.operator,"

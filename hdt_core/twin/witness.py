@@ -55,11 +55,6 @@ def corrections(flights: pl.DataFrame) -> Corrections:
     return total
 
 
-def _to_blame(change: float, expected: float) -> bool:
-    """Whether the conductance moved as this sensor's error would move it."""
-    return bool(np.isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)
-
-
 def _walk(apart: Array, slope: Array, ratio: Array, least: float) -> Array:
     """Follow one witness along a pack; the correction of each flight, from that flight and earlier ones."""
     shift = np.zeros(len(apart))
@@ -88,3 +83,8 @@ def _walk(apart: Array, slope: Array, ratio: Array, least: float) -> Array:
             corrected = ratio[k] - shift[k]
             held = corrected if np.isnan(held) else held + (corrected - held) / RATIO_MEMORY
     return shift
+
+
+def _to_blame(change: float, expected: float) -> bool:
+    """Whether the conductance moved as this sensor's error would move it."""
+    return bool(np.isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)

@@ -52,10 +52,8 @@ def _last(store: Store) -> Served | None:
     if not table.height or table["heard"][0] is None:
         return None
     row = table.row(0, named=True)
-    told = {
-        c: {pack: (n, digest) for pack, (n, digest) in packs.items()} for c, packs in json.loads(row["heard"]).items()
-    }
-    return Served(loaded(table), store.read("prognoses"), json.loads(row["card"]), row["lesson"], told)
+    card, told = json.loads(row["card"]), json.loads(row["heard"])
+    return Served(loaded(table), store.read("prognoses"), card, row["lesson"], told)
 
 
 def loaded(table: pl.DataFrame) -> Prognosis:

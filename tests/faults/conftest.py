@@ -13,9 +13,10 @@ from typing import Any
 import polars as pl
 import pytest
 from nights import keep_base
-from soundness import faults, fingerprint
+from soundness import faults
 from zones import drop_fleet, simulated
 
+from benchmarks.fingerprint import fingerprint
 from pipelines.store import Store
 
 

@@ -10,9 +10,10 @@ from itertools import count
 from pathlib import Path
 
 import pytest
-from soundness import faults, fingerprint
+from soundness import faults
 from sqlalchemy.exc import OperationalError
 
+from benchmarks.fingerprint import fingerprint
 from pipelines import cli, files, nightly
 from pipelines import faults as places
 from pipelines.ledger import Ledger

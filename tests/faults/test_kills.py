@@ -11,8 +11,9 @@ from itertools import count
 
 import dagster as dg
 import pytest
-from soundness import faults, fingerprint
+from soundness import faults
 
+from benchmarks.fingerprint import fingerprint
 from pipelines.faults import POINTS
 from pipelines.runs import open_instance
 

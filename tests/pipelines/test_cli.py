@@ -5,7 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from soundness import fingerprint
+
+from benchmarks.fingerprint import fingerprint
 
 COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 

@@ -12,8 +12,9 @@ import duckdb
 import polars as pl
 import pytest
 from nights import run
-from soundness import faults, fingerprint
+from soundness import faults
 
+from benchmarks.fingerprint import fingerprint
 from pipelines.catalog import connect, publish, views
 from pipelines.export import export
 from pipelines.faults import OF_OBJECTS

@@ -6,8 +6,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 from nights import keep_base, run
-from soundness import faults, fingerprint
+from soundness import faults
 from zones import drop_fleet, simulated
+
+from benchmarks.fingerprint import fingerprint
 
 Deliveries = Iterator[None]
 COMPRESSOR = ("cc_speed_rpm", "cc_in_degc", "cc_in_psia", "cc_out_degc", "cc_out_psia", "cc_flow_lbpm", "vda_pos")

@@ -1,13 +1,9 @@
-"""What must hold of every home after every night, whatever was delivered; and what two homes must agree on."""
+"""What must hold of every home after every night, whatever was delivered."""
 
-import hashlib
 import re
 from importlib import resources
 from pathlib import Path
 
-import polars as pl
-
-from hdt_core.tables import TABLES
 from pipelines.catalog import connect
 from pipelines.store import Store
 
@@ -70,18 +66,3 @@ _LOGS = ("raw_messages", "raw_maintenance", "raw_fleet")
 def _delivered(landing: Path) -> set[str]:
     names = {str(f.relative_to(landing)) for f in landing.rglob("*") if f.is_file()}
     return {n for n in names if not re.search(r"(^|/)\.|\.part", n)}
-
-
-def fingerprint(home: Path) -> dict[str, str]:
-    """Hash of every table's rows, sorted.
-
-    Of a fitted model its `model_version`, which is a hash of what it knows: the archive holds the hour it was packed,
-    the card what was in service before.
-    """
-    return {table: _hash(Store(home).read(table).drop("card", strict=False)) for table in TABLES}
-
-
-def _hash(frame: pl.DataFrame) -> str:
-    frame = frame.with_columns(pl.col(pl.List(pl.Float64)).cast(pl.List(pl.String)).list.join(","))
-    plain = pl.concat_str((~pl.selectors.binary()).cast(pl.String).fill_null("\0"), separator="\x1f")
-    return hashlib.blake2b("\n".join(frame.select(plain).to_series().sort()).encode(), digest_size=16).hexdigest()
