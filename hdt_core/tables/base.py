@@ -110,3 +110,18 @@ class Table(dy.Schema):
             (pl.col(name) if name in frame.columns else pl.lit(None)).cast(column.dtype).alias(name)
             for name, column in cls.columns().items()
         )
+
+
+class LegTable(Table):
+    """A table of legs: an aircraft's flight and a pack name a row, or begin its name."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
+
+
+class DatedLegTable(LegTable):
+    """A table of legs that says when each departed."""
+
+    departed_at = moment("first recorded time")

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, flight_key, moment, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import DatedLegTable, Table, moment, operator_key, pack_key, text
 from hdt_core.tables.raw import Signals
 
 _HEALTH = {
@@ -155,21 +155,13 @@ def _of_life() -> Iterator[tuple[str, dy.Column]]:
     yield "usage_hours", _kept(dy.Float64, "h", "flight_hours so far")
 
 
-class _FlightOfPack(Table):
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
-    departed_at = moment("first recorded time")
-
-
 _DOC = "What is known of a pack after a flight, one column a feature: flight, pack."
-Features = cast("type[Table]", type("Features", (_FlightOfPack,), {"__doc__": _DOC, **dict(_columns())}))
+Features = cast("type[Table]", type("Features", (DatedLegTable,), {"__doc__": _DOC, **dict(_columns())}))
 
 
 _DOC = "What sensors, door and controllers of a pack say of themselves in a flight: flight, pack."
 _WITNESSES = {**dict(_of_sensors()), **dict(_of_witnesses())}
-FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (_FlightOfPack,), {"__doc__": _DOC, **_WITNESSES}))
+FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (DatedLegTable,), {"__doc__": _DOC, **_WITNESSES}))
 
 
 class FeaturesAlerts(Table):

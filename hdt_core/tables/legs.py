@@ -1,6 +1,18 @@
 """Stage legs: which flights and samples are nominal, and why the others are not."""
 
-from hdt_core.tables.base import Table, count, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import (
+    DatedLegTable,
+    LegTable,
+    count,
+    flag,
+    flight_key,
+    moment,
+    number,
+    operator_key,
+    pack_key,
+    tail_key,
+    text,
+)
 from hdt_core.tables.raw import Signals
 
 
@@ -27,14 +39,9 @@ class LegsSamples(Signals):
     n_frozen = count("values taken out because the sensor repeats itself", nullable=True)
 
 
-class LegsVerdicts(Table):
+class LegsVerdicts(DatedLegTable):
     """One leg as its own record shows it: flight, pack."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
-    departed_at = moment("first recorded time")
     landed_at = moment("last recorded time")
     source = text("acms, cpl or both", nullable=False)
     n_snapshots = count("snapshots of the pack")
@@ -47,13 +54,9 @@ class LegsVerdicts(Table):
     n_frozen = count("values taken out because the sensor repeats itself")
 
 
-class LegsSigns(Table):
+class LegsSigns(LegTable):
     """What a leg shows by itself, held against the fleet's laws: flight, pack."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
     index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")
     index_n = count("samples behind it", nullable=True)
     index_unrest = number("how far a few samples in a row leave the leg's median, in standard errors", low=0)
@@ -66,14 +69,9 @@ class LegsSigns(Table):
     pack_flow_ln = number("ln of pack flow in kg/s")
 
 
-class LegsAdmitted(Table):
+class LegsAdmitted(DatedLegTable):
     """The final verdict on a leg, with the twin and the maintenance log at hand: flight, pack."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
-    departed_at = moment("first recorded time")
     admitted = flag("fit to calibrate from")
     reason = text("reason code, empty when admitted", nullable=False)
     n_samples = count("samples left after the sample filter")

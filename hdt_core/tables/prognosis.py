@@ -2,7 +2,7 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import LegTable, Table, moment, number, text
 
 
 class PrognosisModel(Table):
@@ -15,13 +15,9 @@ class PrognosisModel(Table):
     heard = text("by component and pack, how many flights were spoken about, and a hash of their health, as JSON")
 
 
-class Prognoses(Table):
+class Prognoses(LegTable):
     """What is said after a flight of the life left: flight, pack, component."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
     component = text("HX or CC", nullable=False, primary_key=True)
     departed_at = moment("first recorded time")
     rul_flights = number("flights left until the failure message", "flights", 0)

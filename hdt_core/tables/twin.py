@@ -4,7 +4,7 @@ from typing import Any
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import DatedLegTable, Table, flag, number, operator_key, pack_key, tail_key, text
 
 
 def _samples(meaning: str) -> dy.Int32:
@@ -19,14 +19,9 @@ def _numbers(meaning: str) -> dy.List:
     return dy.List(dy.Float64(nullable=False), nullable=False, metadata={"unit": "-", "meaning": meaning})
 
 
-class TwinFlights(Table):
+class TwinFlights(DatedLegTable):
     """What one flight alone says of a pack, against the Digital System Model: flight, pack."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
-    departed_at = moment("first recorded time")
     status = text("ok, few_samples, or no_cruise where nothing could be estimated", nullable=False)
     n_samples = _samples("steady cruise samples behind the exchanger's estimates")
     ln_ua_ratio = number("ln of measured over expected conductance, ram flow that of a clean duct")
@@ -64,14 +59,9 @@ class TwinFlights(Table):
     vda_counts = number("diffuser position", "count")
 
 
-class TwinHealth(Table):
+class TwinHealth(DatedLegTable):
     """One health parameter after a flight: flight, pack, parameter."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
-    departed_at = moment("first recorded time")
     component = text("HX or CC", nullable=False)
     parameter = text("name", nullable=False, primary_key=True)
     value = number("estimate after this flight, in `unit`; losses: 0 as built, larger is worse")
