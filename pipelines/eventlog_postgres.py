@@ -9,16 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Self
 
-from dagster._core.definitions.asset_key import AssetKey
-from dagster._core.events import ASSET_EVENTS
-from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
 from dagster._serdes import ConfigurableClassData
 from dagster_postgres.event_log import PostgresEventLogStorage
 from dagster_postgres.utils import get_token_provider_from_config, pg_url_from_config
 from sqlalchemy import Connection, text
 
-from pipelines.eventlog import OneForMany, Series
+from pipelines.series import OneForMany, Series
 
 _ALIKE = text(
     "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
@@ -37,10 +34,6 @@ _ALIKE_TAGS = text(
 class BatchedPostgresEventLogStorage(OneForMany, PostgresEventLogStorage):
     """For a fleet whose history is in PostgreSQL: same tables as stock."""
 
-    def __init__(self, *args: Any, **settings: Any) -> None:
-        self._alike = {}
-        super().__init__(*args, **settings)
-
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:
         """Built from `dagster.yaml`; stock names its own class here."""
@@ -52,33 +45,12 @@ class BatchedPostgresEventLogStorage(OneForMany, PostgresEventLogStorage):
             **own,
         )
 
-    def store_event(self, event: EventLogEntry) -> None:
-        """Store one event, as a series where it stands for others."""
-        if _of_asset(event):
-            self.store_event_batch([event])
-        else:
-            super().store_event(event)
-
-    def store_event_batch(self, events: Sequence[EventLogEntry]) -> None:
-        """Store asset events in one transaction, the few others (planned checks) the stock way."""
-        for event in events:
-            if not _of_asset(event):
-                super().store_event(event)
-        series = [self._one(e, self._partitions(e)) for e in events if _of_asset(e)]
-        if series:
-            self._mirror(series)
-
-    def _mirror(self, series: list[Series]) -> None:
-        """Write the series with their tags; of each asset the newest of a type counts."""
-        newest: dict[tuple[AssetKey | None, Any], tuple[EventLogEntry, int]] = {}
-        with self._transaction() as conn:
-            for one in series:
-                newest[one.row["asset_key"], one.event.dagster_event_type] = one.event, self._written(conn, one)
-            for event, event_id in newest.values():
-                self._store_asset_event(conn, event, event_id)
+    def _store(self, series: Sequence[Series]) -> None:
+        """All in the one table that stock has for them."""
+        self._mirror(series)
 
     @contextmanager
-    def _transaction(self) -> Iterator[Connection]:
+    def _index(self) -> Iterator[Connection]:
         """Stock's engine commits every statement on its own."""
         with self._engine.connect() as conn, conn.execution_options(isolation_level="READ COMMITTED").begin():
             yield conn
@@ -99,7 +71,3 @@ class BatchedPostgresEventLogStorage(OneForMany, PostgresEventLogStorage):
             of, keys, values = (list(column) for column in zip(*rows, strict=True))
             conn.execute(_ALIKE_TAGS, {"ids": of, "keys": keys, "values": values, "first": first})
         return max(ids.values())
-
-
-def _of_asset(event: EventLogEntry) -> bool:
-    return event.is_dagster_event and event.dagster_event_type in ASSET_EVENTS
