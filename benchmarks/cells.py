@@ -61,7 +61,7 @@ class Nothing(dg.IOManager):
 
     def handle_output(self, context: dg.OutputContext, obj: object) -> None:
         """Every cell of the range is filled."""
-        rows = [partitions.cell_of(key) for key in context.asset_partition_keys]
+        rows = [*partitions.cells_of(tuple(context.asset_partition_keys))]
         cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
         FrameIO._report_only(context, cells, cells)
 

@@ -10,8 +10,7 @@ from dagster._core.storage.tags import ASSET_PARTITION_RANGE_END_TAG, ASSET_PART
 
 from pipelines import partitions
 
-CELLS_A_RUN = 1_000  # flights a run takes at most, so that memory grows neither with the fleet nor with its history
-FOLDED = 20  # times as many where whole aircraft are made: no samples are read, and packs cost least side by side
+CELLS_A_RUN = 1_000  # flights a run that reads files takes at most: memory grows neither with the fleet nor its history
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,26 +69,26 @@ class Known:
         span = set(self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1])
         return [partitions.cell_key(a, f) for a in block.aircraft for f in sorted(self.flown[a] & span)]
 
-    def blocks(self, grain: str, wanted: pl.DataFrame, folded: bool = True) -> Iterator[Block]:
-        """Runs that make the wanted cells (operator, tail, flight_id) and no other."""
+    def blocks(self, grain: str, wanted: pl.DataFrame, folded: int = 1) -> Iterator[Block]:
+        """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`."""
         if grain == "fleet":
             return iter([Block()])
-        asked = by_aircraft(wanted)
-        return self._of_aircraft(asked, FOLDED if folded else 1) if grain == "aircraft" else self._of_flights(asked)
+        of = self._of_aircraft if grain == "aircraft" else self._of_flights
+        return of(by_aircraft(wanted), folded * CELLS_A_RUN)
 
-    def _of_aircraft(self, asked: dict[str, set[str]], times: int) -> Iterator[Block]:
+    def _of_aircraft(self, asked: dict[str, set[str]], most: int) -> Iterator[Block]:
         """Neighbours that are all wanted, as many as share a run without holding too many flights at once."""
-        for stretch in _stretches(self.aircraft, asked):
+        for stretch in _stretches(self.aircraft, asked, most):
             held, shared = 0, []
             for aircraft in stretch:
                 held += len(self.flown.get(aircraft, ()))
-                if shared and held > times * CELLS_A_RUN:
+                if shared and held > most:
                     yield Block(len(shared), tuple(shared))
                     held, shared = len(self.flown.get(aircraft, ())), []
                 shared.append(aircraft)
             yield Block(len(shared), tuple(shared))
 
-    def _of_flights(self, asked: dict[str, set[str]]) -> Iterator[Block]:
+    def _of_flights(self, asked: dict[str, set[str]], most: int) -> Iterator[Block]:
         """Of each aircraft, stretches of its flights that are all wanted; neighbours share a run if none gains one."""
         place = {k: i for i, k in enumerate(self.flights)}
         fixed = {a: sorted(place[f] for f in own - asked.get(a, set()) if f in place) for a, own in self.flown.items()}
@@ -97,14 +96,10 @@ class Known:
         before = ""
         for aircraft in self.aircraft:
             own = sorted((f for f in self.flown.get(aircraft, ()) if f in place), key=place.__getitem__)
-            for stretch in _stretches(own, asked.get(aircraft, set())):
+            for stretch in _stretches(own, asked.get(aircraft, set()), most):
                 alone = Block(len(stretch), (aircraft,), stretch[0], stretch[-1])
                 joined = shared.joined(alone, place) if shared and shared.aircraft[-1] == before else None
-                if (
-                    joined
-                    and joined.cells <= CELLS_A_RUN
-                    and all(_free(fixed[a], joined, place) for a in joined.aircraft)
-                ):
+                if joined and joined.cells <= most and all(_free(fixed[a], joined, place) for a in joined.aircraft):
                     shared = joined
                     continue
                 if shared:
@@ -123,12 +118,12 @@ def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
     return found
 
 
-def _stretches(keys: list[str], wanted: set[str] | dict[str, set[str]]) -> Iterator[list[str]]:
-    """Runs of neighbouring keys that are all wanted, none longer than a run may be."""
+def _stretches(keys: list[str], wanted: set[str] | dict[str, set[str]], most: int) -> Iterator[list[str]]:
+    """Runs of neighbouring keys that are all wanted, none longer than `most`."""
     for is_wanted, found in groupby(keys, key=wanted.__contains__):
         if is_wanted:
             stretch = list(found)
-            yield from (stretch[i : i + CELLS_A_RUN] for i in range(0, len(stretch), CELLS_A_RUN))
+            yield from (stretch[i : i + most] for i in range(0, len(stretch), most))
 
 
 def _free(fixed: list[int], block: Block, place: dict[str, int]) -> bool:

@@ -9,8 +9,8 @@ from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.eventlog import OneForMany
 from pipelines.ledger import Ledger
+from pipelines.series import OneForMany
 from pipelines.store import FLEET, Store
 from pipelines.versions import CELL, expected
 
@@ -26,13 +26,11 @@ class Asked:
         """From partition keys, of aircraft or of aircraft and flight."""
         if keys is None:
             return cls(None)
+        if "|" not in keys[0]:
+            return cls({partitions.aircraft_of(key): [] for key in keys})
         aircraft: dict[tuple[str, str], list[str]] = {}
-        for key in keys:
-            if "|" in key:
-                operator, tail, flight = partitions.cell_of(key)
-                aircraft.setdefault((operator, tail), []).append(flight)
-            else:
-                aircraft.setdefault(partitions.aircraft_of(key), [])
+        for operator, tail, flight in partitions.cells_of(tuple(keys)):
+            aircraft.setdefault((operator, tail), []).append(flight)
         return cls(aircraft)
 
     def cells(self) -> pl.DataFrame:
@@ -96,7 +94,8 @@ class FrameIO(dg.IOManager):
         Where the event log can, one cell's event stands for all.
         """
         filled = set((frame if frame.height else cells).select(CELL).unique().rows())
-        kept = [k for k in context.asset_partition_keys if partitions.cell_of(k) in filled]
+        asked = partitions.cells_of(tuple(context.asset_partition_keys))
+        kept = [key for cell, key in asked.items() if cell in filled]
         log = context.step_context.instance.event_log_storage
         if isinstance(log, OneForMany) and kept:
             log.stands_for(context.run_id, context.asset_key, kept)

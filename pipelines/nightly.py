@@ -19,6 +19,7 @@ from hdt_core.tables import TABLES
 from pipelines import postgres
 from pipelines.landing import scan
 from pipelines.ledger import Ledger
+from pipelines.steps import STEPS, Step
 from pipelines.store import Store
 from pipelines.versions import CELL, MADE, digest, stale
 from pipelines.workers import EngineError, Workers, sends_out, workers
@@ -29,38 +30,6 @@ if TYPE_CHECKING:
     from pipelines.blocks import Block, Made
     from pipelines.elsewhere import Elsewhere
     from pipelines.runs import Runner
-
-# In order: what is made in one run, over which partitions, node by node. A run has one kind of partition,
-# so the chain takes seven.
-STEPS: list[tuple[str, str, list[tuple[str, ...]]]] = [
-    ("fleet list and refused files", "fleet", [("raw_fleet", "raw_files_deliveries", "raw_files_quarantine")]),
-    (
-        "messages and maintenance",
-        "aircraft",
-        [("raw_messages", "raw_maintenance", "raw_records_deliveries", "raw_records_quarantine")],
-    ),
-    (
-        "flights and legs",
-        "flight",
-        [
-            ("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights"),
-            ("legs_samples", "legs_verdicts"),
-        ],
-    ),
-    ("digital system model", "fleet", [("calibration_dsm", "calibration_design", "calibration_laws")]),
-    (
-        "operational twins",
-        "flight",
-        [("twin_flights",), ("residuals",), ("legs_signs", "features_witnesses")],
-    ),
-    (
-        "health, features, alerts",
-        "aircraft",
-        [("twin_health", "twin_chapters"), ("legs_admitted",), ("features",), ("features_alerts",)],
-    ),
-    ("prognosis", "fleet", [("prognosis_base",), ("prognoses", "prognosis_model")]),
-]
-
 
 MANY_FLIGHTS = 3_000
 
@@ -153,8 +122,8 @@ def run_night(
         Store(home).sweep()
         found = scan(landing, ledger)
         made_as = digest(repr(MADE), repr(STEPS))
-        for label, grain, nodes in () if ledger.is_settled(made_as) else STEPS:
-            chain.step(label, grain, nodes)
+        for step in () if ledger.is_settled(made_as) else STEPS:
+            chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(made_as)
     night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
@@ -191,20 +160,20 @@ class _Chain:
         self.hands = Elsewhere(self.runner)
         self.hands.settle()
 
-    def step(self, label: str, grain: str, nodes: list[tuple[str, ...]]) -> None:
-        """Bring the nodes up to date; one that is not stale runs only if a node before it does."""
-        cells = [self._wanted(node) for node in nodes]
+    def step(self, step: Step) -> None:
+        """Bring its nodes up to date; one that is not stale runs only if a node before it does."""
+        cells = [self._wanted(node) for node in step.nodes]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
             return
-        wanted, tables = pl.concat(cells).unique(), [t for node in nodes[first:] for t in node]
-        if grain != "fleet":
+        wanted, tables = pl.concat(cells).unique(), [t for node in step.nodes[first:] for t in node]
+        if step.grain != "fleet":
             self.runner.register(wanted)
-        if grain == "flight":
+        if step.grain == "flight":
             self.flights = max(self.flights, wanted.height)
-        self.progress.start(label, wanted.height)
-        blocks = self.runner.known().blocks(grain, wanted, self.hands.folded)
-        for made in self._make(tables, list(blocks), label, grain):
+        self.progress.start(step.label, wanted.height)
+        blocks = self.runner.known().blocks(step.grain, wanted, step.folded if self.hands.folded else 1)
+        for made in self._make(tables, list(blocks), step):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
             self.failed |= made.failed
             self.progress.advance(made.block.cells)
@@ -213,13 +182,13 @@ class _Chain:
         cells = stale(self.ledger, *node).select(CELL)
         return cells if self.only is None or TABLES[node[0]].grain == "fleet" else cells.filter(self.only)
 
-    def _make(self, tables: list[str], blocks: list[Block], label: str, grain: str) -> Iterator[Made]:
+    def _make(self, tables: list[str], blocks: list[Block], step: Step) -> Iterator[Made]:
         """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""
-        few = grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
+        few = step.grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
         if self.hands.worth(blocks, few):
-            return self.hands.make(tables, blocks, label)
+            return self.hands.make(tables, blocks, step.label)
         self.hands.stop()
-        return (self.runner.make(tables, block, label) for block in blocks)
+        return (self.runner.make(tables, block, step.label) for block in blocks)
 
     @cached_property
     def runner(self) -> Runner:

@@ -1,6 +1,7 @@
 """Partitions: aircraft x flight below, aircraft above, the fleet on top."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache, wraps
 from itertools import product
 from typing import Any
@@ -8,9 +9,24 @@ from typing import Any
 import dagster as dg
 from dagster._core.definitions.partitions.context import partition_loading_context
 
+_standing: list[dict[dg.PartitionKeyRange, Sequence[str]]] = []
+
+
+@contextmanager
+def standing() -> Iterator[None]:
+    """While a run is planned and made its range stays as it is, whatever partitions are added elsewhere.
+
+    Dagster asks for the cells of a run's range some fifteen times an asset: within the block they are made once.
+    """
+    _standing.append({})
+    try:
+        yield
+    finally:
+        _standing.pop()
+
 
 class Cells(dg.MultiPartitionsDefinition):
-    """Aircraft x flight. Dagster asks for the cells of a run's range some fifteen times an asset: made once here."""
+    """Aircraft x flight, ranges of which stand for a run's length."""
 
     def get_partition_keys_in_range(
         self,
@@ -18,6 +34,14 @@ class Cells(dg.MultiPartitionsDefinition):
         dynamic_partitions_store: dg.DagsterInstance | None = None,
     ) -> Sequence[str]:
         """All cells between two, in both dimensions."""
+        known = _standing[-1] if _standing else {}
+        if partition_key_range not in known:
+            known[partition_key_range] = self._between(partition_key_range, dynamic_partitions_store)
+        return known[partition_key_range]
+
+    def _between(
+        self, partition_key_range: dg.PartitionKeyRange, dynamic_partitions_store: dg.DagsterInstance | None
+    ) -> Sequence[str]:
         first, last = (self.get_partition_key_from_str(key) for key in partition_key_range)
         with partition_loading_context(dynamic_partitions_store=dynamic_partitions_store):
             ranges = [
@@ -86,8 +110,13 @@ def aircraft_of(key: str) -> tuple[str, str]:
     return operator, tail
 
 
-def cell_of(key: str) -> tuple[str, str, str]:
-    """Operator, tail and flight id of an aircraft x flight key."""
+@lru_cache(maxsize=2)
+def cells_of(keys: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
+    """Operator, tail and flight id of each of some aircraft x flight keys; all tables of a run have the same."""
+    return {_cell_of(key): key for key in keys}
+
+
+def _cell_of(key: str) -> tuple[str, str, str]:
     aircraft, flight = key.split("|", 1)
     operator, tail = aircraft_of(aircraft)
     return operator, tail, f"{tail}_{flight}"

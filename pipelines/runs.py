@@ -12,8 +12,9 @@ from dagster._core.execution.api import execute_run
 
 from pipelines import partitions
 from pipelines.blocks import Block, Known, Made, by_aircraft
-from pipelines.eventlog import OneForMany, batch_events
+from pipelines.eventlog import batch_events
 from pipelines.ledger import Ledger
+from pipelines.series import OneForMany
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
@@ -106,8 +107,9 @@ class Runner:
     def _run(self, tables: list[str], block: Block) -> str | None:
         """Make `tables` for `block`; None, or why it failed."""
         job = self.job(tables)
-        run = self.create(job, block)
-        result = execute_run(InMemoryJob(job), run, self.instance, raise_on_error=False)
+        with partitions.standing():
+            run = self.create(job, block)
+            result = execute_run(InMemoryJob(job), run, self.instance, raise_on_error=False)
         if result.success:
             return None
         self.show_failed(run.run_id, block)

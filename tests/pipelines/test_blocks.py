@@ -13,7 +13,6 @@ FLIGHTS = [f"2026010{day}_01" for day in range(1, 6)]
 def room_for_ten(monkeypatch):
     """Ten flights a run."""
     monkeypatch.setattr(blocks, "CELLS_A_RUN", 10)
-    monkeypatch.setattr(blocks, "FOLDED", 1)
 
 
 def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:

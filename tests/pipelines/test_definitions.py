@@ -121,8 +121,8 @@ def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing
 
 def test_flights_of_an_aircraft_are_looked_up_once_and_anew_when_there_are_more(tmp_path):
     mapping = infer_partition_mapping(None, partitions.AIRCRAFT, partitions.AIRCRAFT_FLIGHTS)
-    find = dg.MultiToSingleDimensionPartitionMapping.get_upstream_mapped_partitions_result_for_partitions
     with open_instance(tmp_path) as instance:
+        find = dg.MultiToSingleDimensionPartitionMapping.get_upstream_mapped_partitions_result_for_partitions
         instance.add_dynamic_partitions("aircraft", ["AAA:T1", "AAA:T2"])
         instance.add_dynamic_partitions("flight", ["20260101_01", "20260101_02"])
         asked = partitions.AIRCRAFT.empty_subset().with_partition_keys(["AAA:T1"])

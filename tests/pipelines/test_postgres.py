@@ -30,7 +30,7 @@ def database() -> Iterator[str]:
 
 def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:
     """Which cells of each asset have been made, by the instance's own account."""
-    tables = [t for _, grain, nodes in nightly.STEPS[:5] if grain == "flight" for node in nodes for t in node]
+    tables = [t for step in nightly.STEPS[:5] if step.grain == "flight" for node in step.nodes for t in node]
     return {t: set(instance.get_materialized_partitions(dg.AssetKey(t))) for t in tables}
 
 
