@@ -8,6 +8,7 @@ from typing import Any
 
 import dagster as dg
 from dagster._core.definitions.partitions.context import partition_loading_context
+from dagster._core.execution.context.data_version_cache import DataVersionCache
 
 _standing: list[dict[dg.PartitionKeyRange, Sequence[str]]] = []
 
@@ -65,28 +66,35 @@ def _product(aircraft: tuple[str, ...], flights: tuple[str, ...]) -> tuple[dg.Mu
     return tuple(cell_key(a, f) for a, f in product(aircraft, flights))
 
 
-def remember_flights_of_aircraft() -> None:
-    """Let Dagster find the flights of a run's aircraft once and not anew for every table that the run reads.
+class _Uncut:
+    """A step's context to which what it reads has no partitions."""
 
-    To look up the version of what a step reads it makes all cells of those aircraft, a hundred thousand keys, and then
-    leaves it, for there are more than a hundred. There is no public way to say so beforehand.
+    def __init__(self, context: Any) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def has_asset_partitions_for_input(self, _: str) -> bool:
+        """Of no table."""
+        return False
+
+
+def leave_cells_unlisted() -> None:
+    """Let Dagster look up the version of what a step reads without a list of its cells.
+
+    It would make all cells of those aircraft, a hundred thousand keys, for every table, and then leave it, for there
+    are more than a hundred. What is stale the ledger says; there is no public way to say so beforehand.
     """
-    mapping = dg.MultiToSingleDimensionPartitionMapping
-    stock = mapping.get_upstream_mapped_partitions_result_for_partitions
+    stock = DataVersionCache.__init__
     if hasattr(stock, "__wrapped__"):
         return
-    last: dict[str, Any] = {}
 
     @wraps(stock)
-    def remembered(self: Any, subset: Any, below: Any, above: Any, *args: Any, **kwargs: Any) -> Any:
-        if above is not AIRCRAFT_FLIGHTS or below is not AIRCRAFT or subset is None:
-            return stock(self, subset, below, above, *args, **kwargs)
-        asked = (frozenset(subset.get_partition_keys()), tuple(FLIGHTS.get_partition_keys()))
-        if last.get("asked") != asked:
-            last.update(asked=asked, found=stock(self, subset, below, above, *args, **kwargs))
-        return last["found"]
+    def uncut(self: DataVersionCache, context: Any) -> None:
+        stock(self, _Uncut(context))
 
-    mapping.get_upstream_mapped_partitions_result_for_partitions = remembered
+    DataVersionCache.__init__ = uncut
 
 
 def aircraft_key(operator: str, tail: str) -> str:

@@ -3,13 +3,15 @@
 import dagster as dg
 import polars as pl
 import pytest
-from dagster._core.definitions.partitions.context import partition_loading_context
-from dagster._core.definitions.partitions.utils import infer_partition_mapping
+from dagster._core.definitions.data_version import CachingStaleStatusResolver, StaleStatus
+from dagster._core.execution.context.system import StepExecutionContext
+from dagster._core.loader import LoadingContextForTest
+from nights import run
 
 from hdt_core.tables import TABLES
-from pipelines import partitions
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
+from pipelines.ledger import Ledger
 from pipelines.runs import open_instance
 from pipelines.versions import MADE
 from pipelines.workers import EngineError
@@ -119,19 +121,17 @@ def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing
         job.execute_in_process(instance=instance)
 
 
-def test_flights_of_an_aircraft_are_looked_up_once_and_anew_when_there_are_more(tmp_path):
-    mapping = infer_partition_mapping(None, partitions.AIRCRAFT, partitions.AIRCRAFT_FLIGHTS)
-    with open_instance(tmp_path) as instance:
-        find = dg.MultiToSingleDimensionPartitionMapping.get_upstream_mapped_partitions_result_for_partitions
-        instance.add_dynamic_partitions("aircraft", ["AAA:T1", "AAA:T2"])
-        instance.add_dynamic_partitions("flight", ["20260101_01", "20260101_02"])
-        asked = partitions.AIRCRAFT.empty_subset().with_partition_keys(["AAA:T1"])
-        of = (mapping, asked, partitions.AIRCRAFT, partitions.AIRCRAFT_FLIGHTS, None, instance)
-        with partition_loading_context(dynamic_partitions_store=instance):
-            found = find(*of)
-            assert find(*of) is found
-            assert found == find.__wrapped__(*of)
-            assert len(found.partitions_subset) == 2
-        instance.add_dynamic_partitions("flight", ["20260102_01"])
-        with partition_loading_context(dynamic_partitions_store=instance):
-            assert len(find(*of).partitions_subset) == 3
+def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home, monkeypatch):
+    landing, home = own_home
+    monkeypatch.setattr(StepExecutionContext, "asset_partitions_subset_for_input", None)
+    ledger = Ledger(home)
+    ledger.mark("features", ledger.done("features").with_columns(version=pl.lit("")))
+    night = run(landing, home)
+    assert night.cells
+    assert not night.failed
+    graph = build_defs(landing=landing, home=home).resolve_asset_graph()
+    with open_instance(home) as instance:
+        asked = CachingStaleStatusResolver(instance, graph, LoadingContextForTest(instance))
+        for key in (dg.AssetKey(t) for t in ("features", "features_alerts", "legs_verdicts", "prognoses")):
+            cells = instance.get_materialized_partitions(key) if graph.get(key).is_partitioned else [None]
+            assert {asked.get_status(key, cell) for cell in cells} == {StaleStatus.FRESH}
