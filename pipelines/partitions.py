@@ -1,6 +1,6 @@
 """Partitions: aircraft x flight below, aircraft above, the fleet on top."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, wraps
 from itertools import product
@@ -8,6 +8,7 @@ from typing import Any
 
 import dagster as dg
 from dagster._core.definitions.partitions.context import partition_loading_context
+from dagster._core.definitions.partitions.subset import PartitionsSubset
 from dagster._core.execution.context.data_version_cache import DataVersionCache
 
 _standing: list[dict[dg.PartitionKeyRange, Sequence[str]]] = []
@@ -55,6 +56,10 @@ class Cells(dg.MultiPartitionsDefinition):
             )
             return list(_product(*along))
 
+    def subset_with_partition_keys(self, partition_keys: Iterable[str]) -> PartitionsSubset:
+        """The same for all tables of a run."""
+        return _subset(tuple(partition_keys))
+
 
 AIRCRAFT = dg.DynamicPartitionsDefinition(name="aircraft")
 FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
@@ -64,6 +69,11 @@ AIRCRAFT_FLIGHTS = Cells({"aircraft": AIRCRAFT, "flight": FLIGHTS})
 @lru_cache(maxsize=2)
 def _product(aircraft: tuple[str, ...], flights: tuple[str, ...]) -> tuple[dg.MultiPartitionKey, ...]:
     return tuple(cell_key(a, f) for a, f in product(aircraft, flights))
+
+
+@lru_cache(maxsize=1)
+def _subset(keys: tuple[str, ...]) -> PartitionsSubset:
+    return AIRCRAFT_FLIGHTS.empty_subset().with_partition_keys(keys)
 
 
 class _Uncut:
