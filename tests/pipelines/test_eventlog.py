@@ -2,8 +2,10 @@
 
 import json
 import re
+import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from itertools import groupby
 from pathlib import Path
 
 import dagster as dg
@@ -202,3 +204,52 @@ def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
             )
     stock, ours = found
     assert ours == stock == {"sound": {}, "broken": dict.fromkeys(cells, True)}
+
+
+@pytest.mark.parametrize("assets", [[first, second, third], [sound, broken]])
+def test_the_page_of_a_run_tells_what_stock_tells(new_log, assets, monkeypatch):
+    """In stock's order, where events that only tell how far a step is are written with the next; a line an asset."""
+    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
+    monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
+    tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
+    told = []
+    for who in (STOCK, OURS):
+        with new_log(f"log{len(told)}").instance(who) as instance:
+            instance.add_dynamic_partitions("aircraft", ["A", "B"])
+            instance.add_dynamic_partitions("flight", ["1", "2"])
+            keeper = {"one": OneStandsForAll()}
+            done = dg.materialize(assets, resources=keeper, instance=instance, tags=tags, raise_on_error=False)
+            lines = [(e.dagster_event_type, e.step_key) for e in instance.all_logs(done.run_id) if e.is_dagster_event]
+            told.append([line for line, _ in groupby(lines)])
+    stock, ours = told
+    assert ours == stock
+    assert len(ours) > 10
+
+
+def test_every_run_has_a_shard_like_stocks(tmp_path, monkeypatch):
+    """The first makes its own, those after it are copies: same schema and journal, and nothing of another run."""
+    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
+
+    def shards(name: str, who) -> list[tuple]:
+        log = Log(tmp_path / name, "sqlite", "")
+        with log.instance(who) as instance:
+            runs = [dg.materialize([plain], instance=instance).run_id for _ in range(3)]
+        history = log.base / "history"
+        assert {f.stem for f in history.glob("*.db")} >= {*runs, "index"}
+        assert not list(history.glob(".*"))
+        return [held(history / f"{run_id}.db", run_id) for run_id in runs]
+
+    def held(shard: Path, run_id: str) -> tuple:
+        with closing(sqlite3.connect(shard)) as con:
+            assert con.execute("select distinct run_id from event_logs").fetchall() == [(run_id,)]
+            asked = ("select name, sql from sqlite_master order by 1", "select * from alembic_version")
+            return *(con.execute(sql).fetchall() for sql in asked), con.execute("pragma journal_mode").fetchone()
+
+    ours, stock = shards("ours", OURS), shards("stock", STOCK)
+    assert ours == stock
+    assert len(set(map(str, ours))) == 1
+
+
+@dg.asset
+def plain() -> None:
+    """No partition."""
