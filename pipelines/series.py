@@ -11,11 +11,11 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from json.encoder import encode_basestring_ascii as _quoted
 from typing import Any
 
 from dagster import AssetKey, DagsterEventType, MultiPartitionKey
-from dagster._core.definitions.partitions.utils.multi import get_tags_from_multi_partition_key
 from dagster._core.events import (
     ASSET_CHECK_EVENTS,
     ASSET_EVENTS,
@@ -24,6 +24,7 @@ from dagster._core.events import (
 )
 from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.event_log.sql_event_log import SqlEventLogStorage
+from dagster._core.storage.tags import get_multidimensional_partition_tag
 from sqlalchemy import Connection
 
 _PLANNED, _MADE = DagsterEventType.ASSET_MATERIALIZATION_PLANNED, DagsterEventType.ASSET_MATERIALIZATION
@@ -85,7 +86,11 @@ def _what(event: EventLogEntry) -> tuple[str, AssetKey | None]:
 
 
 def _dimensions(partition: str | None) -> dict[str, str]:
-    return dict(get_tags_from_multi_partition_key(partition)) if isinstance(partition, MultiPartitionKey) else {}
+    along = partition.dimension_keys if isinstance(partition, MultiPartitionKey) else ()
+    return {_tag(dimension.dimension_name): dimension.partition_key for dimension in along}
+
+
+_tag = cache(get_multidimensional_partition_tag)
 
 
 class OneForMany(SqlEventLogStorage):

@@ -1,5 +1,7 @@
 """What `dagster dev` shows: every stage, with owners, kinds, descriptions, checks and the agreed partitions."""
 
+import pickle
+
 import dagster as dg
 import polars as pl
 import pytest
@@ -9,6 +11,7 @@ from dagster._core.loader import LoadingContextForTest
 from nights import run
 
 from hdt_core.tables import TABLES
+from pipelines import partitions
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
 from pipelines.ledger import Ledger
@@ -135,3 +138,10 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
         for key in (dg.AssetKey(t) for t in ("features", "features_alerts", "legs_verdicts", "prognoses")):
             cells = instance.get_materialized_partitions(key) if graph.get(key).is_partitioned else [None]
             assert {asked.get_status(key, cell) for cell in cells} == {StaleStatus.FRESH}
+
+
+def test_a_cells_key_is_the_one_that_dagster_makes():
+    ours = partitions.cell_key("AAA:T1", "20260101_02")
+    stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
+    for other in (stock, pickle.loads(pickle.dumps(ours))):
+        assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)
