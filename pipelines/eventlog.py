@@ -47,6 +47,10 @@ class BatchedSqliteEventLogStorage(OneForMany, SqliteEventLogStorage):
         self._there: set[tuple[str, str]] = set()
         self._empty: bytes | None = None
         super().__init__(base_dir, inst_data)
+        # whoever was killed while making the index left a file without tables, and stock takes any file for a whole one
+        self._engine(INDEX_SHARD_NAME)
+        self.reindex_events()
+        self.reindex_assets()
 
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:

@@ -253,3 +253,22 @@ def test_every_run_has_a_shard_like_stocks(tmp_path, monkeypatch):
 @dg.asset
 def plain() -> None:
     """No partition."""
+
+
+@pytest.mark.parametrize("made", [(), ("event_logs", "secondary_indexes")])
+def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, made):
+    log = Log(tmp_path / "log", "sqlite", "")
+    log.instance(OURS).dispose()
+    with closing(sqlite3.connect(log.base / "history/index.db")) as con:
+        tables = [name for (name,) in con.execute("select name from sqlite_master where type = 'table'")]
+        assert {*made, "dynamic_partitions", "alembic_version"} <= {*tables}
+        for name in {*tables} - {*made}:
+            con.execute(f"drop table {name}")
+        if made:
+            con.execute("delete from secondary_indexes")
+        con.commit()
+    with log.instance(OURS) as instance:
+        instance.add_dynamic_partitions("aircraft", ["A"])
+        assert instance.get_dynamic_partitions("aircraft") == ["A"]
+        assert dg.materialize([plain], instance=instance).success
+        assert instance.get_latest_materialization_event(dg.AssetKey("plain"))
