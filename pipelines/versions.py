@@ -38,27 +38,27 @@ MADE: dict[str, Made] = {
         ("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights"), Made(files=FLIGHT_FILES)
     ),
     "raw_messages": Made(files=("messages",)),
-    "raw_maintenance": Made(files=("maintenance",)),
+    "raw_maintenance": Made(files=("maintenance",), code="2"),
     **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Made(files=("messages", "maintenance"))),
     **dict.fromkeys(
         ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"), Made(files=("fleet", "rejected", "refused"))
     ),
     **dict.fromkeys(("legs_samples", "legs_verdicts"), Made(("raw_flights",), code="2")),
     **dict.fromkeys(
-        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="5")
+        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="6")
     ),
     "twin_flights": Made(("legs_samples", "calibration_dsm"), code="2"),
     "residuals": Made(("twin_flights",)),
     **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="9")),
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
-    "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="3"),
+    "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),
     "features": Made(("twin_health", "residuals", "features_witnesses", "raw_maintenance"), code="4"),
     "features_alerts": Made(("features",), code="5"),
     "prognosis_base": Made(),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     **dict.fromkeys(
         ("prognoses", "prognosis_model"),
-        Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="3"),
+        Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="4"),
     ),
 }
 

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from sklearn.covariance import MinCovDet
 
 from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.unit_index import number_units
 
 UNIT = ("operator", "tail", "pack")
 _UNIT = [*UNIT, "unit"]
@@ -98,18 +99,6 @@ def _clean(smooth: pl.DataFrame) -> pl.DataFrame:
 
 def _number(value: object) -> float | None:
     return float(value) if isinstance(value, float) else None
-
-
-def number_units(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Add `unit`: how often the pack's exchanger was replaced before the flight, by the log. A wash keeps the unit."""
-    renewed = maintenance.filter((pl.col("component") == "HX") & (pl.col("action") == "REPLACED")).select(
-        *UNIT[:2], pl.col("pack").cast(pl.Int32), pl.col("done_on").cast(pl.Datetime("us", "UTC")).alias("departed_at")
-    )
-    counted = renewed.sort("departed_at").with_columns(
-        (pl.col("pack").cum_count().over(UNIT)).cast(pl.Int64).alias("unit")
-    )
-    placed = flights.sort("departed_at").join_asof(counted, on="departed_at", by=list(UNIT), check_sortedness=False)
-    return placed.with_columns(pl.col("unit").fill_null(0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.health.virtual import virtual_sensors
+from hdt_core.records.unit_index import number_units
 
 UNIT = ["operator", "tail", "pack"]
 KEY = ["operator", "tail", "flight_id", "pack"]
@@ -136,24 +137,12 @@ def since_maintenance(
 ) -> pl.DataFrame:
     """Add the lives that the log knows, `<component>_life` (replacements so far), and flights since the first's last.
 
-    The log gives a day; the first flight of the next day is the first that surely flew with the new unit. How many a
-    unit has flown that came before the record's first flight is not known.
+    How many a unit has flown that came before the record's first flight is not known.
     """
-    day = flights.with_columns(pl.col("departed_at").dt.date().alias("day")).sort("day", "departed_at", "flight_id")
+    numbered = flights
     for component in components:
-        life = f"{component}_life"
-        renewed = (
-            maintenance.filter((pl.col("component") == component.upper()) & (pl.col("action") == "REPLACED"))
-            .select(*UNIT, "done_on")
-            .unique()
-        )
-        counted = renewed.sort("done_on").with_columns(
-            (pl.int_range(pl.len()).over(UNIT) + 1).alias(life), (pl.col("done_on") + pl.duration(days=1)).alias("day")
-        )
-        day = day.join_asof(
-            counted.select(*UNIT, "day", life).sort("day"), on="day", by=UNIT, check_sortedness=False
-        ).with_columns(pl.col(life).fill_null(0))
-    ordered = day.drop("day").sort(*UNIT, "departed_at", "flight_id")
+        numbered = number_units(numbered, maintenance, component.upper(), f"{component}_life")
+    ordered = numbered.sort(*UNIT, "departed_at", "flight_id")
     lead = f"{components[0]}_life"
     age = pl.int_range(pl.len()).over([*UNIT, lead])
     return ordered.with_columns(

@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.detection import Array
+from hdt_core.records.unit_index import first_flights
 
 UNIT = ["operator", "tail", "pack"]
 
@@ -87,18 +88,9 @@ class Grid:
         return out
 
     def worked_on(self, maintenance: pl.DataFrame, components: tuple[str, ...], actions: tuple[str, ...]) -> Array:
-        """First flight after each logged day of such work. (units, flights) bool
-
-        The log knows days, not hours: the first flight of the day after is the first that surely flew with it.
-        """
+        """First flight that counts as flown after such work, by `records.unit_index`. (units, flights) bool"""
         out = np.zeros(self.shape, dtype=bool)
-        done = maintenance.filter(pl.col("component").is_in(components) & pl.col("action").is_in(actions)).select(
-            *UNIT, "done_on"
-        )
-        days = self.rows.select(
-            *UNIT, pl.col("departed_at").dt.date().alias("day"), pl.Series("u", self.unit), pl.Series("k", self.flight)
-        )
-        after = done.unique().join(days, on=UNIT, how="inner").filter(pl.col("day") > pl.col("done_on"))
-        first = after.group_by("u", "done_on").agg(pl.col("k").min())
+        flights = self.rows.select(*UNIT, "departed_at", pl.Series("u", self.unit), pl.Series("k", self.flight))
+        first = first_flights(flights, maintenance, components, actions)
         out[first["u"].to_numpy(), first["k"].to_numpy()] = True
         return out

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import polars as pl
 
-# a message is answered within nine flights, and the log may be five flights late
-ANSWER_FLIGHTS = 15
-PACK = ["operator", "tail", "pack"]
+from hdt_core.records.unit_index import PACK, first_flights
+
+# a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
+ANSWER_FLIGHTS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +53,16 @@ def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
     )
 
 
-def installations(
-    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
-) -> pl.DataFrame:
-    """Rows on which a new unit is first logged: operator, tail, pack, first_row.
-
-    The log gives a date only. A flight of that date which raised the message still flew with the old unit.
-    """
-    replaced = maintenance.filter((pl.col("component") == failure.component) & (pl.col("action") == "REPLACED"))
-    told = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
-    told = (
-        flights.join(told, on=["tail", "flight_id", "pack"])
-        .group_by(*PACK, done_on="day")
-        .agg(told=pl.col("row").max())
-    )
-    found = flights.join(replaced.select(*PACK, "done_on"), on=PACK).join(told, on=[*PACK, "done_on"], how="left")
-    found = found.filter((pl.col("day") >= pl.col("done_on")) & (pl.col("row") > pl.col("told").fill_null(-1)))
-    return found.group_by(*PACK, "done_on").agg(first_row=pl.col("row").min()).select(*PACK, "first_row").unique()
+def installations(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> pl.DataFrame:
+    """Rows on which another unit flies first, by `records.unit_index`: operator, tail, pack, first_row."""
+    found = first_flights(flights, maintenance, (component,))
+    return found.select(*PACK, first_row="row").unique()
 
 
 def _component_lives(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
 ) -> pl.DataFrame:
-    installed = installations(flights, messages, maintenance, failure)
+    installed = installations(flights, maintenance, failure.component)
     entered = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
     lives = pl.concat([entered, installed]).unique().sort(*PACK, "first_row")

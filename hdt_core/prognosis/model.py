@@ -18,9 +18,9 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile, within_horizon
 from hdt_core.prognosis.history import FEATURES
 from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
-from hdt_core.prognosis.lives import PACK
 from hdt_core.prognosis.recalibrate import Correction, learn_correction, learn_levels, simulated_levels
 from hdt_core.prognosis.rows import Tracks, fleet_rows, message_levels, simulated_rows, tracks
+from hdt_core.records.unit_index import PACK
 
 Array = NDArray[np.float64]
 

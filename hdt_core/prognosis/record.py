@@ -8,8 +8,9 @@ import numpy as np
 import polars as pl
 
 from hdt_core.prognosis.limits import PRIORS
-from hdt_core.prognosis.lives import PACK, episodes
+from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.rows import Tracks, tracks
+from hdt_core.records.unit_index import PACK
 
 Heard = dict[str, tuple[int, str]]
 """Of each pack, `operator|tail|pack`: how many flights, and a digest of their health."""

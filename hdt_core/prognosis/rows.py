@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from hdt_core.prognosis.history import FEATURES, history
 from hdt_core.prognosis.limits import Limit
-from hdt_core.prognosis.lives import PACK, flight_rows
+from hdt_core.prognosis.lives import flight_rows
+from hdt_core.records.unit_index import PACK
 from hdt_core.simulate.training import draw_fleets
 
 Array = NDArray[np.float64]

@@ -19,11 +19,11 @@ import numpy as np
 import polars as pl
 
 from hdt_core.prognosis.card import Card, Verdict, model_card, promote
-from hdt_core.prognosis.lives import PACK
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import IN_ORDER, Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
 from hdt_core.prognosis.record import Heard, Record, heard
 from hdt_core.prognosis.rows import Tracks
+from hdt_core.records.unit_index import PACK
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,6 +124,8 @@ class RawMaintenance(Table):
     action = text("REPLACED, CLEANED, INSPECTED or ADJUSTED", nullable=False)
     finding = text("FOULED, CLOGGED, CORRODED, DAMAGED, NO_FAULT_FOUND or nothing")
     reference = text("work order")
+    done_at = moment("time of day, where the log gives one", nullable=True)
+    counts_from = moment("flights that depart from then on count as flown after the work: `done_at`, or the day's end")
 
 
 class RawFleet(Table):

@@ -3,45 +3,33 @@
 import numpy as np
 import polars as pl
 
+from hdt_core.records.unit_index import first_flights, select_entries
 from hdt_core.twin.crossing import PACK, Array
 
-LOG_WINDOW_DAYS = 1
+LOG_WINDOW = pl.duration(days=1)
 NOTHING, WASHED, REPLACED = range(3)
+DONE = ("REPLACED", "CLEANED")
 
 
 def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> tuple[Array, Array]:
-    """Where the log speaks of a component: on flights about the entry's day (open), and on the first flight after
-    (due).
+    """Where the log speaks of a component: on flights within a day of an entry's moment (open), and on the first flight
+    that counts as flown after it (due); the moment is that of `records.unit_index`.
 
     `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`crossing.IN_ORDER`). An entry may be days late:
     that is for the filter to see. An entry from before a pack's first flight says nothing: how long the part flew until
     the record begins is not known.
     """
-    log_open, log_due = np.zeros(flights.height, dtype=np.int64), np.zeros(flights.height, dtype=np.int64)
-    entries = maintenance.filter(
-        (pl.col("component") == component)
-        & pl.col("action").is_in(["REPLACED", "CLEANED"])
-        & pl.col("done_on").is_not_null()
-    )
-    if not entries.height or not flights.height:
-        return log_open, log_due
-    day = flights["departed_at"].dt.date().to_numpy()
-    start, last = 0, {}
-    for *pack, n in flights.group_by(PACK, maintain_order=True).len().rows():
-        last[tuple(pack)] = (start, start + n)
-        start += n
-    for *pack, done_on, action in entries.select(*PACK, "done_on", "action").rows():
-        first, end = last.get(tuple(pack), (0, 0))
-        window = np.datetime64(done_on) + np.arange(LOG_WINDOW_DAYS + 1)
-        if first == end or day[first] > window[-1]:
-            continue
-        kind = WASHED if action == "CLEANED" else REPLACED
-        near = slice(
-            first + np.searchsorted(day[first:end], window[0]),
-            first + np.searchsorted(day[first:end], window[-1], "right"),
-        )
-        log_open[near] = np.maximum(log_open[near], kind)
-        due = first + int(np.searchsorted(day[first:end], window[0], "right"))
-        if due < end:
-            log_due[due] = max(int(log_due[due]), kind)
-    return log_open, log_due
+    row = pl.int_range(pl.len())
+    rows = flights.select(*PACK, "departed_at", row=row, begins=row == row.min().over(PACK))
+    entries = select_entries(maintenance, (component,), DONE)
+    after = pl.col("departed_at") - pl.col("counts_from")
+    near = entries.join(rows, on=PACK).filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
+    due = first_flights(rows, maintenance, (component,), DONE).filter(~pl.col("begins") | (after < LOG_WINDOW))
+    return _flags(near, flights.height), _flags(due, flights.height)
+
+
+def _flags(entries: pl.DataFrame, n: int) -> Array:
+    flags: Array = np.full(n, NOTHING)
+    kind = np.where(entries["action"].to_numpy() == "CLEANED", WASHED, REPLACED)
+    np.maximum.at(flags, entries["row"].to_numpy(), kind)
+    return flags

@@ -7,11 +7,11 @@ import polars as pl
 import skops.io
 
 from hdt_core.prognosis.card import from_parts, model_card, to_parts
-from hdt_core.prognosis.lives import PACK
 from hdt_core.prognosis.model import Prognosis, fit_base
 from hdt_core.prognosis.record import Heard, Record
 from hdt_core.prognosis.rows import LOSSES
 from hdt_core.prognosis.service import Served, serve
+from hdt_core.records.unit_index import PACK
 from pipelines.assets.stage import Shown, stage
 from pipelines.pictures import DRAWN, night_pictures
 from pipelines.resources import Home

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawFleet
 from pipelines.assets.stage import stage
 from pipelines.deliveries import flights_of, landing_files, take_in
@@ -64,7 +65,8 @@ def _records(kind: str, read: list[tuple[LandingFile, Log]], asked: Asked, store
     """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
     table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
     stored = asked.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
-    return pl.concat([stored, *(x.rows.select(stored.columns) for _, x in read)])
+    rows = pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
+    return date_entries(rows) if kind == "maintenance" else rows
 
 
 def _left(table: str, present: list[str], asked: Asked, store: Store) -> pl.DataFrame:

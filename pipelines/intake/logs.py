@@ -32,7 +32,7 @@ MESSAGES = {
     "text": pl.String,
 }
 MAINTENANCE = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
-               "finding": pl.String, "reference": pl.String}  # fmt: skip
+               "finding": pl.String, "reference": pl.String, "done_at": _UTC}  # fmt: skip
 FLEET = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32}
 
 Row = tuple[object, ...]
@@ -75,14 +75,15 @@ def read_messages(file: LandingFile, now: datetime) -> Log:
 
 
 def read_maintenance(file: LandingFile, now: datetime) -> Log:
-    """Work done on one aircraft: `operator, tail, done_on, pack, component, action, finding, reference`.
+    """Work done on one aircraft: `operator, tail, done_on, pack, component, action, finding, reference, done_at`.
 
-    Work from before the first flight in store is as good as any.
+    `done_on` may give a day or a time of day; `done_at` keeps the time. Work from before the first flight in store is
+    as good as any.
     """
 
-    def judge(words: Words, _: datetime | None) -> Row | Fault:
-        day, pack = to_day(words["done_on"]), _pack(words["pack"])
-        if day is None or day > now.date():
+    def judge(words: Words, moment: datetime | None) -> Row | Fault:
+        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack(words["pack"])
+        if day is None or day > now.date() or (moment and moment > now):
             return Fault("unreadable_time" if day is None else "future_time", column_name="done_on")
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
@@ -100,9 +101,11 @@ def read_maintenance(file: LandingFile, now: datetime) -> Log:
             codes["action"],
             finding,
             words["reference"] or None,
+            moment,
         )
 
-    return _read(file, judge, MAINTENANCE, ("done_on", "pack", "component", "action"), ("finding", "reference"))
+    required = ("done_on", "pack", "component", "action")
+    return _read(file, judge, MAINTENANCE, required, ("finding", "reference"), timed="done_on")
 
 
 def read_fleet(file: LandingFile, now: datetime) -> Log:

@@ -4,7 +4,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.twin.crossing import PACK
+from hdt_core.records.unit_index import PACK, date_entries
 
 FLIGHTS_BEFORE, FLIGHTS_AFTER = 200, 40
 
@@ -25,11 +25,11 @@ def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tupl
         The line of the log; its pack's flights with `n`, counted from 0 at the first flight after it.
     """
     best: tuple[float, dict[str, Any], pl.DataFrame] | None = None
-    work = maintenance.filter(component="HX", action="REPLACED").drop_nulls("pack")
+    work = date_entries(maintenance.filter(component="HX", action="REPLACED").drop_nulls("pack"))
     worked_on = flights.join(work, on=PACK, how="semi", maintain_order="left").partition_by(PACK, as_dict=True)
     for w in work.to_dicts():
         own = worked_on.get(tuple(w[k] for k in PACK), flights.clear())
-        before = own["departed_at"].dt.date() <= w["done_on"]
+        before = own["departed_at"] < w["counts_from"]
         rows = own.with_columns(n=pl.int_range(pl.len()) - int(before.sum())).filter(
             pl.col("n").is_between(-FLIGHTS_BEFORE, FLIGHTS_AFTER)
         )

@@ -28,7 +28,7 @@ placed as (
         m.component,
         m.code,
         m.message_time,
-        max(w.done_on) as replaced_on
+        max(w.counts_from) as replaced_at
     from messages as m
     left join tables.raw_maintenance as w
         on
@@ -37,7 +37,7 @@ placed as (
             and m.pack = w.pack
             and m.component = w.component
             and w.action = 'REPLACED'
-            and (m.message_time at time zone 'UTC')::date > w.done_on
+            and m.message_time >= w.counts_from
     where m.component is not null
     group by m.operator, m.tail, m.pack, m.component, m.code, m.message_time
 ),
@@ -48,12 +48,12 @@ cases as (
         tail,
         pack,
         component,
-        replaced_on,
+        replaced_at,
         min(message_time) as message_time,
         arg_min(code, message_time) as code,
         count(*) as n_messages
     from placed
-    group by operator, tail, pack, component, replaced_on
+    group by operator, tail, pack, component, replaced_at
 ),
 
 warned as (
@@ -77,7 +77,7 @@ warned as (
             and c.component = a.component
             and c.message_time > a.raised_at
             and c.message_time <= coalesce(a.closed_at, c.message_time) + interval 3 day
-            and (c.replaced_on is null or c.replaced_on < (a.raised_at at time zone 'UTC')::date)
+            and (c.replaced_at is null or c.replaced_at <= a.raised_at)
     group by c.operator, c.tail, c.pack, c.component, c.code, c.message_time, c.n_messages
 ),
 

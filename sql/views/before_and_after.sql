@@ -1,5 +1,5 @@
 -- What did each piece of work change?
--- before_work: median of ten flights before, the six before the day of the log left out, in `unit`
+-- before_work: median of ten flights before, the six before the log's moment left out, in `unit`
 -- after_work: median of the ten flights after, in `unit`
 -- moved_by: after_work - before_work, in `unit`
 -- Grain: operator, tail, pack, done_on, component, reference, parameter. Reads: health_parameters,
@@ -14,7 +14,6 @@ with numbered as (
         unit,
         departed_at,
         value,
-        (departed_at at time zone 'UTC')::date as flown_on,
         row_number() over (partition by operator, tail, pack, parameter order by departed_at asc) as n
     from health_parameters
     where value is not null
@@ -32,7 +31,7 @@ placed as (
         w.reference,
         h.parameter,
         any_value(h.unit) as unit,
-        coalesce(max(h.n) filter (where h.flown_on <= w.done_on), 0) as last_before
+        coalesce(max(h.n) filter (where w.counts_from > h.departed_at), 0) as last_before
     from tables.raw_maintenance as w
     inner join numbered as h on w.operator = h.operator and w.tail = h.tail and w.pack = h.pack
     group by w.operator, w.tail, w.pack, w.done_on, w.component, w.action, w.finding, w.reference, h.parameter

@@ -17,11 +17,12 @@ with removals as (
         operator,
         tail,
         pack,
-        done_on,
+        counts_from,
+        any_value(done_on) as done_on,
         any_value(finding) as finding
     from tables.raw_maintenance
     where component = 'HX' and action = 'REPLACED' and pack is not null
-    group by operator, tail, pack, done_on
+    group by operator, tail, pack, counts_from
 ),
 
 flown as (
@@ -32,7 +33,7 @@ flown as (
         h.flight_id,
         h.departed_at,
         h.value as hx_fouling,
-        count(r.done_on) as unit,
+        count(r.counts_from) as unit,
         max(r.done_on) as installed_on
     from health_parameters as h
     left join removals as r
@@ -40,7 +41,7 @@ flown as (
             h.operator = r.operator
             and h.tail = r.tail
             and h.pack = r.pack
-            and (h.departed_at at time zone 'UTC')::date > r.done_on
+            and h.departed_at >= r.counts_from
     where h.parameter = 'hx_fouling' and h.value is not null
     group by h.operator, h.tail, h.pack, h.flight_id, h.departed_at, h.value
 ),
@@ -90,4 +91,4 @@ asof left join removals as r
         l.operator = r.operator
         and l.tail = r.tail
         and l.pack = r.pack
-        and (l.last_flight_at at time zone 'UTC')::date <= r.done_on;
+        and l.last_flight_at < r.counts_from;

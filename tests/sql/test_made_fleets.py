@@ -49,7 +49,8 @@ def fouling(n: int, value: float, *, tail: str = "T-1", pack: int = 1) -> dict:
 
 def replaced(n: int, finding: str | None = "FOULED", component: str = "HX") -> dict:
     done = {"done_on": (START + dt.timedelta(days=n)).date(), "component": component, "action": "REPLACED"}
-    return OWN | done | {"finding": finding, "reference": f"WO{n}"}
+    ends = START.replace(hour=0) + dt.timedelta(days=n + 1)
+    return OWN | done | {"finding": finding, "reference": f"WO{n}", "counts_from": ends}
 
 
 def message(n: int, code: str = "21-52-HXTEMP") -> dict:

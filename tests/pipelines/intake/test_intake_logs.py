@@ -17,6 +17,9 @@ LOGS = [
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1,=cmd(),\n", "bad_code"),
     ("maintenance", WORK + "1999-01-01,1,HX,REPLACED,FOULED,WO1\n", None),
     ("maintenance", WORK + "2024-05-03,,RAM_DOOR,INSPECTED,,\n", None),
+    ("maintenance", WORK + "2024-05-03T14:20:00Z,1,HX,REPLACED,,\n", None),
+    ("maintenance", WORK + "2024-05-03T14:20,1,HX,REPLACED,,\n", "time_without_zone"),
+    ("maintenance", WORK + "2061-05-03T14:20:00Z,1,HX,REPLACED,,\n", "future_time"),
     ("maintenance", WORK + "03.05.2024,1,HX,REPLACED,,\n", "unreadable_time"),
     ("maintenance", WORK + "2061-05-03,1,HX,REPLACED,,\n", "future_time"),
     ("maintenance", WORK + "2024-05-03,1,WING,REPLACED,,\n", "bad_code"),
@@ -45,3 +48,11 @@ def test_rows_that_stand_twice_in_a_log_count_once(deliver, now):
     content = WORK + 3 * row
     log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now)
     assert (log.rows.height, log.n_duplicate, log.n_delivered) == (1, 2, 3)
+
+
+def test_a_log_of_work_gives_a_day_or_a_time_of_day(deliver, now):
+    lines = ["2024-05-03", "2024-05-04T00:30:00+02:00", "2024-05-04T14:20:00Z"]
+    content = WORK + "".join(f"{line},1,HX,REPLACED,FOULED,WO{k}\n" for k, line in enumerate(lines))
+    rows = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now).rows.sort("reference")
+    assert [str(day) for day in rows["done_on"]] == ["2024-05-03", "2024-05-03", "2024-05-04"]
+    assert [at and f"{at:%d %H:%M}" for at in rows["done_at"]] == [None, "03 22:30", "04 14:20"]

@@ -1,0 +1,77 @@
+"""Which unit was flying: the one answer, for every component and for all who ask.
+
+The rule. A flight flies with a new (or repaired) part if it departs at or after the moment from which the entry of the
+maintenance log counts. An entry with a time of day counts from that time. An entry with a day alone counts from the end
+of that day (24:00 UTC), so that the flights of the day itself still belong to the part that came off.
+
+A log is never early but may be some flights late. Counted from its end, the day never gives a flight of the old part to
+the new one, whose clean level, trend and age would be wrong for all of its life; the price is a few flights of the new
+part at the end of a life that is over. See `docs/twin.md` for how often either happens.
+"""
+
+from collections.abc import Sequence
+
+import polars as pl
+
+PACK = ["operator", "tail", "pack"]
+NEW_UNIT = ("REPLACED",)
+"""Actions after which another unit flies; a wash keeps the unit."""
+UTC = pl.Datetime("us", "UTC")
+
+
+def date_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
+    """The log with `counts_from` (UTC), the moment from which each entry counts.
+
+    Parameters
+    ----------
+    maintenance : DataFrame
+        `done_on` (Date) and, where the log gives a time of day, `done_at` (UTC, null where it gives none).
+    """
+    day_ends = (pl.col("done_on") + pl.duration(days=1)).cast(UTC)
+    timed = [pl.col(c).cast(UTC) for c in ("counts_from", "done_at") if c in maintenance.columns]
+    return maintenance.with_columns(pl.coalesce(*timed, day_ends).alias("counts_from"))
+
+
+def select_entries(maintenance: pl.DataFrame, components: Sequence[str], actions: Sequence[str]) -> pl.DataFrame:
+    """Work of a kind, each pack, moment and action once: `PACK`, `action`, `counts_from`; by moment."""
+    wanted = pl.col("component").is_in(components) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
+    entries = date_entries(maintenance).filter(wanted & pl.col("counts_from").is_not_null())
+    columns = ("operator", "tail", pl.col("pack").cast(pl.Int32), "action", "counts_from")
+    return entries.select(columns).unique().sort("counts_from", *PACK, "action")
+
+
+def number_units(
+    flights: pl.DataFrame, maintenance: pl.DataFrame, component: str = "HX", name: str = "unit"
+) -> pl.DataFrame:
+    """Add `name`: how often the component was replaced before the flight, by the log.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        `PACK`, `departed_at` and what else is to be kept; comes back sorted by departure.
+    maintenance : DataFrame
+        `PACK`, `component`, `action`, and what `date_entries` reads.
+    """
+    renewed = select_entries(maintenance, (component,), NEW_UNIT).rename({"counts_from": "departed_at"})
+    counted = renewed.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
+    placed = flights.sort("departed_at", maintain_order=True).join_asof(
+        counted, on="departed_at", by=PACK, check_sortedness=False
+    )
+    return placed.with_columns(pl.col(name).fill_null(0))
+
+
+def first_flights(
+    flights: pl.DataFrame, maintenance: pl.DataFrame, components: Sequence[str], actions: Sequence[str] = NEW_UNIT
+) -> pl.DataFrame:
+    """Each entry of a kind with the first flight that counts as flown after it; entries without one are left out.
+
+    Returns
+    -------
+    DataFrame
+        `PACK`, `action`, `counts_from`, and the other columns of `flights`.
+    """
+    entries = select_entries(maintenance, components, actions)
+    later = flights.sort("departed_at", maintain_order=True)
+    return entries.join_asof(
+        later, left_on="counts_from", right_on="departed_at", by=PACK, strategy="forward", check_sortedness=False
+    ).drop_nulls("departed_at")

@@ -1,0 +1,146 @@
+"""Which unit was flying: one rule, one answer wherever it is asked, and what it costs where the truth is known."""
+
+import datetime as dt
+
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hdt_core.health.features import since_maintenance
+from hdt_core.health.grid import Grid
+from hdt_core.prognosis.lives import episodes, installations
+from hdt_core.records.unit_index import date_entries, first_flights, number_units
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.simulate.fleet import simulate_fleet
+from hdt_core.twin.renewals import REPLACED, log_flags
+from pipelines.report.replacement import around_replacement
+
+START = dt.datetime(2024, 3, 1, tzinfo=dt.UTC)
+OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
+UTC = pl.Datetime("us", "UTC")
+
+
+def flown(hours: list[float]) -> pl.DataFrame:
+    """Flights of one pack that depart so many hours after the start."""
+    at = [START + dt.timedelta(hours=h) for h in sorted(hours)]
+    ids = [f"T-1_{a:%Y%m%d}_{k:02d}" for k, a in enumerate(at)]
+    return pl.DataFrame({"flight_id": ids, "departed_at": at}).with_columns(
+        pl.lit("AAA").alias("operator"),
+        pl.lit("T-1").alias("tail"),
+        pl.lit(1, pl.Int32).alias("pack"),
+        pl.col("departed_at").cast(UTC),
+    )
+
+
+def work(*entries: tuple[int, float | None], component: str = "HX", action: str = "REPLACED") -> pl.DataFrame:
+    """Entries of a log: day from the start, and the hour of it where the log gives one."""
+    rows = [
+        OWN
+        | {"component": component, "action": action, "finding": None}
+        | {"done_on": (START + dt.timedelta(days=day)).date()}
+        | {"done_at": None if hour is None else START + dt.timedelta(days=day, hours=hour)}
+        for day, hour in entries
+    ]
+    schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String, "action": pl.String}
+    return pl.DataFrame(rows, schema=schema | {"finding": pl.String, "done_on": pl.Date, "done_at": UTC})
+
+
+def units(hours: list[float], log: pl.DataFrame) -> list[int]:
+    return number_units(flown(hours), log)["unit"].to_list()
+
+
+def test_a_day_counts_from_its_end_and_a_time_from_itself():
+    hours = [2.0, 8.0, 23.9, 24.0, 30.0]
+    assert units(hours, work((0, None))) == [0, 0, 0, 1, 1]
+    assert units(hours, work((0, 8.0))) == [0, 1, 1, 1, 1]
+    assert units(hours, work((0, 8.1))) == [0, 0, 1, 1, 1]
+    assert units(hours, work((0, None)).drop("done_at")) == [0, 0, 0, 1, 1]
+
+
+def test_only_another_unit_of_that_component_counts():
+    hours = [2.0, 30.0]
+    assert units(hours, work((0, None), component="CC")) == [0, 0]
+    assert units(hours, work((0, None), action="CLEANED")) == [0, 0]
+    assert units(hours, pl.concat([work((0, None)), work((0, None))])) == [0, 1], "one job on two work orders"
+    assert units(hours, work((0, None), (0, 10.0))) == [0, 2], "two entries of different moments are two jobs"
+    assert units(hours, work((0, None)).with_columns(pack=pl.lit(None, pl.Int32))) == [0, 0]
+
+
+def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
+    """Ids of the flights on which another unit flies first, as each part of the project answers."""
+    numbered = number_units(flights, log).sort("departed_at")
+    life = since_maintenance(flights, log).sort("departed_at")
+    _, due = log_flags(flights, log, "HX")
+    grid = Grid.cut(flights)
+    ends = grid.worked_on(log, ("HX",), ("REPLACED",))[0][: flights.height]
+    rows = flights.with_columns(row=pl.int_range(pl.len()))
+    installed = set(installations(rows, log, "HX")["first_row"].to_list())
+    ids = flights["flight_id"]
+    return {
+        "records": numbered.filter(pl.col("unit").diff() > 0)["flight_id"].to_list(),
+        "features": life.filter(pl.col("hx_life").diff() > 0)["flight_id"].to_list(),
+        "twin": ids.filter(pl.Series(due == REPLACED))[0 if due[0] == 0 else 1 :].to_list(),
+        "alerts": ids.filter(pl.Series(ends))[0 if not ends[0] else 1 :].to_list(),
+        "prognosis": [i for k, i in enumerate(ids) if k > 0 and k in installed],
+    }
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    hours=st.lists(st.floats(0.0, 239.0), min_size=2, max_size=30, unique=True),
+    days=st.lists(st.tuples(st.integers(0, 9), st.none() | st.floats(0.0, 23.9)), max_size=4),
+)
+def test_all_who_ask_get_one_answer(hours, days):
+    said = answers(flown(hours), work(*days))
+    assert all(answer == said["records"] for answer in said.values()), said
+
+
+def test_lives_and_figure_cut_where_the_twin_does():
+    """A message on the day of the replacement ends the old unit's life, and the figure's zero is the first after it."""
+    flights = flown([24.0 * day + 6.0 * leg for day in range(60) for leg in range(4)])
+    log = work((40, None))
+    message = flights.slice(161, 1).select("operator", "tail", "pack", "flight_id", message_time="departed_at")
+    lives = episodes(flights, message.with_columns(code=pl.lit("21-52-HXTEMP")), log).filter(component="HX")
+    assert lives.select("first_row", "end_row", "failed").rows() == [(0, 161, True), (164, 240, False)]
+    share = flights.with_columns(
+        ua_share=pl.when(pl.col("departed_at") < flights["departed_at"][164]).then(0.7).otherwise(1.0)
+    )
+    _, rows = around_replacement(share, log)
+    assert rows.filter(n=0)["flight_id"].to_list() == [flights["flight_id"][164]]
+
+
+def test_first_flight_after_work_is_none_where_none_has_flown():
+    assert first_flights(flown([1.0, 2.0]), work((0, None)), ("HX",)).height == 0
+    assert first_flights(flown([1.0, 2.0]), work((0, 1.5)), ("HX",))["departed_at"].item().hour == 2
+
+
+@pytest.fixture(scope="module")
+def truths() -> list[tuple[pl.DataFrame, pl.DataFrame]]:
+    """What really flew, and the log, of fleets whose entries come up to five flights late."""
+    size = FleetSettings(operators=1, tails=3, flights=400, cpl_share=0.0)
+    return [(a.health, a.maintenance.with_columns(operator=pl.lit(a.operator), tail=pl.lit(a.tail)))
+            for seed in (3, 4) for a in simulate_fleet(seed, size)]  # fmt: skip
+
+
+def wrong(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) -> tuple[int, int, int]:
+    """Flights of an old part given to the new one, of a new one to the old, and how many replacements there were, where
+    a day counts from its end less `shift`."""
+    early = late = replacements = 0
+    for health, log in truths:
+        counted = date_entries(log).with_columns(pl.col("counts_from") - shift)
+        flights = health.with_columns(pl.col("pack").cast(pl.Int32))
+        for component, true in (("HX", "hx_unit"), ("CC", "cc_unit")):
+            said = number_units(flights, counted, component)
+            early += said.filter(pl.col("unit") > pl.col(true)).height
+            late += said.filter(pl.col("unit") < pl.col(true)).height
+            replacements += log.filter(component=component, action="REPLACED").height
+    return early, late, replacements
+
+
+def test_against_the_truth_no_old_unit_is_ever_called_new(truths):
+    early, late, replacements = wrong(truths, dt.timedelta())
+    assert replacements >= 6
+    assert early == 0
+    assert late < 8 * replacements, "the price: a few flights of the new unit at the end of the old one's record"
+    assert wrong(truths, dt.timedelta(days=1))[0] > 0, "counted from its beginning, the day would make old units new"
