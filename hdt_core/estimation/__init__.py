@@ -3,9 +3,11 @@
 `ESTIMATORS` lists every method with its default settings; the contract tests run over it.
 """
 
+from hdt_core.estimation.differential_evolution import DifferentialEvolution
 from hdt_core.estimation.ekf import ExtendedKalman
 from hdt_core.estimation.ekf_pso import SwarmKalman
 from hdt_core.estimation.estimate import Estimate, Estimator, Status
+from hdt_core.estimation.fit import Fit
 from hdt_core.estimation.genetic import Genetic
 from hdt_core.estimation.gradient_descent import GradientDescent
 from hdt_core.estimation.identifiability import Identifiability
@@ -25,6 +27,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
     UnscentedKalman(),
     PhysicsInformedNet(),
     ParticleFilter(),
+    DifferentialEvolution(),
     Genetic(),
     GradientDescent(),
     RecursiveLeastSquares(),
@@ -35,9 +38,11 @@ ESTIMATORS: tuple[Estimator, ...] = (
 __all__ = [
     "ESTIMATORS",
     "Belief",
+    "DifferentialEvolution",
     "Estimate",
     "Estimator",
     "ExtendedKalman",
+    "Fit",
     "Genetic",
     "GradientDescent",
     "Identifiability",

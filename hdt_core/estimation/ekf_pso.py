@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.ekf import tangent
 from hdt_core.estimation.estimate import Estimate, conclude
 from hdt_core.estimation.kalman import recursive_estimate, trajectory
+from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.problem import Problem
 from hdt_core.estimation.swarm import swarm_search
 
@@ -31,7 +31,7 @@ class SwarmKalman:
     name: str = "ekf_pso"
     n_particles: int = 20
     n_iterations: int = 30
-    smoother_passes: int = 1
+    smoother_passes: int = 20
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
@@ -40,6 +40,8 @@ class SwarmKalman:
             problem, np.random.default_rng(self.seed), n_particles=self.n_particles, n_iterations=self.n_iterations
         )
         if not np.isfinite(swarm.objective):
-            return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals)
+            return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals, method=self.name)
         about = trajectory(problem, swarm.best)
-        return recursive_estimate(problem, tangent, self.smoother_passes, about, swarm.n_evals)
+        return recursive_estimate(
+            problem, tangent, self.smoother_passes, method=self.name, about=about, n_evals=swarm.n_evals
+        )

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from hdt_core.estimation.identifiability import SAFE, Identifiability, fisher, inverted
-from hdt_core.estimation.kernels.damped import inverse_spd
+from hdt_core.estimation.descent import Point, descend, distance_to_optimum, linearised
+from hdt_core.estimation.doubts import Profile, better_optimum, is_bent, profiled
+from hdt_core.estimation.fit import Fit, noise_variance
+from hdt_core.estimation.identifiability import SAFE, Identifiability, inverted
+from hdt_core.estimation.kernels.damped import judged
 from hdt_core.estimation.problem import Array, Belief, Problem
+from hdt_core.estimation.summary import draw, fit_report
 
-Status = Literal["converged", "at_bound", "max_steps", "not_identifiable", "diverged"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Status = Literal[
+    "converged",
+    "at_bound",
+    "max_steps",
+    "approximate",
+    "local_optimum",
+    "weakly_identifiable",
+    "not_identifiable",
+    "diverged",
+]
+CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises
+APART = 0.5  # scaled determinant from which parameters are told apart well
+MANY = 100  # values a parameter: with parameters well apart, the likelihood is a bell
+WIDE = 6.0  # standard deviations: where the declared range holds fewer, the data have hardly narrowed it
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Estimate:
     """An answer and how it was reached. How a fit ended is a value, not an exception.
 
@@ -23,8 +44,11 @@ class Estimate:
     belief : Belief
         Mean (n,) and covariance (n, n) of the parameters after the samples, prior included.
     status : Status
-        `converged`; `at_bound`: a parameter rests on its limit, its interval is one-sided at best; `max_steps`: stopped
-        before it settled; `not_identifiable`: the data leave a direction open that the prior does not close;
+        `converged`: an optimum of the method's objective, to a thousandth of a standard deviation, and none better is
+        known; `at_bound`: a parameter rests on its limit, its interval is one-sided at best; `max_steps`: stopped
+        before it settled; `approximate`: an answer that is no optimum by the method's nature; `local_optimum`: settled
+        where a better optimum is known, see `better`; `weakly_identifiable`: an optimum, but the data leave a
+        parameter's interval open; `not_identifiable`: they leave a direction open that the prior does not close;
         `diverged`: no finite answer, the belief is the prior.
     n_evals : int
         Passes over the record by the model, derivatives counted as passes.
@@ -34,6 +58,16 @@ class Estimate:
         The estimate after each sample, for methods that go through them in order.
     path_sd : array (k, n) or None
         Standard deviations along the path.
+    method : str
+        The estimator's name.
+    distance : float
+        From the optimum, in standard deviations: Newton's decrement. NaN where it is not known.
+    profile : Profile or None
+        Profile intervals, where curvature is a doubtful witness of them.
+    better : array (n,) or None
+        A point of a lower objective than this estimate's, where one is known.
+    innovations : array (k, m) or None
+        Of a filter whose states or parameters move, each over its standard deviation.
     """
 
     belief: Belief
@@ -42,6 +76,38 @@ class Estimate:
     identifiability: Identifiability
     path: Array | None = None
     path_sd: Array | None = None
+    method: str = ""
+    distance: float = float("nan")
+    profile: Profile | None = None
+    better: Array | None = None
+    innovations: Array | None = None
+    problem: Problem | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def fit(self) -> Fit:
+        """The record against the model at the estimate; made on first use."""
+        problem, n = self.problem, self.belief.mean.size
+        if problem is None:
+            raise ValueError("an estimate without its problem has no residuals")
+        if self.innovations is not None:
+            return Fit(self.innovations, np.zeros(0, bool), np.empty((self.innovations.size, 0)), np.empty((0, 0)))
+        residual = np.where(np.isnan(problem.measured), np.nan, -problem.residual(self.belief.mean))
+        free = problem.bounds[:, 0] < problem.bounds[:, 1]
+        slope = np.zeros((residual.size, n)) if self.status == "diverged" else problem.sensitivity(self.belief.mean)
+        return Fit(residual, free, -slope, problem.prior.information)
+
+    def summary(self) -> str:
+        """Report in words and numbers, with what lmfit's has."""
+        return fit_report(self)
+
+    def plot(self, axes: Axes) -> None:
+        """Draw the normalised residuals of every output over the samples, with the band of two sigmas."""
+        draw(self.fit, axes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem behind, whose functions may not travel; take its residuals along."""
+        made = {} if self.problem is None else {"fit": self.fit}
+        return {**self.__dict__, **made, "problem": None}
 
 
 class Estimator(Protocol):
@@ -57,48 +123,138 @@ class Estimator(Protocol):
         ...
 
 
+def settle(
+    problem: Problem, theta: Array, n_evals: int, *, polish: bool = True, cov: Array | None = None, **more: Any
+) -> Estimate:
+    """Close a method that does not end on the optimum by itself: least squares from `theta` (n,), where `polish`.
+
+    The method's own covariance `cov` stands where the optimum lies within one of its standard deviations of `theta`.
+    """
+    if not np.isfinite(theta).all():
+        return conclude(problem, theta, "diverged", n_evals, **more)
+    if not polish:
+        return conclude(problem, theta, "approximate", n_evals, cov=cov, **more)
+    at = descend(problem, np.clip(theta, *problem.bounds.T), n_evals=n_evals)
+    if cov is not None:
+        moved, sd = np.abs(at.theta - theta), np.sqrt(np.maximum(np.diag(cov), 0.0))
+        cov = cov if (moved <= sd).all() else None
+    return conclude_at(problem, at, cov=cov, **more)
+
+
+def conclude_at(problem: Problem, at: Point, **more: Any) -> Estimate:
+    """Turn the end of a descent into an estimate."""
+    if not at.objective < np.inf:
+        return conclude(problem, at.theta * np.nan, "diverged", at.n_evals, **more)
+    return conclude(problem, at.theta, "converged" if at.settled else "max_steps", at.n_evals, at=at, **more)
+
+
 def conclude(
     problem: Problem,
     theta: Array,
     reached: Status,
     n_evals: int,
     *,
-    information: Array | None = None,
+    at: Point | None = None,
+    own_objective: bool = False,
     cov: Array | None = None,
-    path: Array | None = None,
-    path_sd: Array | None = None,
+    **more: Any,
 ) -> Estimate:
     """Turn a point into an estimate: covariance, what the data told, and the status that serves the reader best.
+
+    A method that says `converged`, or `approximate`, is judged by the gradient at its point; then by whether a better
+    optimum can be found where the misfit asks for a search, and by what the data tell of each parameter.
 
     Parameters
     ----------
     theta : array (n,)
         Where the method stopped.
     reached : Status
-        How the method itself says it ended; bounds and identifiability may overrule `converged`.
-    information : array (n, n), optional
-        Fisher information of the data at `theta`; computed when not given.
+        How the method itself says it ended.
+    at : Point, optional
+        Gradient and curvature at `theta`; computed when not given.
+    own_objective : bool
+        The method minimises something else than the problem's objective, and has judged its gradient itself.
     cov : array (n, n), optional
         The method's own covariance; the inverse of data and prior information when not given.
+    more
+        Further fields of `Estimate`.
     """
-    if not np.isfinite(theta).all():
+    if at is None and not np.isfinite(theta).all():
         nothing = Identifiability(problem.names, np.zeros((theta.size, theta.size)))
-        return Estimate(problem.prior, "diverged", n_evals, nothing, path, path_sd)
-    seen = fisher(problem, theta).information if information is None else information
-    told_by = Identifiability(problem.names, seen)
-    total = seen + problem.prior.information
-    own, determinant = inverse_spd(total)
-    if determinant > SAFE and not _rests_on_bound(
-        problem.bounds, theta, own
-    ):  # the common case, quickly: nothing to overrule
-        return Estimate(Belief(theta, own if cov is None else cov), reached, n_evals, told_by, path, path_sd)
-    own, told = _spread(problem.bounds, total)
-    status = reached
+        return Estimate(problem.prior, "diverged", n_evals, nothing, problem=problem, **more)
+    at = linearised(problem, theta) if at is None else at
+    prior = problem.prior.information
+    seen = Identifiability(problem.names, at.normal - prior)
+    own, determinant, distance, inside = judged(at.normal, at.gradient, theta, problem.bounds)
+    inside, told, n_free = inside and determinant > SAFE, True, theta.size
+    if not inside:
+        own, told = _spread(problem.bounds, at.normal)
+        distance = distance_to_optimum(at, problem.bounds)
+        n_free = int(np.count_nonzero(problem.bounds[:, 0] < problem.bounds[:, 1]))
+    variance = noise_variance(at.objective, problem.n_values, n_free)
+    status: Status = reached
+    if not own_objective and reached != "diverged":
+        near = distance <= CLOSE * max(variance, 1.0) ** 0.5
+        status = "converged" if near else "max_steps" if reached == "converged" else reached
     if reached != "diverged" and not told:
         status = "not_identifiable"
-    elif reached == "converged" and _rests_on_bound(problem.bounds, theta, own, held=False):
-        status = "at_bound"
-    return Estimate(Belief(theta, own if cov is None else cov), status, n_evals, told_by, path, path_sd)
+    doubt = NO_DOUBT
+    plain = variance == 1.0 and determinant > APART and problem.n_values > MANY * theta.size
+    if status == "converged" and not own_objective and not plain:
+        doubt = _questioned(problem, at, own, variance)
+        status = doubt.status
+    if status in ("converged", "approximate") and not inside:
+        status = "at_bound" if _rests_on_bound(problem.bounds, theta, own, held=False) else status
+    return Estimate(
+        Belief(theta, own if cov is None else cov),
+        status,
+        n_evals + doubt.n_evals,
+        seen,
+        distance=float("nan") if own_objective else distance,
+        profile=doubt.profile,
+        better=doubt.better,
+        problem=problem,
+        **more,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubt:
+    """What questions about an optimum led to, and the passes they took."""
+
+    status: Status
+    n_evals: int = 0
+    profile: Profile | None = None
+    better: Array | None = None
+
+
+NO_DOUBT = _Doubt("converged")
+
+
+def _questioned(problem: Problem, at: Point, cov: Array, variance: float) -> _Doubt:
+    """Ask of an optimum whether it is the best, where noise does not explain its misfit, and how far the data limit
+    each parameter, where curvature may not tell."""
+    spent = 0
+    if variance > 1.0:
+        better, spent = better_optimum(problem, at, variance)
+        if better is not None:
+            return _Doubt("local_optimum", spent, better=better.theta)
+    spent += 2 * at.theta.size
+    if not is_bent(problem, at, variance):
+        return _Doubt("weakly_identifiable" if _hardly_narrowed(problem, cov, variance) else "converged", spent)
+    profile = profiled(problem, at, cov, variance)
+    status: Status = "weakly_identifiable" if profile.unlimited else "converged"
+    if profile.better is not None:
+        status = "local_optimum"
+    return _Doubt(status, spent + profile.n_evals, profile, profile.better)
+
+
+def _hardly_narrowed(problem: Problem, cov: Array, variance: float) -> bool:
+    """Whether a parameter without a prior keeps most of its declared range."""
+    width = problem.bounds[:, 1] - problem.bounds[:, 0]
+    asked = (width > 0.0) & np.isfinite(width) & np.isinf(problem.prior.sd)
+    sd = np.sqrt(np.maximum(cov.diagonal(), 0.0) * variance)
+    return bool((WIDE * sd[asked] > width[asked]).any())
 
 
 def _spread(bounds: Array, total: Array) -> tuple[Array, bool]:

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.ekf import tangent
-from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.kalman import lost, report, trajectory
+from hdt_core.estimation.estimate import Estimate, Status
+from hdt_core.estimation.kalman import STILL_SD, lost, passes_cost, report, standardised, trajectory
 from hdt_core.estimation.kalman_step import (
     Correction,
     LostTrackError,
     corrected,
     innovate,
+    is_moving,
     joint_belief,
     limits,
     outputs,
     predicted,
+    projected,
     stepped,
+    tangent,
 )
 from hdt_core.estimation.problem import Array, Belief, Problem
 
@@ -28,7 +32,7 @@ Factor = Callable[[Correction, Belief], float]
 
 
 def fading_estimate(
-    problem: Problem, factor: Callable[[], Factor], may_relinearise: Callable[[Array], bool]
+    problem: Problem, factor: Callable[[], Factor], *, method: str, own_objective: bool, passes: int
 ) -> Estimate:
     """Extended Kalman filter whose predicted covariance is multiplied by a factor before each sample.
 
@@ -36,49 +40,83 @@ def fading_estimate(
     wrong; so a second one follows the error that this gain really leaves, by Joseph's form, which holds for any
     gain. That one is stated.
 
+    Where nothing is declared to move, further passes take their tangents about the trajectory of the last result,
+    until it stands still. The path reported is that of the first pass.
+
     Parameters
     ----------
     factor : function () -> Factor
         Called once a pass.
-    may_relinearise : function (path (k, n)) -> bool
-        Whether the parameters stood still, so that a second pass may take its tangents about the trajectory of the
-        first one's result, without the errors of tangents taken where the guess was wrong. The path reported is that
-        of the first pass.
+    own_objective : bool
+        The factor is the same for every record: what is minimised is a sum with weights that fade. Else it answers to
+        the record: where it did so in a pass that should have been the plain filter, the first pass is the answer.
+    passes : int
+        At most, after the first.
     """
-    passes = per_pass = 2 * (problem.start.mean.size + problem.prior.mean.size) + 1
+    cost, made = passes_cost(problem), 1
+    told: dict[str, Any] = {"method": method}
+    moving = is_moving(problem)
     try:
-        belief, path, path_sd, nis = _pass(problem, factor(), None)
-        if may_relinearise(path):
-            about = trajectory(problem, np.clip(belief.mean, *problem.bounds.T))
-            belief, _, _, nis = _pass(problem, factor(), about)
-            passes += per_pass
-    except LostTrackError:
-        return lost(problem, passes)
-    return report(problem, belief, path, path_sd, n_evals=passes, mean_nis=nis)
+        with np.errstate(all="ignore"):  # what overflows ends as a lost track
+            first = last = _pass(problem, factor(), None)
+            reached: Status = "approximate"
+            at = _inside(problem, first)
+            while made <= passes and not moving:
+                last = _pass(problem, factor(), trajectory(problem, at))
+                made += 1
+                later = _inside(problem, last)
+                still = (np.abs(later - at) <= STILL_SD * last.belief.sd + 1e-15).all()
+                at, reached = later, "converged" if still else "max_steps"
+                if still or (last.faded and not own_objective):
+                    break
+    except (LostTrackError, np.linalg.LinAlgError):
+        return lost(problem, cost * made, method)
+    if last.faded and not own_objective:
+        last, reached, own_objective = first, "approximate", True
+    told |= {"path": first.path, "path_sd": first.path_sd, "own_objective": own_objective}
+    told["innovations"] = last.innovations if moving else None
+    return report(problem, last.belief, reached, cost * made, **told)
 
 
-def _pass(problem: Problem, factor: Factor, about: list[Belief] | None) -> tuple[Belief, Array, Array, float]:
-    """Belief at the end, path and its sd (k, n), mean normalised innovation squared."""
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """Belief at the end, path and its sd (k, n), innovations over their sd (k, m), whether any gain was opened."""
+
+    belief: Belief
+    path: Array
+    path_sd: Array
+    innovations: Array
+    faded: bool
+
+
+def _inside(problem: Problem, made: _Pass) -> Array:
+    return projected(made.belief, *problem.bounds.T)
+
+
+def _pass(problem: Problem, factor: Factor, about: list[Belief] | None) -> _Pass:
     belief = honest = joint_belief(problem)
     bounds, ceiling = limits(problem), belief.cov.diagonal()[problem.start.mean.size :]
     s, k = problem.start.mean.size, len(problem.measured)
     path, path_sd = np.empty((k, belief.mean.size - s)), np.empty((k, belief.mean.size - s))
-    nis, n_seen = 0.0, 0
+    corrections, faded = [], False
     for i in range(k):
         point = belief if about is None else about[i]
         model = tangent(partial(outputs, problem, i), point, *bounds)
         plain = innovate(belief, model, problem.measured[i], problem.sigma)
         fade = factor(plain, belief) if plain.innovation.size else 1.0
-        faded = Belief(belief.mean, max(min(fade, _headroom(belief, ceiling)), 1.0) * belief.cov)
-        correction = innovate(faded, model, problem.measured[i], problem.sigma)
-        nis, n_seen = nis + correction.nis, n_seen + correction.innovation.size
-        belief = corrected(faded, correction)
+        fade = max(min(fade, _headroom(belief, ceiling)), 1.0)
+        wide = Belief(belief.mean, fade * belief.cov)
+        correction = innovate(wide, model, problem.measured[i], problem.sigma)
+        corrections.append(correction)
+        faded |= fade > 1.0
+        belief = corrected(wide, correction)
         honest = Belief(belief.mean, corrected(honest, correction).cov)
         path[i], path_sd[i] = belief.mean[s:], honest.sd[s:]
         if i + 1 < k:
             step = stepped(problem, tangent, belief if about is None else point, i)
             honest, belief = predicted(honest, step), predicted(belief, step)
-    return Belief(path[-1], honest.cov[s:, s:]), path, path_sd, nis / max(n_seen, 1)
+    end = Belief(path[-1].copy(), honest.cov[s:, s:])
+    return _Pass(end, path, path_sd, standardised(problem, corrections), faded)
 
 
 def _headroom(belief: Belief, ceiling: Array) -> float:

@@ -1,22 +1,28 @@
-"""Differential evolution, the genetic algorithm for real numbers; SciPy is the engine."""
+"""A genetic algorithm: selection, crossover, mutation; DEAP is the engine (the extra `genetic`)."""
 
 from __future__ import annotations
 
+import random
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
-from scipy.optimize import differential_evolution
+import numpy.typing as npt
 
-from hdt_core.estimation.estimate import Estimate, conclude
-from hdt_core.estimation.problem import Problem
+from hdt_core.estimation.differential_evolution import NO_ANSWER, DifferentialEvolution, fitness
+from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.problem import Array, Problem
 from hdt_core.estimation.swarm import search_box
 
-NO_ANSWER = 1e150  # fitness of an individual the model has no answer for
+CROWDING = 15.0  # of crossover and mutation: larger keeps children closer to their parents
 
 
 @dataclass(frozen=True, slots=True)
 class Genetic:
-    """Evolve a population over the box until its objectives agree.
+    """Tournaments choose parents, simulated binary crossover and polynomial mutation make children, the best one stays.
+
+    With `polish`, the default, least squares from the fittest. Without DEAP this is differential evolution, as the
+    name meant before there was a genetic algorithm here; `Estimate.method` says which it was.
 
     Parameters
     ----------
@@ -24,44 +30,87 @@ class Genetic:
         Individuals per parameter.
     max_generations : int
     agreement : float
-        Spread of the population's objectives at which evolution ends; 1e-6 is a thousandth of a standard deviation.
+        Spread of the population's objectives at which evolution ends.
+    crossover, mutation : float
+        Probability of a pair, and of an individual.
+    polish : bool
     seed : int
+
+    References
+    ----------
+    .. [1] K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 1995.
+    .. [2] F.-A. Fortin et al., DEAP: evolutionary algorithms made easy, JMLR 13, 2012.
     """
 
     name: str = "genetic"
     population: int = 15
     max_generations: int = 300
     agreement: float = 1e-6
+    polish: bool = True
+    crossover: float = 0.9
+    mutation: float = 0.3
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
         """Fittest individual; covariance from the information at that point."""
+        if find_spec("deap") is None:
+            method = f"{self.name}: differential evolution, DEAP is not installed"
+            stand_in = DifferentialEvolution(
+                method, self.population, self.max_generations, self.agreement, self.polish, self.seed
+            )
+            return stand_in.estimate(problem)
         lower, upper = search_box(problem)
         free = upper > lower
         if not free.any():
-            return conclude(problem, problem.origin, "converged", 0)
-
-        def fitness(columns: np.ndarray) -> np.ndarray:
-            rows = np.repeat(problem.origin[None], columns.shape[1], axis=0)
-            rows[:, free] = columns.T
-            return np.minimum(problem.objective(rows), NO_ANSWER)
-
-        result = differential_evolution(
-            fitness,
-            np.column_stack([lower, upper])[free],
-            x0=problem.origin[free],
-            popsize=self.population,
-            maxiter=self.max_generations,
-            tol=0.0,
-            atol=self.agreement,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
-            rng=np.random.default_rng(self.seed),
-        )
+            return settle(problem, problem.origin, 0, method=self.name)
+        before = random.getstate()  # DEAP draws from the module's generator
+        random.seed(self.seed)
+        try:
+            best, objective, n_evals, agreed = self._evolved(problem, free, lower[free], upper[free])
+        finally:
+            random.setstate(before)
         theta = problem.origin.copy()
-        theta[free] = result.x
-        n_evals = self.population * int(free.sum()) * (result.nit + 1)
-        if result.fun >= NO_ANSWER:
-            return conclude(problem, theta * np.nan, "diverged", n_evals)
-        return conclude(problem, theta, "converged" if result.success else "max_steps", n_evals)
+        theta[free] = best
+        if objective >= NO_ANSWER:
+            return conclude(problem, theta * np.nan, "diverged", n_evals, method=self.name)
+        if self.polish:
+            return settle(problem, theta, n_evals, method=self.name)
+        return conclude(problem, theta, "converged" if agreed else "max_steps", n_evals, method=self.name)
+
+    def _evolved(
+        self, problem: Problem, free: npt.NDArray[np.bool_], lower: Array, upper: Array
+    ) -> tuple[Array, float, int, bool]:
+        """Fittest individual (free parameters,), its objective, passes over the record, whether all agree."""
+        from deap import algorithms, base, tools  # noqa: PLC0415 (an extra)
+
+        class Fitness(base.Fitness):  # type: ignore[misc]
+            weights = (-1.0,)
+
+        class Individual(list):  # type: ignore[type-arg]
+            def __init__(self, genes: Array) -> None:
+                super().__init__(genes.tolist())
+                self.fitness = Fitness()
+
+        limits = {"eta": CROWDING, "low": lower.tolist(), "up": upper.tolist()}
+        toolbox, n_evals = base.Toolbox(), 0
+        toolbox.register("mate", tools.cxSimulatedBinaryBounded, **limits)
+        toolbox.register("mutate", tools.mutPolynomialBounded, indpb=1.0 / lower.size, **limits)
+        n = self.population * lower.size + (self.population * lower.size) % 2
+        genes = lower + (upper - lower) * np.random.default_rng(self.seed).random((n, lower.size))
+        genes[0] = problem.origin[free]
+        people = [Individual(row) for row in genes]
+        for generation in range(self.max_generations + 1):
+            if generation:
+                champion = tools.selBest(people, 1)
+                parents = tools.selTournament(people, n - 1, tournsize=3)
+                people = champion + algorithms.varAnd(parents, toolbox, self.crossover, self.mutation)
+            new = [person for person in people if not person.fitness.valid]
+            objectives = fitness(problem, free, np.array(new, float).reshape(len(new), lower.size))
+            for person, objective in zip(new, objectives.tolist(), strict=True):
+                person.fitness.values = (objective,)
+            n_evals += len(new)
+            values = [person.fitness.values[0] for person in people]
+            if max(values) - min(values) < self.agreement:
+                break
+        best = int(np.argmin(values))
+        return np.array(people[best]), values[best], n_evals, max(values) - min(values) < self.agreement

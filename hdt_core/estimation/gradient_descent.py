@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude
+from hdt_core.estimation.descent import Point, distance_to_optimum, linearised
+from hdt_core.estimation.estimate import CLOSE, Estimate, Status, conclude
 from hdt_core.estimation.problem import Array, Problem
 
-SETTLED = 1e-8  # share of the residual variance the next step could win, as in least squares
 MEMORY = 8
 
 
@@ -32,31 +32,27 @@ class GradientDescent:
 
     def estimate(self, problem: Problem) -> Estimate:
         """Lowest point reached; covariance from the information at that point."""
-        lower, upper = problem.bounds.T
-        theta = problem.origin
-        history = [float(problem.objective(theta[None])[0])]
-        if not np.isfinite(history[0]):
-            return conclude(problem, theta * np.nan, "diverged", 1)
-        gradient, scale = _gradient(problem, theta)
-        step, n_evals = 1.0, 2 * theta.size + 2
+        first = float(problem.objective(problem.origin[None])[0])
+        if not np.isfinite(first):
+            return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
+        at, history, step = linearised(problem, problem.origin, 1), [first], 1.0
+        scale, lowest = _scale(at), at  # scaled once, at the start
         reached: Status = "max_steps"
         for _ in range(self.max_steps):
-            move, objective, tried = _descend(
-                problem, theta, gradient, scale, step=step, ceiling=max(history[-MEMORY:])
-            )
-            n_evals += tried
-            later, (gradient_later, scale_now) = theta + move, _gradient(problem, theta + move)
-            n_evals += 2 * theta.size + 1
-            change = gradient_later - gradient
-            curved = float(move @ change)
-            step = float(np.clip((move / scale) @ (move / scale) / curved, 1e-6, 1e6)) if curved > 0.0 else 1.0
-            theta, gradient = later, gradient_later
-            history.append(objective)
-            inward = np.clip(theta - scale_now**2 * gradient, lower, upper) - theta
-            if -float(inward @ gradient) <= max(SETTLED * objective / max(problem.n_values, 1), 1e-22):
+            if distance_to_optimum(at, problem.bounds) < 0.5 * CLOSE:
                 reached = "converged"
                 break
-        return conclude(problem, theta, reached, n_evals)
+            move, objective, tried = _descend(
+                problem, at.theta, at.gradient, scale, step=step, ceiling=max(history[-MEMORY:])
+            )
+            later = linearised(problem, at.theta + move, at.n_evals + tried)
+            curved = float(move @ (later.gradient - at.gradient))
+            step = float(np.clip((move / scale) @ (move / scale) / curved, 1e-6, 1e6)) if curved > 0.0 else 1.0
+            at = later
+            lowest = at if at.objective <= lowest.objective else lowest
+            history.append(objective)
+        best = at if reached == "converged" else lowest
+        return conclude(problem, best.theta, reached, at.n_evals, at=best, method=self.name)
 
 
 def _descend(
@@ -73,10 +69,7 @@ def _descend(
     return np.zeros_like(theta), float(problem.objective(theta[None])[0]), tried + 1
 
 
-def _gradient(problem: Problem, theta: Array) -> tuple[Array, Array]:
-    """Half the gradient of the objective, (n,), and every parameter's standard deviation if all others were known."""
-    residual, slope = problem.residual(theta).ravel(), problem.sensitivity(theta)
-    belief = problem.prior.information
-    curvature = np.einsum("ij,ij->j", slope, slope) + np.diag(belief)
-    scale = 1.0 / np.sqrt(np.where(curvature > 0.0, curvature, 1.0))
-    return slope.T @ residual + belief @ (theta - problem.prior.mean), scale
+def _scale(at: Point) -> Array:
+    """Every parameter's standard deviation if all others were known, (n,)."""
+    curvature = at.normal.diagonal()
+    return np.asarray(1.0 / np.sqrt(np.where(curvature > 0.0, curvature, 1.0)))

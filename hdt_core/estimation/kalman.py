@@ -9,28 +9,31 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude
+from hdt_core.estimation.estimate import Estimate, Status, conclude, settle
 from hdt_core.estimation.kalman_step import (
     Correction,
     Linearise,
     LostTrackError,
     corrected,
     innovate,
+    is_moving,
     joint_belief,
     limits,
     outputs,
     predicted,
     projected,
     stepped,
+    tangent,
 )
 from hdt_core.estimation.problem import Array, Belief, Problem
 
-WORST_NIS = 25.0  # innovations five times their size on average: the filter has lost the record
+STILL_SD = 1e-4  # of its standard deviation: an estimate that another pass moves by less stands still
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,52 +95,162 @@ def smoothed(filtered: Filtered) -> list[Belief]:
 
 
 def recursive_estimate(
-    problem: Problem, linearise: Linearise, smoother_passes: int, about: list[Belief] | None = None, n_evals: int = 0
+    problem: Problem,
+    linearise: Linearise,
+    passes: int,
+    *,
+    method: str,
+    about: list[Belief] | None = None,
+    n_evals: int = 0,
+    polish: bool = False,
 ) -> Estimate:
-    """Filter the record, then filter it again about the smoothed trajectory, `smoother_passes` times.
+    """Filter the record, then filter it again about the smoothed trajectory until the estimate settles.
 
     The path reported is that of the first pass: at every sample it knows only what came before.
+
+    Parameters
+    ----------
+    passes : int
+        At most, after the first.
+    polish : bool
+        Where nothing moves, finish with least squares: a regression's fixed point is near the optimum, not on it.
     """
-    s, j = problem.start.mean.size, problem.start.mean.size + problem.prior.mean.size
+    s = problem.start.mean.size
     try:
-        first = final = forward(problem, linearise, about)
-        for _ in range(smoother_passes):
-            final = forward(problem, linearise, smoothed(final))
-    except LostTrackError:
-        return lost(problem, n_evals + 2 * j + 1)
+        with np.errstate(all="ignore"):  # what overflows ends as a lost track
+            first = forward(problem, linearise, about)
+            last, reached, more = _iterated(problem, linearise, first, passes)
+    except (LostTrackError, np.linalg.LinAlgError):
+        return lost(problem, n_evals + passes_cost(problem), method)
     path_sd = np.sqrt(np.maximum(np.diagonal(first.covs, axis1=1, axis2=2)[:, s:], 0.0))
-    belief = Belief(final.means[-1, s:], final.covs[-1, s:, s:])
-    n_evals += (1 + smoother_passes) * (2 * j + 1)
-    return report(problem, belief, first.means[:, s:], path_sd, n_evals=n_evals, mean_nis=final.mean_nis)
+    belief = Belief(last.means[-1, s:], last.covs[-1, s:, s:])
+    n_evals += (1 + more) * passes_cost(problem)
+    moved = standardised(problem, last.corrections) if is_moving(problem) else None
+    told: dict[str, Any] = {"path": first.means[:, s:], "path_sd": path_sd, "method": method}
+    return report(problem, belief, reached, n_evals, polish=polish, innovations=moved, **told)
 
 
-def compiled_estimate(problem: Problem, sigma_points: bool, smoother_passes: int) -> Estimate | None:
+def passes_cost(problem: Problem) -> int:
+    """Evaluations of the model that a pass takes a sample."""
+    return 2 * (problem.start.mean.size + problem.prior.mean.size) + 1
+
+
+def _iterated(problem: Problem, linearise: Linearise, first: Filtered, passes: int) -> tuple[Filtered, Status, int]:
+    """Filter again until the estimate stands still: the last pass, how it ended, passes made."""
+    if is_moving(problem):
+        return _iterated_moving(problem, linearise, first, passes)
+    last, at = first, _point(problem, first)
+    for made in range(1, passes + 1):
+        about = smoothed(last) if linearise is not tangent else trajectory(problem, at)
+        last = forward(problem, linearise, about)
+        later = _paying(problem, at, _point(problem, last))
+        still = _stands_still(later - at, last.covs[-1])
+        at = later
+        if still:
+            return _moved_to(problem, last, at), "converged", made
+    return _moved_to(problem, last, at), "approximate" if passes == 0 else "max_steps", passes
+
+
+def _iterated_moving(
+    problem: Problem, linearise: Linearise, first: Filtered, passes: int
+) -> tuple[Filtered, Status, int]:
+    """The same where states or parameters move: what is found is the most likely trajectory. Without any pass asked
+    for, one is made to see whether it would change anything."""
+    last = first
+    for made in range(1, max(passes, 1) + 1):
+        again = forward(problem, linearise, smoothed(last))
+        still = _stands_still(again.means[-1] - last.means[-1], again.covs[-1])
+        last = again if passes else last
+        if still:
+            return last, "converged", made
+    return last, "max_steps" if passes else "approximate", max(passes, 1)
+
+
+def _point(problem: Problem, filtered: Filtered) -> Array:
+    """Parameters (n,) after the last sample, inside the bounds."""
+    s = problem.start.mean.size
+    return projected(Belief(filtered.means[-1, s:], filtered.covs[-1, s:, s:]), *problem.bounds.T)
+
+
+def _paying(problem: Problem, at: Array, later: Array) -> Array:
+    """`later`, or as much of the way there as lowers the objective: the line search of Särkkä and Svensson (2020)."""
+    shares = 0.5 ** np.arange(8)
+    objectives = problem.objective(np.vstack([at, at + shares[:, None] * (later - at)]))
+    if not np.isfinite(objectives[0]) or not (objectives[1:] < objectives[0]).any():
+        return later
+    return np.asarray(at + shares[int(np.argmax(objectives[1:] < objectives[0]))] * (later - at))
+
+
+def _stands_still(move: Array, cov: Array) -> bool:
+    sd = np.sqrt(np.maximum(cov.diagonal()[-move.size :], 0.0)) if move.size else np.zeros(0)
+    return bool((np.abs(move) <= STILL_SD * sd + 1e-15).all())
+
+
+def _moved_to(problem: Problem, filtered: Filtered, theta: Array) -> Filtered:
+    """The pass with the parameters of its last belief at `theta`."""
+    means = filtered.means.copy()
+    means[-1, problem.start.mean.size :] = theta
+    return replace(filtered, means=means)
+
+
+def standardised(problem: Problem, corrections: list[Correction]) -> Array:
+    """Innovations, each over its own standard deviation given those of its sample, (k, m); NaN where missing."""
+    rows = np.full(problem.measured.shape, np.nan)
+    for i, correction in enumerate(corrections):
+        values, vectors = np.linalg.eigh(correction.precision)
+        along = np.sqrt(np.maximum(values, 0.0)) * (vectors.T @ correction.innovation)
+        rows[i, ~np.isnan(problem.measured[i])] = vectors @ along
+    return rows
+
+
+def compiled_estimate(
+    problem: Problem, sigma_points: bool, smoother_passes: int, *, method: str, polish: bool = False
+) -> Estimate | None:
     """The same by the problem's own kernel, which knows no noise but the sensor's; None where that does not serve."""
-    moving = any(sd is not None and np.any(sd > 0.0) for sd in (problem.process_sd, problem.drift))
-    if problem.kernels is None or problem.kernels.kalman is None or moving or np.any(problem.start.cov > 0.0):
+    if problem.kernels is None or problem.kernels.kalman is None or is_moving(problem):
         return None
-    prior = joint_belief(problem).cov[problem.start.mean.size :, problem.start.mean.size :]
-    path, path_sd, mean, cov, nis = problem.kernels.kalman(
-        problem.origin, prior, problem.bounds[:, 0], problem.bounds[:, 1], sigma_points, smoother_passes
+    s = problem.start.mean.size
+    prior = joint_belief(problem).cov[s:, s:]
+    path, path_sd, mean, cov, made = problem.kernels.kalman(
+        problem.origin, prior, problem.bounds[:, 0], problem.bounds[:, 1], sigma_points, smoother_passes, STILL_SD
     )
-    passes = (1 + smoother_passes) * (2 * (problem.start.mean.size + mean.size) + 1 if sigma_points else 2)
-    return report(problem, Belief(mean, cov), path, path_sd, n_evals=passes, mean_nis=nis)
+    passes = (1 + made) * (passes_cost(problem) if sigma_points else 2)
+    told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method}
+    found = report(problem, Belief(mean, cov), "approximate", passes, polish=polish, **told)
+    unsettled = smoother_passes > 0 and found.status in ("approximate", "diverged")
+    return None if unsettled else found
 
 
-def report(problem: Problem, belief: Belief, path: Array, path_sd: Array, *, n_evals: int, mean_nis: float) -> Estimate:
-    """Close a recursion: bounds on what is said, what the data can tell, and whether it kept track."""
+def report(
+    problem: Problem,
+    belief: Belief,
+    reached: Status,
+    n_evals: int,
+    *,
+    path: Array,
+    path_sd: Array,
+    method: str,
+    polish: bool = False,
+    own_objective: bool = False,
+    innovations: Array | None = None,
+) -> Estimate:
+    """Close a recursion: bounds on what is said, what the data can tell, and whether it ended on an optimum."""
     lower, upper = problem.bounds.T
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
-        return lost(problem, n_evals)
-    reached: Status = "converged" if mean_nis < WORST_NIS else "diverged"
+        return lost(problem, n_evals, method)
     path = np.minimum(np.maximum(path, lower), upper)
+    told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method, "innovations": innovations}
     said = projected(belief, lower, upper)
-    return conclude(problem, said, reached, n_evals, cov=belief.cov, path=path, path_sd=path_sd)
+    if innovations is not None or own_objective:
+        return conclude(problem, said, reached, n_evals, own_objective=True, cov=belief.cov, **told)
+    if polish:
+        return settle(problem, said, n_evals, cov=belief.cov, **told)
+    return conclude(problem, said, reached, n_evals, cov=belief.cov, **told)
 
 
-def lost(problem: Problem, n_evals: int) -> Estimate:
+def lost(problem: Problem, n_evals: int, method: str) -> Estimate:
     """Close a recursion that met a sample the model has no answer for."""
-    return conclude(problem, np.full(problem.prior.mean.size, np.nan), "diverged", n_evals)
+    return conclude(problem, np.full(problem.prior.mean.size, np.nan), "diverged", n_evals, method=method)
 
 
 def trajectory(problem: Problem, theta: Array) -> list[Belief]:

@@ -64,6 +64,12 @@ class Correction:
         return -0.5 * float(self.nis + self.innovation.size * np.log(2.0 * np.pi) - determinant)
 
 
+def is_moving(problem: Problem) -> bool:
+    """Whether states or parameters are random: process noise, drift, or a start that is not known exactly."""
+    noises = (problem.process_sd, problem.drift, problem.start.cov)
+    return any(noise is not None and bool(np.any(noise > 0.0)) for noise in noises)
+
+
 def joint_belief(problem: Problem) -> Belief:
     """Belief about (states, parameters) at sample 0.
 
@@ -169,3 +175,16 @@ def projected(belief: Belief, lower: Array, upper: Array) -> Array:
         mean = mean + belief.cov[:, broken] @ np.linalg.pinv(across, hermitian=True) @ (limit - mean)[broken]
         mean[broken] = limit[broken]
     return np.clip(mean, lower, upper)
+
+
+def tangent(function: Function, belief: Belief, lower: Array, upper: Array) -> Affine:
+    """Tangent at the mean moved inside the bounds, by central differences, one-sided on a bound."""
+    point = np.clip(belief.mean, lower, upper)
+    step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(point), np.minimum(belief.sd, 1e3) + 1e-6)
+    above, below = np.minimum(point + step, upper), np.maximum(point - step, lower)
+    ends = np.column_stack([point[:, None] + np.diag(above - point), point[:, None] + np.diag(below - point), point])
+    values = function(ends)
+    j = point.size
+    width = np.where(above > below, above - below, np.inf)
+    slope = (values[:, :j] - values[:, j : 2 * j]) / width
+    return Affine(slope, values[:, -1] - slope @ point, np.zeros((len(values), len(values))))

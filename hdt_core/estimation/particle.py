@@ -4,12 +4,15 @@ few."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude
+from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.kalman_step import is_moving
 from hdt_core.estimation.problem import Array, Belief, Problem
 from hdt_core.estimation.swarm import search_box
+from hdt_core.estimation.ukf import upper_root
 
 NO_ANSWER = 1e290  # misfit where the model has none
 LEAST_ACCEPTED = 0.05  # of the moves; below, the cloud repeats itself and its spread means little
@@ -30,6 +33,8 @@ class ParticleFilter:
         Metropolis steps after each resampling.
     shrinkage : float
         Liu and West's a.
+    polish : bool
+        Where nothing moves, finish with least squares from the cloud's mean, which is an average and no optimum.
     seed : int
 
     References
@@ -42,13 +47,14 @@ class ParticleFilter:
     n_particles: int = 400
     moves: int = 4
     shrinkage: float = 0.98
+    polish: bool = True
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Mean and covariance of the cloud after the last sample; path of all."""
+        """Mean and covariance of the cloud after the last sample; path of all. Where something moves it is
+        `approximate`: an average over a cloud is right to its Monte Carlo error."""
         rng = np.random.default_rng(self.seed)
-        moving = any(sd is not None and np.any(sd > 0.0) for sd in (problem.process_sd, problem.drift))
-        if moving or np.any(problem.start.cov > 0.0):
+        if is_moving(problem):
             return self._bootstrap(problem, rng)
         return self._resample_move(problem, rng)
 
@@ -56,7 +62,7 @@ class ParticleFilter:
         cloud = _drawn(problem, self.n_particles, rng)
         misfit = _misfit(problem, cloud)
         if misfit.max(axis=1).min() >= NO_ANSWER:
-            return conclude(problem, cloud[0] * np.nan, "diverged", len(cloud))
+            return conclude(problem, cloud[0] * np.nan, "diverged", len(cloud), method=self.name)
         path, path_sd = (
             np.empty((len(problem.measured), cloud.shape[1])),
             np.empty((len(problem.measured), cloud.shape[1])),
@@ -66,7 +72,7 @@ class ParticleFilter:
             log_weight -= 0.5 * misfit[:, i]
             weight = _normalised(log_weight)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud) or i + 1 == len(path):
-                spread = np.atleast_2d(np.cov(cloud.T, aweights=weight))
+                spread = _spread(cloud, weight)
                 kept = _resampled(weight, rng)
                 cloud, misfit = cloud[kept], misfit[kept]
                 for _ in range(self.moves):
@@ -75,9 +81,9 @@ class ParticleFilter:
                 log_weight, weight = np.zeros(len(cloud)), np.full(len(cloud), 1.0 / len(cloud))
             path[i] = weight @ cloud
             path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
-        status: Status = "converged" if accepted > LEAST_ACCEPTED else "max_steps"
-        cov = np.atleast_2d(np.cov(cloud.T))
-        return conclude(problem, cloud.mean(axis=0), status, n_evals, cov=cov, path=path, path_sd=path_sd)
+        cov = np.atleast_2d(np.cov(cloud.T)) if accepted > LEAST_ACCEPTED or not self.polish else None
+        told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
+        return settle(problem, cloud.mean(axis=0), n_evals, polish=self.polish, cov=cov, **told)
 
     def _bootstrap(self, problem: Problem, rng: np.random.Generator) -> Estimate:
         cloud = _drawn(problem, self.n_particles, rng)
@@ -101,9 +107,10 @@ class ParticleFilter:
             if problem.transition is not None and i + 1 < k:
                 x = np.asarray(problem.transition(x.T, cloud.T, i)).T + _noise(problem.process_sd, x.shape, rng)
         weight = _normalised(log_weight)
-        cov = np.atleast_2d(np.cov(cloud.T, aweights=weight, ddof=0))
+        cov = (weight * (cloud - path[-1]).T) @ (cloud - path[-1])
         theta = np.clip(path[-1], *problem.bounds.T)
-        return conclude(problem, theta, "converged", len(cloud), cov=cov, path=path, path_sd=path_sd)
+        told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
+        return conclude(problem, theta, "approximate", len(cloud), own_objective=True, cov=cov, **told)
 
 
 def _drawn(problem: Problem, n: int, rng: np.random.Generator) -> Array:
@@ -129,8 +136,8 @@ def _moved(
 ) -> tuple[Array, Array, float]:
     """One Metropolis step of every particle towards the posterior of samples 0 to i; share that moved."""
     n = cloud.shape[1]
-    root = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diag(spread) + np.finfo(float).tiny))
-    proposed = cloud + 2.38 / np.sqrt(n) * rng.standard_normal(cloud.shape) @ root.T
+    root = upper_root(spread)
+    proposed = cloud + 2.38 / np.sqrt(n) * rng.standard_normal(cloud.shape) @ root
     inside = ((proposed >= problem.bounds[:, 0]) & (proposed <= problem.bounds[:, 1])).all(axis=1)
     new = _misfit(problem, np.where(inside[:, None], proposed, cloud))
     gain = 0.5 * (misfit[:, : i + 1].sum(axis=1) - new[:, : i + 1].sum(axis=1))
@@ -160,6 +167,12 @@ def _inside(problem: Problem, cloud: Array) -> Array:
 
 def _noise(sd: Array | None, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     return np.zeros(shape) if sd is None else sd * rng.standard_normal(shape)
+
+
+def _spread(cloud: Array, weight: Array) -> Array:
+    """Covariance (n, n) of a weighted cloud; of one particle that has all the weight, none."""
+    away = cloud - weight @ cloud
+    return np.asarray((weight * away.T) @ away / max(1.0 - float(weight @ weight), 1.0 / weight.size))
 
 
 def _normalised(log_weight: Array) -> Array:

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude
-from hdt_core.estimation.nls import polish
+from hdt_core.estimation.estimate import Estimate, conclude, settle
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
 FIRST_DAMPING = 1e-3
@@ -46,7 +45,7 @@ class PhysicsInformedNet:
     Levenberg and Marquardt's on all weights, which needs tens of steps where a first-order optimiser needs thousands.
 
     A problem without states has no differential equation and nothing for a net to represent: there the loss is least
-    squares.
+    squares, and so is this method. `Estimate.method` says it.
 
     Parameters
     ----------
@@ -56,6 +55,8 @@ class PhysicsInformedNet:
         Values of rho.
     max_steps : int
         Training steps of each stage.
+    polish : bool
+        Finish with least squares on the equations themselves, which takes away the bias of the order of rho.
     seed : int
 
     Notes
@@ -76,15 +77,16 @@ class PhysicsInformedNet:
     width: int = 30
     stages: tuple[float, ...] = (0.1, 0.01)
     max_steps: int = 100
+    polish: bool = True
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
         """Parameters at the end of training."""
         if problem.transition is None:
-            return polish(problem, problem.origin)
+            return settle(problem, problem.origin, 0, method=f"{self.name}: least squares, no dynamics")
         guess = _simulated(problem)
         if not np.isfinite(guess).all():
-            return conclude(problem, problem.origin * np.nan, "diverged", 1)
+            return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
         scale = _Scale(
             np.linspace(0.0, 1.0, len(guess)),
             np.maximum(np.abs(guess).max(axis=0), 1e-9),
@@ -92,16 +94,14 @@ class PhysicsInformedNet:
         )
         first = _first_weights(self.width, guess, scale, np.random.default_rng(self.seed))
         vector = np.concatenate([first, problem.origin])
-        steps, settled, normal = 0, False, np.eye(vector.size)
+        steps, normal = 0, np.eye(vector.size)
         for rho in self.stages:
-            vector, normal, settled, tried = _train(
-                problem, vector, scale, rho, width=self.width, max_steps=self.max_steps
-            )
+            vector, normal, tried = _train(problem, vector, scale, rho, width=self.width, max_steps=self.max_steps)
             steps += tried
         n = problem.prior.mean.size
-        status: Status = "converged" if settled else "max_steps"
         passes = steps * (1 + 2 * (problem.start.mean.size + n))
-        return conclude(problem, vector[-n:], status, passes, cov=_parameter_cov(normal, n))
+        cov = _parameter_cov(normal, n)
+        return settle(problem, vector[-n:], passes, polish=self.polish, cov=cov, method=self.name)
 
 
 def _simulated(problem: Problem) -> Array:
@@ -126,8 +126,8 @@ def _first_weights(width: int, guess: Array, scale: _Scale, rng: np.random.Gener
 
 def _train(
     problem: Problem, vector: Array, scale: _Scale, rho: float, *, width: int, max_steps: int
-) -> tuple[Array, Array, bool, int]:
-    """Levenberg and Marquardt on net and parameters: vector, its J^T J, whether it settled, steps."""
+) -> tuple[Array, Array, int]:
+    """Levenberg and Marquardt on net and parameters: vector, its J^T J, steps."""
     residual, slope = _loss(problem, vector, scale, rho, width)
     cost, damping, still, steps = float(residual @ residual), FIRST_DAMPING, 0, 0
     normal, n = slope.T @ slope, problem.prior.mean.size
@@ -144,14 +144,13 @@ def _train(
                 break
             damping *= 4.0
         if new_cost >= cost:  # no step pays: the minimum, to rounding
-            still = STILL_STEPS
             break
         allowed = STILL_SD * np.sqrt(np.diag(_parameter_cov(normal, n)))
         free = damping <= FIRST_DAMPING  # a step held back by damping is short for another reason
         still = still + 1 if free and (np.abs(move[-n:]) <= allowed).all() else 0
         vector, residual, slope, cost, damping = trial, new_residual, new_slope, new_cost, damping * 0.2
         normal = slope.T @ slope
-    return vector, normal, still >= STILL_STEPS, steps
+    return vector, normal, steps
 
 
 def _parameter_cov(normal: Array, n: int) -> Array:

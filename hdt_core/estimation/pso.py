@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, conclude
-from hdt_core.estimation.nls import polish
+from hdt_core.estimation.estimate import Estimate, Status, conclude, settle
 from hdt_core.estimation.problem import Problem
 from hdt_core.estimation.swarm import swarm_search
 
@@ -16,7 +15,7 @@ AGREED = 0.01  # of the objective: particles within a tenth of a standard deviat
 
 @dataclass(frozen=True, slots=True)
 class ParticleSwarm:
-    """The best point a swarm finds; with `polish`, least squares from there.
+    """The best point a swarm finds; with `polish`, which is the default, least squares from there.
 
     Parameters
     ----------
@@ -40,7 +39,8 @@ class ParticleSwarm:
     def estimate(self, problem: Problem) -> Estimate:
         """Point of the smallest objective; covariance from the information at that point.
 
-        Without the polish a swarm has `converged` when half its particles remember points as good as the best.
+        Without the polish a swarm has settled when half its particles remember points as good as the best; whether
+        it has `converged` the gradient tells.
         """
         swarm = swarm_search(
             problem,
@@ -51,9 +51,10 @@ class ParticleSwarm:
             cognitive=self.cognitive,
             social=self.social,
         )
-        if self.polish and np.isfinite(swarm.objective):
-            return polish(problem, swarm.best, n_evals=swarm.n_evals)
         if not np.isfinite(swarm.objective):
-            return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals)
+            return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals, method=self.name)
+        if self.polish:
+            return settle(problem, swarm.best, swarm.n_evals, method=self.name)
         settled = np.median(swarm.remembered) - swarm.objective < AGREED
-        return conclude(problem, swarm.best, "converged" if settled else "max_steps", swarm.n_evals)
+        reached: Status = "converged" if settled else "max_steps"
+        return conclude(problem, swarm.best, reached, swarm.n_evals, method=self.name)

@@ -29,6 +29,8 @@ class StrongTracking:
         Weight of the past in V, per sample.
     softening : float
         beta: how many times the noise the innovations may have before the gain opens.
+    passes : int
+        At most, after the first, where the gain stays closed; where it opened, what was followed is `approximate`.
 
     References
     ----------
@@ -39,10 +41,10 @@ class StrongTracking:
     name: str = "strong_tracking"
     memory: float = 0.98
     softening: float = 1.8
+    passes: int = 20
 
     def estimate(self, problem: Problem) -> Estimate:
         """Estimate after the last sample, path of all."""
-        opened: list[bool] = []
 
         def new_factor() -> Factor:
             running: list[float] = []
@@ -54,12 +56,11 @@ class StrongTracking:
                 before = running[-1] if running else 1.0  # nothing suspicious has been seen yet
                 running.append(self.memory * before + (1.0 - self.memory) * now)
                 excess = running[-1] * (own + noise) - self.softening * noise
-                opened.append(excess > own > 0.0)
                 return max(1.0, min(excess / own, 1e6)) if own > 0.0 else 1.0
 
             return factor
 
-        return fading_estimate(problem, new_factor, lambda _path: not any(opened))
+        return fading_estimate(problem, new_factor, method=self.name, own_objective=False, passes=self.passes)
 
 
 @dataclass(frozen=True, slots=True)

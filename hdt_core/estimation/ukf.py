@@ -10,11 +10,14 @@ import numpy as np
 
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman import compiled_estimate, recursive_estimate
-from hdt_core.estimation.kalman_step import Affine, Function
+from hdt_core.estimation.kalman_step import Affine, Function, LostTrackError
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 if TYPE_CHECKING:
     from filterpy.kalman import MerweScaledSigmaPoints
+
+
+HAIR = 1e-9  # of the mean: the least spread of sigma points
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,34 +30,51 @@ class UnscentedKalman:
         Spread of Merwe's scaled points. The defaults give equal weights, none negative, so that the covariance of
         what the regression leaves over cannot lose its sign.
     smoother_passes : int
+        At most: they end when the estimate stands still.
+    polish : bool
+        Where nothing moves, finish with least squares: the fixed point of a regression is near the optimum, not on it.
     """
 
     name: str = "ukf"
     alpha: float = 1.0
     beta: float = 0.0
     kappa: float = 0.0
-    smoother_passes: int = 1
+    smoother_passes: int = 5
+    polish: bool = True
 
     def estimate(self, problem: Problem) -> Estimate:
         """Belief about the parameters after the last sample; path of the first, causal pass."""
         if (self.alpha, self.beta, self.kappa) == (1.0, 0.0, 0.0):
-            quick = compiled_estimate(problem, True, self.smoother_passes)
+            quick = compiled_estimate(problem, True, self.smoother_passes, method=self.name, polish=self.polish)
             if quick is not None:
                 return quick
         from filterpy.kalman import MerweScaledSigmaPoints  # noqa: PLC0415 (a second of imports that only this needs)
 
         j = problem.start.mean.size + problem.prior.mean.size
         points = MerweScaledSigmaPoints(j, self.alpha, self.beta, self.kappa, sqrt_method=upper_root)
-        return recursive_estimate(problem, partial(regression, points), self.smoother_passes)
+        return recursive_estimate(
+            problem, partial(regression, points), self.smoother_passes, method=self.name, polish=self.polish
+        )
 
 
 def regression(
     points: MerweScaledSigmaPoints, function: Function, belief: Belief, lower: Array, upper: Array
 ) -> Affine:
     """Affine function with the mean, cross-covariance and covariance of `function` over sigma points
-    (García-Fernández)."""
-    cloud = points.sigma_points(belief.mean, belief.cov).T
+    (García-Fernández).
+
+    Raises
+    ------
+    LostTrackError
+        The belief, or the model over it, is not finite.
+    """
+    if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
+        raise LostTrackError
+    breadth = np.square(HAIR * belief.mean)  # what is known to rounding still has to be told apart from the mean
+    cloud = points.sigma_points(belief.mean, belief.cov + np.diag(breadth)).T
     values = function(np.clip(cloud, lower[:, None], upper[:, None]))
+    if not np.isfinite(values).all():
+        raise LostTrackError
     mean = values @ points.Wm
     away, response = cloud - belief.mean[:, None], values - mean[:, None]
     # pairs of opposite points: their difference over their distance is exact however flat the belief

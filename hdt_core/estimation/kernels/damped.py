@@ -88,10 +88,15 @@ def next_damping(damping: float, growth: float, won: float, promised: float) -> 
 
 
 @compiled
-def is_settled(promised: float, won: float, cost: float, n_values: int) -> bool:
-    """Whether a further step could not matter: it promises nothing, or less than rounding lets us see."""
-    quiet = abs(promised) <= max(SETTLED_SHARE * cost / n_values, SETTLED)
-    return quiet or (won <= 0.0 and abs(promised) <= 1e-12 * cost)
+def is_settled(promised: float, cost: float, n_values: int) -> bool:
+    """Whether the step is the last and may be taken untried: it promises next to nothing."""
+    return abs(promised) <= max(SETTLED_SHARE * cost / n_values, SETTLED)
+
+
+@compiled
+def is_exhausted(promised: float, won: float, cost: float) -> bool:
+    """Whether a step that did not pay promised less than rounding lets us see."""
+    return won <= 0.0 and abs(promised) <= 1e-12 * cost
 
 
 @compiled
@@ -132,3 +137,17 @@ def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (co
         for i in range(n):
             inverse[i, c] = column[i] / (size[i] * size[c])
     return inverse, determinant
+
+
+@compiled
+def judged(normal: Array, gradient: Array, theta: Array, bounds: Array) -> tuple[Array, float, float, bool]:
+    """Inverse of `normal` (n, n) and its scaled determinant, the distance to the optimum in standard deviations
+    (Newton's decrement), and whether `theta` lies off its bounds by more than a thousandth of one."""
+    inverse, determinant = inverse_spd(normal)
+    square, inside = 0.0, determinant > 0.0
+    for i in range(theta.size):
+        margin = 1e-3 * np.sqrt(inverse[i, i])
+        inside = inside and bounds[i, 0] + margin < theta[i] < bounds[i, 1] - margin
+        for j in range(theta.size):
+            square += gradient[i] * inverse[i, j] * gradient[j]
+    return inverse, determinant, np.sqrt(max(square, 0.0)), inside

@@ -10,7 +10,14 @@ from functools import partial
 import numpy as np
 
 from hdt_core.estimation.kernels.compiled import Kernels, compiled
-from hdt_core.estimation.kernels.damped import FIRST_DAMPING, MOST_DAMPING, damped_step, is_settled, next_damping
+from hdt_core.estimation.kernels.damped import (
+    FIRST_DAMPING,
+    MOST_DAMPING,
+    damped_step,
+    is_exhausted,
+    is_settled,
+    next_damping,
+)
 from hdt_core.estimation.problem import Array
 
 
@@ -108,8 +115,8 @@ def linearised(
 def least_squares(
     force_n: Array, dt_s: float, mass_kg: float, measured_m: Array, sigma_m: float, n_values: int,
     origin: Array, lower: Array, upper: Array, prior_mean: Array, prior_information: Array, max_steps: int,
-) -> tuple[Array, Array, int, bool]:  # fmt: skip
-    """Levenberg and Marquardt as in `hdt_core.estimation.nls`: same steps, same stop; every trial brings its
+) -> tuple[Array, float, Array, Array, int, bool]:  # fmt: skip
+    """Levenberg and Marquardt as in `hdt_core.estimation.descent`: same steps, same stop; every trial brings its
     derivatives."""
     theta, weight = origin.copy(), 1.0 / sigma_m**2
     normal, gradient = np.zeros((2, 2)), np.zeros(2)
@@ -124,12 +131,15 @@ def least_squares(
             size[i] = max(size[i], np.sqrt(normal[i, i]))
         step, promised = damped_step(normal, gradient, size, damping, theta, lower, upper)
         trial = theta + step
+        if is_settled(promised, cost, n_values):
+            theta, settled = trial, True
+            break
         trial_cost = _posterior(
             trial, force_n, dt_s, mass_kg, measured_m, weight, prior_mean, prior_information, next_normal, next_gradient
         )
         n_evals += 1
         won = cost - trial_cost
-        settled = is_settled(promised, won, cost, n_values)
+        settled = is_exhausted(promised, won, cost)
         damping, growth = next_damping(damping, growth, won, promised)
         if won > 0.0:
             theta, cost = trial, trial_cost
@@ -137,7 +147,7 @@ def least_squares(
             gradient, next_gradient = next_gradient, gradient
         if settled or damping > MOST_DAMPING:
             break
-    return theta, normal - prior_information, n_evals, settled
+    return theta, cost, gradient, normal, n_evals, settled
 
 
 @compiled

@@ -20,8 +20,10 @@ LIFTS = np.array([0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2])
 def kalman(
     force_n: Array, dt_s: float, mass_kg: float, measured_m: Array, sigma_m: float,
     prior_mean: Array, prior_cov: Array, lower: Array, upper: Array, sigma_points: bool, smoother_passes: int,
-) -> tuple[Array, Array, Array, Array, float]:  # fmt: skip
-    """Forward, and `smoother_passes` times smoothed and forward again.
+    still_sd: float,
+) -> tuple[Array, Array, Array, Array, int]:  # fmt: skip
+    """Forward, and at most `smoother_passes` times smoothed and forward again: until the parameters move by no more
+    than `still_sd` standard deviations.
 
     Returns
     -------
@@ -29,7 +31,8 @@ def kalman(
         Of the first pass.
     mean : array (2,)
     cov : array (2, 2)
-    mean_nis : float
+    made : int
+        Passes after the first.
     """
     k = force_n.size
     start = np.zeros((J, J))
@@ -39,11 +42,12 @@ def kalman(
     n_smoothed = k if smoother_passes > 0 else 1
     about, about_cov = np.empty((n_smoothed, J)), np.empty((n_smoothed, J, J))
     path, path_sd = np.empty((k, 2)), np.empty((k, 2))
-    nis = 0.0
+    before, made = np.zeros(2), 0
     for turn in range(smoother_passes + 1):
         if turn > 0:
+            before[0], before[1] = means[-1, 2], means[-1, 3]
             smooth(means, covs, rows, gains, innovations, precisions, dt_s, about, about_cov)
-        nis = _forward(
+        _forward(
             force_n, dt_s, mass_kg, measured_m, sigma_m, prior_mean, start, lower, upper, sigma_points,
             turn > 0, about, about_cov, means, covs, rows, gains, innovations, precisions,
         )  # fmt: skip
@@ -52,7 +56,16 @@ def kalman(
                 path[i, 0], path[i, 1] = means[i, 2], means[i, 3]
                 path_sd[i, 0] = np.sqrt(max(covs[i, 2, 2], 0.0))
                 path_sd[i, 1] = np.sqrt(max(covs[i, 3, 3], 0.0))
-    return path, path_sd, means[-1, 2:].copy(), covs[-1, 2:, 2:].copy(), nis
+        else:
+            made = turn
+            still = True
+            for j in range(2):
+                still = still and abs(means[-1, 2 + j] - before[j]) <= still_sd * np.sqrt(
+                    max(covs[-1, 2 + j, 2 + j], 0.0)
+                )
+            if still:
+                break
+    return path, path_sd, means[-1, 2:].copy(), covs[-1, 2:, 2:].copy(), made
 
 
 @compiled

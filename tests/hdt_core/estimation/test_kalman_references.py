@@ -9,8 +9,8 @@ from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 from filterpy.kalman import UnscentedKalmanFilter as FilterpyUnscented
 
 from hdt_core.estimation import Belief, ExtendedKalman, Problem, UnscentedKalman, unknown
-from hdt_core.estimation.ekf import tangent
 from hdt_core.estimation.kalman import forward, smoothed
+from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.oscillator import oscillator_problem
 from hdt_core.estimation.ukf import regression, upper_root
 

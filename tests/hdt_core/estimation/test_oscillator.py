@@ -59,7 +59,8 @@ def test_compiled_estimators_equal_the_declared_path(estimator, with_holes):
     fast, slow = (estimator.estimate(problem) for problem in both(with_holes=with_holes))
     np.testing.assert_allclose(fast.belief.mean, slow.belief.mean, atol=1e-6 * fast.belief.sd.min() * 10)
     np.testing.assert_allclose(fast.belief.cov, slow.belief.cov, rtol=1e-6)
-    assert fast.status == slow.status == "converged"
+    causal = getattr(estimator, "smoother_passes", 1) == 0  # keeps the errors of its early tangents, and says so
+    assert fast.status == slow.status == ("approximate" if causal else "converged")
     if fast.path is not None:
         np.testing.assert_allclose(fast.path, slow.path, atol=1e-6)
         np.testing.assert_allclose(fast.path_sd, slow.path_sd, atol=1e-6)

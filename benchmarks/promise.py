@@ -1,0 +1,115 @@
+"""Does `converged` keep its promise? Every method on problems drawn at random: `python -m benchmarks.promise`.
+
+The best optimum known is the lowest that any method, or least squares from many starts and from the truth's side of
+the box, has found. `converged` is kept where the objective lies within 1e-6 of it: a thousandth of a standard
+deviation, squared; in the noise's own deviations where residuals show more noise than declared. ``--polish no`` takes
+the methods as they are, without least squares at their end. ``--write`` puts the table into docs/benchmark.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.page import write
+from benchmarks.random_problems import drawn
+from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, Problem
+from hdt_core.estimation.descent import descend
+from hdt_core.estimation.fit import noise_variance
+from hdt_core.estimation.swarm import search_box
+
+NEAR = 1e-3  # standard deviations
+STARTS = 24
+
+
+@dataclass(slots=True)
+class Tally:
+    """One method over all problems."""
+
+    name: str
+    statuses: Counter[str] = field(default_factory=Counter)
+    broken: list[str] = field(default_factory=list)  # `converged`, but away from the best
+    raised: list[str] = field(default_factory=list)
+    at_best: int = 0
+    seconds: float = 0.0
+    n_evals: int = 0
+
+
+def best_objective(problem: Problem, found: Sequence[Estimate], seed: int = 0) -> float:
+    """Lowest objective that anyone knows."""
+    lower, upper = search_box(problem)
+    rng = np.random.default_rng(seed)
+    starts = [problem.origin, *(e.belief.mean for e in found)]
+    starts += list(lower + (upper - lower) * rng.random((STARTS, lower.size)))
+    ends = [descend(problem, np.clip(s, *problem.bounds.T), 100).objective for s in starts if np.isfinite(s).all()]
+    return float(min(ends))
+
+
+def unpolished(estimator: Estimator) -> Estimator:
+    """The method alone."""
+    return replace(estimator, polish=False) if hasattr(estimator, "polish") else estimator  # type: ignore[type-var]
+
+
+def main(n: int, estimators: Sequence[Estimator] = ESTIMATORS, seed: int = 0) -> list[Tally]:
+    """Every estimator on `n` problems."""
+    tallies = [Tally(e.name) for e in estimators]
+    for i, (family, problem) in enumerate(drawn(n, seed)):
+        found: list[tuple[Tally, Estimate]] = []
+        for estimator, tally in zip(estimators, tallies, strict=True):
+            started = time.process_time()
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")
+                    found.append((tally, estimator.estimate(problem)))
+            except Exception as raised:  # what must never happen is counted
+                tally.raised.append(f"{family} {i}: {raised!r}")
+            tally.seconds += time.process_time() - started
+        best = best_objective(problem, [e for _, e in found])
+        free = int(np.count_nonzero(np.ptp(problem.bounds, axis=1) > 0.0))
+        allowed = NEAR**2 * max(noise_variance(best, problem.n_values, free), 1.0)
+        for tally, estimate in found:
+            tally.statuses[estimate.status] += 1
+            tally.n_evals += estimate.n_evals
+            above = float(problem.objective(estimate.belief.mean[None])[0]) - best
+            tally.at_best += above <= allowed
+            if estimate.status == "converged" and above > allowed:
+                tally.broken.append(f"{family} {i}: {above:.3g}")
+    return tallies
+
+
+def table(tallies: Sequence[Tally], n: int) -> str:
+    """Markdown."""
+    head = "| method | at the best optimum | `converged` | of these kept | other statuses | exceptions | passes | CPU [s] |"
+    lines = [head, "| --- |" + " ---: |" * 3 + " --- |" + " ---: |" * 3]
+    for t in tallies:
+        said = t.statuses["converged"]
+        kept = f"{100.0 * (1.0 - len(t.broken) / said):.1f} %" if said else "-"
+        others = ", ".join(f"{v} `{k}`" for k, v in t.statuses.most_common() if k != "converged")
+        cells = f"{t.at_best} of {n} | {said} | {kept} | {others} | {len(t.raised)} | {t.n_evals / n:.0f}"
+        lines.append(f"| {t.name} | {cells} | {t.seconds / n:.2f} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--problems", type=int, default=140)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="*", default=None, help="names of methods")
+    parser.add_argument("--no-polish", action="store_true", help="methods as they are")
+    parser.add_argument("--write", action="store_true", help="update docs/benchmark.md")
+    given = parser.parse_args()
+    chosen = [e for e in ESTIMATORS if given.only is None or e.name in given.only]
+    chosen = [unpolished(e) for e in chosen] if given.no_polish else chosen
+    result = main(given.problems, chosen, given.seed)
+    report = table(result, given.problems)
+    print(report)
+    for tally in result:
+        print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
+    if given.write:
+        write("methods alone" if given.no_polish else "promise of converged", report)

@@ -1,0 +1,124 @@
+"""The descent of Levenberg and Marquardt inside bounds, and how far a point still is from an optimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hdt_core.estimation.kernels.damped import (
+    FIRST_DAMPING,
+    MOST_DAMPING,
+    damped_step,
+    is_exhausted,
+    is_settled,
+    next_damping,
+)
+from hdt_core.estimation.problem import Array, Problem
+
+SEEN = 1e-14  # eigenvalue of the scaled normal matrix, to its largest, below which a direction counts as unseen
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """The objective about a point, and what it cost to get there.
+
+    Parameters
+    ----------
+    theta : array (n,)
+    objective : float
+        Twice the negative log posterior; infinite where the model has no answer.
+    gradient : array (n,)
+        Half the objective's gradient, J^T r with the prior's part.
+    normal : array (n, n)
+        J^T J with the prior's information.
+    n_evals : int
+        Passes over the record.
+    settled : bool
+        Whether the method that came here says that it has settled.
+    """
+
+    theta: Array
+    objective: float
+    gradient: Array
+    normal: Array
+    n_evals: int = 0
+    settled: bool = True
+
+
+def linearised(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
+    """Objective and its quadratic model about `theta` (n,); `n_evals` passes went before."""
+    residual, slope = problem.residual(theta).ravel(), problem.sensitivity(theta)
+    away, belief = theta - problem.prior.mean, problem.prior.information
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = float(residual @ residual + away @ belief @ away)
+        gradient, normal = slope.T @ residual + belief @ away, slope.T @ slope + belief
+    return Point(theta, cost, gradient, normal, n_evals + 1 + 2 * theta.size)
+
+
+def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> Point:
+    """Least squares from `origin` (n,): the point reached, with the derivatives of the step before it.
+
+    Where the model has no answer at `origin`, it stays there and its objective is infinite.
+    """
+    lower, upper = problem.bounds[:, 0], problem.bounds[:, 1]
+    cost = float(problem.objective(origin[None])[0])
+    if not np.isfinite(cost):
+        n = origin.size
+        return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1, settled=False)
+    at = linearised(problem, origin, n_evals)
+    evals, size = at.n_evals, np.full(origin.size, np.finfo(float).tiny)
+    damping, growth, settled = FIRST_DAMPING, 2.0, False
+    for _ in range(max_steps):
+        size = np.maximum(size, np.sqrt(np.diag(at.normal)))
+        step, promised = damped_step(at.normal, at.gradient, size, damping, at.theta, lower, upper)
+        trial = at.theta + step
+        if is_settled(promised, at.objective, max(problem.n_values, 1)):
+            return Point(trial, at.objective, at.gradient, at.normal, evals, True)
+        won = at.objective - float(problem.objective(trial[None])[0])
+        evals += 1
+        settled = bool(is_exhausted(promised, won, at.objective))
+        damping, growth = next_damping(damping, growth, won, promised)
+        if won > 0.0:
+            at = linearised(problem, trial, evals)
+            evals = at.n_evals
+        if settled or damping > MOST_DAMPING:
+            break
+    return Point(at.theta, at.objective, at.gradient, at.normal, evals, settled)
+
+
+def distance_to_optimum(at: Point, bounds: Array) -> float:
+    r"""How far the optimum of the quadratic model lies, in standard deviations: Newton's decrement.
+
+    .. math:: \sqrt{g^T (J^T J + P_0^{-1})^{-1} g}
+
+    over the parameters that are neither held nor pressed against a bound; with the bounds kept where the plain step
+    would leave them. No parameter is further from that optimum than this many of its standard deviations.
+
+    References
+    ----------
+    .. [1] S. Boyd and L. Vandenberghe, Convex Optimization, 2004, section 9.5.
+    """
+    lower, upper = bounds.T
+    pressed = ((at.theta <= lower) & (at.gradient >= 0.0)) | ((at.theta >= upper) & (at.gradient <= 0.0))
+    free = (lower < upper) & ~pressed
+    if not free.any():
+        return 0.0
+    gradient, normal = at.gradient[free], at.normal[np.ix_(free, free)]
+    if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
+        return float("inf")
+    size = np.sqrt(np.maximum(normal.diagonal(), 0.0))
+    size[size == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    seen = values > SEEN * max(float(values[-1]), 0.0)
+    along = vectors[:, seen].T @ (gradient / size) / np.sqrt(values[seen])
+    step = -(vectors[:, seen] @ (along / np.sqrt(values[seen]))) / size
+    inside = (at.theta[free] + step >= lower[free]) & (at.theta[free] + step <= upper[free])
+    if inside.all():
+        return float(np.linalg.norm(along))
+    root = np.sqrt(values[seen])[:, None] * vectors[:, seen].T
+    room = np.column_stack([lower, upper])[free] - at.theta[free, None]
+    scaled = lsq_linear(root, -along, bounds=(room * size[:, None]).T, method="bvls" if seen.all() else "trf").x
+    promised = -2.0 * float(gradient / size @ scaled) - float(np.sum((root @ scaled) ** 2))
+    return float(np.sqrt(max(promised, 0.0)))

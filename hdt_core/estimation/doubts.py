@@ -1,0 +1,194 @@
+"""What makes an optimum doubtful: a better one elsewhere, or a likelihood that is no bell about it.
+
+Both cost evaluations, so each is looked into only where a cheap sign asks for it: a misfit that noise does not explain,
+a rise along the principal axes that the quadratic model does not foresee.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from hdt_core.estimation.descent import Point, descend
+from hdt_core.estimation.problem import Array, Problem
+from hdt_core.estimation.swarm import search_box
+
+LEADERS, MORE_STEPS = 4, 60  # of the search: descents, and steps of each
+BETTER = 1e-4  # of the noise's variance: an objective lower by less is the same optimum
+REACH = 2.0  # standard deviations at which the quadratic model is put to the test
+BENT = 2.0  # times more or less than foreseen
+RISE = 3.841459  # of the objective at the ends of a 95 % interval of one parameter
+STRETCHES = 12  # at most, to the end of an interval
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Intervals by profile likelihood: the objective with one parameter held, all others fitted anew.
+
+    Parameters
+    ----------
+    names : tuple of str
+    interval : array (n, 2)
+        Ends of the 95 % interval; infinite where the objective never rises enough, the bound where it cuts it short.
+    open : array (n, 2) of bool
+        Ends where the data set no limit.
+    n_evals : int
+    better : array (n,) or None
+        A point of a lower objective, met on the way.
+
+    References
+    ----------
+    .. [1] A. Raue et al., Structural and practical identifiability analysis of partially observed dynamical models by
+       exploiting the profile likelihood, Bioinformatics 25(15), 2009.
+    """
+
+    names: tuple[str, ...]
+    interval: Array
+    open: Array
+    n_evals: int
+    better: Array | None = None
+
+    @property
+    def unlimited(self) -> tuple[str, ...]:
+        """Parameters that the data leave open on one side or both."""
+        return tuple(name for name, ends in zip(self.names, self.open, strict=True) if ends.any())
+
+
+def better_optimum(problem: Problem, at: Point, variance: float) -> tuple[Point | None, int]:
+    """An optimum below `at`, if a search of the box finds one, and the passes that it took.
+
+    Half the points fill the box evenly, half lie about `at` at other orders of magnitude; the best few descend.
+    """
+    free = problem.bounds[:, 0] < problem.bounds[:, 1]
+    lower, upper = search_box(problem)
+    power = 6 + min(int(free.sum()).bit_length() - 1, 3)
+    unit, n = qmc.Sobol(free.size, rng=np.random.default_rng(0)).random_base2(power), 2**power
+    cloud = lower + (upper - lower) * unit
+    cloud[::2] = np.clip(at.theta * 10.0 ** (2.0 * unit[::2] - 1.0), *problem.bounds.T)
+    cloud[:, ~free] = problem.origin[~free]
+    objectives = problem.objective(cloud)
+    best, n_evals = at, n
+    for start in _apart(cloud, objectives, upper - lower):
+        found = descend(problem, start, MORE_STEPS)
+        n_evals += found.n_evals
+        best = found if found.objective < best.objective else best
+    lower_by = at.objective - best.objective
+    return (best if lower_by > BETTER * max(variance, 1e-12) else None), n_evals
+
+
+def _apart(cloud: Array, objectives: Array, width: Array) -> Array:
+    """The best few points that are not neighbours of each other."""
+    chosen: list[int] = []
+    scale = np.where(width > 0.0, width, 1.0)
+    for row in np.argsort(objectives, kind="stable"):
+        if len(chosen) == LEADERS or not np.isfinite(objectives[row]):
+            break
+        if all(np.abs((cloud[row] - cloud[other]) / scale).max() > 0.05 for other in chosen):
+            chosen.append(int(row))
+    return cloud[chosen]
+
+
+def is_bent(problem: Problem, at: Point, variance: float) -> bool:
+    """Whether the objective two standard deviations along the principal axes is not what its curvature foresees."""
+    free = np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1])
+    normal = at.normal[np.ix_(free, free)]
+    size = np.sqrt(np.maximum(normal.diagonal(), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    if not values[0] > 0.0:
+        return True
+    steps = REACH * np.sqrt(variance) * (vectors / np.sqrt(values)).T / size
+    ends = np.tile(at.theta, (2 * free.size, 1))
+    ends[:, free] += np.concatenate([steps, -steps])
+    ends = np.clip(ends, *problem.bounds.T)
+    moved = ends - at.theta
+    foreseen = 2.0 * moved @ at.gradient + np.einsum("pi,ij,pj->p", moved, at.normal, moved)
+    risen = problem.objective(ends) - at.objective
+    told = foreseen > 0.1 * REACH**2 * variance  # cut short by a bound, an end shows nothing
+    ratio = risen[told] / foreseen[told]
+    return bool(((ratio < 1.0 / BENT) | (ratio > BENT)).any())
+
+
+def profiled(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> Profile:
+    """Profile intervals of every free parameter from the optimum `at` with covariance `cov` (n, n).
+
+    Parameters
+    ----------
+    variance : float
+        Of the noise over the declared one: the rise asked for is 3.84 times this.
+    """
+    n = at.theta.size
+    ends, unlimited, n_evals = np.tile(at.theta[:, None], (1, 2)), np.zeros((n, 2), bool), 0
+    lowest = at
+    for i in np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1]):
+        for side, sign in enumerate((-1.0, 1.0)):
+            ends[i, side], unlimited[i, side], spent, low = _end(problem, at, cov, int(i), sign, variance)
+            n_evals += spent
+            lowest = low if low.objective < lowest.objective else lowest
+    better = lowest.theta if lowest.objective < at.objective - BETTER * variance else None
+    return Profile(problem.names, ends, unlimited, n_evals, better)
+
+
+def _end(
+    problem: Problem, at: Point, cov: Array, i: int, sign: float, variance: float
+) -> tuple[float, bool, int, Point]:
+    """End of parameter i's interval on one side, whether it is open, passes spent, and the lowest point met."""
+    wall, asked = problem.bounds[i, int(sign > 0.0)], RISE * variance
+    sd = float(np.sqrt(cov[i, i] * variance))
+    step = 1.96 * sd if np.isfinite(sd) and sd > 0.0 else max(abs(float(at.theta[i])), 1.0)
+    inner, low, spent, point = (0.0, 0.0), at, 0, at
+    for _ in range(STRETCHES):
+        beyond = (at.theta[i] + sign * step - wall) * sign >= 0.0
+        step = float(abs(wall - at.theta[i])) if beyond else step
+        point = _held(problem, point, i, wall if beyond else at.theta[i] + sign * step)
+        spent, low = spent + point.n_evals, point if point.objective < low.objective else low
+        risen = point.objective - at.objective
+        if risen >= asked:
+            length, more = _crossing(problem, at, point, (i, sign), (inner, (step, risen)), asked)
+            return float(at.theta[i] + sign * length), False, spent + more, low
+        if beyond:
+            return float(wall), True, spent, low
+        inner, step = (step, max(risen, 0.0)), 2.0 * step
+    return sign * np.inf, True, spent, low
+
+
+def _crossing(
+    problem: Problem,
+    at: Point,
+    near: Point,
+    way: tuple[int, float],
+    bracket: tuple[tuple[float, float], tuple[float, float]],
+    asked: float,
+) -> tuple[float, int]:
+    """Distance at which the profile has risen by `asked`, to 2 %, and the passes: false position on the root of the
+    rise, which is a straight line for a parabola."""
+    (inner, low), (outer, high) = bracket
+    i, sign = way
+    spent = 0
+    for _ in range(6):
+        share = (np.sqrt(asked) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) if np.isfinite(high) else 0.5
+        middle = inner + (outer - inner) * float(np.clip(share, 0.05, 0.95))
+        near = _held(problem, near if np.isfinite(near.objective) else at, i, float(at.theta[i] + sign * middle))
+        spent, risen = spent + near.n_evals, max(near.objective - at.objective, 0.0)
+        if abs(np.sqrt(risen / asked) - 1.0) < 0.02:
+            return middle, spent
+        inner, low, outer, high = (middle, risen, outer, high) if risen < asked else (inner, low, middle, risen)
+    return outer, spent
+
+
+def _held(problem: Problem, near: Point, i: int, value: float) -> Point:
+    """All else fitted anew with parameter i held at `value`, from the linear guess about the point `near`."""
+    bounds, others = problem.bounds.copy(), np.arange(near.theta.size) != i
+    bounds[i] = value
+    plain = np.where(others, near.theta, value)
+    guess = plain.copy()
+    if np.isfinite(near.normal).all():
+        size = np.sqrt(np.maximum(near.normal.diagonal(), np.finfo(float).tiny))
+        scaled = near.normal / np.outer(size, size)
+        pull = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, i], rcond=1e-9)[0]
+        guess[others] -= pull * size[i] / size[others] * (value - near.theta[i])
+    held = replace(problem, bounds=bounds)
+    starts = [np.clip(start, *bounds.T) for start in (guess, plain)]
+    start = starts[int(np.argmin(held.objective(np.array(starts))))]
+    return descend(held, start, 25, 2)

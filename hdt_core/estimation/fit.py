@@ -1,0 +1,146 @@
+"""How well a model fits its record: residuals, chi-square, information criteria, and deviations that allow for a
+sigma declared wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtr, chdtrc, chdtri
+
+from hdt_core.estimation.identifiability import inverted
+from hdt_core.estimation.problem import Array
+
+Verdict = Literal["adequate", "lack_of_fit", "sigma_too_large", "untested"]
+CHANCE = 1e-3  # of a record as declared to be called anything but adequate, on either side
+STRUCTURE = 4.0  # standard deviations of the residuals' serial correlation
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    r"""The record against the model at the estimate.
+
+    Parameters
+    ----------
+    residuals : array (k, m)
+        (measured - model) / sigma, NaN where missing. Of a filter whose states or parameters move: its innovations,
+        each over its own standard deviation.
+    free : array (n,) of bool
+        Parameters that the record was fitted with, not held. None for innovations.
+    slope : array (k * m, n)
+        d residual / d parameter; zero where missing. Empty for innovations.
+    prior_information : array (n, n)
+
+    References
+    ----------
+    .. [1] M. Newville et al., LMFIT, Zenodo 2014: the definitions of its fit report are those here.
+    .. [2] H. White, Maximum likelihood estimation of misspecified models, Econometrica 50(1), 1982.
+    """
+
+    residuals: Array
+    free: npt.NDArray[np.bool_]
+    slope: Array
+    prior_information: Array
+
+    @property
+    def n_free(self) -> int:
+        """Free parameters."""
+        return int(np.count_nonzero(self.free))
+
+    @property
+    def n_values(self) -> int:
+        """Values measured."""
+        return int(np.count_nonzero(~np.isnan(self.residuals)))
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals, each over its sigma."""
+        return float(np.nansum(self.residuals**2))
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom: values less free parameters, not below 0."""
+        return max(self.n_values - self.n_free, 0)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square over its degrees of freedom: 1 where model and sigma are right; NaN without any."""
+        return self.chi2 / self.degrees if self.degrees else float("nan")
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a chi-square this large or larger, were the model and sigma right."""
+        return float(chdtrc(self.degrees, self.chi2)) if self.degrees else float("nan")
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, sigma's scale unknown: n ln(chi2 / n) + 2 p. Minus infinity for a perfect fit."""
+        return self._log_mean_square() + 2.0 * self.n_free
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion: n ln(chi2 / n) + p ln n."""
+        return self._log_mean_square() + self.n_free * float(np.log(max(self.n_values, 1)))
+
+    @property
+    def serial_correlation(self) -> float:
+        """Correlation of a residual with the next of its output, in standard deviations of pure noise's."""
+        before, after = self.residuals[:-1], self.residuals[1:]
+        pairs = ~np.isnan(before) & ~np.isnan(after)
+        power = float(np.nanmean(self.residuals**2)) if self.n_values else 0.0
+        if not power > 0.0 or not pairs.any():
+            return 0.0
+        return float(np.sum((before * after)[pairs]) / power / np.sqrt(pairs.sum()))
+
+    @property
+    def verdict(self) -> Verdict:
+        """`lack_of_fit`: residuals larger than sigma allows, or that follow one another; `sigma_too_large`: smaller
+        than sigma allows; `untested`: no degrees of freedom; else `adequate`."""
+        if not self.degrees:
+            return "untested"
+        if self.p_value < CHANCE or not np.isfinite(self.chi2) or self.serial_correlation > STRUCTURE:
+            return "lack_of_fit"
+        return "sigma_too_large" if chdtr(self.degrees, self.chi2) < CHANCE else "adequate"
+
+    @property
+    def scaled_sd(self) -> Array:
+        """Standard deviations (n,) if sigma's scale is what the residuals show: lmfit's and SciPy's curve_fit."""
+        scale = self.reduced_chi2 if self.degrees and self.chi2 > 0.0 else 1.0
+        data = self.slope.T @ self.slope
+        return self._of_free(self._inverse(data / scale))
+
+    @property
+    def sandwich_sd(self) -> Array:
+        """Standard deviations (n,) whatever the residuals' variances are, sample by sample: White's, with the factor
+        n / (n - p)."""
+        bread = self._inverse(self.slope.T @ self.slope)
+        pull = np.nan_to_num(self.residuals)[..., None] * self.slope.reshape(*self.residuals.shape, self.free.size)
+        score = pull.sum(axis=1)
+        filling = score.T @ score * (self.n_values / max(self.degrees, 1)) + self.prior_information
+        return self._of_free(bread @ filling[np.ix_(self.free, self.free)] @ bread)
+
+    def _inverse(self, data: Array) -> Array:
+        """Covariance of the free parameters from `data` information and the prior's."""
+        return inverted((data + self.prior_information)[np.ix_(self.free, self.free)])[0]
+
+    def _of_free(self, cov: Array) -> Array:
+        sd = np.zeros(self.free.size)
+        sd[self.free] = np.sqrt(np.maximum(cov.diagonal(), 0.0))
+        return sd
+
+    def _log_mean_square(self) -> float:
+        with np.errstate(divide="ignore"):
+            return float(self.n_values * np.log(self.chi2 / self.n_values)) if self.n_values else 0.0
+
+
+def noise_variance(chi2: float, n_values: int, n_free: int) -> float:
+    """Variance of the noise over the declared: 1, unless chi-square contradicts that; then what chi-square shows."""
+    degrees = n_values - n_free
+    if degrees <= 0 or not chi2 < np.inf:
+        return 1.0
+    ordinary = degrees > 30 and abs(chi2 - degrees) < 3.0 * (2.0 * degrees) ** 0.5  # sooner than quantiles
+    if ordinary or chdtri(degrees, 1.0 - CHANCE) <= chi2 <= chdtri(degrees, CHANCE):
+        return 1.0
+    return chi2 / degrees
