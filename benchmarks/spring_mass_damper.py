@@ -111,7 +111,8 @@ def _row(name: str, found: list[tuple[Estimate, float]]) -> Row:
     mse = ((positions - truth) ** 2).mean(axis=1)
     moving = truth != 0.0
     mape = (np.abs(positions - truth)[:, moving] / np.abs(truth[moving])).mean(axis=1)
-    ended_well = np.array([e.status == "converged" for e, _ in found]) & (np.abs(error) < 6.0 * sd).all(axis=1)
+    answered = np.array([e.status not in ("diverged", "not_identifiable") for e, _ in found])
+    ended_well = answered & (np.abs(error) < 6.0 * sd).all(axis=1)
     return Row(
         name=name,
         n_seeds=len(found),

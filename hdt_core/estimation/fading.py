@@ -62,7 +62,7 @@ def fading_estimate(
             reached: Status = "approximate"
             at = _inside(problem, first)
             while made <= passes and not moving:
-                last = _pass(problem, factor(), trajectory(problem, at))
+                last = _pass(problem, factor(), trajectory(problem, at), at)
                 made += 1
                 later = _inside(problem, last)
                 still = (np.abs(later - at) <= STILL_SD * last.belief.sd + 1e-15).all()
@@ -93,8 +93,8 @@ def _inside(problem: Problem, made: _Pass) -> Array:
     return projected(made.belief, *problem.bounds.T)
 
 
-def _pass(problem: Problem, factor: Factor, about: list[Belief] | None) -> _Pass:
-    belief = honest = joint_belief(problem)
+def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: Array | None = None) -> _Pass:
+    belief = honest = joint_belief(problem, centre)
     bounds, ceiling = limits(problem), belief.cov.diagonal()[problem.start.mean.size :]
     s, k = problem.start.mean.size, len(problem.measured)
     path, path_sd = np.empty((k, belief.mean.size - s)), np.empty((k, belief.mean.size - s))

@@ -114,11 +114,13 @@ class Fit:
     @property
     def sandwich_sd(self) -> Array:
         """Standard deviations (n,) whatever the residuals' variances are, sample by sample: White's, with the factor
-        n / (n - p)."""
+        n / (n - p). Infinite where the data leave a direction open."""
         bread = self._inverse(self.slope.T @ self.slope)
         pull = np.nan_to_num(self.residuals)[..., None] * self.slope.reshape(*self.residuals.shape, self.free.size)
         score = pull.sum(axis=1)
         filling = score.T @ score * (self.n_values / max(self.degrees, 1)) + self.prior_information
+        if not np.isfinite(bread).all():
+            return self._of_free(bread)
         return self._of_free(bread @ filling[np.ix_(self.free, self.free)] @ bread)
 
     def _inverse(self, data: Array) -> Array:

@@ -56,10 +56,13 @@ class Filtered:
         return sum(c.nis for c in self.corrections) / max(sum(c.innovation.size for c in self.corrections), 1)
 
 
-def forward(problem: Problem, linearise: Linearise, about: list[Belief] | None = None) -> Filtered:
-    """One pass over the record, linearised about the running belief, or about the k beliefs given."""
+def forward(
+    problem: Problem, linearise: Linearise, about: list[Belief] | None = None, centre: Array | None = None
+) -> Filtered:
+    """One pass over the record, linearised about the running belief, or about the k beliefs given; what nothing is
+    known of starts at `centre` (n,)."""
     lower, upper = limits(problem)
-    belief = joint_belief(problem)
+    belief = joint_belief(problem, centre)
     k = len(problem.measured)
     means, covs = np.empty((k, belief.mean.size)), np.empty((k, belief.mean.size, belief.mean.size))
     slopes, corrections = [], []
@@ -142,7 +145,7 @@ def _iterated(problem: Problem, linearise: Linearise, first: Filtered, passes: i
     last, at = first, _point(problem, first)
     for made in range(1, passes + 1):
         about = smoothed(last) if linearise is not tangent else trajectory(problem, at)
-        last = forward(problem, linearise, about)
+        last = forward(problem, linearise, about, at)
         later = _paying(problem, at, _point(problem, last))
         still = _stands_still(later - at, last.covs[-1])
         at = later
@@ -212,7 +215,14 @@ def compiled_estimate(
     s = problem.start.mean.size
     prior = joint_belief(problem).cov[s:, s:]
     path, path_sd, mean, cov, made = problem.kernels.kalman(
-        problem.origin, prior, problem.bounds[:, 0], problem.bounds[:, 1], sigma_points, smoother_passes, STILL_SD
+        problem.origin,
+        prior,
+        np.isinf(problem.prior.sd),
+        problem.bounds[:, 0],
+        problem.bounds[:, 1],
+        sigma_points,
+        smoother_passes,
+        STILL_SD,
     )
     passes = (1 + made) * (passes_cost(problem) if sigma_points else 2)
     told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method}

@@ -70,10 +70,12 @@ def is_moving(problem: Problem) -> bool:
     return any(noise is not None and bool(np.any(noise > 0.0)) for noise in noises)
 
 
-def joint_belief(problem: Problem) -> Belief:
+def joint_belief(problem: Problem, centre: Array | None = None) -> Belief:
     """Belief about (states, parameters) at sample 0.
 
-    An infinite variance becomes that of the bounds' width, or of a thousand times the value where there are none.
+    An infinite variance becomes that of the bounds' width, or of a thousand times the value where there are none. Such
+    a parameter starts from `centre` (n,), where given: from its last estimate, so that passes end on the optimum of
+    the data alone and not on one drawn towards the start.
     """
     s, n = problem.start.mean.size, problem.prior.mean.size
     cov = np.zeros((s + n, s + n))
@@ -85,7 +87,8 @@ def joint_belief(problem: Problem) -> Belief:
     held = np.concatenate([np.zeros(s, bool), width == 0.0])
     cov[held] = 0.0
     cov[:, held] = 0.0
-    return Belief(np.concatenate([problem.start.mean, problem.origin]), cov)
+    origin = problem.origin if centre is None else np.where(known, problem.origin, centre)
+    return Belief(np.concatenate([problem.start.mean, origin]), cov)
 
 
 def innovate(belief: Belief, model: Affine, measured: Array, sigma: Array) -> Correction:

@@ -38,7 +38,7 @@ class Kernels:
     sensitivity : theta (n,) -> d outputs / d theta (k, m, n), optional
     least_squares : (origin, lower, upper, prior mean, prior information, steps) ->
         (theta, objective, half its gradient, J^T J with the prior, n_evals, settled): a `Point`, optional
-    kalman : (prior mean, prior cov, lower, upper, sigma points?, smoother passes, standard deviations at rest) ->
+    kalman : (prior mean, prior cov, unknown?, lower, upper, sigma points?, smoother passes, deviations at rest) ->
         (path (k, n), path sd (k, n), mean (n,), cov (n, n), passes made), optional
     """
 

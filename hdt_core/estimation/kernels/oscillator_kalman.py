@@ -19,11 +19,11 @@ LIFTS = np.array([0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2])
 @compiled
 def kalman(
     force_n: Array, dt_s: float, mass_kg: float, measured_m: Array, sigma_m: float,
-    prior_mean: Array, prior_cov: Array, lower: Array, upper: Array, sigma_points: bool, smoother_passes: int,
-    still_sd: float,
+    prior_mean: Array, prior_cov: Array, unknown: Array, lower: Array, upper: Array, sigma_points: bool,
+    smoother_passes: int, still_sd: float,
 ) -> tuple[Array, Array, Array, Array, int]:  # fmt: skip
     """Forward, and at most `smoother_passes` times smoothed and forward again: until the parameters move by no more
-    than `still_sd` standard deviations.
+    than `still_sd` standard deviations. Parameters that are `unknown` start again from where they last ended.
 
     Returns
     -------
@@ -42,13 +42,15 @@ def kalman(
     n_smoothed = k if smoother_passes > 0 else 1
     about, about_cov = np.empty((n_smoothed, J)), np.empty((n_smoothed, J, J))
     path, path_sd = np.empty((k, 2)), np.empty((k, 2))
-    before, made = np.zeros(2), 0
+    before, made, centre = np.zeros(2), 0, prior_mean.copy()
     for turn in range(smoother_passes + 1):
         if turn > 0:
-            before[0], before[1] = means[-1, 2], means[-1, 3]
+            for j in range(2):
+                before[j] = means[-1, 2 + j]
+                centre[j] = before[j] if unknown[j] else prior_mean[j]
             smooth(means, covs, rows, gains, innovations, precisions, dt_s, about, about_cov)
         _forward(
-            force_n, dt_s, mass_kg, measured_m, sigma_m, prior_mean, start, lower, upper, sigma_points,
+            force_n, dt_s, mass_kg, measured_m, sigma_m, centre, start, lower, upper, sigma_points,
             turn > 0, about, about_cov, means, covs, rows, gains, innovations, precisions,
         )  # fmt: skip
         if turn == 0:

@@ -1,0 +1,66 @@
+"""`converged` is a promise: over problems drawn at random, by every method, without an exception."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.promise import best_objective, main
+from benchmarks.random_problems import FAMILIES, drawn, loud, van_der_pol
+from hdt_core.estimation import ESTIMATORS, Belief, NonlinearLeastSquares, UnscentedKalman
+
+
+def test_every_method_keeps_its_promise_and_none_raises():
+    tallies = main(len(FAMILIES), seed=3, starts=4)
+    assert not [raised for tally in tallies for raised in tally.raised]
+    assert not [broken for tally in tallies for broken in tally.broken]
+    assert all(
+        tally.statuses["converged"] >= len(FAMILIES) // 3 for tally in tallies
+    )  # a promise kept by silence is none
+
+
+def test_a_local_optimum_is_called_one_and_the_better_is_named():
+    local = []
+    for family, problem in drawn(4 * len(FAMILIES), seed=5):
+        if family == "wave":
+            estimate = NonlinearLeastSquares().estimate(problem)
+            if estimate.status == "local_optimum":
+                local.append(estimate)
+                at, better = problem.objective(np.array([estimate.belief.mean, estimate.better]))
+                assert better < at - 1.0
+                assert better == pytest.approx(best_objective(problem, []), abs=1e-3)
+    assert local
+
+
+def test_an_unscented_filter_that_loses_its_covariance_has_a_status():
+    for seed in range(4):
+        problem = van_der_pol(np.random.default_rng(seed))
+        proper = Belief(np.array([1.0]), np.array([[0.25]]))
+        wide = replace(problem.with_prior(proper), sigma=np.array([1e-3]))
+        assert UnscentedKalman().estimate(wide).status in ("converged", "max_steps", "local_optimum", "diverged")
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: e.name)
+def test_a_sigma_declared_three_times_too_small_is_not_passed_in_silence(estimator):
+    estimate = estimator.estimate(loud(np.random.default_rng(2)))
+    assert estimate.fit.verdict == "lack_of_fit"
+    assert estimate.fit.reduced_chi2 > 4.0
+    assert "lack_of_fit" in estimate.summary()
+
+
+def test_scaled_deviations_cover_where_the_declared_do_not():
+    declared, scaled, sandwich = [], [], []
+    truth_of = np.random.default_rng(7).spawn(150)
+    for rng in truth_of:
+        draw = np.random.default_rng(rng.integers(2**32))
+        seed = draw.integers(2**32)
+        truth = np.random.default_rng(seed)
+        expected = np.array([truth.uniform(1.0, 5.0), truth.uniform(0.2, 2.0)])
+        estimate = NonlinearLeastSquares().estimate(loud(np.random.default_rng(seed)))
+        away = np.abs(estimate.belief.mean - expected)
+        declared.append(away < 1.645 * estimate.belief.sd)
+        scaled.append(away < 1.645 * estimate.fit.scaled_sd)
+        sandwich.append(away < 1.645 * estimate.fit.sandwich_sd)
+    assert np.mean(declared) < 0.55
+    assert np.mean(scaled) == pytest.approx(0.9, abs=0.05)
+    assert np.mean(sandwich) == pytest.approx(0.9, abs=0.07)
