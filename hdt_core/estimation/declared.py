@@ -58,6 +58,11 @@ def declared_problem(
         given, signals, states = values(x, theta, i)
         return np.stack(np.broadcast_arrays(*model.advance(given, signals, states, dt_s).values()))
 
+    def refined(x: Array, theta: Array, i: Sample) -> Array:
+        given, signals, states = values(x, theta, i)
+        halfway = model.advance(given, signals, states, 0.5 * dt_s)
+        return np.stack(np.broadcast_arrays(*model.advance(given, signals, halfway, 0.5 * dt_s).values()))
+
     n_states = len(model.states)
     return Problem(
         names=tuple(free),
@@ -67,6 +72,7 @@ def declared_problem(
         sigma=np.array([s.sigma for _, s in seen], float),
         observe=observe,
         transition=transition if model.states else None,
+        refined=refined if model.states else None,
         start=Belief(np.array([s.initial for s in model.states]), np.zeros((n_states, n_states))),
         drift=np.sqrt(flights_per_sample) * np.array([p.drift for p in params]),
         kernels=kernels,

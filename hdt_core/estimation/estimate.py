@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -96,6 +96,20 @@ class Estimate:
         slope = np.zeros((residual.size, n)) if self.status == "diverged" else problem.sensitivity(self.belief.mean)
         return Fit(residual, free, -slope, problem.prior.information)
 
+    @cached_property
+    def step_error(self) -> Array | None:
+        """Shift of every parameter, in its standard deviations, were the model stepped twice as finely, (n,); to first
+        order. None for a model without states, or one that is not declared with its rates."""
+        problem = self.problem
+        if problem is None or problem.refined is None or self.status == "diverged":
+            return None
+        coarse, theta = replace(problem, kernels=None), self.belief.mean
+        change = replace(coarse, transition=problem.refined).residual(theta) - coarse.residual(theta)
+        slope = problem.sensitivity(theta)
+        cov, _ = _spread(problem.bounds, slope.T @ slope + problem.prior.information)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / np.sqrt(cov.diagonal())))
+
     def summary(self) -> str:
         """Report in words and numbers, with what lmfit's has."""
         return fit_report(self)
@@ -106,7 +120,7 @@ class Estimate:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the problem behind, whose functions may not travel; take its residuals along."""
-        made = {} if self.problem is None else {"fit": self.fit}
+        made = {} if self.problem is None else {"fit": self.fit, "step_error": self.step_error}
         return {**self.__dict__, **made, "problem": None}
 
 

@@ -97,6 +97,8 @@ class Problem:
         Standard deviation of w per sample; zero when not given.
     drift : array (n,), optional
         Standard deviation of d per sample, the parameters' random walk; zero when not given.
+    refined : function like `transition`, optional
+        The same in two half steps, for the error that the step leaves in an estimate.
     kernels : Kernels, optional
         Compiled equivalents of the above: the same answer, sooner.
     """
@@ -111,6 +113,7 @@ class Problem:
     start: Belief = field(default_factory=lambda: Belief(np.empty(0), np.empty((0, 0))))
     process_sd: Array | None = None
     drift: Array | None = None
+    refined: Transition | None = None
     kernels: Kernels | None = None
 
     def __post_init__(self) -> None:

@@ -41,6 +41,9 @@ def fit_report(estimate: Estimate) -> str:
         "[[Parameters]]",
     ]
     starts = np.full(estimate.belief.mean.size, np.nan) if problem is None else problem.origin
+    if estimate.step_error is not None:
+        shift = np.abs(estimate.step_error).max(initial=0.0)
+        lines.insert(-1, f"    error of the step    = {shift:.2g} standard deviations")
     lines += _parameters(estimate, starts) + _correlations(estimate)
     if estimate.better is not None:
         point = ", ".join(f"{name} {v:.6g}" for name, v in zip(_names(estimate), estimate.better, strict=True))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hdt_core.physics.integrators import Solver
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, State, taking
 
 FATAL = 4
@@ -31,6 +32,7 @@ def fmu_model(
     params: Sequence[Param],
     variables: Mapping[str, str] | None = None,
     losses: Mapping[str, str] | None = None,
+    solver: Solver = "adaptive",
 ) -> PhysicsModel:
     """Declare an FMU as a component.
 
@@ -45,17 +47,21 @@ def fmu_model(
     losses : mapping, optional
         Health parameter that the FMU does not know, to the declared parameter of which it takes this share:
         ``{"hc_fouling": "hc_ua_w_k"}``.
+    solver : str
+        As of `PhysicsModel`.
 
     Raises
     ------
     ImportError
         The extra is not installed.
     ValueError
-        The FMU is of another kind, lacks a variable or has it in another role or unit; or a loss is of no parameter.
+        The FMU is of another kind, has events, lacks a variable or has it in another role or unit; or a loss is of no
+        parameter.
 
     Notes
     -----
-    Equations and rates are evaluated at time 0, point by point; events are not followed. A point that the FMU rejects
+    Equations and rates are evaluated at time 0, point by point. A model with events, whose states jump or whose
+    equations change on the way, is refused: no filter here could follow it. A point that the FMU rejects
     is NaN. One instance serves the model, so it is for one thread.
     """
     losses, names = dict(losses or {}), dict(variables or {})
@@ -85,6 +91,7 @@ def fmu_model(
         equations=taking(order, lambda **values: run("outputs", values)),
         states=states,
         rates=taking(order, lambda **values: run("rates", values)) if states else None,
+        solver=solver,
     )
 
 
@@ -180,8 +187,10 @@ class _Unit:
             self._fmu.setReal(references, values)
         self._fmu.enterInitializationMode()
         self._fmu.exitInitializationMode()
-        while self._fmu.newDiscreteStates()[0]:
+        while (found := self._fmu.newDiscreteStates())[0]:
             pass
+        if found[4]:
+            raise ValueError(f"{self.path}: has an event at {found[5]:g} s; a model with events cannot be stepped here")
         self._fmu.enterContinuousTimeMode()
         self._set_to = values
 
@@ -221,4 +230,7 @@ def _described(fmpy: ModuleType, path: Path) -> Any:
     if description.fmiVersion != "2.0" or description.modelExchange is None:
         kinds = [k for k in ("modelExchange", "coSimulation") if getattr(description, k, None) is not None]
         raise ValueError(f"{path}: FMI {description.fmiVersion}, {' and '.join(kinds)}; needs FMI 2.0, modelExchange")
+    if description.numberOfEventIndicators:
+        count = description.numberOfEventIndicators
+        raise ValueError(f"{path}: has {count} event indicators; a model with events cannot be stepped here")
     return description

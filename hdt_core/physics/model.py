@@ -8,6 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hdt_core.physics.integrators import Solver, advanced
+
 Array = NDArray[np.float64]  # complex128 passes through too, where a derivative is taken by complex step
 Role = Literal["design", "health"]
 Equation = Callable[..., Any]
@@ -69,7 +71,10 @@ class PhysicsModel:
     rates : callable, optional
         Same argument names; returns the time derivative of each state, in the declared order. Needed with states.
     step : callable, optional
-        Same argument names and `dt_s`; returns each state one step later with the inputs held. Euler where absent.
+        Same argument names and `dt_s`; returns each state one step later with the inputs held. The solver's where
+        absent.
+    solver : str
+        How states advance without a `step`: `adaptive`, with the error watched; `rk4`; or `euler`, by name only.
     """
 
     name: str
@@ -80,6 +85,7 @@ class PhysicsModel:
     states: tuple[State, ...] = ()
     rates: Equation | None = None
     step: Equation | None = None
+    solver: Solver = "adaptive"
 
     def __post_init__(self) -> None:
         names = self.names
@@ -151,14 +157,20 @@ class PhysicsModel:
     ) -> dict[str, Array]:
         """States one step later, the inputs held over the step."""
         values = self._values(params, inputs, states)
+        names = [s.name for s in self.states]
         if self.step is not None:
-            later = as_tuple(self.step(**values, dt_s=dt_s))
-        elif self.rates is not None:
-            rates = as_tuple(self.rates(**values))
-            later = tuple(values[s.name] + dt_s * rate for s, rate in zip(self.states, rates, strict=True))
-        else:
-            later = ()
-        return {s.name: value for s, value in zip(self.states, later, strict=True)}
+            return dict(zip(names, as_tuple(self.step(**values, dt_s=dt_s)), strict=True))
+        if self.rates is None:
+            return {}
+        shape = np.broadcast_shapes(*(v.shape for v in values.values()))
+        now = np.stack([np.broadcast_to(values[name], shape) for name in names])
+
+        def rates(x: Array) -> Array:
+            assert self.rates is not None
+            found = as_tuple(self.rates(**(values | dict(zip(names, x, strict=True)))))
+            return np.stack([np.broadcast_to(rate, shape) for rate in found])
+
+        return dict(zip(names, advanced(rates, now, dt_s, self.solver), strict=True))
 
     def simulate(
         self,
@@ -166,19 +178,30 @@ class PhysicsModel:
         inputs: Mapping[str, ArrayLike],
         dt_s: float,
         states: Mapping[str, ArrayLike] | None = None,
+        n_samples: int | None = None,
     ) -> dict[str, Array]:
         """Outputs over time; inputs are (n_samples, ...), the first axis is time, and so are the outputs.
 
-        Sample k is computed from the states at k; the states at k + 1 follow from the inputs held at k.
+        Sample k is computed from the states at k; the states at k + 1 follow from the inputs held at k. `n_samples`
+        says how many where no input does.
+
+        Raises
+        ------
+        ValueError
+            Neither an input nor `n_samples` says how many.
         """
         held = {name: np.asarray(value) for name, value in inputs.items()}
-        n_samples = max((len(v) for v in held.values() if v.ndim), default=0)
+        told = [len(v) for v in held.values() if v.ndim]
+        if n_samples is None and not told:
+            raise ValueError(f"{self.name}: no input over time; say n_samples")
+        n_samples = max(told) if n_samples is None else n_samples
         now: dict[str, Any] = {s.name: s.initial for s in self.states} | dict(states or {})
         rows: list[dict[str, Array]] = []
         for k in range(n_samples):
             at_k = {name: value[k] if value.ndim else value for name, value in held.items()}
             rows.append(self.predict(params, at_k, now))
-            now = dict(self.advance(params, at_k, now, dt_s))
+            if k + 1 < n_samples:
+                now = dict(self.advance(params, at_k, now, dt_s))
         return {s.name: np.array([row[s.name] for row in rows]) for s in self.outputs}
 
     def _values(

@@ -76,5 +76,6 @@ SPRING_MASS_DAMPER = PhysicsModel(
     outputs=(Signal("measured_m", "m", sigma=0.05),),
     equations=position,
     rates=rates,
+    solver="euler",  # the paper's
 )
 """As in section 3.2.2: a step of 0.01 s by Euler, from rest, 0.5 Hz of amplitude 1 N, noise 0.05 m."""

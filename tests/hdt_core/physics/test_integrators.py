@@ -1,0 +1,112 @@
+"""States from their rates: against closed forms and against SciPy at tolerances far tighter than ours."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from hdt_core.estimation import NonlinearLeastSquares, UnscentedKalman, unknown
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.physics.integrators import advanced
+from hdt_core.physics.model import Param, PhysicsModel, Signal, State
+
+
+def van_der_pol(solver="adaptive", mu=1.0):
+    def rates(mu, x0, x1):
+        return x1, mu * (1.0 - x0**2) * x1 - x0
+
+    return PhysicsModel(
+        name="van_der_pol",
+        inputs=(),
+        outputs=(Signal("seen", "-", sigma=0.01),),
+        params=(Param("mu", "-", mu, (0.01, 2000.0), "design"),),
+        states=(State("x0", "-", 2.0), State("x1", "-", 0.0)),
+        equations=lambda mu, x0, x1: x0 + 0.0 * mu,
+        rates=rates,
+        solver=solver,
+    )
+
+
+def truth(mu, n, dt_s):
+    found = solve_ivp(
+        lambda _t, x: [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0]],
+        (0.0, dt_s * (n - 1)),
+        [2.0, 0.0],
+        method="LSODA",
+        t_eval=dt_s * np.arange(n),
+        rtol=1e-11,
+        atol=1e-12,
+    )
+    return found.y[0]
+
+
+@pytest.mark.parametrize(("solver", "error"), [("adaptive", 1e-6), ("rk4", 1e-6), ("euler", 0.5)])
+def test_van_der_pol_at_a_hundredth_of_a_second(solver, error):
+    seen = van_der_pol(solver).simulate({}, {}, 0.01, n_samples=2001)["seen"]
+    assert np.abs(seen - truth(1.0, 2001, 0.01)).max() < error
+    if solver == "euler":
+        assert np.abs(seen - truth(1.0, 2001, 0.01)).max() > 0.02  # by name only, and this is why
+
+
+def test_a_stiff_oscillator_goes_to_an_implicit_method():
+    seen = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
+    np.testing.assert_allclose(seen, truth(1000.0, 6, 100.0), atol=1e-5)
+
+
+def test_a_member_that_explodes_leaves_the_others_alone():
+    start = np.array([[1.0, 1.0, np.nan]])
+    later = advanced(
+        lambda x: np.array([[0.0, 1.0, 0.0]]) * x**2 - x * np.array([[1.0, 0.0, 1.0]]), start, 2.0, "adaptive"
+    )
+    assert later[0, 0] == pytest.approx(np.exp(-2.0), rel=1e-7)  # x' = -x
+    assert np.isnan(later[0, 1:]).all()  # x' = x^2 ends at 1 s; no start
+
+
+def test_the_orders_are_those_of_the_names():
+    def error(solver, dt_s):
+        x = np.array([1.0, 0.0])
+        for _ in range(round(2.0 / dt_s)):
+            x = advanced(lambda y: np.array([y[1], -y[0]]), x, dt_s, solver)
+        return abs(x[0] - np.cos(2.0))
+
+    assert np.log2(error("euler", 0.01) / error("euler", 0.005)) == pytest.approx(1.0, abs=0.1)
+    assert np.log2(error("rk4", 0.1) / error("rk4", 0.05)) == pytest.approx(4.0, abs=0.2)
+    assert error("adaptive", 0.5) < 1e-7
+
+
+def record(seed=0, solver="adaptive"):
+    measured = truth(1.0, 501, 0.01) + 0.01 * np.random.default_rng(seed).standard_normal(501)
+    model = van_der_pol(solver)
+    return declared_problem(model, ["mu"], {}, {"seen": measured}, prior=unknown(np.array([1.4])), dt_s=0.01)
+
+
+def test_van_der_pol_is_estimated_right_and_euler_says_by_how_much_it_is_not():
+    right = NonlinearLeastSquares().estimate(record())
+    assert right.status == "converged"
+    assert abs(right.belief.mean[0] - 1.0) < 4.0 * right.belief.sd[0]
+    assert right.step_error[0] == pytest.approx(0.0, abs=1e-3)
+    wrong = NonlinearLeastSquares().estimate(record(solver="euler"))
+    away = (wrong.belief.mean[0] - 1.0) / wrong.belief.sd[0]
+    assert abs(away) > 10.0
+    assert wrong.fit.verdict == "lack_of_fit"
+    # half the step takes away half the error of a method of first order
+    assert -wrong.step_error[0] == pytest.approx(0.5 * away, rel=0.3)
+    assert "error of the step" in wrong.summary()
+
+
+def test_an_unscented_filter_takes_it_too():
+    found = UnscentedKalman(smoother_passes=1).estimate(record())
+    assert found.status == "converged"
+    assert abs(found.belief.mean[0] - 1.0) < 4.0 * found.belief.sd[0]
+
+
+def test_sensitivity_is_that_of_the_variational_equation():
+    problem = record()
+    mu = 1.1
+
+    def both(_t, y):
+        x, v, dx, dv = y
+        return [v, mu * (1 - x**2) * v - x, dv, (1 - x**2) * v + mu * (1 - x**2) * dv - (2 * mu * x * v + 1) * dx]
+
+    exact = solve_ivp(both, (0.0, 5.0), [2.0, 0.0, 0.0, 0.0], t_eval=0.01 * np.arange(501), rtol=1e-11, atol=1e-12)
+    slope = problem.sensitivity(np.array([mu]))[:, 0] * 0.01
+    np.testing.assert_allclose(slope, exact.y[2], atol=1e-5 * np.abs(exact.y[2]).max())
