@@ -5,16 +5,10 @@ from typing import Any
 
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
+from hdt_core.health.diagnoses import DIAGNOSES
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
-DIAGNOSES = {
-    "HX_FOULING": "heat exchanger fouling",
-    "HX_SUDDEN_CLOG": "heat exchanger clogged suddenly",
-    "CC_DEGRADED": "compressor worn",
-    "RAM_DOOR_FAULT": "ram air door fault",
-    "SENSOR_FAULT": "sensor fault",
-}
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
 PARTS = {"HX": "heat exchanger", "CC": "compressor", "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 SIDES = {1: "left", 2: "right"}
@@ -67,7 +61,7 @@ def flights_left(row: Row) -> str:
 
 def diagnosis(code: str) -> str:
     """A diagnosis code, or several with commas between, in words."""
-    return ", ".join(DIAGNOSES.get(c.strip(), c.strip()) for c in code.split(","))
+    return ", ".join(DIAGNOSES[c].name if c in DIAGNOSES else c for c in map(str.strip, code.split(",")))
 
 
 def day(value: Any) -> str:
