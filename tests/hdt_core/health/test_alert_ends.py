@@ -121,7 +121,8 @@ def test_what_was_raised_is_never_said_otherwise_later() -> None:
 
 def role(text: str, says: str) -> str:
     """Role under which a paragraph of evidence tells of something."""
-    return max((r for r in ROLES if f"{r}:" in text.split(says)[0]), key=lambda r: text.split(says)[0].rfind(f"{r}:"))
+    before = text.partition(says)[0]
+    return max((r for r in ROLES if f"{r}:" in before), key=lambda r: before.rfind(f"{r}:"))
 
 
 @pytest.mark.parametrize(
