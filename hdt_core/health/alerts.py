@@ -72,17 +72,17 @@ def end_with_the_unit(grid: Grid, maintenance: pl.DataFrame, cases: list[Case]) 
     The case ends on the first flight that counts as flown after the work (`records.unit_index`), however late the entry
     came; where none has followed yet, at the moment from which the entry counts.
     """
-    for kind in {(d.component, d.ended_by) for d in DIAGNOSES.values()}:
-        component, actions = kind
-        ended = grid.worked_on(maintenance, (component,), actions)
-        waiting = _unflown(grid, maintenance, component, actions)
-        for case in cases:
-            if (case.component, DIAGNOSES[case.diagnosis].ended_by) == kind:
-                after = case.raised + 1 + np.flatnonzero(ended[case.unit, case.raised + 1 :])
-                if after.size and (case.closed is None or case.closed > after[0]):
-                    case.closed = int(after[0])
-                if case.closed is None:
-                    case.ended_at = waiting.get(case.unit)
+    for said in DIAGNOSES.values():
+        own = [case for case in cases if case.diagnosis == said.code]
+        if not own:
+            continue
+        ended = grid.worked_on(maintenance, (said.component,), said.ended_by)
+        waiting = _unflown(grid, maintenance, said.component, said.ended_by)
+        for case in own:
+            later = case.raised + 1 + np.flatnonzero(ended[case.unit, case.raised + 1 :])
+            if later.size and (case.closed is None or case.closed > later[0]):
+                case.closed = int(later[0])
+            case.ended_at = waiting.get(case.unit)
     return cases
 
 

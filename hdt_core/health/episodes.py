@@ -62,7 +62,7 @@ class Case:
     """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds.
 
     `facts` are those it was raised with; `at` gives, after any flight, what only its own rule can measure; `ended_at`
-    is when work ended a case that no flight has followed yet.
+    is when work ended a case that is open after the pack's last flight.
     """
 
     unit: int

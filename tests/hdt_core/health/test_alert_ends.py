@@ -79,6 +79,9 @@ def test_it_ends_with_the_work_though_no_flight_has_followed() -> None:
         (alert,) = alerts(seen, work(done, timed=True)).to_dicts()
         assert alert["closed_at"] == done
         assert alert["now_flight_id"] == seen["flight_id"][-1]
+        busier = features(np.zeros(FLIGHTS + 5)).with_columns(pl.lit(2, pl.Int32).alias("pack"))
+        both = pl.concat([seen, busier], how="diagonal")
+        assert alerts(both, work(done, timed=True))["closed_at"].to_list() == [done], "beside a pack that flew on"
     assert alerts(seen, work(departure(FLIGHTS), "CC"))["closed_at"].to_list() == [None], "another component's work"
 
 
