@@ -45,14 +45,14 @@ MADE: dict[str, Made] = {
     ),
     **dict.fromkeys(("legs_samples", "legs_verdicts"), Made(("raw_flights",), code="2")),
     **dict.fromkeys(
-        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="6")
+        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="7")
     ),
-    "twin_flights": Made(("legs_samples", "calibration_dsm"), code="2"),
+    "twin_flights": Made(("legs_samples", "calibration_dsm"), code="3"),
     "residuals": Made(("twin_flights",)),
     **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="9")),
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
     "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),
-    "features": Made(("twin_health", "residuals", "features_witnesses", "raw_maintenance"), code="4"),
+    "features": Made(("twin_health", "residuals", "features_witnesses", "raw_maintenance"), code="5"),
     "features_alerts": Made(("features",), code="6"),
     "prognosis_base": Made(),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work

@@ -1,13 +1,16 @@
 """Which sensor is off? A signature matrix of the cross checks, and Bayes' rule over it.
 
-Each fault moves a set of cross checks in fixed proportions. The size of the fault is unknown, so it is integrated out
-against a wide normal prior: the class whose direction explains the observed shifts best, and no more freely than it
-must, wins (modified Bayes classification as in Ma, Lu and Liu 2015, with the amplitude marginalised).
+Each fault moves a set of cross checks in known proportions. The size of the fault is unknown, so it is integrated out
+against a normal prior: the class whose direction explains the observed shifts best, and no more freely than it must,
+wins (modified Bayes classification as in Ma, Lu and Liu 2015, with the amplitude marginalised).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from hdt_core.health.detection import Array
 
@@ -17,13 +20,17 @@ class Channel:
     """A cross check: name, flight-to-flight standard deviation of a sound unit, and what one unit of fault does to it.
 
     The scatter follows from the sensors' noise, quantisation and a flight's own trim; units of their own learn theirs.
-    `between` marks a left-minus-right difference: the same fault of the other pack moves it the other way.
+    `between` marks a left-minus-right difference: the same fault of the other pack moves it the other way. `blurs` is
+    the standard deviation of what a suspect does where no single figure is right: film, blockage and a new unit differ.
+    `wander` is the slow error of the check itself, season and ageing, in its flight-to-flight standard deviation.
     """
 
     name: str
     sd: float
     moves: dict[str, float]
     between: bool = False
+    blurs: dict[str, float] = field(default_factory=dict)
+    wander: float = 0.3
 
 
 SCHEDULE_SLOPE = 0.6
@@ -31,6 +38,11 @@ SCHEDULE_SLOPE = 0.6
 
 DELIVERY_GAIN = 0.26
 """Relative change of delivery pressure with flow: pack and ducts lose about 12 of 93 kPa, as the square of it. [-]"""
+
+INLET_MOVES = {"hx_in_k": 0.7, "hx_out_k": 0.3, "ram_door_open": 65.0, "pack_flow_kg_s": -57.0, "hx": 3.0}
+INLET_BLURS = {"ram_door_open": 25.0, "hx": 8.0}
+"""Of the hot inlet's law in cruise, where half of the air between discharge and ram outlet is the one's and half the
+other's. A film moves it by -5 K for the whole conductance, a blockage by 10. [K]"""
 
 CHANNELS = (
     Channel("inlet_minus_tat_k", 0.35, {"cc_in_k": 1.0, "tat_k": -1.0}),
@@ -43,71 +55,122 @@ CHANNELS = (
     Channel("compressor_flow_between_packs_ln", 0.022, {"cc_flow_kg_s": 1.0}, between=True),
     Channel("cc_out_pressure_between_packs_ln", 0.005, {"cc_out_pa": 1.0}, between=True),
     Channel("cc_out_pressure_over_schedule_ln", 0.003, {"cc_out_pa": 1.0, "pack_flow_kg_s": -DELIVERY_GAIN}),
-    Channel("hx_out_minus_target_k", 1.8, {"hx_out_k": 1.0, "tat_k": -SCHEDULE_SLOPE}),
+    Channel("hx_out_minus_target_k", 1.8, {"hx_out_k": 1.0, "tat_k": -SCHEDULE_SLOPE}, wander=0.6),
     Channel("hx_out_between_packs_k", 0.8, {"hx_out_k": 1.0}, between=True),
+    Channel("hx_in_over_discharge_k", 0.7, INLET_MOVES | {"cc_out_k": -0.56, "tat_k": -0.57}, False, INLET_BLURS, 0.6),
+    # where the discharge temperature is not recorded it is that of a nominal machine at this pressure ratio
+    Channel(
+        "hx_in_over_pressure_k",
+        0.9,
+        INLET_MOVES | {"cc_in_pa": 75.0, "cc_out_pa": -75.0, "tat_k": -1.35, "cc": 56.0},
+        blurs=INLET_BLURS | {"cc": 15.0},
+        wander=0.6,
+    ),
+    Channel(
+        "conductance_off_cruise_ln",
+        0.018,
+        {"ram_door_open": -1.8, "hx_out_k": -0.006, "hx_in_k": 0.002, "tat_k": 0.005, "hx": 0.1},
+        blurs={"ram_door_open": 0.8, "hx": 0.15},
+    ),
 )
-"""Cross checks that a wearing exchanger or compressor leaves alone: these raise the question."""
+"""Cross checks that a wearing film leaves alone: these raise the question."""
 
 HX_STEP = Channel(
-    "hx_fouling_step_3",
-    0.02,
-    {"hx_out_k": 0.028, "tat_k": -0.02, "pack_flow_kg_s": -1.55, "hx": 1.0},
+    "hx_fouling_flight",
+    0.016,
+    {
+        "hx_out_k": 0.03,
+        "hx_in_k": -0.008,
+        "tat_k": -0.024,
+        "pack_flow_kg_s": -1.6,
+        "ram_door_open": 1.6,
+        "hx": 1.0,
+    },
+    blurs={"ram_door_open": 0.8},
+    wander=0.0,
 )
-"""Apparent loss, three flights against those before: it can't raise the question, but helps to answer it.
+"""Apparent loss since the shift against that before it: it can't raise the question, but helps to answer it.
 What a reading one unit too high adds to it is that of a cross-flow exchanger in cruise (NTU about 1.7)."""
-HX_STEP_SD = 0.016 * (1.0 / 3.0 + 1.0 / 10.0) ** 0.5
 
-SUSPECTS = (
-    "tat_k",
-    "cc_in_k",
-    "total_pressure_pa",
-    "cc_in_pa",
-    "mach",
-    "pack_flow_kg_s",
-    "cc_flow_kg_s",
-    "cc_out_pa",
-    "hx_out_k",
-    "hx",
-)
+SIZES = {
+    "tat_k": 3.5,
+    "cc_in_k": 3.5,
+    "total_pressure_pa": 0.03,
+    "cc_in_pa": 0.05,
+    "mach": 0.01,
+    "pack_flow_kg_s": 0.07,
+    "cc_flow_kg_s": 0.07,
+    "cc_out_pa": 0.05,
+    "hx_in_k": 4.0,
+    "hx_out_k": 4.0,
+    "cc_out_k": 4.0,
+    "ram_door_open": 0.08,
+    "hx": 0.08,
+    "cc": 0.05,
+}
+"""Prior standard deviation of each fault's size, in its unit (pressures and flows by their logarithm): ten times the
+sensor's noise, about what an operator would write up."""
+NO_SENSOR = ("hx", "cc", "nothing")
+"""Suspects that are no sensor's: a real change of exchanger or compressor, or none at all."""
+USUAL = 10.0
+"""Odds of such a change, and of nothing but chance, against the fault of one sensor: parts wear on every flight, a
+sensor fails once in some thousands."""
 SHARED = ("tat_k", "total_pressure_pa", "mach")
 """Sensors of which both packs may record one and the same."""
-PRIOR_SHIFT_SD = 6.0
-"""Prior standard deviation of a fault's size, in standard deviations of the mean it is seen with."""
+UNSURE = 0.3
+"""Relative error of one entry of the matrix: types and flights differ."""
+STRAY, STRAY_SD = 1e-3, 20.0
+"""Chance that something else moves a channel of the other pack meanwhile, as a new unit does, and by how much.
+[standard deviations]"""
+STEPS = np.concatenate([-np.geomspace(0.15, 4.0, 12)[::-1], np.geomspace(0.15, 4.0, 12)])
+"""Sizes of a fault, in standard deviations of its prior, over which it is summed; smaller ones are no fault."""
 
 
-def signatures() -> tuple[list[tuple[str, str]], Array]:
-    """Hypotheses (sensor, whose: `own`, `other`, `both`) and their directions over own and other pack's channels.
+class Signatures(NamedTuple):
+    """What each of n hypotheses (sensor, whose: `own`, `other`, `both`) does to own and other pack's channels.
 
-    The suspect `hx` is the exchanger itself: a real step of its conductance.
-
-    Returns
-    -------
-    list of tuple
-        n hypotheses.
-    array
-        (n, 2 (C + 1)), unit length, in standard deviations; `CHANNELS` and `HX_STEP`, own pack then other.
-        Left-minus-right checks count once, in the own half.
+    `shift` and its standard deviation `blur`, (n, 2 (C + 1)), for a fault of the size in `SIZES`, in standard
+    deviations of one flight; `CHANNELS` and `HX_STEP`, own pack then other. Left-minus-right checks count once, in the
+    own half.
     """
-    names, rows = [], []
-    for sensor in SUSPECTS:
-        own = np.array([c.moves.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
-        within = np.where([c.between for c in (*CHANNELS, HX_STEP)], 0.0, own)
-        across = own - within
-        for whose, mine, theirs in (("own", own, 0.0 * own), ("other", -across, within), ("both", within, within)):
+
+    names: tuple[tuple[str, str], ...]
+    shift: Array
+    blur: Array
+    log_prior: Array
+
+
+@cache
+def signatures() -> Signatures:
+    """All hypotheses and their signatures."""
+    names, shifts, blurs = [], [], []
+    between = np.array([c.between for c in (*CHANNELS, HX_STEP)])
+    for sensor, size in SIZES.items():
+        own = np.array([size * c.moves.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
+        blur = np.hypot(UNSURE * own, [size * c.blurs.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
+        for whose, mine, theirs in (("own", 1, 0), ("other", 0, 1), ("both", 1, 1)):
             if whose != "both" or sensor in SHARED:
                 names.append((sensor, whose))
-                rows.append(np.concatenate([mine, theirs]))
-    matrix = np.array(rows)
-    return names, matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+                apart = (mine - theirs) * np.where(between, own, 0.0)
+                shifts.append(np.concatenate([mine * np.where(between, 0.0, own) + apart, theirs * ~between * own]))
+                seen = np.where(between, abs(mine - theirs), mine) * blur
+                blurs.append(np.concatenate([seen, theirs * ~between * blur]))
+    names.append(("nothing", "own"))
+    shifts.append(np.zeros_like(shifts[0]))
+    blurs.append(np.zeros_like(shifts[0]))
+    usual = np.array([np.log(USUAL) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
+    return Signatures(tuple(names), np.array(shifts), np.array(blurs), usual)
 
 
-def classify(z: Array) -> list[tuple[str, str, float]]:
+def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, float]]:
     """Posterior over the hypotheses for observed shifts.
 
     Parameters
     ----------
     z : array
         (2 (C + 1),) mean shift of each channel, own pack then other, in its standard deviations; NaN where unseen.
+    flights : array or float
+        Flights that each mean is worth.
 
     Returns
     -------
@@ -116,14 +179,22 @@ def classify(z: Array) -> list[tuple[str, str, float]]:
 
     Notes
     -----
-    With direction :math:`a` over the channels seen and amplitude :math:`N(0, s^2)`, the log evidence is
-    :math:`s^2 (a \\cdot z)^2 / (2 (1 + s^2 |a|^2)) - \\ln(1 + s^2 |a|^2) / 2`.
+    A fault of size s, standard normal in units of its prior, shifts channel c by :math:`s (a_c + b_c u_c)`, with
+    :math:`u_c` the matrix's own error. For a given size the shifts are independent and normal, but for strays of the
+    other pack; the sizes are summed.
     """
-    names, matrix = signatures()
+    known = signatures()
     seen = np.isfinite(z)
-    a = matrix[:, seen]
-    gain = PRIOR_SHIFT_SD**2 * (a**2).sum(axis=1)
-    evidence = PRIOR_SHIFT_SD**2 * (a @ z[seen]) ** 2 / (2.0 * (1.0 + gain)) - 0.5 * np.log1p(gain)
-    p = np.exp(evidence - evidence.max())
-    p /= p.sum()
-    return sorted(((s, w, float(q)) for (s, w), q in zip(names, p, strict=True)), key=lambda t: -t[2])
+    worth = np.sqrt(np.broadcast_to(flights, z.shape)[seen])
+    a, b = known.shift[:, None, seen] * worth, known.blur[:, None, seen] * worth
+    own = 1.0 + (np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)[seen] * worth) ** 2
+    miss2, variance = (z[seen] - STEPS[:, None] * a) ** 2, own + (STEPS[:, None] * b) ** 2
+    fits = -0.5 * (miss2 / variance + np.log(variance))
+    strays = np.log(STRAY) - 0.5 * (miss2 / (variance + STRAY_SD**2) + np.log(variance + STRAY_SD**2))
+    theirs = (np.arange(len(z)) >= len(z) // 2)[seen]
+    # sizes stand evenly by their logarithm: each speaks for a stretch as wide as itself
+    prior = np.log(np.abs(STEPS)) - 0.5 * STEPS**2
+    told = np.where(theirs, np.logaddexp(fits, strays), fits).sum(axis=2)
+    evidence = logsumexp(prior + told, axis=1) + known.log_prior
+    p = np.exp(evidence - logsumexp(evidence))
+    return sorted(((s, w, float(q)) for (s, w), q in zip(known.names, p, strict=True)), key=lambda t: -t[2])

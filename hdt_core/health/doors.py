@@ -6,7 +6,7 @@ import polars as pl
 from hdt_core.health.controller import DOOR_FREE
 from hdt_core.health.detection import Array, persistent
 from hdt_core.health.episodes import REPAIR, Case, Limits, spells
-from hdt_core.health.grid import Grid
+from hdt_core.health.grid import UNIT, Grid
 
 STOP_MEMORY = 40
 """Flights within which a door that ran into the same stop twice is believed to have one."""
@@ -14,6 +14,11 @@ SAME_STOP = 0.03
 """Openings closer than this may be one stop: noise, quantisation and a flight's last approach to it. [-]"""
 JAM_ABOVE, PEG_ABOVE = 0.06, 0.15
 """A door no wider than this above its lower stop may rest there, and its outlet then says nothing of its travel. [-]"""
+SURE_PEG_K, SURE_PEG_SAMPLES = 2.0, 3
+"""Excess and samples at the stop with which one flight is enough: six sigma of a sound flight. [K]"""
+WARM_K, USUAL_FLIGHTS = 6.0, 40
+"""Outlet above what is usual beside its target at which a motionless door is jammed wherever it stands, for a free one
+would open: three sigma of a flight's own trim. [K] Flights that say what is usual."""
 WIDE_OPEN = 0.93
 """A door that rests wider than this is at its proper end: a fouled exchanger's, not a faulty door's."""
 
@@ -21,13 +26,15 @@ WIDE_OPEN = 0.93
 def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Case]:
     """Cases of all doors.
 
-    A jam: the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none). Lost
-    travel: on two flights the outlet ran warm at the same widest opening, and on target below it.
+    A jam: the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none), away
+    from its stops, or anywhere if the outlet runs warm. Lost travel: the outlet ran warm at the widest opening, and on
+    target below it; on one flight beyond doubt, or on two at the same opening.
     """
     ended = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
     jam, peg = _jams(grid, limits), _pegs(grid, limits)
     jammed = persistent(jam, 2, 3, 4, ended=ended)
-    stopped = _same_stop(grid.values("door_max"), peg & ~jam, ended) & ~jammed
+    sure = peg & (grid.values("door_peg_excess_k") > SURE_PEG_K) & (grid.values("door_peg_n") >= SURE_PEG_SAMPLES)
+    stopped = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, ended) & ~jammed
     cases = [_case(grid, "jam", jam, spell) for spell in spells(jammed, ended)]
     return cases + [_case(grid, "lost travel", peg, spell) for spell in spells(stopped, ended)]
 
@@ -36,7 +43,18 @@ def _jams(grid: Grid, limits: Limits) -> Array:
     widest = grid.values("door_max")
     away = (widest > np.fmax(DOOR_FREE[0], _lower_stop(grid) + JAM_ABOVE)) & (widest < DOOR_FREE[1])
     motionless = (grid.values("door_span") < limits.still_span) & (grid.values("door_n") >= 8)
-    return grid.flags("running") & away & motionless & ~grid.flags("ram_door_open_still")
+    warm = (_above_usual_k(grid) > WARM_K) & (widest < DOOR_FREE[1])
+    return grid.flags("running") & (away | warm) & motionless & ~grid.flags("ram_door_open_still")
+
+
+def _above_usual_k(grid: Grid) -> Array:
+    """Outlet above its target, less what that was over the flights before. (units, flights) [K]"""
+    out = np.full(grid.shape, np.nan)
+    if "w_hx_out_minus_target_k" in grid.rows.columns:
+        above = pl.col("w_hx_out_minus_target_k")
+        usual = above.shift(1).rolling_median(USUAL_FLIGHTS, min_samples=5).over(UNIT)
+        out[grid.unit, grid.flight] = grid.rows.select(above - usual)[:, 0].cast(pl.Float64).to_numpy()
+    return out
 
 
 def _pegs(grid: Grid, limits: Limits) -> Array:
@@ -52,8 +70,9 @@ def _lower_stop(grid: Grid) -> Array:
     return np.asarray(np.fmin.accumulate(np.fmin(low, grid.across(low)), axis=1))
 
 
-def _same_stop(widest: Array, peg: Array, ended: Array) -> Array:
-    """Flights on which a stop is believed: from the second time it was hit until the door is repaired or goes wider."""
+def _same_stop(widest: Array, peg: Array, sure: Array, ended: Array) -> Array:
+    """Flights on which a stop is believed: from the second time it was hit, or the first beyond doubt, until the door
+    is repaired or goes wider."""
     out = np.zeros(peg.shape, dtype=bool)
     for unit in np.nonzero(peg.any(axis=1))[0]:
         stops: list[tuple[int, float]] = []
@@ -66,7 +85,8 @@ def _same_stop(widest: Array, peg: Array, ended: Array) -> Array:
             if peg[unit, k]:
                 here = float(widest[unit, k])
                 stops = [s for s in stops if k - s[0] <= STOP_MEMORY]
-                believed = here if any(abs(s[1] - here) < SAME_STOP for s in stops) else believed
+                again = any(abs(s[1] - here) < SAME_STOP for s in stops)
+                believed = here if again or sure[unit, k] else believed
                 stops.append((k, here))
             out[unit, k] = believed is not None
     return out

@@ -1,8 +1,7 @@
 """A case: a belief about one pack from its first flight to its last, and the limits at which belief becomes a case."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ class Limits:
     still_span : float
         A door that moves less from climb to descent does not follow: seven sigma of its position sensor.
     peg_k : float
-        Outlet above its target while the door rests, not open, at its widest: four sigma of a sound flight.
+        Outlet above its target while the door rests, not open, at its widest: three sigma of a sound flight.
     """
 
     fouling: float = 0.15
@@ -54,16 +53,12 @@ class Limits:
     compressor: float = 0.05
     lost: float = 0.2
     still_span: float = 0.035
-    peg_k: float = 1.3
+    peg_k: float = 1.0
 
 
 @dataclass(slots=True)
 class Case:
-    """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds.
-
-    `facts` are those it was raised with; `at` gives, after any flight, what only its own rule can measure; `ended_at`
-    is when work ended a case that is open after the pack's last flight.
-    """
+    """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds."""
 
     unit: int
     component: str
@@ -71,8 +66,6 @@ class Case:
     raised: int
     closed: int | None
     facts: dict[str, Any] = field(default_factory=dict)
-    at: Callable[[int], dict[str, Any]] = lambda flight: {}
-    ended_at: datetime | None = None
 
 
 def spells(active: Array, ended: Array) -> Iterator[tuple[int, int, int | None]]:

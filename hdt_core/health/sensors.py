@@ -1,34 +1,35 @@
 """Sensor faults: silent, frozen, or gone from what physics ties them to."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 
-from hdt_core.health.detection import Array, Cusum, Shift, persistent, watch
-from hdt_core.health.diagnosis import CHANNELS, HX_STEP_SD, classify
+from hdt_core.health.detection import Array, Cusum, persistent, watch
+from hdt_core.health.diagnosis import CHANNELS, SHARED
 from hdt_core.health.episodes import REPAIR, Case, Limits, spells
 from hdt_core.health.grid import Grid
+from hdt_core.health.naming import Evidence
 from hdt_core.health.witnesses import SENSORS
 
 DOOR_MOVES = ("hx_out_minus_target_k", "hx_out_between_packs_k")
-"""Checks that a faulty door moves as well as a faulty sensor."""
-SURE, SURE_NOT = 0.95, 0.99
-"""Probability at which a sensor is named, and at which the other pack's is believed to be the culprit."""
-PATIENCE = 30
-"""Flights that a shift may wait for its name."""
+"""Checks that a faulty door of this pack or the other moves as well as a faulty sensor."""
+BEHIND_DOOR = ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_off_cruise_ln")
+"""Checks whose laws were never seen where a jammed door may stand."""
+NEW_WITH = {"HX": BEHIND_DOOR, "CC": ("hx_in_over_pressure_k",)}
+"""Checks that are another unit's once a part is replaced or washed: its ram side, its efficiency."""
 ECHO = 12
 """Flights by which the shift of a sensor may precede or outlast its silence without being news."""
 
 
-def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on: Array) -> list[Case]:
-    """Cases of all sensors; `door_on` (units, flights) tells where a door fault already explains the outlet."""
+def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on: Array, jammed: Array) -> list[Case]:
+    """Cases of all sensors; `door_on` (units, flights) tells where a door fault already explains the outlet, `jammed`
+    where the door is stuck."""
     ended = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     mute = {sensor: _mute(grid, sensor, limits) for sensor in SENSORS}
     silent = [c for sensor in SENSORS for c in _silent(grid, sensor, mute[sensor], ended, limits)]
-    return silent + [c for c in _shifted(grid, maintenance, door_on, mute) if not _echo(c, silent)]
+    return silent + [c for c in _shifted(grid, maintenance, (door_on, jammed), mute) if not _echo(c, silent)]
 
 
 def outlet_doubtful(grid: Grid) -> Array:
@@ -62,90 +63,70 @@ def _echo(case: Case, silent: list[Case]) -> bool:
     return any(s.raised - ECHO <= case.raised and (s.closed is None or case.raised <= s.closed + ECHO) for s in same)
 
 
-def _shifted(grid: Grid, maintenance: pl.DataFrame, door_on: Array, mute: dict[str, Array]) -> list[Case]:
+def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], mute: dict[str, Array]) -> list[Case]:
     """Drifts and steps: a cross check leaves its unit's own level, and its signature says whose sensor did it."""
+    door_on, jammed = doors
     running, ended = grid.flags("running"), grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     values = np.stack([np.where(running, grid.values(f"w_{c.name}"), np.nan) for c in CHANNELS], axis=2)
     # what a silent sensor still says is no evidence against others
     for k, check in enumerate(CHANNELS):
-        for sensor in check.moves:
+        for sensor in (s for s in check.moves if s in mute):
             dumb = mute[sensor] | (grid.across(mute[sensor]) if check.between else False)
             values[dumb, k] = np.nan
-    # a faulty door moves the outlet too, and through the difference the other pack's check
     outlet = np.array([c.name in DOOR_MOVES for c in CHANNELS])
     values[(door_on | grid.across(door_on))[:, :, None] & outlet] = np.nan
+    values[jammed[:, :, None] & np.array([c.name in BEHIND_DOOR for c in CHANNELS])] = np.nan
     repaired = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
-    new = ended[:, :, None] | ((repaired | grid.across(repaired))[:, :, None] & outlet)
+    # what the outlet did just before a door was found faulty was the door's doing
+    fresh = repaired | (door_on & ~np.pad(door_on, ((0, 0), (1, 0)))[:, :-1])
+    new = ended[:, :, None] | ((fresh | grid.across(fresh))[:, :, None] & outlet)
+    for part, checks in NEW_WITH.items():
+        renewed = grid.worked_on(maintenance, (part,), REPAIR)
+        new = new | (renewed[:, :, None] & np.array([c.name in checks for c in CHANNELS]))
     shift = watch(values, np.array([c.sd for c in CHANNELS]), new)
-    step = grid.values("hx_fouling_step_3") / HX_STEP_SD
-    evidence = _Evidence(grid, shift, np.stack([step, grid.across(step)]), grid.partner())
+    evidence = Evidence(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
         for unit, first, end in spells(shift.called[:, :, channel], np.zeros_like(ended)):
-            named = _name(evidence, channel, (unit, first, end))
+            named = evidence.name(channel, (unit, first, end))
             if named is not None:
                 flight, facts = named
-                cases.append(
-                    Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
-                )
+                case = Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
+                cases += [case, *_shared(evidence, case)]
     return _one_each(cases, evidence.partner)
 
 
+def _shared(evidence: Evidence, case: Case) -> list[Case]:
+    """The same case of the other pack, where both record one sensor."""
+    other = int(evidence.partner[case.unit])
+    if case.facts["whose"] != "both" or other < 0:
+        return []
+    raised, since = (evidence.same_time(case.unit, k, other) - 1 for k in (case.raised, case.facts["since"]))
+    flown = int((evidence.grid.unit == case.unit).sum())
+    over = case.closed is not None and case.closed < flown
+    closed = evidence.same_time(case.unit, int(case.closed or 0), other) - 1 if over else None
+    if raised < 0 or (closed is not None and closed <= raised):
+        return []
+    return [replace(case, unit=other, raised=raised, closed=closed, facts=case.facts | {"since": max(since, 0)})]
+
+
 def _one_each(cases: list[Case], partner: Array) -> list[Case]:
-    """One case for one fault: several checks may find it, and a left-minus-right one finds it twice."""
+    """One case for one fault: several checks may find it, and a left-minus-right one finds it twice.
+
+    Two sensors of a pack hardly ever fail within a few flights: the second name is the first fault's, seen by another
+    check. Long after, the other pack may be accused of the same: then the first word was wrong.
+    """
     kept: list[Case] = []
     for case in sorted(cases, key=lambda c: (c.raised, -c.facts["p"])):
-        units = (case.unit, int(partner[case.unit]))
-        same = [c for c in kept if c.unit in units and c.facts["sensor"] == case.facts["sensor"]]
-        open_yet = [c for c in same if c.closed is None or case.raised <= c.closed + ECHO]
-        if not open_yet:
+        sensor, other = case.facts["sensor"], int(partner[case.unit])
+        mine = [c for c in kept if c.unit == case.unit]
+        known = [
+            c for c in mine if c.facts["sensor"] == sensor and (c.closed is None or case.raised <= c.closed + ECHO)
+        ]
+        theirs = [c for c in kept if c.unit == other and c.facts["sensor"] == sensor and sensor not in SHARED]
+        echoes = [c for c in mine + theirs if case.raised <= c.raised + ECHO]
+        if not known and not echoes:
             kept.append(case)
-        elif open_yet[0].unit == case.unit and open_yet[0].closed is not None:
-            open_yet[0].closed = None if case.closed is None else max(open_yet[0].closed, case.closed)
+        elif known and known[0].closed is not None:
+            known[0].closed = None if case.closed is None else max(known[0].closed, case.closed)
     return kept
-
-
-@dataclass(frozen=True, slots=True)
-class _Evidence:
-    """What the classifier may look at."""
-
-    grid: Grid
-    shift: Shift
-    step: Array
-    partner: Array
-
-    def at(self, unit: int, flight: int, run: int) -> Array:
-        """Mean shifts over the last `run` flights: own channels and step, then the other pack's."""
-        mine = _mean_z(self.shift.z[unit, max(flight - run + 1, 0) : flight + 1])
-        theirs, partner = np.full(len(CHANNELS), np.nan), int(self.partner[unit])
-        if partner >= 0:
-            last = self._same_time(unit, flight, partner)
-            theirs = _mean_z(self.shift.z[partner, max(last - run, 0) : last])
-        return np.concatenate([mine, [self.step[0, unit, flight]], theirs, [self.step[1, unit, flight]]])
-
-    def _same_time(self, unit: int, flight: int, partner: int) -> int:
-        """How many flights the other pack had recorded by this one's departure."""
-        when = self.grid.at("departed_at", unit, flight)
-        start, stop = np.searchsorted(self.grid.unit, [partner, partner + 1])
-        departed = self.grid.rows["departed_at"].slice(int(start), int(stop - start))
-        return int((departed <= when).sum())
-
-
-def _name(evidence: _Evidence, channel: int, spell: tuple[int, int, int | None]) -> tuple[int, dict[str, Any]] | None:
-    """First flight that names a sensor of this pack with confidence, and what it says; None where none does."""
-    shift, (unit, first, end) = evidence.shift, spell
-    for k in range(first, min(end if end is not None else shift.called.shape[1], first + PATIENCE)):
-        z = evidence.at(unit, k, int(np.clip(k - first + 4, 4, 12)))
-        sensor, whose, p = classify(z)[0]
-        if p > SURE_NOT and whose == "other" and k - first >= 5:
-            return None
-        if p > SURE and whose != "other" and sensor != "hx":
-            moved = {"moved": float(shift.moved[unit, k, channel]), "sigma": float(z[channel])}
-            return k, {"sensor": sensor, "p": p, "biased": True, "channel": CHANNELS[channel].name, **moved}
-    return None
-
-
-def _mean_z(z: Array) -> Array:
-    """Mean of the flights, in standard deviations of that mean; (channels,), NaN where never measured."""
-    n = (z != 0.0).sum(axis=0)
-    return np.where(n > 0, np.clip(z, -5.0, 5.0).sum(axis=0) / np.sqrt(np.maximum(n, 1)), np.nan)

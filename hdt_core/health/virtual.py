@@ -23,7 +23,9 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
         The key and, each with an `_sd` column of the same unit: `ram_flow_kg_s` (of the clean duct), `ram_outlet_k`,
         `effectiveness`, `ua_w_k`, `ram_flow_loss` (share of the clean duct's flow that the heat balance misses; null
         without a ram outlet probe); and `hx_fouling_flight` (1 less measured over expected conductance, undamped, its
-        unit's offset still in it), `cc_diameter_deficit` (share of the diameter that equation (6) expects).
+        unit's offset still in it), `cc_diameter_deficit` (share of the diameter that equation (6) expects). Cross
+        checks that need the model: `w_hx_in_over_discharge_k`, or `w_hx_in_over_pressure_k` where the discharge
+        temperature is not recorded, and `w_conductance_off_cruise_ln`.
     """
     heat_kg_k_s = pl.col("pack_flow_kg_s") * (pl.col("hx_in_k") - pl.col("hx_out_k"))
     rise_k = heat_kg_k_s / pl.col("ram_flow_kg_s")
@@ -47,4 +49,14 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
         (pl.col("ln_ua_ratio_sd") * ratio).alias("hx_fouling_flight_sd"),
         (1.0 - pl.col("diameter_m") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit"),
         (pl.col("diameter_m_se") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit_sd"),
+        *_cross_checks(),
     ).with_columns(pl.selectors.float().fill_nan(None))
+
+
+def _cross_checks() -> list[pl.Expr]:
+    told = pl.col("efficiency").is_not_null()
+    return [
+        pl.when(told).then("inlet_apart_k").alias("w_hx_in_over_discharge_k"),
+        pl.when(~told).then("inlet_apart_k").alias("w_hx_in_over_pressure_k"),
+        pl.col("door_apart_ln").alias("w_conductance_off_cruise_ln"),
+    ]

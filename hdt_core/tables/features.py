@@ -34,6 +34,11 @@ _VIRTUAL = {
     "hx_fouling_flight": "conductance lost by this flight alone, its unit's offset still in it",
     "cc_diameter_deficit": "share of the diameter expected by equation (6) that is missing in this flight alone",
 }
+_MODELLED = {
+    "hx_in_over_discharge_k": "exchanger inlet above what compressor discharge and ram outlet ask for",
+    "hx_in_over_pressure_k": "the same where the discharge temperature is not recorded, from the pressure ratio",
+    "conductance_off_cruise_ln": "ln of the conductance ratio of climb and descent over that of the cruise",
+}
 _LEVEL = {
     "inlet_minus_tat_k": "compressor inlet less total air temperature",
     "inlet_over_total_pressure_ln": "ln of compressor inlet over total pressure",
@@ -98,6 +103,7 @@ def _columns() -> Iterator[tuple[str, dy.Column]]:
     for name, what in _VIRTUAL.items():
         yield _number(name, what)
         yield f"{name}_sd", _kept(dy.Float64, _unit(name), "standard deviation of it")
+    yield from (_number(f"w_{name}", what) for name, what in _MODELLED.items())
     yield from _of_sensors()
     yield from _of_witnesses()
     yield from _of_life()
@@ -172,18 +178,10 @@ class FeaturesAlerts(Table):
     tail = text("aircraft", nullable=False)
     pack = pack_key()
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
-    diagnosis = text(
-        "HX_FOULING, HX_SUDDEN_CLOG, HX_LOW_MARGIN, CC_DEGRADED, RAM_DOOR_FAULT or SENSOR_FAULT", nullable=False
-    )
+    diagnosis = text("HX_FOULING, HX_SUDDEN_CLOG, CC_DEGRADED, RAM_DOOR_FAULT or SENSOR_FAULT", nullable=False)
     raised_flight_id = text("flight after which it was raised", nullable=False)
     raised_at = moment("departure of that flight")
-    closed_at = moment(
-        "departure of the first flight without it; where none has flown since the work that ended it, when that counts",
-        nullable=True,
-    )
-    severity = text("low, medium or high, after now_flight_id", nullable=False)
-    evidence = text("when raised: what moved, by how much, since when, and which witnesses spoke", nullable=False)
+    closed_at = moment("departure of the flight after which it was closed", nullable=True)
+    severity = text("low, medium or high", nullable=False)
+    evidence = text("what moved, by how much, since when", nullable=False)
     recommended_action = text("what to do", nullable=False)
-    raised_severity = text("low, medium or high when raised", nullable=False)
-    now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
-    evidence_now = text("the same as evidence, after now_flight_id", nullable=False)

@@ -45,9 +45,13 @@ class TwinFlights(DatedLegTable):
     ratio_per_exit_k = number("change of ln_ua_ratio if the outlet sensor reads 1 K more", "1/K")
     ratio_per_ln_flow = number("change of ln_ua_ratio by ln of the flow sensor's reading")
     ratio_per_tat_k = number("change of ln_ua_ratio if the TAT sensor reads 1 K more", "1/K")
+    ratio_per_inlet_k = number("change of ln_ua_ratio if the inlet sensor reads 1 K more", "1/K")
+    ratio_per_door = number("change of ln_ua_ratio by the door sensor's reading")
     flows_apart_ln = number("ln of pack flow over compressor flow, as recorded")
     tat_apart_k = number("TAT above the compressor's inlet temperature, as recorded", "K")
     exit_apart_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
+    inlet_apart_k = number("exchanger inlet above what compressor discharge and both flows ask for", "K")
+    door_apart_ln = number("ln_ua_ratio of climb and descent above that of the cruise")
     cc_n_samples = _samples("cruise samples behind the compressor's estimates")
     diameter_m = number("effective diameter, equation (5)", "m", low=0)
     diameter_m_se = number("scatter of its median", "m", low=0)
@@ -63,15 +67,8 @@ class TwinHealth(DatedLegTable):
     """One health parameter after a flight: flight, pack, parameter."""
 
     component = text("HX or CC", nullable=False)
-    parameter = text(
-        "name; hx_fouling_smoothed looks ahead, by 50 to 100 flights: for looking back, never for deciding",
-        nullable=False,
-        primary_key=True,
-    )
-    value = number(
-        "estimate after this flight, in `unit`, from no later one but for hx_fouling_smoothed; "
-        "losses: 0 as built, larger is worse"
-    )
+    parameter = text("name", nullable=False, primary_key=True)
+    value = number("estimate after this flight, in `unit`; losses: 0 as built, larger is worse")
     sd = number("standard deviation, in `unit`", low=0)
     unit = text("unit", nullable=False)
     status = text("how the estimate ended", nullable=False)

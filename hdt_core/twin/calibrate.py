@@ -24,6 +24,7 @@ from hdt_core.twin.dsm import Dsm, PackDesign, version_of
 from hdt_core.twin.entry import FIRST_FLIGHTS, entry_posterior, fleet_levels
 from hdt_core.twin.flights import design_gradient, estimate_flights
 from hdt_core.twin.hierarchy import fit_exchanger
+from hdt_core.twin.inlet import learn_inlet
 from hdt_core.twin.pooling import Level, levels_of
 from hdt_core.twin.sensors import sensor_prior
 
@@ -119,6 +120,8 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
         n_flights=base["flight_id"].n_unique(),
         cruise_flows_kg_s=_middle_flows(points, fit.mean),
     )
+    ordered = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
+    draft = replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))
     seen = estimate_flights(window, draft)
     model = fleet_levels(seen, maintenance, draft)
     return replace(model, levels=exchanger_levels(seen, model))

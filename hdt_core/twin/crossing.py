@@ -69,7 +69,11 @@ def cruise_samples(samples: pl.DataFrame, *, monitored: bool = True) -> pl.DataF
     The exchanger needs steady ones (`monitored`); the compressor answers at once, and every sample counts.
     """
     wanted = pl.col("phase") == "cruise"
-    cruise = samples.filter(wanted & pl.col("monitored") if monitored else wanted)
+    return complete_air_data(samples.filter(wanted & pl.col("monitored") if monitored else wanted))
+
+
+def complete_air_data(cruise: pl.DataFrame) -> pl.DataFrame:
+    """Samples with all of `RECORDED`, Mach number and total pressure filled from each other where one is missing."""
     absent = [pl.lit(None, dtype=pl.Float64).alias(c) for c in RECORDED if c not in cruise.columns]
     cruise = cruise.with_columns(absent).with_columns(pl.col(c).cast(pl.Float64) for c in RECORDED)
     altitude_m, mach, total_pa = (

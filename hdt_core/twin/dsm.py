@@ -52,6 +52,8 @@ class Dsm:
         Hot and ram flow in the middle of the baseline, where the law is known best.
     levels : tuple of Level
         Conductance of each operator and pack, pooled with the fleet.
+    hot_inlet : tuple
+        Slopes of the hot inlet's law, in the order of `hdt_core.twin.inlet.TERMS`; empty where it is not known.
     """
 
     dsm_version: str
@@ -69,6 +71,7 @@ class Dsm:
     n_flights: int
     cruise_flows_kg_s: tuple[float, float] = (REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S)
     levels: tuple[Level, ...] = ()
+    hot_inlet: tuple[float, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers, lists and strings, ready for JSON."""
@@ -85,8 +88,8 @@ class Dsm:
         values["compressor"] = CompressorFit(**compressor)
         values["packs"] = tuple(PackDesign(**{**p, "bias": tuple(p["bias"])}) for p in values["packs"])
         values["levels"] = tuple(Level(**v) for v in values["levels"])
-        for name in ("exchanger", "gradient", "cruise_flows_kg_s"):
-            values[name] = tuple(values[name])
+        for name in ("exchanger", "gradient", "cruise_flows_kg_s", "hot_inlet"):
+            values[name] = tuple(values.get(name, ()))
         values["exchanger_cov"] = tuple(tuple(row) for row in values["exchanger_cov"])
         return cls(**values)
 

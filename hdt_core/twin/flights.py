@@ -6,17 +6,22 @@ import polars as pl
 from hdt_core.physics.model import Array
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_flights, compressor_samples
-from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, cruise_samples, flights_of
+from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, complete_air_data, cruise_samples, flights_of
 from hdt_core.twin.dsm import Dsm
+from hdt_core.twin.inlet import inlet_above_law
 from hdt_core.twin.sensors import exit_differences
 
 SAMPLE_SD = 0.025
 """Noise of one sample's ln conductance, for flights too short to show their own."""
 HUBER, ROBUST_STEPS = 1.345, 6
+ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
+"""Height from which climb and descent count: ice and slow flight below, and a hot side that has not settled yet."""
 SLOPES = (
     ("ratio_per_exit_k", "hx_out_k", 0.01),
     ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4),
     ("ratio_per_tat_k", "tat_k", 0.01),
+    ("ratio_per_inlet_k", "hx_in_k", 0.01),
+    ("ratio_per_door", "ram_door_open", 1e-4),
 )
 MEDIANS = (*hx.SIGNALS, "ram_out_k")
 
@@ -43,7 +48,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
     exchanger = _exchanger(cruise, dsm)
-    witnesses = _witnesses(cruise)
+    witnesses = _witnesses(samples, cruise, exchanger, dsm)
     flying = cruise_samples(samples, monitored=False)
     machine = compressor_flights(compressor_samples(flying, dsm.pack_table()))
     joined = flights.join(exchanger, on=FLIGHT_PACK, how="left")
@@ -101,17 +106,43 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     ).drop("ln_expected")
 
 
-def _witnesses(cruise: pl.DataFrame) -> pl.DataFrame:
-    """What a second sensor says of exit temperature, pack flow and TAT in each flight: see `hdt_core.twin.witness`."""
+def _witnesses(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """What else speaks of each flight's sensors: see `hdt_core.twin.witness`."""
     seen = cruise.group_by(FLIGHT_PACK).agg(
         (pl.col("pack_flow_kg_s") / pl.col("cc_flow_kg_s")).log().median().alias("flows_apart_ln"),
         (pl.col("tat_k") - pl.col("cc_in_k")).median().alias("tat_apart_k"),
     )
-    return seen.join(exit_differences(cruise).rename({"apart_k": "exit_apart_k"}), on=FLIGHT_PACK, how="left")
+    others = (
+        exit_differences(cruise).rename({"apart_k": "exit_apart_k"}),
+        inlet_above_law(cruise, dsm.hot_inlet, dsm.design, dsm.bias_of(cruise)),
+        _door_apart(samples, exchanger, dsm),
+    )
+    for other in others:
+        seen = seen.join(other, on=FLIGHT_PACK, how="left")
+    return seen
+
+
+def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """ln conductance ratio of climb and descent over that of the cruise: `FLIGHT_PACK`, `door_apart_ln`.
+
+    One exchanger flew both, so its wear drops out; the door stands elsewhere, so an error of its position does not.
+    """
+    moving = samples.filter(
+        pl.col("phase").is_in(["climb", "descent"])
+        & (pl.col("altitude_m") > ALOFT_M)
+        & (pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    )
+    rows = complete_air_data(moving).drop_nulls(list(hx.SIGNALS))
+    signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+    ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
+    there = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
+    found = there.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
+    both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK)
+    return both.select(*FLIGHT_PACK, (pl.col("ratio") - pl.col("ln_ua_ratio")).alias("door_apart_ln"))
 
 
 def _sensitivities(medians: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """What errors of three sensors and of the design do to the ln conductance ratio, at each flight's medians."""
+    """What errors of the sensors and of the design do to the ln conductance ratio, at each flight's medians."""
     signals = {name: medians[name].to_numpy().astype(float) for name in MEDIANS}
     bias = dsm.bias_of(medians)
     here = hx.ln_conductance_ratio(signals, dsm.design, bias)

@@ -12,6 +12,7 @@ from hdt_core.health.episodes import Limits
 from hdt_core.health.features import features
 from hdt_core.health.residuals import SCHEMA as RESIDUALS
 from hdt_core.health.witnesses import witnesses
+from hdt_core.health.wording import explain
 from hdt_core.tables.features import FeaturesAlerts
 
 FLIGHTS = 90
@@ -82,6 +83,9 @@ def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
     assert 0.15 <= raised <= 0.18
     assert out["closed_at"][0] is None
     assert FeaturesAlerts.faults(out) == []
+    text = explain(out.row(0, named=True))
+    assert "sigma" in text
+    assert "ATA 21-52" in text
 
 
 def test_uncertainty_delays_the_call(samples, nothing_done) -> None:
@@ -234,3 +238,71 @@ def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:
         samples.with_columns(resting.alias("ram_door_open"), warm.alias("hx_out_k")), track(samples, {}), nothing_done
     )
     assert "RAM_DOOR_FAULT" not in out["diagnosis"].to_list()
+
+
+def test_a_probe_that_both_packs_record_is_told_of_both(samples, nothing_done) -> None:
+    late = pl.col("time_utc") >= when(samples, 40)
+    drift = 0.1 * (pl.col("time_utc") - when(samples, 40)).dt.total_hours() / 6.0
+    moved = samples.with_columns(pl.when(late).then(pl.col("tat_k") + drift).otherwise(pl.col("tat_k")).alias("tat_k"))
+    out = alerts_of(moved, track(moved, {}), nothing_done)
+    assert out.sort("pack").select("pack", "diagnosis").rows() == [(1, "SENSOR_FAULT"), (2, "SENSOR_FAULT")]
+    assert out["recommended_action"].str.contains("tat_k").all()
+
+
+def test_a_door_stuck_near_its_stop_while_the_outlet_runs_hot_is_jammed(samples, nothing_done) -> None:
+    hit, noise = fault(samples, 2, 50, 60), 0.005 * (pl.int_range(pl.len()) % 3 - 1)
+    stuck = samples.with_columns(
+        pl.when(hit).then(0.13 + noise).otherwise("ram_door_open").alias("ram_door_open"),
+        pl.when(hit).then(pl.col("hx_out_k") + 30.0).otherwise("hx_out_k").alias("hx_out_k"),
+    )
+    out = alerts_of(stuck, track(stuck, {}), nothing_done)
+    assert (2, "RAM_DOOR_FAULT") in out.select("pack", "diagnosis").rows()
+    assert out.filter(diagnosis="RAM_DOOR_FAULT")["raised_at"][0] <= when(samples, 53)
+
+
+@pytest.mark.parametrize(("excess_k", "told"), [(6.0, True), (0.6, False)])
+def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_done, excess_k, told) -> None:
+    wide = samples.with_columns(ram_door_open=3.0 * pl.col("ram_door_open"))
+    reach = 0.8 * wide["ram_door_open"].max()
+    short = fault(wide, 1, 60, 61) & (pl.col("ram_door_open") > reach)
+    held = wide.with_columns(
+        pl.when(short).then(reach).otherwise("ram_door_open").alias("ram_door_open"),
+        pl.when(short).then(pl.col("hx_out_k") + excess_k).otherwise("hx_out_k").alias("hx_out_k"),
+    )
+    out = alerts_of(held, track(held, {}), nothing_done)
+    assert out.select("pack", "diagnosis").rows() == ([(1, "RAM_DOOR_FAULT")] if told else [])
+
+
+@pytest.mark.parametrize(
+    ("shifts", "sensor"),
+    [
+        ({"w_hx_in_over_discharge_k": 2.8, "hx_fouling_flight": -0.03}, "hx_in_k"),
+        ({"w_hx_in_over_discharge_k": -2.8, "hx_fouling_flight": 0.03}, "hx_in_k"),
+        (
+            {"w_hx_in_over_discharge_k": 5.2, "w_conductance_off_cruise_ln": -0.14, "hx_fouling_flight": 0.13},
+            "ram_door_open",
+        ),
+        ({"w_hx_in_over_discharge_k": 2.5, "w_conductance_off_cruise_ln": 0.02, "hx_fouling_flight": 0.15}, None),
+    ],
+    ids=["inlet reads high", "inlet reads low", "door reads high", "a blockage"],
+)
+def test_the_models_cross_checks_tell_inlet_and_door_from_a_blockage(samples, nothing_done, shifts, sensor) -> None:
+    health = track(samples, {1: np.where(np.arange(FLIGHTS) >= 50, 0.12, 0.0)} if sensor is None else {})
+    legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
+    seen = features(health, pl.DataFrame(schema=RESIDUALS), legs, nothing_done, witnesses=witnesses(samples))
+    rng, hit = np.random.default_rng(2), (pl.col("pack") == 1) & (pl.col("departed_at") >= when(samples, 50))
+    noise = {"w_hx_in_over_discharge_k": 0.7, "w_conductance_off_cruise_ln": 0.018, "hx_fouling_flight": 0.016}
+    checks = [
+        (
+            pl.Series(sd * rng.standard_normal(seen.height)) + pl.when(hit).then(shifts.get(name, 0.0)).otherwise(0.0)
+        ).alias(name)
+        for name, sd in noise.items()
+    ]
+    out = raise_alerts(seen.with_columns(checks), health, nothing_done)
+    named = out.filter(diagnosis="SENSOR_FAULT")
+    if sensor is None:
+        assert named.height == 0
+    else:
+        # two sensors may share the blame; the door's signature is its own
+        assert named["pack"].to_list() == [1]
+        assert sensor == "hx_in_k" or sensor in named["recommended_action"][0]

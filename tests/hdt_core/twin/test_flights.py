@@ -115,3 +115,21 @@ def test_the_papers_coefficients_are_told_only_where_the_outlets_allow(flights):
     }
     assert (told["sd"] < 0.3 * told["value"]).all()
     assert rows.filter(pl.col("status") != "ok")["value"].null_count() == rows.height - told.height
+
+
+def test_a_wrong_door_shows_between_cruise_and_climb_and_wear_does_not(fleet, model):
+    climb = (
+        fleet.samples.filter(pl.col("phase") == "cruise")
+        .group_by("operator", "tail", "pack", "flight_id")
+        .head(6)
+        .with_columns(phase=pl.lit("climb"), time_utc=pl.col("time_utc") - pl.duration(hours=3))
+        # less air is asked for lower down: a smaller opening does
+        .with_columns(ram_door_open=0.5 * pl.col("ram_door_open"))
+    )
+    both = pl.concat([fleet.samples, climb.select(fleet.samples.columns)])
+    sound = estimate_flights(both, model)["door_apart_ln"]
+    off = estimate_flights(both.with_columns(pl.col("ram_door_open") + 0.05), model)["door_apart_ln"]
+    worn = estimate_flights(both.with_columns(pl.col("hx_out_k") + 3.0), model)["door_apart_ln"]
+    assert sound.is_not_null().mean() > 0.9
+    assert (off - sound).median() < -0.03
+    assert abs((worn - sound).median()) < 0.5 * abs((off - sound).median())
