@@ -20,14 +20,26 @@ from pipelines.catalog import add_meanings, add_views, connect, tables_read
 
 WITHHELD = "[withheld]"
 _TAILS = ("tail",)
-_FLIGHTS = ("flight_id", "raised_flight_id")
+_FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id")
 _IDENTITIES = ("alert_id", "reference", "msn", "file")
 """Told by a keyed hash: names of parts, papers and files, each of which leads to one aircraft."""
 _VERBATIM = ("detail", "content", "delivered_on")
 """Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was delivered."""
 _OUR_WORDS = (
     *("operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase"),
-    *("phase_code", "reason", "severity", "diagnosis", "action", "finding", "split", "dsm_version", "model_version"),
+    *(
+        "phase_code",
+        "reason",
+        "severity",
+        "raised_severity",
+        "urgency",
+        "diagnosis",
+        "action",
+        "finding",
+        "split",
+        "dsm_version",
+        "model_version",
+    ),
 )
 """Text columns that hold the project's own codes and no name of anything. All others are searched for tails."""
 _BATCH_ROWS = 200_000

@@ -91,7 +91,8 @@ def _apart(cloud: Array, objectives: Array, width: Array) -> Array:
 
 
 def is_bent(problem: Problem, at: Point, variance: float) -> bool:
-    """Whether the objective two standard deviations along the principal axes is not what its curvature foresees."""
+    """Whether the objective two standard deviations along the principal axes is not what its curvature foresees, or a
+    parameter without a prior could lie beyond its bound for all that curvature says."""
     free = np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1])
     normal = at.normal[np.ix_(free, free)]
     size = np.sqrt(np.maximum(normal.diagonal(), np.finfo(float).tiny))
@@ -101,6 +102,11 @@ def is_bent(problem: Problem, at: Point, variance: float) -> bool:
     steps = REACH * np.sqrt(variance) * (vectors / np.sqrt(values)).T / size
     ends = np.tile(at.theta, (2 * free.size, 1))
     ends[:, free] += np.concatenate([steps, -steps])
+    reach = REACH * np.sqrt(variance * np.sum((vectors / size[:, None]) ** 2 / values, axis=1))
+    lower, upper = problem.bounds[free].T
+    beyond = (at.theta[free] - reach < lower) | (at.theta[free] + reach > upper)
+    if (beyond & np.isinf(problem.prior.sd[free])).any():
+        return True
     ends = np.clip(ends, *problem.bounds.T)
     moved = ends - at.theta
     foreseen = 2.0 * moved @ at.gradient + np.einsum("pi,ij,pj->p", moved, at.normal, moved)

@@ -51,7 +51,7 @@ class Estimate:
         parameter's interval open; `not_identifiable`: they leave a direction open that the prior does not close;
         `diverged`: no finite answer, the belief is the prior.
     n_evals : int
-        Passes over the record by the model, derivatives counted as passes.
+        Passes over the record by the model, derivatives counted as passes, until the method stopped.
     identifiability : Identifiability
         What the data alone say.
     path : array (k, n) or None
@@ -66,6 +66,11 @@ class Estimate:
         Profile intervals, where curvature is a doubtful witness of them.
     better : array (n,) or None
         A point of a lower objective than this estimate's, where one is known.
+    n_checks : int
+        Passes spent on questioning the answer: the search for a better optimum, profiles.
+    weak : tuple of str
+        Parameters on which the data set no limit, or that keep most of their declared range: what is reckoned with them
+        away from the conditions recorded is not known.
     innovations : array (k, m) or None
         Of a filter whose states or parameters move, each over its standard deviation.
     """
@@ -80,6 +85,8 @@ class Estimate:
     distance: float = float("nan")
     profile: Profile | None = None
     better: Array | None = None
+    n_checks: int = 0
+    weak: tuple[str, ...] = ()
     innovations: Array | None = None
     problem: Problem | None = field(default=None, repr=False, compare=False)
 
@@ -222,11 +229,13 @@ def conclude(
     return Estimate(
         Belief(theta, own if cov is None else cov),
         status,
-        n_evals + doubt.n_evals,
+        n_evals,
         seen,
+        n_checks=doubt.n_evals,
         distance=float("nan") if own_objective else distance,
         profile=doubt.profile,
         better=doubt.better,
+        weak=doubt.weak,
         problem=problem,
         **more,
     )
@@ -240,6 +249,7 @@ class _Doubt:
     n_evals: int = 0
     profile: Profile | None = None
     better: Array | None = None
+    weak: tuple[str, ...] = ()
 
 
 NO_DOUBT = _Doubt("converged")
@@ -255,20 +265,21 @@ def _questioned(problem: Problem, at: Point, cov: Array, variance: float) -> _Do
             return _Doubt("local_optimum", spent, better=better.theta)
     spent += 2 * at.theta.size
     if not is_bent(problem, at, variance):
-        return _Doubt("weakly_identifiable" if _hardly_narrowed(problem, cov, variance) else "converged", spent)
+        weak = _hardly_narrowed(problem, cov, variance)
+        return _Doubt("weakly_identifiable" if weak else "converged", spent, weak=weak)
     profile = profiled(problem, at, cov, variance)
     status: Status = "weakly_identifiable" if profile.unlimited else "converged"
     if profile.better is not None:
         status = "local_optimum"
-    return _Doubt(status, spent + profile.n_evals, profile, profile.better)
+    return _Doubt(status, spent + profile.n_evals, profile, profile.better, profile.unlimited)
 
 
-def _hardly_narrowed(problem: Problem, cov: Array, variance: float) -> bool:
-    """Whether a parameter without a prior keeps most of its declared range."""
+def _hardly_narrowed(problem: Problem, cov: Array, variance: float) -> tuple[str, ...]:
+    """Parameters without a prior that keep most of their declared range."""
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
     asked = (width > 0.0) & np.isfinite(width) & np.isinf(problem.prior.sd)
-    sd = np.sqrt(np.maximum(cov.diagonal(), 0.0) * variance)
-    return bool((WIDE * sd[asked] > width[asked]).any())
+    wide = asked & (WIDE * np.sqrt(np.maximum(cov.diagonal(), 0.0) * variance) > width)
+    return tuple(name for name, kept in zip(problem.names, wide.tolist(), strict=True) if kept)
 
 
 def _spread(bounds: Array, total: Array) -> tuple[Array, bool]:

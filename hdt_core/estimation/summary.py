@@ -29,7 +29,7 @@ def fit_report(estimate: Estimate) -> str:
         f"    method               = {estimate.method or '-'}",
         f"    status               = {estimate.status}",
         f"    distance to optimum  = {estimate.distance:.2g} standard deviations",
-        f"    model evaluations    = {estimate.n_evals}",
+        f"    model evaluations    = {estimate.n_evals}, and {estimate.n_checks} to question the answer",
         f"    values               = {fit.n_values}",
         f"    free parameters      = {fit.n_free}",
         f"    degrees of freedom   = {fit.degrees}",
@@ -45,6 +45,8 @@ def fit_report(estimate: Estimate) -> str:
         shift = np.abs(estimate.step_error).max(initial=0.0)
         lines.insert(-1, f"    error of the step    = {shift:.2g} standard deviations")
     lines += _parameters(estimate, starts) + _correlations(estimate)
+    if estimate.weak:
+        lines.append(f"[[Left open by the data]]\n    {', '.join(estimate.weak)}")
     if estimate.better is not None:
         point = ", ".join(f"{name} {v:.6g}" for name, v in zip(_names(estimate), estimate.better, strict=True))
         lines.append(f"[[A better optimum]]\n    near {point}")

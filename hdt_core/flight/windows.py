@@ -27,15 +27,16 @@ def flag_windows(legs: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.Dat
     legs : DataFrame
         `operator`, `tail`, `pack`, `departed_at`, `flight_number`.
     maintenance : DataFrame
-        `operator`, `tail`, `done_on` (Date), `pack`, `component`, `action`. Inspections alone change nothing and open
-        no window.
+        `operator`, `tail`, `done_on` (Date), `done_at` where the log gives times of day, `pack`, `component`, `action`.
+        Inspections alone change nothing and open no window.
     messages : DataFrame
         `operator`, `tail`, `message_time`, `pack`, `code`.
     """
+    times = [c for c in ("done_at", "done_on") if c in maintenance.columns]
     worked = maintenance.filter(~pl.col("action").is_in(HARMLESS)).select(
         *TAIL_KEY,
         pl.col("pack").cast(pl.Int32),
-        pl.col("done_on").cast(pl.Datetime("us", "UTC")).alias("at"),
+        pl.coalesce(pl.col(c).cast(pl.Datetime("us", "UTC")) for c in times).alias("at"),
         pl.col("component").alias("kind"),
     )
     warned = messages.select(

@@ -1,7 +1,8 @@
 """A case: a belief about one pack from its first flight to its last, and the limits at which belief becomes a case."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,11 @@ class Limits:
 
 @dataclass(slots=True)
 class Case:
-    """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds."""
+    """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds.
+
+    `facts` are those it was raised with; `at` gives, after any flight, what only its own rule can measure; `ended_at`
+    is when work ended a case that is open after the pack's last flight.
+    """
 
     unit: int
     component: str
@@ -66,6 +71,8 @@ class Case:
     raised: int
     closed: int | None
     facts: dict[str, Any] = field(default_factory=dict)
+    at: Callable[[int], dict[str, Any]] = lambda flight: {}
+    ended_at: datetime | None = None
 
 
 def spells(active: Array, ended: Array) -> Iterator[tuple[int, int, int | None]]:

@@ -68,6 +68,13 @@ class Grid:
         row = int(np.searchsorted(self.unit, unit)) + flight
         return self.rows[name][row]
 
+    def track(self, name: str, unit: int) -> Array:
+        """Column of one unit's flights; NaN where null or absent. (its flights,)"""
+        start, end = np.searchsorted(self.unit, [unit, unit + 1])
+        if name not in self.rows.columns:
+            return np.full(end - start, np.nan)
+        return self.rows[name].slice(int(start), int(end - start)).cast(pl.Float64).to_numpy()
+
     @property
     def flown(self) -> Array:
         """Cells that hold a flight. (units, flights) bool"""

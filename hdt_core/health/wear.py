@@ -1,5 +1,8 @@
 """Wear of exchanger and compressor past its limit, and the sudden clog."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import polars as pl
 from scipy.special import ndtr
@@ -43,12 +46,17 @@ def hx_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick: Array)
     clogged = persistent(jumped & blocked & trusted & ~_repaired(grid, maintenance), 1, 1, 30, ended=ended)
     cases = [_hx(grid, "HX_SUDDEN_CLOG", spell, gained) for spell in spells(clogged, ended)]
     for unit, first, end in spells(fouled, ended):
-        jump = next((c for c in cases if c.unit == unit and 0 <= first - c.raised <= SAME_CLOG), None)
+        jump = next((c for c in cases if c.unit == unit and _led_to(c, first, ended)), None)
         if jump is None:
             cases.append(_hx(grid, "HX_FOULING", (unit, first, end), gained))
         elif jump.closed is not None:
             jump.closed = None if end is None else max(jump.closed, end)
     return cases
+
+
+def _led_to(jump: Case, first: int, ended: Array) -> bool:
+    """Whether a loss past its limit since flight `first` is that of a jump before it, on the same unit."""
+    return 0 <= first - jump.raised <= SAME_CLOG and not ended[jump.unit, jump.raised + 1 : first + 1].any()
 
 
 def _soon(grid: Grid, loss: Array, sd: Array, limits: Limits) -> Array:
@@ -110,21 +118,23 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     by_diameter = (shrunk[:, :, 1] > 0.5) & ~_ever(np.isfinite(loss)) & ~doubtful
     cases = []
     for u, a, b in spells(by_efficiency | by_diameter, ended):
-        facts = {"loss": float(loss[u, a]), "sd": float(sd[u, a]), "shrunk": float(shrunk[u, a, 0]), "since": a}
-        cases.append(Case(u, "CC", "CC_DEGRADED", a, b, facts))
+        cases.append(Case(u, "CC", "CC_DEGRADED", a, b, {"since": a}, _reader("shrunk", shrunk[u, :, 0])))
     return cases
 
 
 def _hx(grid: Grid, diagnosis: str, spell: tuple[int, int, int | None], gained: Array) -> Case:
     unit, first, end = spell
-    names = (
-        "hx_fouling", "hx_fouling_sd", "hx_fouling_slope_30_per_flight", "hx_fouling_step_3", "door_full_open_share",
-    )  # fmt: skip
-    loss = grid.values("hx_fouling")[unit, : first + 1]
-    small = np.nonzero(~(loss > 0.05))[0]
-    facts = {n: float(grid.values(n)[unit, first]) for n in names}
-    began = int(small[-1]) + 1 if small.size else 0
-    return Case(unit, "HX", diagnosis, first, end, facts | {"since": began, "gained": float(gained[unit, first])})
+    small = np.nonzero(~(grid.values("hx_fouling")[unit, : first + 1] > 0.05))[0]
+    facts = {
+        "since": int(small[-1]) + 1 if small.size else 0,
+        "jump": float(grid.values("hx_fouling_step_3")[unit, first]),
+    }
+    return Case(unit, "HX", diagnosis, first, end, facts, _reader("gained", gained[unit]))
+
+
+def _reader(name: str, values: Array) -> Callable[[int], dict[str, Any]]:
+    """Gives a case's own measure after any flight. `values` (flights,)."""
+    return lambda flight: {name: float(values[flight])}
 
 
 def _diameter(grid: Grid, ended: Array) -> Array:

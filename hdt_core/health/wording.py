@@ -1,4 +1,4 @@
-"""A case in words: how bad, what moved and since when, what else it could be, what waiting costs, what to do."""
+"""A case in words: what moved and since when, which witnesses speak for or against it, what waiting costs."""
 
 import math
 from collections.abc import Mapping
@@ -6,157 +6,204 @@ from typing import Any
 
 from scipy.special import ndtr
 
-from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT, Case
-from hdt_core.health.grid import Grid
+from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT
+from hdt_core.health.evidence import AGAINST, NEUTRAL, SUPPORTS, Evidence, Witness
 from hdt_core.tables.raw import Signals
 
-ACTIONS = {
-    "HX_FOULING": "Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
-    "look at ram inlet and core face first",
-    "HX_SUDDEN_CLOG": "Inspect ram air inlet and core face for foreign objects before the next long sector "
-    "(ATA 21-52, detailed visual inspection)",
-    "CC_DEGRADED": "Borescope the cabin air compressor and check its diffuser actuator (ATA 21-51); plan replacement",
-    "RAM_DOOR_FAULT": "Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
-    "SENSOR_FAULT": "Check connector and wiring, then replace the sensor (ATA 21-61)",
-}
+Facts = Mapping[str, Any]
+"""What is known of a case at one moment, by name; NaN where it was not recorded."""
 WORN = 0.05
 """Loss from which a unit counts as worn at all. [-]"""
 PEG_SD_K = 0.33
 """Scatter, over sound flights, of the outlet where the door is widest less the outlet elsewhere. [K]"""
-WITHOUT = "Until it is replaced the pack's health is judged without it, and less surely."
+WITHOUT = "Until it is replaced the pack's health is judged without it, and less surely"
 LEANED_ON = ("hx_out_k", "hx_in_k", "pack_flow_kg_s", "tat_k")
 """Sensors that the fouling estimate stands on."""
+FULL_OPEN_SHARE = 0.05
+"""Share of cruise with the door full open that a sound pack shows on one flight in a hundred. [-]"""
+DOOR_APART, LOSS_APART, RAM_FLOW_LOST = 0.03, 0.05, 0.04
+"""Differences that packs of one aircraft, and a clean duct, do not show by chance: three standard deviations. [-]"""
 
 
-def explain(alert: Mapping[str, Any]) -> str:
-    """One plain paragraph about a row of `alerts`."""
-    side = "left" if alert["pack"] == 1 else "right"
-    state = "still open" if alert["closed_at"] is None else f"closed {alert['closed_at']:%Y-%m-%d}"
-    return (
-        f"{alert['operator']} {alert['tail']}, pack {alert['pack']} ({side}): {alert['diagnosis']}, severity "
-        f"{alert['severity']}, raised after flight {alert['raised_flight_id']} on {alert['raised_at']:%Y-%m-%d}, "
-        f"{state}. {alert['evidence']} To do: {alert['recommended_action']}."
-    )
+def exchanger_severity(facts: Facts) -> str:
+    """High where little is left."""
+    left = flights_left(facts)
+    return "high" if facts["hx_fouling"] > 0.3 or (left is not None and left < 50) else "medium"
 
 
-def severity(case: Case) -> str:
-    """`low`, `medium` or `high`."""
-    facts = case.facts
-    if case.component == "HX":
-        left = flights_left(facts)
-        near = facts["hx_fouling"] > 0.3 or (left is not None and left < 50)
-        return "high" if near or case.diagnosis == "HX_SUDDEN_CLOG" else "medium"
-    if case.component == "SENSOR":
-        return "medium" if facts["sensor"] in LEANED_ON else "low"
-    return "high" if facts.get("kind") == "jam" else "medium"
+def sensor_severity(facts: Facts) -> str:
+    """Medium for a sensor that the health estimate stands on."""
+    return "medium" if facts["sensor"] in LEANED_ON else "low"
 
 
-def flights_left(facts: Mapping[str, Any]) -> float | None:
-    """Straight-line flights to the loss at which packs fail; None where the loss doesn't grow."""
+def door_severity(facts: Facts) -> str:
+    """High where the door can't move at all."""
+    return "high" if facts["kind"] == "jam" else "medium"
+
+
+def flights_left(facts: Facts) -> float | None:
+    """Straight-line flights to the loss at which packs fail, for the severity; None where the loss doesn't grow."""
     slope = facts["hx_fouling_slope_30_per_flight"]
     return max((FAILS_AT - facts["hx_fouling"]) / slope, 0.0) if slope > 1e-5 else None
 
 
-def action(case: Case) -> str:
-    """The maintenance task."""
-    sensor = case.facts.get("sensor")
-    return ACTIONS[case.diagnosis] + (f"; sensor: {_meaning(sensor)} ({sensor})" if sensor else "")
+def sensor_named(facts: Facts) -> str:
+    """The sensor by what it measures, without the paper's number of it."""
+    said = Signals.columns()[facts["sensor"]].metadata or {}
+    return f"; sensor: {str(said['meaning']).partition(' (')[0]} ({facts['sensor']})"
 
 
-def _meaning(sensor: str) -> str:
-    """What a sensor measures, without the paper's number of it."""
-    said = Signals.columns()[sensor].metadata or {}
-    return str(said["meaning"]).partition(" (")[0]
-
-
-def evidence(grid: Grid, case: Case) -> str:
-    """What moved, by how much and since when, what else could explain it, and what waiting costs."""
-    since = str(grid.at("flight_id", case.unit, int(case.facts["since"])))
-    words = {"HX": _exchanger, "CC": _compressor, "RAM_DOOR": _door, "SENSOR": _sensor}
-    return words[case.component](case, since)
-
-
-def _probability(above: float, sd: float) -> str:
-    """Chance that an estimate so far above a limit is truly above it, in words; never a certainty."""
-    p = float(ndtr(above / max(sd, 1e-6)))
+def _probability(p: float) -> str:
+    """In words; never a certainty."""
     return "above 0.99" if p > 0.99 else f"{p:.2f}"
 
 
-def _exchanger(case: Case, since: str) -> str:
-    facts = case.facts
-    loss, sd, left = facts["hx_fouling"], facts["hx_fouling_sd"], flights_left(facts)
-    waiting = (
-        "The trend is flat: waiting costs ram drag only"
-        if left is None
-        else f"At the trend of its last 30 flights it can't hold its temperature in about {left:.0f} flights"
+def _above(value: float, limit: float, sd: float) -> str:
+    """Chance that an estimate above a limit is truly above it, in words."""
+    return _probability(float(ndtr((value - limit) / max(sd, 1e-6))))
+
+
+def exchanger(facts: Facts, since: str) -> Evidence:
+    """Fouling, gradual or sudden."""
+    loss, sd = facts["hx_fouling"], facts["hx_fouling_sd"]
+    slope = facts["hx_fouling_slope_30_per_flight"]
+    moved = (
+        f"UA lost (hx_fouling) {100 * loss:.0f} +- {100 * sd:.0f} %, {loss / max(sd, 1e-6):.0f} sigma; "
+        f"above {100 * WORN:.0f} % since {since}, and with probability {_above(loss, WORN, sd)}"
     )
-    full = facts["door_full_open_share"]
-    door = "door position unknown" if math.isnan(full) else f"ram door full open in {100 * full:.0f} % of cruise"
-    moved = f"above 5 % since {since}"
-    if case.diagnosis == "HX_SUDDEN_CLOG":
-        moved += f", {100 * facts['hx_fouling_step_3']:.0f} points within three flights, which wear doesn't do"
+    if slope > 1e-5:
+        moved += f"; {1000 * slope:.1f} points more every ten flights (trend of 30)"
     if facts["gained"] > loss + 2.0 * sd:
         moved += f"; its last ten flights alone lie {100 * facts['gained']:.0f} % above the best ten of this unit"
-    return (
-        f"Conductance (hx_fouling) is {100 * loss:.1f} +- {100 * sd:.1f} % below the system model, "
-        f"{loss / max(sd, 1e-6):.0f} sigma, {moved}; worn at all (above {100 * WORN:.0f} %) with probability "
-        f"{_probability(loss - WORN, sd)}. Second witness: {door}. Else: a door or outlet sensor at fault, but their "
-        f"checks are quiet; icing would have gone by the next flight. {waiting}."
+    otherwise = "a door or outlet sensor at fault, but their checks are quiet; icing would go by the next flight"
+    waiting = "Waiting costs ram drag and, when the door has no travel left, the message 21-52-HXTEMP"
+    witnesses = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, NEUTRAL))
+    return Evidence(moved, tuple(w for w in witnesses if w), otherwise, waiting)
+
+
+def clog(facts: Facts, since: str) -> Evidence:
+    """A sudden clog: fouling with a jump that wear doesn't make."""
+    said = exchanger(facts, since)
+    step = facts["jump"]
+    moved = f"{said.moved}; {100 * step:.0f} points of it within three flights, which wear doesn't do"
+    witnesses = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, AGAINST))
+    return Evidence(moved, tuple(w for w in witnesses if w), said.otherwise, said.waiting)
+
+
+def _full_open(facts: Facts) -> Witness:
+    """A controller that asks for more ram air than the door can give."""
+    share = facts["door_full_open_share"]
+    if math.isnan(share):
+        return Witness(NEUTRAL, "door position unknown")
+    if share < FULL_OPEN_SHARE:
+        return Witness(
+            NEUTRAL, f"ram door full open in {100 * share:.0f} % of cruise: it can still make up for the loss"
+        )
+    return Witness(SUPPORTS, f"ram door full open in {100 * share:.0f} % of cruise")
+
+
+def _door_beside(facts: Facts) -> Witness | None:
+    """The door of the pack that lost more should stand wider than the other's, on the same flight."""
+    wider, more = facts["door_median_between_packs"], facts["hx_fouling_between_packs"]
+    if math.isnan(wider) or not more > LOSS_APART:
+        return None
+    if abs(wider) <= DOOR_APART:
+        return Witness(NEUTRAL, "ram door about as wide as that of the other pack, which has lost less")
+    if wider > 0.0:
+        return Witness(SUPPORTS, f"ram door {100 * wider:.0f} points wider than that of the other pack")
+    return Witness(
+        AGAINST, f"ram door {-100 * wider:.0f} points narrower than that of the other pack, which has lost less"
     )
 
 
-def _compressor(case: Case, since: str) -> str:
-    facts = case.facts
-    loss, sd = facts["loss"], facts["sd"]
-    waiting = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)."
+def _loss_beside(facts: Facts) -> Witness | None:
+    """What both packs of an aircraft show alike may be something they share."""
+    more = facts["hx_fouling_between_packs"]
+    if math.isnan(more):
+        return None
+    if more > LOSS_APART:
+        return Witness(SUPPORTS, f"the other pack has lost {100 * more:.0f} points less on the same flights")
+    return Witness(NEUTRAL, "the other pack has lost as much: the same dust, or an error both share")
+
+
+def _ram_flow(facts: Facts, otherwise: str) -> Witness | None:
+    """Where the ram outlet is measured: a blockage starves the ram flow, a film does not."""
+    lost = facts["ram_flow_loss"]
+    if math.isnan(lost):
+        return None
+    if lost > RAM_FLOW_LOST:
+        return Witness(SUPPORTS, f"ram flow {100 * lost:.0f} % below a clean duct's, as a blocked core has it")
+    return Witness(otherwise, "ram flow that of a clean duct: no blockage")
+
+
+def compressor(facts: Facts, since: str) -> Evidence:
+    """Efficiency where the exit temperature is recorded, else effective diameter."""
+    loss, sd, shrunk = facts["cc_efficiency_loss"], facts["cc_efficiency_loss_sd"], facts["shrunk"]
+    waiting = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
     if not math.isnan(loss):
-        return (
+        moved = (
             f"Compressor efficiency (cc_efficiency_loss) is {100 * loss:.1f} +- {100 * sd:.1f} % below expectation, "
             f"{loss / max(sd, 1e-6):.0f} sigma, believed since {since}; worn at all (above {100 * WORN:.0f} %) with "
-            f"probability {_probability(loss - WORN, sd)}. Else: a drifting exit temperature sensor. {waiting}"
+            f"probability {_above(loss, WORN, sd)}"
         )
-    return (
-        f"Effective diameter (cc_effective_diameter_m) is {-100 * facts['shrunk']:.1f} % below this unit's own first "
-        f"flights, {-facts['shrunk'] / DIAMETER_SD:.1f} sigma of a flight and summed up beyond doubt (CUSUM), believed "
-        f"since {since}. Else: a drifting speed or pressure sensor, which can't be told apart while the exit "
-        f"temperature is not recorded. {waiting}"
+        return Evidence(moved, _diameter(facts), "a drifting exit temperature sensor", waiting)
+    moved = (
+        f"Effective diameter (cc_effective_diameter_m) is {-100 * shrunk:.1f} % below this unit's own first flights, "
+        f"{-shrunk / DIAMETER_SD:.1f} sigma of a flight and summed up beyond doubt (CUSUM), believed since {since}"
     )
+    witness = Witness(NEUTRAL, "no efficiency to compare with: the exit temperature is not recorded")
+    return Evidence(moved, (witness,), "a drifting speed or pressure sensor", waiting)
 
 
-def _door(case: Case, since: str) -> str:
-    facts = case.facts
+def _diameter(facts: Facts) -> tuple[Witness, ...]:
+    """Equation (5) takes the root of efficiency: a worn compressor's effective diameter shrinks by half of its loss."""
+    lost, efficiency = facts["cc_diameter_loss"], facts["cc_efficiency_loss"]
+    if math.isnan(lost):
+        return ()
+    role = SUPPORTS if lost > 0.25 * efficiency else NEUTRAL if lost > -DIAMETER_SD else AGAINST
+    return (Witness(role, f"effective diameter lost (cc_diameter_loss) {100 * lost:.1f} %"),)
+
+
+def door(facts: Facts, since: str) -> Evidence:
+    """A jam, or travel that ends too soon."""
     stop = f"{100 * facts['stop']:.0f} %"
     if facts["kind"] == "jam":
-        return (
+        return Evidence(
             f"The ram door (ram_door_open) stays at {stop} from climb to descent since {since} while its controller's "
-            "need changes: less than 7 sigma of its sensor's noise, on two of three flights. Else: a frozen sensor, "
-            "which would not flicker. Until repaired the outlet runs warm or cold, and the door can't make up for "
-            "fouling."
+            "need changes: less than 7 sigma of its sensor's noise, on two of three flights",
+            (Witness(SUPPORTS, "its reading flickers, which that of a frozen sensor would not"),),
+            "a frozen sensor",
+            "Until repaired the outlet runs warm or cold, and the door can't make up for fouling",
         )
-    return (
+    excess_k = facts["excess_k"]
+    return Evidence(
         f"The ram door (ram_door_open) goes no further than {stop}: since {since} the outlet ran up to "
-        f"{facts['excess_k']:.1f} K ({facts['excess_k'] / PEG_SD_K:.0f} sigma of a sound flight) above its target "
-        "there, and on target below. Else: a fouled exchanger, which would open the door fully first. Waiting costs "
-        "temperature control on hot days."
+        f"{excess_k:.1f} K ({excess_k / PEG_SD_K:.0f} sigma of a sound flight) above its target there",
+        (Witness(SUPPORTS, "the outlet was on target wherever the door was not at that stop"),),
+        "a fouled exchanger, which would open the door fully first",
+        "Waiting costs temperature control on hot days",
     )
 
 
-def _sensor(case: Case, since: str) -> str:
-    facts = case.facts
+def sensor(facts: Facts, since: str) -> Evidence:
+    """Silent, frozen, or gone from what physics ties it to."""
+    name = facts["sensor"]
     if facts["kind"] == "dropout":
-        share = f"{100 * facts['share']:.0f} %"
-        return (
-            f"{facts['sensor']} is empty in {share} of its readings since {since}, on two of three flights; a sound "
-            f"sensor loses about 1 %. Else: a loose connector or the recorder's bus. {WITHOUT}"
+        moved = (
+            f"{name} is empty in {100 * facts['share']:.0f} % of its readings since {since}, on two of three flights; "
+            "a sound sensor loses about 1 %"
         )
+        return Evidence(moved, (), "a loose connector or the recorder's bus", WITHOUT)
     if facts["kind"] == "frozen":
-        return (
-            f"{facts['sensor']} shows one value, or none that can be true, from climb to descent since {since}, though "
-            f"what it measures moves, on two of three flights. Else: its converter or the recorder's bus. {WITHOUT}"
+        moved = (
+            f"{name} shows one value, or none that can be true, from climb to descent since {since}, though what it "
+            "measures moves, on two of three flights"
         )
-    return (
-        f"{facts['sensor']} left what physics ties it to: {facts['channel']} moved by {facts['moved']:.3g} "
-        f"({facts['sigma']:.1f} sigma of the mean) since {since}, and the pattern over all cross checks fits this "
-        f"sensor with probability {facts['p']:.2f}. Else: another sensor of the same checks; wear leaves them alone. "
-        f"{WITHOUT}"
+        return Evidence(moved, (), "its converter or the recorder's bus", WITHOUT)
+    moved = (
+        f"{name} left what physics ties it to: {facts['channel']} moved by {facts['moved']:.3g} "
+        f"({facts['sigma']:.1f} sigma of the mean) since {since}"
     )
+    fits = f"the pattern over all cross checks fits this sensor with probability {_probability(facts['p'])}"
+    witness = Witness(SUPPORTS, fits)
+    return Evidence(moved, (witness,), "another sensor of the same checks; wear leaves them alone", WITHOUT)

@@ -178,10 +178,18 @@ class FeaturesAlerts(Table):
     tail = text("aircraft", nullable=False)
     pack = pack_key()
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
-    diagnosis = text("HX_FOULING, HX_SUDDEN_CLOG, CC_DEGRADED, RAM_DOOR_FAULT or SENSOR_FAULT", nullable=False)
+    diagnosis = text(
+        "HX_FOULING, HX_SUDDEN_CLOG, HX_LOW_MARGIN, CC_DEGRADED, RAM_DOOR_FAULT or SENSOR_FAULT", nullable=False
+    )
     raised_flight_id = text("flight after which it was raised", nullable=False)
     raised_at = moment("departure of that flight")
-    closed_at = moment("departure of the flight after which it was closed", nullable=True)
-    severity = text("low, medium or high", nullable=False)
-    evidence = text("what moved, by how much, since when", nullable=False)
+    closed_at = moment(
+        "departure of the first flight without it; where none has flown since the work that ended it, when that counts",
+        nullable=True,
+    )
+    severity = text("low, medium or high, after now_flight_id", nullable=False)
+    evidence = text("when raised: what moved, by how much, since when, and which witnesses spoke", nullable=False)
     recommended_action = text("what to do", nullable=False)
+    raised_severity = text("low, medium or high when raised", nullable=False)
+    now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
+    evidence_now = text("the same as evidence, after now_flight_id", nullable=False)

@@ -67,8 +67,15 @@ class TwinHealth(DatedLegTable):
     """One health parameter after a flight: flight, pack, parameter."""
 
     component = text("HX or CC", nullable=False)
-    parameter = text("name", nullable=False, primary_key=True)
-    value = number("estimate after this flight, in `unit`; losses: 0 as built, larger is worse")
+    parameter = text(
+        "name; hx_fouling_smoothed looks ahead, by 50 to 100 flights: for looking back, never for deciding",
+        nullable=False,
+        primary_key=True,
+    )
+    value = number(
+        "estimate after this flight, in `unit`, from no later one but for hx_fouling_smoothed; "
+        "losses: 0 as built, larger is worse"
+    )
     sd = number("standard deviation, in `unit`", low=0)
     unit = text("unit", nullable=False)
     status = text("how the estimate ended", nullable=False)

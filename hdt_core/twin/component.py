@@ -34,6 +34,8 @@ def calibrate_component(
     -------
     PhysicsModel, Estimate
         The digital system model: the same declaration with what was found as its nominal values; and how it was found.
+        Its status is `weakly_identifiable` where the nominal samples leave a design parameter open, which
+        `Estimate.weak` names: health told at other flows or temperatures than theirs then rests on a guess.
 
     Raises
     ------

@@ -67,22 +67,28 @@ def query(sql: Annotated[str, typer.Argument(help="A select over the catalog's v
 
 @app.command()
 def explain(
-    alert: Annotated[str, typer.Argument(help="An alert's id, or the start of it; a tail for its latest alert.")],
+    asked: Annotated[
+        list[str],
+        typer.Argument(metavar="PACK", help="TAIL for its most urgent pack, TAIL PACK or TAIL/PACK, or an alert's id."),
+    ],
     home: HomeDir = None,
 ) -> None:
-    """One alert in a paragraph, with its numbers.
+    """One pack or one alert in words: when it was raised, and now.
 
-    What moved, by how much, since when, what else it could be, what to do.
+    What moved, by how much, since when, which witnesses speak for or against it, what else it could be, what to do.
     """
-    from pipelines.explain import explain_alert
+    from pipelines.explain import explain as told_of
 
-    where = home_folder(home)
-    told = explain_alert(where, alert)
+    where, named = home_folder(home), " ".join(asked)
+    try:
+        told = told_of(where, named)
+    except ValueError as error:
+        raise StopError(str(error)) from None
     if told is None:
         raise StopError(
-            f'no alert {alert}; `hdt query --home {where} "select alert_id, tail, diagnosis from alerts"` lists them'
+            f'no pack or alert {named}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'
         )
-    out.print(told, markup=False)
+    out.print(told, markup=False, soft_wrap=True)
 
 
 @app.command()

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import polars as pl
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -167,19 +168,18 @@ def _say(home: Path, night: Any, seconds: float) -> None:
 
 
 def _ranking(home: Path) -> None:
-    """The packs most in need of attention, as the engineer reads them."""
+    """The packs most in need of attention, as the engineer reads them; in the words and the order of the report."""
     from pipelines.catalog import connect
+    from pipelines.report import words
 
     with connect(home) as con:
-        rows = con.execute(
-            "select operator, tail, pack, hx_fouling, hx_fouling_sd, rul_flights, rul_low, rul_high, p_event_50,"
-            " diagnoses from fleet_ranking order by place limit 10"
-        ).fetchall()
-    table = Table(title="Packs most in need of attention")
-    for name in ("pack", "UA lost", "flights left (90 %)", "message in 50", "open alerts"):
-        table.add_column(name, justify="right" if name in {"UA lost", "message in 50"} else "left")
-    for operator, tail, pack, loss, sd, rul, low, high, p50, diagnoses in rows:
-        lost = "-" if loss is None else f"{100 * loss:.0f} ± {100 * (sd or 0):.0f} %"
-        left = "-" if rul is None else f"{rul:.0f} ({low:.0f} to {high:.0f})" if low is not None else f"{rul:.0f}"
-        table.add_row(f"{operator} {tail} {pack}", lost, left, "-" if p50 is None else f"{p50:.0%}", diagnoses or "")
+        rows = con.sql("select * from fleet_ranking order by place limit 10").pl().to_dicts()
+    table = Table(title="Packs most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
+    for name in ("pack", "urgency", "UA lost", "flights left\n(90 %)", "message\nin 50", "open alerts"):
+        right = name.startswith(("UA", "message"))
+        table.add_column(name, justify="right" if right else "left", no_wrap=name != "open alerts")
+    for r in rows:
+        name, urgency = f"{r['operator']} {r['tail']} {r['pack']}", words.URGENCY[r["urgency"]]
+        outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
+        table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
     out.print(table)

@@ -1,10 +1,12 @@
 """Who needs attention, in order, and why."""
 
+import re
 from datetime import timedelta
 from typing import Any
 
 import polars as pl
 
+from hdt_core.health.evidence import ROLES
 from pipelines.report import words
 from pipelines.report.facts import Facts
 from pipelines.report.html import Html, anchor, join, tag
@@ -58,13 +60,11 @@ def _ranked(r: dict[str, Any]) -> list[Cell]:
 
 
 def alerts(facts: Facts) -> Html:
-    """Open alerts in full; those closed lately in a line each, folded away until they are asked for."""
+    """Open alerts in full, in the ranking's order; those closed lately in a line each, folded away."""
     rows = facts["alerts"]
     if not rows.height:
         return tag("p", "No alert has been raised.", class_="empty")
-    order = {"high": 0, "medium": 1, "low": 2}
     opened = rows.filter(pl.col("closed_at").is_null()).to_dicts()
-    opened.sort(key=lambda a: (order.get(a["severity"], 3), -a["raised_at"].timestamp()))
     cards = [_alert(a) for a in opened] or [tag("p", "No alert is open.", class_="empty")]
     return join(*cards, _closed(facts, rows.filter(pl.col("closed_at").is_not_null())))
 
@@ -80,7 +80,7 @@ def _closed(facts: Facts, rows: pl.DataFrame) -> Html | None:
             words.day(a["closed_at"]),
             words.pack_name(a),
             words.diagnosis(a["diagnosis"]),
-            a["severity"],
+            a["raised_severity"],
             words.tidy(a["evidence"]),
         )
         for a in late.to_dicts()
@@ -90,7 +90,7 @@ def _closed(facts: Facts, rows: pl.DataFrame) -> Html | None:
         "details",
         tag("summary", f"{words.count(late.height, 'alert')} closed in the last {CLOSED_DAYS} days"),
         table(
-            ("Raised", "Closed", "Pack", "What", "Severity", "Evidence"),
+            ("Raised", "Closed", "Pack", "What", "Severity when raised", "Evidence when raised"),
             body,
             finds=[words.found_by(a, a["diagnosis"]) for a in late.to_dicts()],
         ),
@@ -101,14 +101,45 @@ def _closed(facts: Facts, rows: pl.DataFrame) -> Html | None:
 
 
 def _alert(a: dict[str, Any]) -> Html:
-    severity = tag("span", a["severity"], class_=f"tag {a['severity']}")
-    raised = f"raised after {a['raised_flight_id']}, {words.clock(a['raised_at'])}"
+    urgency = tag("span", words.URGENCY[a["urgency"]], class_=f"tag {a['urgency']}")
     return tag(
         "article",
-        tag("h3", words.pack_name(a), ": ", words.diagnosis(a["diagnosis"]), " ", severity),
+        tag("h3", words.pack_name(a), ": ", words.diagnosis(a["diagnosis"]), " ", urgency),
         tag("p", tag("b", "To do: "), words.tidy(a["recommended_action"])),
-        tag("p", tag("b", "Why: "), words.tidy(a["evidence"])),
-        tag("p", f"{a['operator']}, {raised}; case {a['alert_id']}.", class_="small"),
+        _then_and_now(a),
+        *_reasons(a),
+        tag("p", f"{a['operator']}, case {a['alert_id']}.", class_="small"),
         class_="card alert",
         data_find=words.found_by(a, a["diagnosis"]),
     )
+
+
+def _then_and_now(a: dict[str, Any]) -> Html:
+    """The same numbers when raised and now, one above the other."""
+    moments = (("When raised", "raised"), ("Now", "now"))
+    names = [name for name, _ in words.alert_state(a, "now")]
+    rows = [
+        plain(label, words.clock(a[at]), a[flight], *(v for _, v in words.alert_state(a, moment)), a[severity])
+        for (label, moment), at, flight, severity in zip(
+            moments,
+            ("raised_at", "now_departed_at"),
+            ("raised_flight_id", "now_flight_id"),
+            ("raised_severity", "severity"),
+            strict=True,
+        )
+    ]
+    return table(("", "Departure", "After flight", *names, "Severity"), rows)
+
+
+def _reasons(a: dict[str, Any]) -> list[Html]:
+    """Why it stands now and, folded away, why it was raised; once where nothing has been measured since."""
+    now = tag("p", tag("b", "Why: "), _marked(a["evidence_now"]))
+    if a["evidence"] == a["evidence_now"]:
+        return [now]
+    return [now, tag("details", tag("summary", "Why it was raised"), tag("p", _marked(words.finding(a["evidence"]))))]
+
+
+def _marked(evidence: str) -> Html:
+    """Evidence with the role of its witnesses to be seen at a glance."""
+    parts = re.split(rf"\b((?:{'|'.join((*ROLES, 'Else'))}):)", words.tidy(evidence))
+    return join(*(tag("b", part) if i % 2 else part for i, part in enumerate(parts)))

@@ -20,7 +20,9 @@ _FRAMES = {
             value is not null and parameter in ('hx_fouling', 'cc_efficiency_loss')
             and departed_at >= (select max(departed_at) from flights) - interval 400 days
         order by departed_at, flight_id""",
-    "alerts": "select * from alerts order by closed_at is not null, raised_at desc, alert_id",
+    "alerts": """
+        select s.*, o.place from alert_states as s left join open_alerts as o on s.alert_id = o.alert_id
+        order by s.closed_at is not null, o.place, s.raised_at desc, s.alert_id""",
     "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
     "messages": "select * from tables.raw_messages order by message_time, code",
     "design": "select * from design_parameters order by scope, component, parameter, operator, tail, pack",

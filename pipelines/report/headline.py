@@ -51,12 +51,10 @@ def _summary(act: list[dict[str, Any]], plan: list[dict[str, Any]], n: int) -> s
 def _item(facts: Facts, row: dict[str, Any]) -> Html:
     key = row["operator"], row["tail"], row["pack"]
     alerts = [a for a in facts.of_pack("alerts", *key).to_dicts() if a["closed_at"] is None]
-    order = {"high": 0, "medium": 1, "low": 2}
-    alerts.sort(key=lambda a: (order.get(a["severity"], 3), a["raised_at"]))
     name = tag("a", words.pack_name(row), href=f"#{anchor('pack', *key)}")
     if not alerts:
         return tag("li", tag("b", name), f": no alert, but {_outlook(row)}. Look at its track.")
-    wears = any(a["component"] in {"HX", "CC"} for a in alerts)
+    wears = any(a["component"] in words.WEARS for a in alerts)
     found = "; ".join(f"{words.diagnosis(a['diagnosis'])} since {words.day(a['raised_at'])}" for a in alerts)
     todo = [words.tidy(a["recommended_action"]).rstrip(".") for a in alerts]
     return tag(

@@ -5,19 +5,15 @@ from typing import Any
 
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
+from hdt_core.health.diagnoses import DIAGNOSES
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
-DIAGNOSES = {
-    "HX_FOULING": "heat exchanger fouling",
-    "HX_SUDDEN_CLOG": "heat exchanger clogged suddenly",
-    "CC_DEGRADED": "compressor worn",
-    "RAM_DOOR_FAULT": "ram air door fault",
-    "SENSOR_FAULT": "sensor fault",
-}
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
 PARTS = {"HX": "heat exchanger", "CC": "compressor", "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 SIDES = {1: "left", 2: "right"}
+WEARS = {"HX": ("UA lost", 0), "CC": ("Efficiency lost", 1)}
+"""Components that wear: what they lose, and the digits that its percentage is told with."""
 
 
 def pack_name(row: Row) -> str:
@@ -47,10 +43,30 @@ def chance(value: float | None) -> str:
 
 def loss(row: Row) -> str:
     """Conductance lost, with its standard deviation."""
-    if row["hx_fouling"] is None:
+    return with_sd(row["hx_fouling"], row["hx_fouling_sd"])
+
+
+def with_sd(value: float | None, sd: float | None, digits: int = 0) -> str:
+    """A share in percent with its standard deviation: `34 ± 1 %`."""
+    if value is None:
         return "not known"
-    sd = row["hx_fouling_sd"]
-    return percent(row["hx_fouling"]) + (f" ± {100 * sd:.0f}" if sd is not None else "")
+    return percent(value, digits) if sd is None else f"{percent(value, digits)[:-2]} ± {100 * sd:.{digits}f} %"
+
+
+def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
+    """What an alert's component had lost, and what was expected of it, at `raised` or `now`: name and value.
+
+    Nothing for doors and sensors, which lose nothing that is measured.
+    """
+    if alert["component"] not in WEARS:
+        return []
+    lost, digits = WEARS[alert["component"]]
+    outlook = {k: alert[f"{moment}_{k}"] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50")}
+    return [
+        (lost, with_sd(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
+        ("Flights left (90 %)", flights_left(outlook)),
+        ("Message in 50 flights", chance(outlook["p_event_50"])),
+    ]
 
 
 def flights_left(row: Row) -> str:
@@ -67,7 +83,7 @@ def flights_left(row: Row) -> str:
 
 def diagnosis(code: str) -> str:
     """A diagnosis code, or several with commas between, in words."""
-    return ", ".join(DIAGNOSES.get(c.strip(), c.strip()) for c in code.split(","))
+    return ", ".join(DIAGNOSES[c].name if c in DIAGNOSES else c for c in map(str.strip, code.split(",")))
 
 
 def day(value: Any) -> str:
@@ -88,3 +104,8 @@ def count(n: int, noun: str) -> str:
 def tidy(sentence: str) -> str:
     """Evidence as typed by a program, with the signs a reader expects."""
     return sentence.replace("+-", "±")
+
+
+def finding(evidence: str) -> str:
+    """Evidence up to its witnesses: for where alternatives and cost are told beside it already."""
+    return tidy(evidence).partition(" Else:")[0]

@@ -15,7 +15,9 @@ where
     f.flight_id is null
     or a.raised_at <> f.departed_at
     or a.closed_at < a.raised_at
-    or a.diagnosis not in ('HX_FOULING', 'HX_SUDDEN_CLOG', 'CC_DEGRADED', 'RAM_DOOR_FAULT', 'SENSOR_FAULT')
+    or a.diagnosis not in (
+        'HX_FOULING', 'HX_SUDDEN_CLOG', 'HX_LOW_MARGIN', 'CC_DEGRADED', 'RAM_DOOR_FAULT', 'SENSOR_FAULT'
+    )
     or a.severity not in ('low', 'medium', 'high')
     or coalesce(a.evidence, '') = ''
     or coalesce(a.recommended_action, '') = '';

@@ -1,9 +1,9 @@
 -- Which packs are most in need of attention tonight?
--- urgency: act (a high alert is open, or an event within 50 flights is more likely than not), plan (an alert is open,
--- or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
+-- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
+-- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
--- diagnoses: diagnoses of the open alerts
+-- diagnoses: diagnoses of the open alerts, the most urgent first
 -- raised_at: when the oldest of them was raised
 -- last_flight_id: last flight of the pack
 -- last_departed_at: its departure
@@ -12,7 +12,7 @@
 -- cc_rul_flights: flights left of the compressor [flights]
 -- cc_p_event_50: probability of a compressor event within the next 50 flights [-]
 -- place: 1 is the most urgent
--- Grain: pack. Reads: health_parameters, prognoses, alerts.
+-- Grain: pack. Reads: health_parameters, prognoses, alert_states.
 create or replace view fleet_ranking as
 with latest as (
     select
@@ -44,16 +44,29 @@ outlook as (
     group by operator, tail, pack
 ),
 
-open_alerts as (
+diagnosed as (
     select
         operator,
         tail,
         pack,
-        string_agg(distinct diagnosis, ', ' order by diagnosis) as diagnoses,
+        diagnosis,
+        min(place_in_pack) as first_place,
         min(raised_at) as raised_at,
-        bool_or(severity = 'high') as any_high
-    from alerts
+        bool_or(urgency = 'act') as any_act
+    from alert_states
     where closed_at is null
+    group by operator, tail, pack, diagnosis
+),
+
+alerted as (
+    select
+        operator,
+        tail,
+        pack,
+        string_agg(diagnosis, ', ' order by first_place) as diagnoses,
+        min(raised_at) as raised_at,
+        bool_or(any_act) as any_act
+    from diagnosed
     group by operator, tail, pack
 ),
 
@@ -77,17 +90,17 @@ judged as (
         o.cc_rul_flights,
         o.cc_p_event_50,
         greatest(coalesce(o.p_event_50, 0), coalesce(o.cc_p_event_50, 0)) as p_event,
-        coalesce(a.any_high, false) as any_high
+        coalesce(a.any_act, false) as any_act
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
-    left join open_alerts as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
+    left join alerted as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
 ),
 
 urgent as (
     select
         *,
         case
-            when any_high or p_event >= 0.5 then 'act'
+            when any_act or p_event >= 0.5 then 'act'
             when diagnoses is not null or p_event >= 0.1 then 'plan'
             when hx_fouling is null then 'unknown'
             else 'none'

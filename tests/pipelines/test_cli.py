@@ -100,13 +100,16 @@ def test_status_counts_what_waits(own_home):
 
 def test_an_alert_is_explained_with_its_evidence_and_what_to_do(sample_home):
     from pipelines.catalog import connect
+    from pipelines.report.words import finding, tidy
 
+    columns = "alert_id, evidence, evidence_now, recommended_action"
     with connect(sample_home) as con:
-        found = con.execute("select alert_id, evidence, recommended_action from alerts limit 1").fetchone()
+        found = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
     assert found is not None
     said = " ".join(hdt("explain", found[0][:8], "--home", str(sample_home)).stdout.split())
-    assert " ".join(found[1].split()) in said
-    assert " ".join(found[2].split()) in said
+    assert finding(found[1]) in said
+    assert tidy(found[2]) in said
+    assert found[3] in said
     none = hdt("explain", "nosuchalert", "--home", str(sample_home))
     assert none.returncode == 2
     assert "lists them" in none.stderr

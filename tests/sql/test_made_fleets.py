@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 from answers import CHECKS, rows
 
+from hdt_core.records.unit_index import UTC, date_entries, number_units
 from hdt_core.tables import TABLES
 from pipelines.catalog import ordered, views
 
@@ -126,6 +127,19 @@ def test_lives_and_their_slopes():
     assert [f[:4] for f in found] == [("T-1", 0, 40, day), ("T-1", 1, 40, None), ("T-2", 0, 40, None)]
     assert [f[4] for f in found] == pytest.approx([0.2, 0.4, 0.1])
     assert rows(con, "select tail, unit, round(above_fleet, 9) from fouling_fast") == [("T-1", 1, 0.2)]
+
+
+@pytest.mark.parametrize(("hour", "unit"), [(None, 0), (5, 1), (7, 0)])
+def test_views_give_the_day_of_a_replacement_to_the_unit_that_the_core_gives_it_to(hour, unit):
+    """Flight 40 left at six on the day of the log; a day counts from its end, a time from itself."""
+    at = None if hour is None else START.replace(hour=hour) + dt.timedelta(days=40)
+    log = pl.DataFrame([replaced(40) | {"counts_from": at}], schema_overrides={"pack": pl.Int32, "counts_from": UTC})
+    flown = [fouling(n, 0.01) for n in range(80)]
+    con = catalog(twin_health=flown, raw_maintenance=date_entries(log).to_dicts())
+    lives = rows(con, "select unit, n_flights from exchanger_lives order by unit")
+    assert lives == [(0, 41 - unit), (1, 39 + unit)]
+    flights = pl.DataFrame(flown).drop("unit").cast({"pack": pl.Int32, "departed_at": UTC})
+    assert number_units(flights, log)["unit"].value_counts().sort("unit").rows() == lives
 
 
 def test_work_is_compared_before_and_after():

@@ -45,6 +45,14 @@ def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component
     assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
 
 
+def test_a_time_of_day_opens_the_window_at_that_time():
+    """The flight of six o'clock had left when the work was done at noon."""
+    noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
+    flagged = flag_windows(legs(), noon, NO_MESSAGE).filter("near_maintenance")
+    before, after = AROUND_MAINTENANCE["HX"]
+    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+
+
 @pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
 def test_inspection_and_wash_open_no_window(action):
     assert not flag_windows(legs(), worked("HX", action), NO_MESSAGE)["near_maintenance"].any()

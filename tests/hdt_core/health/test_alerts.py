@@ -12,7 +12,6 @@ from hdt_core.health.episodes import Limits
 from hdt_core.health.features import features
 from hdt_core.health.residuals import SCHEMA as RESIDUALS
 from hdt_core.health.witnesses import witnesses
-from hdt_core.health.wording import explain
 from hdt_core.tables.features import FeaturesAlerts
 
 FLIGHTS = 90
@@ -83,9 +82,6 @@ def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
     assert 0.15 <= raised <= 0.18
     assert out["closed_at"][0] is None
     assert FeaturesAlerts.faults(out) == []
-    text = explain(out.row(0, named=True))
-    assert "sigma" in text
-    assert "ATA 21-52" in text
 
 
 def test_uncertainty_delays_the_call(samples, nothing_done) -> None:

@@ -100,6 +100,19 @@ def test_samples_that_determine_no_design_are_said_to():
         calibrate_component(HEAT_EXCHANGER, still.with_columns(held))
 
 
+def test_a_design_that_nominal_samples_leave_open_is_named():
+    narrow = flown(0.0).filter(pl.col("flight_id") < "T-00_010")
+    middle = {s: narrow[s].mean() for s in ("hot_flow_kg_s", "ram_flow_kg_s")}
+    calm = narrow.with_columns(*(((pl.col(s) - m) * 0.02 + m).alias(s) for s, m in middle.items()))
+    outlets = HEAT_EXCHANGER.predict({}, {s.name: calm[s.name].to_numpy() for s in HEAT_EXCHANGER.inputs})
+    rng = np.random.default_rng(0)
+    noisy = [pl.Series(name, v + 0.5 * rng.standard_normal(v.size)) for name, v in outlets.items()]
+    _, found = calibrate_component(HEAT_EXCHANGER, calm.with_columns(noisy))
+    assert found.status == "weakly_identifiable"
+    assert {"hx_exponent_hot", "hx_hot_share"} & set(found.weak)
+    assert "Left open by the data" in found.summary()
+
+
 def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
     with pytest.raises(ValueError, match="heat_exchanger: the samples hold no column of hot_out_k, ram_out_k"):
         flight_by_flight(samples.drop("hot_out_k", "ram_out_k"), BUILT, ["hx_fouling"])

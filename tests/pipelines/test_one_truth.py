@@ -1,0 +1,170 @@
+"""Night, headline, ranking, cards and `explain` say one thing of an alert: one order, one badge, then and now apart."""
+
+import datetime as dt
+import re
+from pathlib import Path
+
+import polars as pl
+import pytest
+from typer.testing import CliRunner
+
+from pipelines.catalog import connect, publish
+from pipelines.cli import app
+from pipelines.cli.night import _ranking
+from pipelines.explain import explain
+from pipelines.report.facts import read_facts
+from pipelines.report.page import page
+from pipelines.report.words import URGENCY
+from pipelines.store import FLEET, Store
+
+START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
+THEN, NOW = 10, 40
+LOSSES = {("T-1", 1): (0.16, 0.34), ("T-1", 2): (0.02, 0.04), ("T-2", 1): (0.17, 0.21), ("T-2", 2): (0.01, 0.02)}
+CHANCES = {("T-1", 1): (0.03, 0.88), ("T-1", 2): (0.0, 0.0), ("T-2", 1): (0.04, 0.2), ("T-2", 2): (0.0, 0.0)}
+ALERTS = (
+    ("aaaa1111", "T-1", 1, "HX", "HX_FOULING", "medium", "high", None),
+    ("aaaa2222", "T-2", 1, "SENSOR", "SENSOR_FAULT", "low", "low", None),
+    ("bbbb1111", "T-2", 1, "HX", "HX_FOULING", "medium", "medium", None),
+    ("bbbb2222", "T-2", 2, "RAM_DOOR", "RAM_DOOR_FAULT", "high", "high", None),
+    ("cccc1111", "T-1", 2, "SENSOR", "SENSOR_FAULT", "low", "low", 20),
+)
+
+
+def flight(tail: str, n: int) -> dict:
+    at = START + dt.timedelta(days=n)
+    return {"operator": "AAA", "tail": tail, "flight_id": f"{tail}_{at:%Y%m%d}_01", "departed_at": at}
+
+
+def tables(tail: str) -> dict[str, list[dict]]:
+    """What is stored of one aircraft: two flights that count, the one that raised its alerts and its last."""
+    health, prognoses, alerts = [], [], []
+    for (own, pack), loss in LOSSES.items():
+        for n, value, p in zip((THEN, NOW), loss, CHANCES[own, pack], strict=True):
+            said = flight(tail, n) | {"pack": pack, "component": "HX"}
+            health.append(said | {"parameter": "hx_fouling", "value": value, "sd": 0.01, "unit": "-", "status": "ok"})
+            left = {"rul_flights": 200 * (1 - p), "rul_low": 100 * (1 - p), "rul_high": 300 * (1 - p)}
+            prognoses.append(said | left | {"p_event_50": p, "model_version": "m", "split": "live"})
+        if own != tail:
+            del health[-2:], prognoses[-2:]
+    for name, own, pack, component, diagnosis, then, now, closed in ALERTS:
+        if own == tail:
+            told = {"alert_id": name, "pack": pack, "component": component, "diagnosis": diagnosis}
+            ends = None if closed is None else START + dt.timedelta(days=closed)
+            said = {"raised_severity": then, "severity": now, "evidence": f"Then {name}.", "closed_at": ends}
+            said |= {"evidence_now": f"Now {name}. Supports: a. Against: b.", "recommended_action": f"Do {name}."}
+            raised = flight(tail, THEN)
+            times = {"raised_flight_id": raised["flight_id"], "raised_at": raised["departed_at"]}
+            alerts.append(raised | told | said | times | {"now_flight_id": flight(tail, NOW)["flight_id"]})
+    flights = [flight(tail, n) | {"landed_at": START, "source": "acms"} for n in range(NOW + 1)]
+    return {"raw_flights": flights, "twin_health": health, "features_alerts": alerts, "prognoses": prognoses}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    where = tmp_path_factory.mktemp("home")
+    store, outlook = Store(where), []
+    for tail in ("T-1", "T-2"):
+        for name, rows in tables(tail).items():
+            if name == "prognoses":
+                outlook += rows
+            else:
+                store.replace(name, ("AAA", tail), pl.DataFrame(rows, infer_schema_length=None))
+    store.replace("prognoses", FLEET, pl.DataFrame(outlook))
+    publish(where)
+    return where
+
+
+@pytest.fixture(scope="module")
+def report(home: Path) -> str:
+    return page(read_facts(home))
+
+
+def part(report: str, name: str) -> str:
+    """Text of a section, tags taken out."""
+    return re.sub(r"<[^>]+>", " ", report.partition(f'id="{name}"')[2].partition("</section>")[0])
+
+
+def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
+    with connect(home) as con:
+        opened = con.sql("select alert_id, urgency from open_alerts order by place").fetchall()
+        packs = con.sql("select tail, pack, urgency, diagnoses from fleet_ranking order by place").fetchall()
+    assert opened == [("aaaa1111", "act"), ("bbbb2222", "act"), ("bbbb1111", "plan"), ("aaaa2222", "plan")]
+    assert packs == [
+        ("T-1", 1, "act", "HX_FOULING"),
+        ("T-2", 2, "act", "RAM_DOOR_FAULT"),
+        ("T-2", 1, "plan", "HX_FOULING, SENSOR_FAULT"),
+        ("T-1", 2, "none", None),
+    ]
+    names = ["T-1 pack 1 (left)", "T-2 pack 2 (right)", "T-2 pack 1 (left)"]
+    cards = re.findall(r"<h3>(T-\d pack \d \(\w+\)): [^<]*<span class=\"tag \w+\">([^<]*)", report)
+    assert cards == [(names[i], URGENCY[u]) for i, (_, u) in zip((0, 1, 2, 2), opened, strict=True)]
+    tonight = part(report, "tonight")
+    assert sorted(names, key=tonight.index) == names
+    assert tonight.index(names[1]) < tonight.index("To plan") < tonight.index(names[2])
+    badges = re.findall(r"(T-\d pack \d) \(\w+\) \s+ (Act now|Plan|No action)", part(report, "ranking"))
+    assert badges == [(f"{tail} pack {pack}", URGENCY[urgency]) for tail, pack, urgency, _ in packs]
+    for name, urgency in opened:
+        assert f"{URGENCY[urgency]}. Alert {name}." in str(explain(home, name))
+
+
+def test_a_card_tells_then_from_now(report):
+    """What was true when it was raised and what is true now, each with its date, in the same words."""
+    card = part(report, "alerts").split("AAA, case aaaa1111")[0]
+    then, now = re.split(r"\bNow\b", card.partition("When raised")[2], maxsplit=1)
+    assert all(said in then for said in ("2024-03-11 06:00 UTC", "16 ± 1 %", "more than 97", "3 %", "medium"))
+    assert all(said in now for said in ("2024-04-10 06:00 UTC", "34 ± 1 %", "24 (12 to 36)", "88 %", "high"))
+    headline = part(report, "tonight")
+    assert "UA lost 34 ± 1 %, flights left 24 (12 to 36), chance of a message within 50 flights 88 %" in headline
+    assert "16 ±" not in headline
+    assert card.index("Now aaaa1111") < card.index("Why it was raised") < card.index("Then aaaa1111")
+    assert [role for role in ("Supports:", "Neutral:", "Against:") if role in card] == ["Supports:", "Against:"]
+
+
+@pytest.mark.parametrize("asked", ["T-1", "t-1", "T-1 1", "T-1/1", "AAA T-1", "AAA T-1 1", "T-1 pack 1 (left)"])
+def test_a_pack_may_be_named_as_night_and_report_name_it(home, asked):
+    told = str(explain(home, asked))
+    assert told.startswith("AAA T-1 pack 1 (left): Act now. UA lost 34 ± 1 %, flights left 24 (12 to 36)")
+    then, now = told.split("When raised (2024-03-11 06:00 UTC, after T-1_20240311_01, medium)")[1].split("Now (after")
+    assert "flights left (90 %) more than 97; message in 50 flights 3 %. Then aaaa1111." in then
+    assert "flights left (90 %) 24 (12 to 36); message in 50 flights 88 %. Now aaaa1111." in now
+
+
+def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
+    told = str(explain(home, "T-2"))
+    assert told.startswith("AAA T-2 pack 2 (right): Act now.")
+    assert "Do bbbb2222." in told
+    assert "Also T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in told
+    other = str(explain(home, "T-2 1"))
+    assert other.index("Do bbbb1111.") < other.index("Do aaaa2222."), "of one pack the most urgent alert first"
+    assert "Do bbbb2222." not in other
+
+
+def test_what_the_night_prints_can_be_asked_for(home, capsys):
+    _ranking(home)
+    printed = re.findall(r"AAA T-\d \d", capsys.readouterr().out)
+    assert printed == ["AAA T-1 1", "AAA T-2 2", "AAA T-2 1", "AAA T-1 2"]
+    for name in printed:
+        assert str(explain(home, name)).startswith(f"AAA {name[4:7]} pack {name[8]}")
+
+
+def test_a_pack_without_an_open_alert_says_so(home):
+    told = str(explain(home, "T-1 2"))
+    assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in told
+    closed = str(explain(home, "cccc1111"))
+    assert "closed 2024-03-21 06:00 UTC" in closed
+    assert "At its end (after" in closed
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"), [("bbbb", "2 alerts begin with bbbb"), ("T-1 3", "no pack or alert"), ("", "no pack or alert")]
+)
+def test_what_names_nothing_ends_in_one_line(home, asked, says, capsys):
+    done = CliRunner().invoke(app, ["explain", asked, "--home", str(home)])
+    assert done.exit_code != 0
+    assert says in str(done.exception)
+
+
+def test_words_without_quotes_are_one_name(home):
+    done = CliRunner().invoke(app, ["explain", "T-1", "1", "--home", str(home)])
+    assert done.exit_code == 0, done.output
+    assert "AAA T-1 pack 1 (left): Act now." in done.output
