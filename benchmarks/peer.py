@@ -17,8 +17,8 @@ import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
 from benchmarks.scale import Silent
-from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness
+from hdt_core.physics.heat_exchanger import capacity_rates
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, cruise_samples
@@ -35,11 +35,11 @@ GOAL = 15.0
 
 def conductance_w_k(flow_kg_s: float, ram_kg_s: float, hot_in_k: float, hot_out_k: float, cold_in_k: float) -> float:
     """UA of one sample, by root search."""
-    capacity = flow_kg_s * float(specific_heat_j_kg_k(0.5 * (hot_in_k + cold_in_k)))
+    capacity, ratio = map(float, capacity_rates(flow_kg_s, ram_kg_s, hot_in_k, hot_out_k, cold_in_k))
     seen = (hot_in_k - hot_out_k) / (hot_in_k - cold_in_k)
 
     def off(ntu: float) -> float:
-        return float(crossflow_effectiveness(np.array(ntu), np.array(ntu * flow_kg_s / ram_kg_s))) - seen
+        return float(crossflow_effectiveness(np.array(ntu), np.array(ntu * ratio))) - seen
 
     try:
         return capacity * brentq(off, 1e-6, 60.0, xtol=1e-10)

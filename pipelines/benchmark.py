@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale
 from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
-from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
+from hdt_core.physics.effectiveness import crossflow_effectiveness
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
 from pipelines.race import Claim, Contestant, race
 
 Fit = Callable[[Problem], np.ndarray]
@@ -146,11 +147,12 @@ def _scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: 
     found = []
     for f in range(n_flights):
         at = slice(samples.starts[f], samples.starts[f + 1])
-        flows = samples.hot_flow_kg_s[at], samples.ram_flow_kg_s[at], samples.hot_in_k[at], samples.cold_in_k[at]
-        seen, ua = samples.hot_out_k[at], clean[at]
+        hot_flow, ram_flow, hot_in, hot_out, cold_in, _ = (column[at] for column in samples.columns())
+        rate, ratio = capacity_rates(hot_flow, ram_flow, hot_in, hot_out, cold_in)
 
-        def residuals(theta, flows=flows, seen=seen, ua=ua):
-            return 2.0 * (seen - outlets_k(*flows, np.exp(theta[0]) * ua)[0])
+        def residuals(theta, ntu=clean[at] / rate, ratio=ratio, span=hot_in - cold_in, cooled=hot_in - hot_out):
+            ntu = np.exp(theta[0]) * ntu
+            return 2.0 * (span * crossflow_effectiveness(ntu, ntu * ratio) - cooled)
 
         found.append(least_squares(residuals, [0.0], method="lm", xtol=1e-10, ftol=1e-12).x[0])
     return np.array(found)

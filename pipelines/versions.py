@@ -45,10 +45,10 @@ MADE: dict[str, Made] = {
     ),
     **dict.fromkeys(("legs_samples", "legs_verdicts"), Made(("raw_flights",), code="2")),
     **dict.fromkeys(
-        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="7")
+        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="8")
     ),
-    "twin_flights": Made(("legs_samples", "calibration_dsm"), code="3"),
-    "residuals": Made(("twin_flights",)),
+    "twin_flights": Made(("legs_samples", "calibration_dsm"), code="4"),
+    "residuals": Made(("twin_flights",), code="2"),
     **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="9")),
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
     "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),

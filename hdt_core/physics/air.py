@@ -14,6 +14,11 @@ GAMMA = 1.4
 CP_J_KG_K = GAMMA / (GAMMA - 1.0) * R_J_KG_K
 """Specific heat that belongs to `GAMMA` and `R_J_KG_K`. [J/kg/K]"""
 
+CP_300_J_KG_K, CP_SLOPE, CP_CURVE = 1004.66, 0.05216, 3.556e-4
+"""Parabola of `specific_heat_j_kg_k` about 300 K. [J/kg/K], [J/kg/K2], [J/kg/K3]"""
+
+WARMING_ROUNDS = 6
+
 G0_M_S2 = 9.80665
 SEA_LEVEL_K, SEA_LEVEL_PA, LAPSE_K_M, TROPOPAUSE_M = 288.15, 101325.0, 0.0065, 11000.0
 
@@ -43,7 +48,36 @@ def specific_heat_j_kg_k(temperature_k: Array) -> Array:
     1004.66
     """
     above_k = temperature_k - 300.0
-    return 1004.66 + 0.05216 * above_k + 3.556e-4 * above_k**2
+    return CP_300_J_KG_K + CP_SLOPE * above_k + CP_CURVE * above_k**2
+
+
+def mean_specific_heat_j_kg_k(from_k: Array, to_k: Array) -> Array:
+    """Enthalpy difference over temperature difference: the mean of `specific_heat_j_kg_k` between two temperatures.
+
+    Examples
+    --------
+    >>> round(float(mean_specific_heat_j_kg_k(np.float64(300.0), np.float64(400.0))), 2)
+    1008.45
+    """
+    one_k, other_k = from_k - 300.0, to_k - 300.0
+    curved = one_k**2 + one_k * other_k + other_k**2
+    return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * curved
+
+
+def warmed_k(from_k: Array, heat_j_kg: Array) -> Array:
+    """Temperature of air from `from_k` after so much heat at constant pressure. [K]
+
+    Each round leaves a few thousandths of the error of the one before, a hundredth after 250 K: 1e-10 K at the end.
+
+    Examples
+    --------
+    >>> round(float(warmed_k(np.float64(300.0), np.float64(100845.0))), 3)
+    400.0
+    """
+    to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, from_k)
+    for _ in range(WARMING_ROUNDS):
+        to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, to_k)
+    return to_k
 
 
 def viscosity_pa_s(temperature_k: Array) -> Array:

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.physics.heat_exchanger import (
     INPUTS,
     OUTPUTS,
     PARAMS,
     REFERENCE_HOT_FLOW_KG_S,
     REFERENCE_RAM_FLOW_KG_S,
+    capacity_rates,
     film_gains,
     film_resistance,
     steady_exchanger,
@@ -78,8 +78,8 @@ def core(
         hx_wall_share=hx_wall_share,
         hx_fouling=hx_fouling,
     )
-    cp = specific_heat_j_kg_k(0.5 * (hot_in_k + cold_in_k))
-    hot_rate_w_k, cold_rate_w_k = hot_flow_kg_s * cp, ram_flow_kg_s * cp
+    hot_rate_w_k, ratio = capacity_rates(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, hot_out_k, cold_in_k)
+    cold_rate_w_k = hot_rate_w_k / ratio
     hot_share, cold_share = hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S, ram_flow_kg_s / REFERENCE_RAM_FLOW_KG_S
     gains, rest = film_gains(hot_in_k, cold_in_k), 1.0 - hx_hot_share - hx_wall_share
     hot_film_w_k = hx_ua_reference_w_k / film_resistance(hot_share, hx_hot_share, hx_exponent_hot, gains[0])

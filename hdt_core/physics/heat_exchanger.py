@@ -3,7 +3,7 @@
 The default for health. `lumped_exchanger` holds the paper's equations (7)-(8).
 """
 
-from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness, crossflow_ntu
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 
@@ -14,6 +14,7 @@ REFERENCE_HOT_FILM_K, REFERENCE_COLD_FILM_K = 355.0, 285.0
 """And its film temperatures, a quarter of the way from each inlet to the other, at inlets of 390 and 250 K."""
 FILM_EXPONENT = 0.38
 """How a film coefficient grows with absolute temperature at the same flow: k^0.67 mu^-0.27 of air."""
+OUTLET_ROUNDS = 4
 
 
 def clean_conductance_w_k(
@@ -109,25 +110,46 @@ def fouling_resistance_k_w(hx_fouling: Array, clean_ua_w_k: Array) -> Array:
     return hx_fouling / ((1.0 - hx_fouling) * clean_ua_w_k)
 
 
+def capacity_rates(
+    hot_flow_kg_s: Array, ram_flow_kg_s: Array, hot_in_k: Array, hot_out_k: Array, cold_in_k: Array
+) -> tuple[Array, Array]:
+    """Heat-capacity rate of the hot stream, and over that of the ram air that takes its heat. [W/K], [-]
+
+    Each stream has the specific heat of the mean of its own range, so heat lost is heat won in enthalpy.
+
+    Examples
+    --------
+    >>> rate, ratio = capacity_rates(0.9, 1.6, 390.0, 300.0, 250.0)
+    >>> round(float(rate), 2), round(float(ratio), 4)
+    (907.17, 0.5649)
+    """
+    hot_rate_w_k = hot_flow_kg_s * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k)
+    heat_j_kg = hot_rate_w_k * (hot_in_k - hot_out_k) / ram_flow_kg_s
+    ram_cp_j_kg_k = mean_specific_heat_j_kg_k(cold_in_k, warmed_k(cold_in_k, heat_j_kg))
+    return hot_rate_w_k, hot_rate_w_k / (ram_flow_kg_s * ram_cp_j_kg_k)
+
+
 def outlets_k(
     hot_flow_kg_s: Array, ram_flow_kg_s: Array, hot_in_k: Array, cold_in_k: Array, ua_w_k: Array
 ) -> tuple[Array, Array]:
     """Hot and cold outlet temperature of a steady cross-flow exchanger. [K]
 
-    Heat lost is heat won exactly: one specific heat, that of the mean inlet temperature, serves both sides (the two
-    differ by less than 0.9 %).
+    The specific heats are those of `capacity_rates`, which rest on the outlets: a few rounds, each of which leaves
+    some 1/400 of the error of the one before, settle both to 1e-8 K.
 
     Examples
     --------
     >>> hot, cold = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)
     >>> round(float(hot), 2), round(float(cold), 2)
-    (295.99, 302.88)
+    (296.14, 303.01)
     """
-    cp = specific_heat_j_kg_k(0.5 * (hot_in_k + cold_in_k))
-    ntu_hot = ua_w_k / (hot_flow_kg_s * cp)
-    eps_hot = crossflow_effectiveness(ntu_hot, ntu_hot * hot_flow_kg_s / ram_flow_kg_s)
-    heat_k = eps_hot * (hot_in_k - cold_in_k)
-    return hot_in_k - heat_k, cold_in_k + heat_k * hot_flow_kg_s / ram_flow_kg_s
+    hot_out_k = 0.5 * (hot_in_k + cold_in_k)
+    for _ in range(OUTLET_ROUNDS):
+        rate_w_k, ratio = capacity_rates(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, hot_out_k, cold_in_k)
+        eps_hot = crossflow_effectiveness(ua_w_k / rate_w_k, ua_w_k / rate_w_k * ratio)
+        hot_out_k = hot_in_k - eps_hot * (hot_in_k - cold_in_k)
+    heat_w = hot_flow_kg_s * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k) * (hot_in_k - hot_out_k)
+    return hot_out_k, warmed_k(cold_in_k, heat_w / ram_flow_kg_s)
 
 
 def measured_conductance_w_k(
@@ -135,7 +157,9 @@ def measured_conductance_w_k(
 ) -> Array:
     """UA that a cross-flow exchanger must have to show these temperatures at these flows. [W/K]
 
-    NaN where none can: hot air that left warmer than it came, or colder than the balance of heat allows.
+    NaN where none can: hot air that left warmer than it came, or colder than the balance of heat allows. Specific heats
+    are those of `capacity_rates`: within 0.3 % of UA of dry air near 1 bar over a pack's range, and within 1 % (0.3 %
+    in the mean) where the hot side is at 2 bar and the real gas counts.
 
     Examples
     --------
@@ -143,9 +167,8 @@ def measured_conductance_w_k(
     >>> round(float(measured_conductance_w_k(0.9, 1.6, 390.0, hot_out_k, 250.0)), 6)
     1500.0
     """
-    cp = specific_heat_j_kg_k(0.5 * (hot_in_k + cold_in_k))
-    eps_hot = (hot_in_k - hot_out_k) / (hot_in_k - cold_in_k)
-    return crossflow_ntu(eps_hot, hot_flow_kg_s / ram_flow_kg_s) * hot_flow_kg_s * cp
+    rate_w_k, ratio = capacity_rates(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, hot_out_k, cold_in_k)
+    return crossflow_ntu((hot_in_k - hot_out_k) / (hot_in_k - cold_in_k), ratio) * rate_w_k
 
 
 def steady_exchanger(

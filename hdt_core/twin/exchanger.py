@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k
 from hdt_core.physics.model import Array
 from hdt_core.physics.ram_duct import ram_flow
@@ -130,5 +131,7 @@ def ln_ram_flow_ratio(signals: Mapping[str, Array], design: Array, bias: Array) 
     """Logarithm of the ram flow that the heat balance shows, with `ram_out_k`, over that of the clean map. (n,)"""
     s = without_bias(signals, bias)
     with np.errstate(divide="ignore", invalid="ignore"):
-        balance = s["pack_flow_kg_s"] * (s["hx_in_k"] - s["hx_out_k"]) / (s["ram_out_k"] - s["tat_k"])
+        hot_j_kg = mean_specific_heat_j_kg_k(s["hx_in_k"], s["hx_out_k"]) * (s["hx_in_k"] - s["hx_out_k"])
+        ram_j_kg = mean_specific_heat_j_kg_k(s["tat_k"], s["ram_out_k"]) * (s["ram_out_k"] - s["tat_k"])
+        balance = s["pack_flow_kg_s"] * hot_j_kg / ram_j_kg
         return np.log(balance) - np.log(clean_ram_flow_kg_s(s, design))

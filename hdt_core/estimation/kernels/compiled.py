@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import FunctionType
 from typing import TypeVar, cast
 
 from hdt_core.estimation.problem import Array
@@ -25,6 +26,11 @@ def compiled(function: F) -> F:
     on disk is renewed when the function's own file changes, not when a file it calls into does: save both.
     """
     return cast("F", njit(cache=True, fastmath={"contract"})(function)) if COMPILED else function
+
+
+def linked(function: F, **callees: object) -> F:
+    """The same function calling these in the place of its own callees: compiled code can call only compiled code."""
+    return cast("F", FunctionType(function.__code__, function.__globals__ | callees, function.__name__))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hdt_core.estimation.problem import Array
-from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness_and_slope
+from hdt_core.physics.heat_exchanger import capacity_rates
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 
 CONVERGED, AT_BOUND, MAX_STEPS, NOT_IDENTIFIABLE = 0, 1, 2, 3
@@ -30,10 +30,9 @@ Curve = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 def conductance_scale(samples: Columns, clean_ua_w_k: Array, starts: Integers) -> Fit:
     """See `exchanger.fit_conductance_scale`."""
-    hot_flow, ram_flow, hot_in, _, cold_in, _ = samples
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ntu = clean_ua_w_k / (hot_flow * specific_heat_j_kg_k(0.5 * (hot_in + cold_in)))
-        ratio = hot_flow / ram_flow
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        rate_w_k, ratio = capacity_rates(*samples[:5])
+        ntu = clean_ua_w_k / rate_w_k
     return bounded_scale(_fit(_crossflow, samples, ntu, ratio, starts))
 
 

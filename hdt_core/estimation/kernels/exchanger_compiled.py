@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hdt_core.estimation.kernels.compiled import linked
 from hdt_core.estimation.kernels.exchanger_arrays import (
     BOUND,
     CONVERGED,
@@ -24,12 +25,13 @@ from hdt_core.estimation.kernels.exchanger_arrays import (
     bounded_resistance,
     bounded_scale,
 )
-from hdt_core.estimation.kernels.exchanger_rows import LANES, sums_of_step, vectorised
+from hdt_core.estimation.kernels.exchanger_rows import FEW_UNITS, LANES, LARGER_UNITS, sums_of_step, vectorised
 from hdt_core.estimation.problem import Array
-from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 
-_specific_heat = vectorised(specific_heat_j_kg_k)
+_mean_heat = vectorised(mean_specific_heat_j_kg_k)
+_warmed = vectorised(linked(warmed_k, mean_specific_heat_j_kg_k=_mean_heat))
 
 
 def conductance_scale(samples: Columns, clean_ua_w_k: Array, starts: Integers) -> Fit:
@@ -44,14 +46,23 @@ def lumped_resistance(samples: Columns, starts: Integers) -> Fit:
 
 @vectorised
 def _crossflow_terms(
-    hot_flow: Array, ram_flow: Array, hot_in: Array, cold_in: Array, clean: Array, flat: Array
+    hot_flow: Array, ram_flow: Array, hot_in: Array, hot_out: Array, cold_in: Array, clean: Array, flat: Array
 ) -> None:
-    """NTU and flow ratio of each sample. One short loop a row: more arrays in one and it is not vectorised."""
-    ntu, ratio = flat[0], flat[1]
+    """NTU and ratio of capacity rates of each sample, by `physics.heat_exchanger.capacity_rates`.
+
+    One short loop a row: with more arrays in one it is not vectorised. The last two rows are work space.
+    """
+    ntu, ratio, rate, heat = flat[0], flat[1], flat[2], flat[3]
     for i in range(len(hot_flow)):
-        ntu[i] = clean[i] / (hot_flow[i] * _specific_heat(0.5 * (hot_in[i] + cold_in[i])))
+        rate[i] = hot_flow[i] * _mean_heat(hot_in[i], hot_out[i])
     for i in range(len(hot_flow)):
-        ratio[i] = hot_flow[i] / ram_flow[i]
+        heat[i] = rate[i] * (hot_in[i] - hot_out[i]) / ram_flow[i]
+    for i in range(len(hot_flow)):
+        ratio[i] = _mean_heat(cold_in[i], _warmed(cold_in[i], heat[i]))
+    for i in range(len(hot_flow)):
+        ratio[i] = rate[i] / (ram_flow[i] * ratio[i])
+    for i in range(len(hot_flow)):
+        ntu[i] = clean[i] / rate[i]
 
 
 @vectorised
@@ -79,14 +90,18 @@ def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array
 
 @vectorised
 def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes: Array) -> tuple[int, float]:
-    """One flight down a lane; unusable samples and the padding weigh nothing. Returns how many count, and most NTU."""
+    """One flight down a lane; unusable samples and the padding weigh nothing.
+
+    Returns how many count, and what `sums_of_step` holds against `FEW_UNITS`.
+    """
     n_used, peak = 0, 0.0
     for j in range(length):
         i = begin + j
         if flat[3, i] > 0.0:
             lanes[0, j, lane], lanes[1, j, lane] = flat[0, i], flat[1, i]
             lanes[2, j, lane], lanes[3, j, lane] = flat[2, i], flat[3, i]
-            peak = max(peak, flat[0, i] * flat[0, i] * flat[1, i])
+            larger = max(1.0, flat[1, i] * flat[1, i]) * (FEW_UNITS / LARGER_UNITS**2)
+            peak = max(peak, flat[0, i] * flat[0, i] * max(flat[1, i], larger))
             n_used += 1
         else:
             lanes[0, j, lane], lanes[1, j, lane], lanes[2, j, lane], lanes[3, j, lane] = 1.0, 1.0, 0.0, 0.0
@@ -136,7 +151,7 @@ def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> 
         together = min(LANES, n_flights - first)
         a, z = starts[first], starts[first + together]
         if crossflow:
-            _crossflow_terms(hot_flow[a:z], ram_flow[a:z], hot_in[a:z], cold_in[a:z], clean[a:z], flat)
+            _crossflow_terms(hot_flow[a:z], ram_flow[a:z], hot_in[a:z], hot_out[a:z], cold_in[a:z], clean[a:z], flat)
         else:
             _lumped_terms(hot_flow[a:z], ram_flow[a:z], flat)
         _measured_terms(hot_in[a:z], hot_out[a:z], cold_in[a:z], weight[a:z], flat)

@@ -5,16 +5,17 @@ slope, and the sums of a Gauss-Newton step.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from hdt_core.estimation.kernels.compiled import COMPILED
 from hdt_core.estimation.problem import Array
+from hdt_core.physics.effectiveness import MAX_TERMS, SERIES_TOLERANCE, SERIES_UNITS, contour_sums
 
 LANES = 16  # flights at once: two registers of eight doubles, or four of four
 TERMS, FEW_UNITS = 12, 8.0  # terms of the series, good to 3e-11 while the product of both sides' NTU is this or less
-MANY_TERMS = 160
+LARGER_UNITS = 32.0  # and the larger of the two this
 FREELY = {"reassoc", "contract", "arcp", "nsz"}
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -55,21 +56,45 @@ def _decay(x: float) -> float:
 
 
 @_inlined
-def _series(a: float, b: float, n_terms: int) -> tuple[float, float]:
+def _series(a: float, b: float) -> tuple[float, float]:
     """Effectiveness and its derivative by ln UA, as `physics.effectiveness` has them."""
     t_a, t_b = _decay(a), _decay(b)
     p, q = 1.0 - t_a, 1.0 - t_b
     total, slope = 0.0, 0.0
-    for n in range(n_terms):
+    for n in range(TERMS):
         total += p * q
-        grown_a, grown_b = a * t_a, b * t_b
-        slope += grown_a * q + p * grown_b
         per = 1.0 / (n + 1.0)
-        t_a, t_b = grown_a * per, grown_b * per
+        t_a *= a * per
+        slope += t_a * t_b
+        t_b *= b * per
         p -= t_a
         q -= t_b
-    over = 1.0 / b
-    return total * over, (slope - total) * over
+    return total / b, slope
+
+
+_contour_sums: Any = vectorised(contour_sums)  # the same equation, one number at a time
+
+
+@vectorised
+def _any_units(a: float, b: float) -> tuple[float, float]:
+    """The same for any number of transfer units."""
+    few, many = min(a, b), max(a, b)
+    if few > SERIES_UNITS:
+        short, unequal = _contour_sums(few, many)
+        return (few - short) / b, few * unequal / b
+    t_a, t_b = np.exp(-a), np.exp(-b)
+    p, q = -np.expm1(-a), -np.expm1(-b)
+    total, slope, added, n = 0.0, 0.0, 1.0, 0
+    while n < MAX_TERMS and (n < few or added > SERIES_TOLERANCE * b):
+        added = p * q
+        total += added
+        n += 1
+        t_a *= a / n
+        slope += t_a * t_b
+        t_b *= b / n
+        p -= t_a
+        q -= t_b
+    return total / b, slope
 
 
 @vectorised
@@ -79,7 +104,7 @@ def _crossflow_rows(rows: int, lanes: Array, scale: Array, pull: Array, info: Ar
     for j in range(rows):
         for f in range(LANES):
             a = scale[f] * ntu[j, f]
-            value, slope = _series(a, a * ratio[j, f], TERMS)
+            value, slope = _series(a, a * ratio[j, f])
             left = seen[j, f] - value
             pull[f] += weight[j, f] * slope * left
             info[f] += weight[j, f] * slope * slope
@@ -88,12 +113,12 @@ def _crossflow_rows(rows: int, lanes: Array, scale: Array, pull: Array, info: Ar
 
 @vectorised
 def _long_crossflow_rows(rows: int, lanes: Array, scale: Array, pull: Array, info: Array, chi2: Array) -> None:
-    """The same where the transfer units are so many that the series needs more terms."""
+    """The same where the transfer units are so many that twelve terms do not do."""
     ntu, ratio, seen, weight = lanes[0], lanes[1], lanes[2], lanes[3]
     for j in range(rows):
         for f in range(LANES):
             a = scale[f] * ntu[j, f]
-            value, slope = _series(a, a * ratio[j, f], MANY_TERMS)
+            value, slope = _any_units(a, a * ratio[j, f])
             left = seen[j, f] - value
             pull[f] += weight[j, f] * slope * left
             info[f] += weight[j, f] * slope * slope

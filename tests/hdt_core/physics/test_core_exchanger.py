@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.physics.core_exchanger import CORE_EXCHANGER, core
-from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates
 
 AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
 
@@ -20,8 +19,8 @@ def test_steady_state_is_the_cross_flow_exchanger_s():
 @pytest.mark.parametrize("core_k", [250.0, 310.0, 390.0])
 def test_heat_the_streams_do_not_carry_is_in_the_core(core_k):
     out = CORE_EXCHANGER.predict({}, AT, {"core_k": core_k})
-    cp = specific_heat_j_kg_k(320.0)
-    left_w = 0.9 * cp * (390.0 - out["hot_out_k"]) - 1.6 * cp * (out["ram_out_k"] - 250.0)
+    hot_w_k, ratio = capacity_rates(0.9, 1.6, 390.0, HEAT_EXCHANGER.predict({}, AT)["hot_out_k"], 250.0)
+    left_w = hot_w_k * (390.0 - out["hot_out_k"]) - hot_w_k / ratio * (out["ram_out_k"] - 250.0)
     rate_k_s = CORE_EXCHANGER.rates(**CORE_EXCHANGER.nominal, **AT, core_k=core_k)
     assert left_w == pytest.approx(CORE_EXCHANGER.nominal["hx_core_heat_j_k"] * rate_k_s, rel=1e-9, abs=1e-6)
 

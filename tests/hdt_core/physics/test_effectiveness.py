@@ -1,10 +1,13 @@
 """Effectiveness against the exact integral, its limits, and its way back."""
 
+import warnings
+
 import ht
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import gammainc, i0e, i1e
 
 from hdt_core.physics.effectiveness import (
     counterflow_effectiveness,
@@ -27,6 +30,53 @@ def test_series_is_the_exact_integral():
     for ntu, ratio in GRID:
         exact = ht.effectiveness_from_NTU(ntu, ratio, subtype="crossflow")
         assert crossflow_effectiveness(ntu, ntu * ratio) == pytest.approx(exact, abs=1e-11)
+
+
+def by_incomplete_gamma(this, other):
+    """The series term by term from SciPy's incomplete gamma function: slow, and no recurrence to lose digits."""
+    n = np.arange(1, int(min(this, other) + 12.0 * np.sqrt(min(this, other)) + 60.0))
+    return np.sum(gammainc(n, this) * gammainc(n, other)) / other
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1e-3, 0.3, 0.9, 0.99, 0.999, 1.0])
+@pytest.mark.parametrize("ntu", [1e-6, 0.3, 10.0, 24.9, 25.1, 60.0, 350.0, 1e3, 3e4, 1e6])
+def test_any_number_of_transfer_units(ntu, ratio):
+    this, other = ntu, ntu * ratio
+    exact = by_incomplete_gamma(this, other) if ratio else -np.expm1(-ntu)
+    assert crossflow_effectiveness(this, other) == pytest.approx(exact, rel=1e-14)
+    if ratio:
+        assert crossflow_effectiveness(other, this) == pytest.approx(exact * ratio, rel=1e-14)
+
+
+def test_balanced_streams_have_a_closed_form():
+    """1 - e^-2N [I0(2N) + I1(2N)], from which 1 / sqrt(pi N) is left; `ht` gives it up to 350 transfer units."""
+    ntu = np.geomspace(0.1, 1e6, 200)
+    short = 1.0 - crossflow_effectiveness(ntu, ntu)
+    np.testing.assert_allclose(short, i0e(2.0 * ntu) + i1e(2.0 * ntu), atol=2e-15)
+    assert crossflow_effectiveness(1e3, 1e3) == pytest.approx(0.98216, abs=1e-5)
+    for right in (20.0, 100.0, 300.0):
+        theirs = ht.effectiveness_from_NTU(right, 1.0, subtype="crossflow")
+        assert crossflow_effectiveness(right, right) == pytest.approx(theirs, abs=1e-12)
+    with warnings.catch_warnings(action="ignore"):
+        assert not np.isfinite(ht.effectiveness_from_NTU(1000.0, 1.0, subtype="crossflow"))
+
+
+def test_inverse_to_the_digits_that_the_effectiveness_holds():
+    """To 1e-12 wherever rounding the effectiveness leaves a twentieth of that; elsewhere to what rounding leaves."""
+    rng = np.random.default_rng(17)
+    ntu, ratio = 10.0 ** rng.uniform(-6.0, 6.0, 4000), rng.uniform(0.0, 1.0, 4000)
+    ratio[:800], ratio[800:1000] = 1.0, 0.0
+    ratio = np.where(rng.random(4000) < 0.3, 1.0 / np.maximum(ratio, 1e-2), ratio)
+    eps, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
+    left = 2.0**-53 * eps / np.maximum(slope, 1e-300)
+    held = left < 5e-14
+    back = crossflow_ntu(eps, ratio)
+    assert held.mean() > 0.6
+    np.testing.assert_allclose(back[held], ntu[held], rtol=1e-12)
+    balanced = np.geomspace(1e-6, 1e6, 500)
+    np.testing.assert_allclose(crossflow_ntu(crossflow_effectiveness(balanced, balanced), 1.0), balanced, rtol=1e-12)
+    rough = ~held & (left < 1e-3) & np.isfinite(back)
+    assert np.all(np.abs(back[rough] / ntu[rough] - 1.0) < 40.0 * left[rough])
 
 
 def test_handbook_formula_and_how_far_it_is_off():
@@ -70,6 +120,14 @@ def test_slope_is_the_complex_step(this, other):
     grown = 1.0 + 1e-30j
     _, slope = crossflow_effectiveness_and_slope(this, other)
     assert slope == pytest.approx(float(crossflow_effectiveness(this * grown, other * grown).imag) / 1e-30, rel=1e-9)
+
+
+@given(st.floats(8.0, 1e4), st.floats(0.5, 1.0))
+def test_slope_is_the_complex_step_with_many_transfer_units(ntu, ratio):
+    grown = 1.0 + 1e-30j
+    _, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
+    stepped = crossflow_effectiveness(ntu * grown, ntu * ratio * grown).imag / 1e-30
+    assert slope == pytest.approx(float(stepped), rel=1e-9, abs=1e-13)
 
 
 @given(st.floats(0.01, 6.0), st.floats(0.05, 2.0))

@@ -39,3 +39,34 @@ def test_diameter_and_fit_of_equation_6(row):
     assert expected_diameter_m(top, 0.1731, -2.9304e-5) == pytest.approx(diameter, abs=5e-5)
     explained, left = (2.9304e-5 * top) ** 2 / 12.0, 0.0055**2 * np.pi / 2.0
     assert explained / (explained + left) == pytest.approx(r_squared, abs=5e-3)
+
+
+RESIMULATED = re.findall(
+    r"\| (UKF|EKF|PSO|NLS) \| ([\d.]+), ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", ERRATA
+)
+
+
+def positions_m(damping, stiffness):
+    """Section 3.2.2 by the book: Euler's rule from rest, 1,001 samples at 0.01 s, 1 kg, sin(pi t) N."""
+    x, v, found = 0.0, 0.0, []
+    for k in range(1001):
+        found.append(x)
+        x, v = x + 0.01 * v, v + 0.01 * (np.sin(np.pi * 0.01 * k) - damping * v - stiffness * x)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("row", RESIMULATED, ids=lambda row: row[0])
+def test_table_2_is_not_computed_from_table_1(row):
+    """What the page gives for the printed parameters is what they simulate, and not what table 2 prints."""
+    damping, stiffness, printed_mse, mse, printed_mape, mape = map(float, row[1:])
+    truth = positions_m(0.5, 2.0)
+    off = np.abs(positions_m(damping, stiffness) - truth)
+    assert np.mean(off**2) == pytest.approx(mse, rel=5e-3, abs=1e-12)
+    assert np.mean(off[truth != 0.0] / np.abs(truth[truth != 0.0])) == pytest.approx(mape, rel=5e-3, abs=1e-9)
+    rounded = [positions_m(damping + c, stiffness + k) for c in (-5e-4, 5e-4) for k in (-5e-4, 5e-4)]
+    assert max(np.mean((x - truth) ** 2) for x in rounded) < 0.75 * printed_mse
+    assert abs(mape - printed_mape) > 0.1 * printed_mape
+
+
+def test_all_four_columns_of_the_table_are_there():
+    assert [row[0] for row in RESIMULATED] == ["UKF", "EKF", "PSO", "NLS"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hdt_core.physics.air import conductivity_w_m_k, viscosity_pa_s
+from hdt_core.physics.air import conductivity_w_m_k, mean_specific_heat_j_kg_k, viscosity_pa_s
 from hdt_core.physics.heat_exchanger import (
     HEAT_EXCHANGER,
     clean_conductance_w_k,
@@ -29,7 +29,9 @@ LAW = {
 @given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
 def test_heat_lost_is_heat_won_and_runs_downhill(hot_flow, ram_flow, hot_in, cold_in, ua):
     hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
-    np.testing.assert_allclose(hot_flow * (hot_in - hot_out), ram_flow * (ram_out - cold_in), rtol=1e-12)
+    lost = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
+    won = ram_flow * mean_specific_heat_j_kg_k(cold_in, ram_out) * (ram_out - cold_in)
+    np.testing.assert_allclose(lost, won, rtol=1e-10)
     assert cold_in < hot_out < hot_in
     assert cold_in < ram_out < hot_in
 

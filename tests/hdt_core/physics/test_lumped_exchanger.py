@@ -44,7 +44,7 @@ def test_ceiling(hot_flow, ram_flow):
     assert (390.0 - hot_out) / 140.0 == pytest.approx(ceiling, rel=1e-6)
 
 
-@pytest.mark.parametrize(("ua", "h"), [(800.0, 2164.0), (1200.0, 14270.0), (1321.0, None), (2500.0, None)])
+@pytest.mark.parametrize(("ua", "h"), [(800.0, 2140.0), (1200.0, 13651.0), (1327.0, None), (2500.0, None)])
 def test_an_efficient_exchanger_has_no_h(ua, h):
     """Wh 0.9, Wr 1.6 kg/s: the tied H of a cross-flow exchanger, which ends below zero (docs/errata.md)."""
     hot_out, _ = outlets_k(0.9, 1.6, 390.0, 250.0, ua)
