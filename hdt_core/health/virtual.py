@@ -2,8 +2,10 @@
 
 import polars as pl
 
+from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.twin.exchanger import BIAS_SD, NOISE_SD
 
+BALANCED = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "ram_flow_kg_s", "tat_k")
 KEY = ["operator", "tail", "flight_id", "pack"]
 RAM_MAP_SD = 0.05
 """Relative uncertainty of the clean duct's flow where no ram outlet probe anchors it: maps err by 4 to 10 %."""
@@ -27,8 +29,9 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
         checks that need the model: `w_hx_in_over_discharge_k`, or `w_hx_in_over_pressure_k` where the discharge
         temperature is not recorded, and `w_conductance_off_cruise_ln`.
     """
-    heat_kg_k_s = pl.col("pack_flow_kg_s") * (pl.col("hx_in_k") - pl.col("hx_out_k"))
-    rise_k = heat_kg_k_s / pl.col("ram_flow_kg_s")
+    flow, hot_in_k, hot_out_k, ram_flow, tat_k = (twin_flights[c].cast(pl.Float64).to_numpy() for c in BALANCED)
+    heat_j_kg = flow * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k) * (hot_in_k - hot_out_k) / ram_flow
+    rise_k = pl.Series(warmed_k(tat_k, heat_j_kg) - tat_k)
     drop_k = pl.col("hx_in_k") - pl.col("tat_k")
     ratio = pl.col("ln_ua_ratio").exp()
     ua_sd = (pl.col("ln_ua_ratio_sd") ** 2 + pl.col("ln_ua_ratio_map_sd") ** 2).sqrt()
@@ -38,7 +41,7 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
         "ram_flow_kg_s",
         (RAM_MAP_SD * pl.col("ram_flow_kg_s")).alias("ram_flow_kg_s_sd"),
         (pl.col("tat_k") + rise_k).alias("ram_outlet_k"),
-        (RAM_MAP_SD * rise_k).abs().alias("ram_outlet_k_sd"),
+        pl.Series("ram_outlet_k_sd", (RAM_MAP_SD * rise_k).abs()),
         "effectiveness",
         (reading_sd / drop_k).alias("effectiveness_sd"),
         "ua_w_k",

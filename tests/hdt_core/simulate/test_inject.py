@@ -9,6 +9,7 @@ import pytest
 from pages import walk
 from polars.testing import assert_frame_equal
 
+from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.simulate.inject import DoorLimit, Fouling, SensorFault, inject
 from hdt_core.simulate.recorder import LB_PER_MIN
 from hdt_core.twin.flights import estimate_flights
@@ -93,15 +94,17 @@ def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
         "ram_door_open": 0.01 * known["ram_door_pct"].to_numpy(),
     }
     ram_kg_s = page["ours"]["duct"].predict({}, air)["ram_flow_kg_s"]
-    kept = (
-        known["pack_flow_lbpm"].to_numpy()
-        * LB_PER_MIN
-        * (known["hx_out_degc"] - known["hx_out_degc_before"]).to_numpy()
+    out_k, before_k, ram_k, ram_before_k = (
+        known[c].to_numpy() + 273.15
+        for c in ("hx_out_degc", "hx_out_degc_before", "ram_out_degc", "ram_out_degc_before")
     )
-    lacks = ram_kg_s * (known["ram_out_degc_before"] - known["ram_out_degc"]).to_numpy()
+    hot_w_k = known["pack_flow_lbpm"].to_numpy() * LB_PER_MIN * mean_specific_heat_j_kg_k(before_k, out_k)
+    kept = hot_w_k * (out_k - before_k)
+    lacks = ram_kg_s * mean_specific_heat_j_kg_k(ram_k, ram_before_k) * (ram_before_k - ram_k)
     clear = np.isfinite(kept) & np.isfinite(lacks)
     assert clear.sum() > 1000
-    np.testing.assert_allclose(lacks[clear], kept[clear], atol=1e-9)
+    # changes are laid over recorded temperatures, whose specific heats are not quite those of the physics'
+    np.testing.assert_allclose(lacks[clear], kept[clear], rtol=3e-3, atol=1e-3)
 
 
 def test_the_twin_recovers_the_injected_loss(page):
