@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.compressor import effective_diameter_m
 from hdt_core.simulate import packs
 from hdt_core.simulate.design import FleetSettings, draw_design
@@ -50,8 +51,9 @@ def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
     now, asked = packs.reference(one), packs.reference_demand(design, one)
     door = one * 0.4
     hot_k, ram_k, flow, _ = packs.outlets(design, now, asked, door, packs.clean(one))
-    lost = asked.flow_kg_s * (asked.hot_in_k - hot_k)
-    np.testing.assert_allclose(lost, flow * (ram_k - now.tat_k - design.ram_heating_k), rtol=1e-9)
+    cold_k = now.tat_k + design.ram_heating_k
+    lost_w = asked.flow_kg_s * mean_specific_heat_j_kg_k(asked.hot_in_k, hot_k) * (asked.hot_in_k - hot_k)
+    np.testing.assert_allclose(lost_w, flow * mean_specific_heat_j_kg_k(cold_k, ram_k) * (ram_k - cold_k), rtol=1e-9)
 
 
 def test_controller_holds_its_target_and_hides_the_wear():
