@@ -69,6 +69,15 @@ class Known:
         span = set(self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1])
         return [partitions.cell_key(a, f) for a in block.aircraft for f in sorted(self.flown[a] & span)]
 
+    def halves(self, block: Block) -> list[Block]:
+        """The flights of one aircraft's block in two parts; none where there are no two to part."""
+        if not block.first:
+            return []
+        span = self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1]
+        own = [f for f in span if f in self.flown[block.aircraft[0]]]
+        parts = (own[: len(own) // 2], own[len(own) // 2 :]) if len(own) > 1 else ()
+        return [Block(len(part), block.aircraft, part[0], part[-1]) for part in parts]
+
     def blocks(self, grain: str, wanted: pl.DataFrame, folded: int = 1) -> Iterator[Block]:
         """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`."""
         if grain == "fleet":

@@ -19,6 +19,7 @@ from pipelines.series import OneForMany
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
 NIGHT = {"hdt/night": "yes"}  # a run of the chain, and none that someone started from the page
+MOST_PINNED = 3
 _OURS = "# Written by hdt."
 _INSTANCE = """\
 # Written by hdt. Delete this line to make the file yours. Everything lies below this folder; nothing is sent anywhere.
@@ -86,13 +87,42 @@ class Runner:
         return list(self.instance.get_dynamic_partitions(str(definition.name)))
 
     def make(self, tables: list[str], block: Block, label: str) -> Made:
-        """One run. If several aircraft share it and it fails, each alone: one cannot stop the others."""
-        name = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
+        """One run. If it fails, each of its aircraft alone, and of one aircraft halves: one flight stops no other."""
         why = self._run(tables, block)
-        if why is None or len(block.aircraft) < 2:
-            return Made(block, 1, {name: why} if why else {})
+        if why is None:
+            return Made(block, 1, {})
+        if len(block.aircraft) < 2:
+            runs, told = self._pinned_down(tables, block, why)
+            return Made(block, 1 + runs, {f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}": told})
         alone = [self.make(tables, one, label) for one in block.apart()]
-        return Made(block, 1 + len(alone), {where: why for one in alone for where, why in one.failed.items()})
+        failed = {where: why for one in alone for where, why in one.failed.items()}
+        return Made(block, 1 + sum(one.runs for one in alone), failed)
+
+    def _pinned_down(self, tables: list[str], block: Block, why: str) -> tuple[int, str]:
+        """Make what can be made of an aircraft's block that failed, half by half; how many runs, and what fails why.
+
+        After `MOST_PINNED` flights the rest is left as it is: then it is not the flights.
+        """
+        left, runs, told = [(block, why)], 0, list[str]()
+        while left:
+            one, why = left.pop()
+            halves = self.known().halves(one) if len(told) < MOST_PINNED else []
+            if not halves:
+                told.append(self._named(one, why))
+            runs += len(halves)
+            left += [(half, why) for half in reversed(halves) if (why := self._run(tables, half))]
+        return runs, "; ".join(told)
+
+    def _named(self, block: Block, why: str) -> str:
+        """Why a block failed, with the flight and its files, or the first and last of its flights."""
+        if not block.first:
+            return why
+        if block.first != block.last:
+            return f"flights {block.first} to {block.last}: {why}"
+        aircraft = partitions.aircraft_of(block.aircraft[0])
+        flight = f"{aircraft[1]}_{block.first}"
+        files = sorted(self.ledger.of([aircraft]).flight_files().filter(flight_id=flight)["path"])
+        return f"{flight} ({', '.join(files)}): {why}"
 
     def job(self, tables: list[str]) -> dg.JobDefinition:
         """Dagster's job that makes `tables`."""

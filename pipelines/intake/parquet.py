@@ -1,17 +1,18 @@
 """Parquet files become columns: read by Arrow, within a memory limit, whatever was done to the bytes."""
 
 import io
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipelines.intake.columns import CORE_NAMES, KEYS, PHASE, SIGNAL_NAMES
+from pipelines.intake.columns import CORE_NAMES, KEYS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import judge_header
 from pipelines.intake.ledger import Fault
 from pipelines.intake.text import number_faults
+from pipelines.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000
 MAX_BYTES = 1 << 30
@@ -19,8 +20,10 @@ MAX_BYTES = 1 << 30
 MAX_WORD = 200
 """Longest text in a column, in bytes: one long word repeated by a dictionary unpacks to gigabytes."""
 
-_WORDS = ("flight_id", PHASE)
+_WORDS = ("flight_id", *WORDS)
 _TIME = "report_time"
+_CALENDAR_S = (-62_135_596_800, 253_402_300_799)
+"""First and last second of the years 1 to 9999, counted from 1970."""
 
 
 def open_parquet(content: bytes, only: Collection[str] | None = None) -> tuple[pl.DataFrame, int, list[Fault]]:
@@ -35,16 +38,20 @@ def open_parquet(content: bytes, only: Collection[str] | None = None) -> tuple[p
         meta = parquet.metadata
         unpacked = sum(meta.row_group(i).total_byte_size for i in range(meta.num_row_groups))
     except (pa.ArrowException, OSError, ValueError) as error:
-        return pl.DataFrame(), 0, [Fault("cannot_read_parquet", detail=_first_line(error))]
+        return pl.DataFrame(), 0, [_damaged(error)]
     if not 0 <= meta.num_rows <= MAX_ROWS or unpacked > MAX_BYTES:
         return pl.DataFrame(), 0, [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {unpacked} bytes.")]
-    frame, faults = _read(parquet, meta.num_rows, only)
+    try:
+        with panics_as_errors():
+            frame, faults = _read(parquet, meta.num_rows, only)
+    except Exception as error:
+        return pl.DataFrame(), meta.num_rows, [_damaged(error, meta.num_rows)]
     return frame, meta.num_rows, faults
 
 
 def _read(parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None) -> tuple[pl.DataFrame, list[Fault]]:
     found = parquet.schema_arrow.names
-    header = judge_header(found, KEYS, (PHASE, *SIGNAL_NAMES), CORE_NAMES)
+    header = judge_header(found, KEYS, (*WORDS, *SIGNAL_NAMES), CORE_NAMES)
     if header.fault is not None:
         fault = header.fault
         return pl.DataFrame(), [Fault(fault.reason, None, fault.column_name, fault.detail, n_rows)]
@@ -53,16 +60,15 @@ def _read(parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None) ->
     wanted = [(f, n) for f, n in zip(found, header.names, strict=True) if n and n in (only or (n,))]
     if odd := [n for f, n in wanted if not _fits(parquet.schema_arrow.field(f).type, n)]:
         return pl.DataFrame(), [Fault("wrong_type", None, ", ".join(odd), n_rows=n_rows)]
-    try:
-        table = parquet.read(columns=[f for f, _ in wanted], use_threads=False)
-        table.validate(full=True)
-        if (longest := max((_longest(c) for c in table.columns), default=0)) > MAX_WORD:
-            return pl.DataFrame(), [Fault("too_large", detail=f"A text has {longest} bytes.", n_rows=n_rows)]
-        frame = pl.DataFrame(pl.from_arrow(table)).rename(dict(wanted))
-    except (pa.ArrowException, OSError, ValueError, pl.exceptions.PolarsError) as error:
-        return pl.DataFrame(), [Fault("cannot_read_parquet", detail=_first_line(error), n_rows=n_rows)]
+    table = parquet.read(columns=[f for f, _ in wanted], use_threads=False)
+    table.validate(full=True)
+    if (longest := max((_longest(c) for c in table.columns), default=0)) > MAX_WORD:
+        return pl.DataFrame(), [Fault("too_large", detail=f"A text has {longest} bytes.", n_rows=n_rows)]
+    columns, notes = _plain(table, [n for _, n in wanted])
+    bare = pa.Table.from_arrays(columns, names=[n for _, n in wanted])  # metadata of fields may make Polars panic
+    frame = pl.DataFrame(pl.from_arrow(bare))
     frame, faults = _typed(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)))
-    return frame, [*header.notes, *faults]
+    return frame, [*header.notes, *notes, *faults]
 
 
 def _fits(kind: pa.DataType, name: str) -> bool:
@@ -100,11 +106,7 @@ def _typed(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
             continue
         if dtype in (pl.Categorical, pl.Enum, pl.Null) and (name in _WORDS or name == _TIME or dtype != pl.Null):
             frame = frame.with_columns(pl.col(name).cast(pl.String))
-        if name in _WORDS:
-            continue
-        if name == _TIME:
-            frame, notes = _time(frame)
-            faults.extend(notes)
+        if name in _WORDS or name == _TIME:
             continue
         if frame.schema[name] == pl.String:
             frame, bad = number_faults(frame, name)
@@ -113,15 +115,31 @@ def _typed(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
     return frame, faults
 
 
-def _time(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
-    dtype = frame.schema[_TIME]
-    if not isinstance(dtype, pl.Datetime):
-        return frame, []
-    time = pl.col(_TIME).dt.cast_time_unit("us")
-    if dtype.time_zone is None:
-        return frame.with_columns(time.dt.replace_time_zone("UTC")), [Fault("time_without_zone", column_name=_TIME)]
-    return frame.with_columns(time.dt.convert_time_zone("UTC")), []
+def _plain(table: pa.Table, names: Sequence[str]) -> tuple[list[pa.ChunkedArray], list[Fault]]:
+    """Columns with times as UTC to the microsecond and decimals as floats; a note where times name no zone."""
+    columns, notes = [], []
+    for name, column in zip(names, table.columns, strict=True):
+        if pa.types.is_timestamp(column.type):
+            notes += [] if column.type.tz else [Fault("time_without_zone", column_name=name)]
+            columns.append(_utc(column))
+        else:  # Polars knows no wide decimals
+            columns.append(column.cast(pa.float64()) if pa.types.is_decimal(column.type) else column)
+    return columns, notes
 
 
-def _first_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
+def _utc(times: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Instants of any unit and zone in UTC, null outside the years 1 to 9999: Polars panics at what no calendar has.
+
+    Arrow holds an instant as a count from 1970 in UTC, whatever zone it is to be shown in.
+    """
+    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[times.type.unit]
+    counts = times.cast(pa.int64())
+    first, last = (max(-(2**63), min(s * per_second, 2**63 - 1)) for s in _CALENDAR_S)
+    within = pc.and_(pc.greater_equal(counts, first), pc.less_equal(counts, last))
+    counts = pc.if_else(within, counts, pa.scalar(None, pa.int64()))
+    scaled = pc.multiply(counts, 10**6 // per_second) if per_second <= 10**6 else pc.divide(counts, per_second // 10**6)
+    return scaled.cast(pa.timestamp("us", "UTC"))
+
+
+def _damaged(error: Exception, n_rows: int = 0) -> Fault:
+    return Fault("cannot_read_parquet", detail=first_line(error), n_rows=n_rows)

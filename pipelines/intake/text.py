@@ -26,6 +26,12 @@ _BOMS = (
 )
 _SEPARATORS = (";", "\t", "|")
 
+PLACE = "_text"
+"""Column that says which text a row is of; the contract has a column `text` of its own."""
+MAX_HEADER_BYTES = 1 << 16
+MAX_LINES = 1_000_000
+"""A month of reports has thousands of lines; what has more would be read for minutes."""
+
 Judge = Callable[[tuple[str, ...]], Header]
 """Says what to make of the names in a header line."""
 
@@ -63,8 +69,10 @@ def open_text(content: bytes, judge: Judge) -> Text:
     first, _, body = plain.partition(b"\n")
     if not plain[:4096].strip() and not plain.strip():
         text.faults.append(Fault("empty_file"))
-    elif not _is_text(first):
+    elif not _is_text(first[:MAX_HEADER_BYTES]):
         text.faults.append(Fault("not_text", detail=f"It starts with the bytes {first[:8].hex(' ')}."))
+    elif len(first) > MAX_HEADER_BYTES:
+        text.faults.append(Fault("no_header", detail=f"The first line has {len(first)} bytes."))
     else:
         _open_header(text, first.decode(), body, judge)
     return text
@@ -86,6 +94,11 @@ def _open_header(text: Text, first: str, body: bytes, judge: Judge) -> None:
     if not body[:4096].strip() and not body.strip():
         text.faults.append(Fault("no_rows"))
         return
+    n_lines = _count(body, b"\n")
+    if n_lines > MAX_LINES:
+        text.n_rows = _count_rows(body)
+        text.faults.append(Fault("too_large", detail=f"It has {n_lines} lines.", n_rows=text.n_rows))
+        return
     text.header = header
     text.body = _whole_lines(body, text)
     text.n_lines = _count(text.body, b"\n")
@@ -94,8 +107,21 @@ def _open_header(text: Text, first: str, body: bytes, judge: Judge) -> None:
 
 
 def _count_rows(body: bytes) -> int:
-    """Lines that are not blank."""
-    return sum(1 for line in body.split(b"\n") if line.strip())
+    """Lines that are not blank: places where the first ink of a line follows."""
+    n, before = 0, _NEWLINE
+    for start in range(0, len(body), _CHUNK):
+        marks = _MARKS[np.frombuffer(body, np.uint8, min(_CHUNK, len(body) - start), start)]
+        marks = np.concatenate([[before], marks[marks != _BLANK]])
+        n += int(np.count_nonzero((marks[1:] == _INK) & (marks[:-1] == _NEWLINE)))
+        before = marks[-1]
+    return n
+
+
+_BLANK, _INK, _NEWLINE = 0, 1, 2
+_MARKS = np.full(256, _INK, np.uint8)
+_MARKS[list(b" \t\r\x0b\x0c")] = _BLANK
+_MARKS[ord("\n")] = _NEWLINE
+_CHUNK = 1 << 22
 
 
 def _to_utf8(content: bytes, text: Text) -> bytes:
@@ -154,7 +180,7 @@ def _decimals(number: bytes) -> int:
 
 
 def to_columns(texts: Sequence[Text], numbers: Collection[str]) -> tuple[pl.DataFrame, list[list[Fault]]]:
-    """Rows of all files with the known columns, `text` (position in `texts`) and `row` (line), and each file's faults.
+    """Rows of all files with the known columns, `_text` (position in `texts`), `row` (line), and each file's faults.
 
     Columns in `numbers` come as Float64, with NaN and infinity where the file says so; all others as String.
     """
@@ -184,12 +210,12 @@ def _to_numbers(frame: pl.DataFrame, numbers: Collection[str], faults: list[list
 
 
 def number_faults(frame: pl.DataFrame, name: str) -> tuple[pl.DataFrame, list[tuple[int, Fault]]]:
-    """A text column as numbers, and for each text that is none its file (`text`, 0 where absent) and fault."""
+    """A text column as numbers, and for each text that is none its file (`_text`, 0 where absent) and fault."""
     found = pl.col(name).str.strip_chars(" \t")
     number = found.cast(pl.Float64, strict=False)
-    file = pl.col("text") if "text" in frame.columns else pl.lit(0).alias("text")
+    file = pl.col(PLACE) if PLACE in frame.columns else pl.lit(0).alias(PLACE)
     bad = frame.filter(number.is_null() & (found.str.len_bytes() > 0)).select(file, "row", name)
-    bad, rest = first_and_rest(bad, ["text"], MAX_ROWS_LISTED)
+    bad, rest = first_and_rest(bad, [PLACE], MAX_ROWS_LISTED)
     faults = [(i, Fault("not_a_number", row, name, f"Found {value[:40]!r}.")) for i, row, value in bad.iter_rows()]
     faults += [(i, Fault("not_a_number", None, name, f"And {n} more values.")) for i, n in rest.iter_rows()]
     return frame.with_columns(number.alias(name)), faults
@@ -248,7 +274,7 @@ def _placed(frame: pl.DataFrame, members: Sequence[int], counts: Sequence[int]) 
     text = np.repeat(np.asarray(members, dtype=np.int32), counts)
     starts = np.repeat(np.cumsum([0, *counts[:-1]]), counts)
     row = np.arange(frame.height, dtype=np.int64) - starts + 2
-    return frame.with_columns(pl.Series("text", text), pl.Series("row", row))
+    return frame.with_columns(pl.Series(PLACE, text), pl.Series("row", row))
 
 
 def _line_by_line(i: int, text: Text, faults: list[Fault]) -> pl.DataFrame:
@@ -272,7 +298,7 @@ def _line_by_line(i: int, text: Text, faults: list[Fault]) -> pl.DataFrame:
             more[fields[0]] += 1
     faults.extend(Fault(reason, detail=f"And {n} more rows.", n_rows=n) for reason, n in more.items())
     columns = {n: pl.Series([f[k] for f in kept], dtype=pl.String) for k, n in enumerate(names) if n}
-    place = {"text": pl.Series([i] * len(rows), dtype=pl.Int32), "row": pl.Series(rows, dtype=pl.Int64)}
+    place = {PLACE: pl.Series([i] * len(rows), dtype=pl.Int32), "row": pl.Series(rows, dtype=pl.Int64)}
     return pl.DataFrame({**columns, **place})
 
 
