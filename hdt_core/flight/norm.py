@@ -10,6 +10,7 @@ from hdt_core.flight.cross_checks import OutletLaw, leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
 from hdt_core.flight.nominal import Level, Scatter
 from hdt_core.flight.phases import LEG_KEY
+from hdt_core.tables.base import finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ def leg_signs(samples: pl.DataFrame, norm: Norm) -> pl.DataFrame:
     """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
     means of the cross checks. Each from its own samples only."""
     checks = leg_checks(samples, norm.outlet)
-    return checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True)
+    return finite(checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True))
 
 
 def _frozen(plain: dict[str, Any]) -> dict[str, Any]:

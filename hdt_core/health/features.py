@@ -10,6 +10,7 @@ import polars as pl
 
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.records.unit_index import number_units
+from hdt_core.tables.base import finite
 
 UNIT = ["operator", "tail", "pack"]
 KEY = ["operator", "tail", "flight_id", "pack"]
@@ -71,7 +72,7 @@ def features(
     trends = [e for name in health for e in trend(name, [*UNIT, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
     lives = [f"{component}_life" for component in components]
-    return _usage(_beside(wide)).drop(lives).sort("tail", "pack", "departed_at", "flight_id")
+    return finite(_usage(_beside(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
 
 
 def _component(parameter: str) -> str:

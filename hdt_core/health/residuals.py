@@ -14,6 +14,7 @@ from hdt_core.health.detection import Array
 from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.model import PhysicsModel
+from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_samples
 from hdt_core.twin.crossing import cruise_samples
@@ -155,9 +156,9 @@ def _summarised(
     rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str, float]]
 ) -> pl.DataFrame:
     """Differences of each row, named `signal|kind`, as statistics by flight and pack."""
-    wide = rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)).fill_nan(None) for name, v in columns.items())
+    wide = finite(rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)) for name, v in columns.items()))
     parts = [_statistics(wide, signal, kind, *signals[signal]) for signal in signals for kind in KINDS]
-    return pl.concat(parts).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
+    return finite(pl.concat(parts)).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
 
 
 def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str, sigma: float) -> pl.DataFrame:

@@ -9,6 +9,7 @@ import polars as pl
 
 from hdt_core.health.controller import DOOR_FREE, RUNNING_KG_S, Laws, has_authority, learn_laws
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from hdt_core.tables.base import finite
 from hdt_core.twin.crossing import departure
 
 KEY = ["operator", "tail", "flight_id", "pack"]
@@ -64,7 +65,7 @@ def witnesses(samples: pl.DataFrame, laws: Laws | None = None) -> pl.DataFrame:
     )
     for part in parts:
         out = out.join(part, on=KEY, how="left")
-    return out.sort(KEY)
+    return finite(out.sort(KEY))
 
 
 def _counts() -> list[pl.Expr]:

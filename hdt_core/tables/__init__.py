@@ -29,6 +29,8 @@ class Entry:
         One file of an aircraft holds a month, a flight or all.
     open : bool
         Columns beyond the declared ones are kept.
+    whole : bool
+        Rows mean something only together: if one breaks the declaration, none is stored.
     key : tuple of str
         Columns the rows are sorted by; fixed so that the same rows make the same file.
     """
@@ -38,6 +40,7 @@ class Entry:
     key: tuple[str, ...]
     shard: Literal["month", "flight", "all"] = "all"
     open: bool = False
+    whole: bool = False
 
     @property
     def shard_of(self) -> pl.Expr:
@@ -57,32 +60,35 @@ TABLES: dict[str, Entry] = {
     "raw_snapshots": Entry(raw.RawSnapshots, "flight", _SAMPLE, "month"),
     "raw_logs": Entry(raw.RawLogs, "flight", _SAMPLE, "flight"),
     "raw_flights": Entry(raw.RawFlights, "flight", ("flight_id",), "month"),
-    "raw_deliveries": Entry(raw.RawDeliveries, "flight", ("file", "flight_id"), "month"),
+    "raw_deliveries": Entry(raw.RawDeliveries, "flight", ("file", "flight_id"), "month", whole=True),
     "raw_quarantine": Entry(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
     "raw_messages": Entry(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
     "raw_maintenance": Entry(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
-    "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",)),
+    "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_records_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
     "raw_fleet": Entry(raw.RawFleet, "fleet", ("operator", "tail")),
-    "raw_files_deliveries": Entry(raw.RawDeliveries, "fleet", ("file",)),
+    "raw_files_deliveries": Entry(raw.RawDeliveries, "fleet", ("file",), whole=True),
     "raw_files_quarantine": Entry(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
     "legs_samples": Entry(legs.LegsSamples, "flight", _SAMPLE, "month"),
     "legs_verdicts": Entry(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
     "legs_signs": Entry(legs.LegsSigns, "flight", _FLIGHT_PACK, "month"),
     "legs_admitted": Entry(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
-    "calibration_dsm": Entry(calibration.CalibrationDsm, "fleet", ("dsm_version",)),
+    "calibration_dsm": Entry(calibration.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
     "calibration_design": Entry(
-        calibration.CalibrationDesign, "fleet", ("scope", "operator", "tail", "pack", "component", "parameter")
+        calibration.CalibrationDesign,
+        "fleet",
+        ("scope", "operator", "tail", "pack", "component", "parameter"),
+        whole=True,
     ),
-    "calibration_laws": Entry(calibration.CalibrationLaws, "fleet", ("name",)),
+    "calibration_laws": Entry(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
     "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
     "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
-    "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history")),
+    "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
     "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_witnesses": Entry(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
     "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
     "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
-    "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",)),
-    "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",)),
+    "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
+    "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognoses": Entry(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
 }

@@ -78,6 +78,12 @@ _BROKEN = {
 }
 
 
+def finite(frame: pl.DataFrame) -> pl.DataFrame:
+    """`frame` with NaN and infinity as null: what came of readings that no arithmetic can use is missing."""
+    numbers = pl.selectors.float()
+    return frame.with_columns(pl.when(numbers.is_finite()).then(numbers))
+
+
 class Table(dy.Schema):
     """A declared table: its first docstring line says what a row is."""
 
@@ -89,6 +95,28 @@ class Table(dy.Schema):
             return missing
         _, failure = cls.filter(frame)
         return [f"{cls._in_words(rule)} in {n} of {frame.height} rows" for rule, n in failure.counts().items()]
+
+    @staticmethod
+    def counted(broken: pl.DataFrame, n_rows: int) -> list[str]:
+        """What is wrong with `broken` rows of `n_rows`, a sentence a broken rule."""
+        rules = broken["faults"].str.split("; ").explode(empty_as_null=False).value_counts(sort=True)
+        return [f"{rule} in {n} of {n_rows} rows" for rule, n in rules.iter_rows()]
+
+    @classmethod
+    def parted(cls, frame: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+        """Rows of `frame` that honour the declaration, and declared columns of those that do not, with their `faults`.
+
+        Of rows with one key none is taken to be the right one.
+        """
+        _, failure = cls.filter(frame)
+        if not len(failure):
+            return frame, frame.select(list(cls.columns())).clear().with_columns(pl.lit("").alias("faults"))
+        rules = list(failure.counts())
+        said = (pl.when(pl.col(r).cast(pl.String) == "invalid").then(pl.lit(cls._in_words(r))) for r in rules)
+        faults = pl.concat_list(said).list.drop_nulls().list.join("; ").alias("faults")
+        broken = failure.details().select(*cls.columns(), faults)
+        on = cls.primary_key() or list(cls.columns())
+        return frame.join(broken, on=on, how="anti", nulls_equal=True, maintain_order="left"), broken
 
     @classmethod
     def _in_words(cls, rule: str) -> str:

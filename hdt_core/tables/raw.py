@@ -43,6 +43,8 @@ class RawSnapshots(Signals):
     time_utc = moment("time of the report", primary_key=True)
     source = text("acms or cpl", nullable=False)
     phase_code = text("the recorder's own flight phase, may be wrong")
+    origin = text("ICAO code of the airport of departure, where the operator gives it")
+    destination = text("ICAO code of the airport of arrival, where the operator gives it")
     file = text("file that delivered the row, below the landing zone", nullable=False)
 
 
@@ -61,6 +63,8 @@ class RawFlights(Table):
     source = text("acms, cpl or both", nullable=False)
     n_snapshots = count("ACMS snapshot times")
     n_seconds = count("seconds of continuous log")
+    origin = text("ICAO code of the airport of departure, where the operator gives it")
+    destination = text("ICAO code of the airport of arrival, where the operator gives it")
 
 
 class RawDeliveries(Table):
@@ -92,7 +96,10 @@ class RawQuarantine(Table):
     column_name = text("column at fault, null where the row or file as a whole is")
     reason = text("reason code", nullable=False)
     detail = text("what was found, in words")
-    scope = text("file, row or value: a value is stored as null and its row goes on", nullable=False)
+    scope = text(
+        "file, row, value (stored as null, its row goes on), result (a computed row) or note (nothing kept out)",
+        nullable=False,
+    )
     operator = text("airline code of the folder")
     tail = text("tail of the folder")
     flight_id = text("flight the row belongs to; a row that names none goes with the file's first flight")

@@ -22,7 +22,7 @@ def _numbers(meaning: str) -> dy.List:
 class TwinFlights(DatedLegTable):
     """What one flight alone says of a pack, against the Digital System Model: flight, pack."""
 
-    status = text("ok, few_samples, or no_cruise where nothing could be estimated", nullable=False)
+    status = text("ok, few_samples; no_cruise: nothing estimated; implausible: no core can have this", nullable=False)
     n_samples = _samples("steady cruise samples behind the exchanger's estimates")
     ln_ua_ratio = number("ln of measured over expected conductance, ram flow that of a clean duct")
     ln_ua_ratio_sd = number("random standard deviation of it", low=0)

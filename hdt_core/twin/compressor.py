@@ -72,7 +72,7 @@ def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.Da
     inlet_k = s["cc_in_k"] - rows["inlet_bias_k"].fill_null(0.0).to_numpy()
     exit_pa = s["cc_out_pa"] * np.exp(-rows["exit_bias_ln"].fill_null(0.0).to_numpy())
     inlet_pa = s["cc_in_pa"] * np.exp(-rows["inlet_bias_ln"].fill_null(0.0).to_numpy())
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = {
             "diameter_m": effective_diameter_m(inlet_pa, exit_pa, inlet_k, s["cc_speed_rad_s"]),
             "group_m3": area_diameter_tan_beta_m3(s["cc_flow_kg_s"], inlet_pa, inlet_k, s["cc_speed_rad_s"]),

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.model import Array
+from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_flights, compressor_samples
 from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, complete_air_data, cruise_samples, flights_of
@@ -23,6 +24,9 @@ SLOPES = (
     ("ratio_per_inlet_k", "hx_in_k", 0.01),
     ("ratio_per_door", "ram_door_open", 1e-4),
 )
+MOST_LN = 5.0
+"""No core conducts 150 times what it should, or a 150th: readings that say so are none of it."""
+EXCHANGER = ("ln_ua_ratio", "ln_ua_ratio_sd", "ln_ua_ratio_map_sd", "ua_w_k")
 MEDIANS = (*hx.SIGNALS, "ram_out_k")
 
 
@@ -43,7 +47,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         that of the clean duct), its random `_sd` and the model's `_map_sd`; `ua_w_k`, `ram_flow_kg_s`,
         `effectiveness`; `ln_ram_ratio` (ram flow by heat balance over the clean map) where the ram outlet is measured;
         medians of the signals; effective diameter, group, efficiency of the compressor and what equation (6) expects.
-        `status`: ok, few_samples, no_cruise. Missing is null.
+        `status`: ok, few_samples, no_cruise, implausible. Missing is null, and so is what came out as no number.
     """
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
@@ -54,9 +58,14 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     joined = flights.join(exchanger, on=FLIGHT_PACK, how="left")
     for more in (witnesses, machine):
         joined = joined.join(more, on=FLIGHT_PACK, how="left")
+    joined = finite(joined)
+    odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
+    odd &= pl.col("ln_ua_ratio").is_not_null()
     expected = dsm.compressor.intercept_m + dsm.compressor.slope_m_per_count * pl.col("vda_counts")
     status = (
-        pl.when(pl.col("ln_ua_ratio").is_null())
+        pl.when(odd)
+        .then(pl.lit("implausible"))
+        .when(pl.col("ln_ua_ratio").is_null())
         .then(pl.lit("no_cruise"))
         .when(pl.col("n_samples") < 3)
         .then(pl.lit("few_samples"))
@@ -67,6 +76,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
             expected.alias("expected_diameter_m"),
             pl.col("n_samples", "cc_n_samples").fill_null(0).cast(pl.Int32),
             status.alias("status"),
+            *(pl.when(~odd.fill_null(False)).then(c).alias(c) for c in EXCHANGER),
         )
         .drop("order")
         .sort(IN_ORDER)

@@ -63,7 +63,16 @@ def track_on(
     flights = twin_flights.sort(IN_ORDER)
     health, chapters = _exchanger(flights, maintenance, dsm, known, f"{seal}|{dsm.dsm_version}")
     rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
-    return Tracked(pl.concat(rows).sort(*PACK, "departed_at", "flight_id", "component", "parameter"), chapters)
+    told = _sound(pl.concat(rows))
+    return Tracked(told.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), chapters)
+
+
+def _sound(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows without value where an estimate came out as no number, or with a doubt that is none."""
+    value, sd = pl.col("value"), pl.col("sd")
+    broken = (~value.is_finite() | ~sd.is_finite() | (sd < 0)).fill_null(False)
+    status = pl.when(broken).then(pl.lit("no_number")).otherwise("status").alias("status")
+    return rows.with_columns(pl.when(~broken).then(value), pl.when(~broken).then(sd), status)
 
 
 def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:

@@ -4,6 +4,7 @@ import inspect
 import time
 from collections.abc import Callable, Iterator
 from datetime import timedelta
+from functools import partial
 from typing import Any, NamedTuple
 
 import dagster as dg
@@ -11,8 +12,10 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
+from pipelines.aside import set_aside
 from pipelines.io import Asked
 from pipelines.meanings import declared
+from pipelines.panics import panics_as_errors
 from pipelines.resources import Home
 from pipelines.versions import MADE
 
@@ -51,7 +54,8 @@ def stage(
     The function's arguments are named after the tables it reads; `asked` and `home` give it the run's cells and
     folders, with which it may read a part of the tables named in `after`.
     It returns one frame a table, in the order of `tables`. Each is checked against its declaration before it is stored:
-    a frame that breaks it is not stored, and what depends on it does not run.
+    a row that breaks it is set aside in quarantine, and where rows stand or fall together nothing is stored and what
+    depends on it does not run.
     """
 
     def wire(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
@@ -73,13 +77,15 @@ def stage(
             asked = Asked.of(list(context.partition_keys) if context.has_partition_key_range else None)
             offered: dict[str, Any] = {"asked": asked, "home": home}
             began = time.monotonic()
-            frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
+            with panics_as_errors():
+                frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
             took = {"seconds": round(time.monotonic() - began, 3)}
             if not isinstance(frames, Shown):
                 frames = Shown(frames if isinstance(frames, tuple) else (frames,), {})
             for place, (table, frame) in enumerate(zip(tables, frames.frames, strict=True)):
                 shown = took | frames.metadata if place == frames.on else took
-                yield from _checked(table, TABLES[table].conform(frame), shown)
+                keep = partial(set_aside, home.store, home.ledger, asked, table)
+                yield from _checked(table, TABLES[table].conform(frame), shown, keep)
 
         return run
 
@@ -105,19 +111,27 @@ def _promise(table: str) -> str:
     return f"{table} has the declared columns, types, spans and a unique key"
 
 
-def _checked(table: str, frame: pl.DataFrame, shown: dict[str, Any]) -> Iterator[Any]:
-    faults = TABLES[table].schema.faults(frame)
+def _checked(
+    table: str, frame: pl.DataFrame, shown: dict[str, Any], keep: Callable[[pl.DataFrame], None] = lambda _: None
+) -> Iterator[Any]:
+    """What the check of a table says, and the rows to store; `keep` is given those that break the declaration."""
+    sound, broken = TABLES[table].schema.parted(frame)
+    faults = TABLES[table].schema.counted(broken, frame.height)
+    refused = bool(faults) and (TABLES[table].whole or (TABLES[table].grain == "fleet" and not sound.height))
     says = "; ".join(faults) or f"{frame.height} rows, each as declared"
+    told = "not stored: " if refused else "set aside in quarantine: " if faults else ""
     yield _OfWhatComes(
         check_name=CHECK,
         asset_key=table,
         passed=not faults,
-        description=f"not stored: {says}" if faults else says,
+        severity=dg.AssetCheckSeverity.ERROR if refused else dg.AssetCheckSeverity.WARN,
+        description=told + says,
         metadata={"rows": frame.height, "faults": "; ".join(faults) or "none"},
     )
-    if faults:
+    if refused:
         raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {says}")
-    yield dg.Output(frame, output_name=table, metadata={**shown, **_numbers(frame)})
+    keep(broken)
+    yield dg.Output(sound, output_name=table, metadata={**shown, **_numbers(sound)})
 
 
 def _numbers(frame: pl.DataFrame) -> dict[str, int]:

@@ -1,6 +1,6 @@
 -- Does the chain go through: of every leg a health estimate, features and a prognosis?
 -- A fault: a leg that a later stage has not, or a row of a later stage of no leg. Reads: legs, health_parameters,
--- features, prognoses, residuals.
+-- features, prognoses, residuals, quarantine (legs of which a row was set aside).
 with later as (
     select distinct
         operator,
@@ -37,6 +37,11 @@ wanted as (
         s.stage
     from legs as l
     cross join stages as s
+    where
+        not exists (
+            select 1 from quarantine as q
+            where q.reason = 'breaks_declaration' and q.operator = l.operator and q.flight_id = l.flight_id
+        )
 )
 
 select
