@@ -7,18 +7,21 @@ again and arrives broken takes nothing away.
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import polars as pl
 
-from pipelines.intake.landing import LandingFile
+from hdt_core.tables import TABLES
+from pipelines.aside import BROKEN
+from pipelines.intake.columns import AIRPORTS
+from pipelines.intake.landing import LandingFile, received
 from pipelines.intake.merge import Merged, merge_deliveries
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
 from pipelines.ledger import Ledger
+from pipelines.redelivered import ACCOUNT, redelivered
 from pipelines.store import Store
 from pipelines.versions import FLIGHT_FILES
-
-ACCOUNT = ("file", "flight_id")
 
 
 @dataclass(frozen=True)
@@ -38,15 +41,18 @@ def take_in(landing: Path, store: Store, ledger: Ledger, aircraft: tuple[str, st
     intake = read_snapshots(files, datetime.now(UTC), store.read("raw_fleet"))
     _must_balance(intake)
     rows, quarantine = _wanted(intake.rows, flights), _wanted(_carried(intake.quarantine, first), flights)
-    spoke = rows.select(ACCOUNT).unique()
-    gone = Stored(store, aircraft, flights, [f.path for f in files], spoke)
-    merged = merge_deliveries([rows, gone.rows()], {f.path: f.received_at for f in files})
-    account = _account(rows, quarantine, Merged(*(part.join(spoke, on=ACCOUNT, how="semi") for part in merged)))
+    gone = Stored(store, aircraft, flights, [f.path for f in files], rows.select(ACCOUNT).unique())
+    received_at = {path: received(ns) for path, ns in held.select("path", "mtime_ns").iter_rows()}
+    before = redelivered(rows, quarantine, *gone.replaced(), received_at)
+    rows, quarantine = pl.concat([rows, before.rows]), pl.concat([quarantine, before.quarantine])
+    merged = merge_deliveries([rows, gone.rows()], received_at)
+    here = Merged(*(part.join(gone.spoke, on=ACCOUNT, how="semi") for part in merged))
+    account = _account(rows, quarantine, here)
     quarantine = pl.concat([quarantine, merged.quarantine])
     whole = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
     return Taken(
         merged.rows.drop("row_in_file"),
-        pl.concat([account, gone.deliveries(merged.rows)]).group_by(ACCOUNT).sum().with_columns(**whole),
+        pl.concat([account, gone.deliveries(merged)]).group_by(ACCOUNT).sum().with_columns(**whole),
         pl.concat([quarantine, gone.quarantine()], how="diagonal").with_columns(**whole),
     )
 
@@ -65,28 +71,43 @@ class Stored:
     spoke: pl.DataFrame
 
     def _of(self, table: str) -> pl.DataFrame:
-        return self.store.scan(table, [self.aircraft]).filter(pl.col("flight_id").is_in(self.flights)).collect()
+        held = self.store.scan(table, [self.aircraft]).filter(pl.col("flight_id").is_in(self.flights)).collect()
+        return TABLES[table].conform(held)
 
-    def _absent(self, table: str) -> pl.DataFrame:
-        return self._of(table).filter(~pl.col("file").is_in(self.present))
+    def _quarantined(self) -> pl.DataFrame:
+        """Of what was delivered: computed rows are set aside anew by their own stage."""
+        return self._of("raw_quarantine").filter(pl.col("reason") != BROKEN)
+
+    @cached_property
+    def _recorded(self) -> pl.DataFrame:
+        both = pl.concat([self._of("raw_snapshots"), self._of("raw_logs")])
+        return both.with_columns(row_in_file=pl.lit(0, pl.Int64)).select(ROW_COLUMNS)
 
     def rows(self) -> pl.DataFrame:
         """Rows as `read_snapshots` gave them."""
-        both = pl.concat([self._of("raw_snapshots"), self._of("raw_logs")]).join(self.spoke, on=ACCOUNT, how="anti")
-        return both.with_columns(row_in_file=pl.lit(0, pl.Int64)).select(ROW_COLUMNS)
+        return self._recorded.join(self.spoke, on=ACCOUNT, how="anti")
+
+    def replaced(self) -> tuple[pl.DataFrame, pl.DataFrame]:
+        """Rows and quarantine rows that earlier versions of files that lie there have left."""
+        here = pl.col("file").is_in(self.present)
+        return self._recorded.filter(here), self._quarantined().filter(here)
 
     def quarantine(self) -> pl.DataFrame:
         """Quarantine rows as they were."""
-        return self._absent("raw_quarantine")
+        return self._quarantined().filter(~pl.col("file").is_in(self.present))
 
-    def deliveries(self, rows: pl.DataFrame) -> pl.DataFrame:
+    def deliveries(self, merged: Merged) -> pl.DataFrame:
         """Their account, with what has been said better since counted as duplicate."""
-        loaded = rows.group_by(ACCOUNT).agg(pl.len().cast(pl.Int64).alias("now"))
-        told = self._absent("raw_deliveries").select(*ACCOUNT, "delivered", "quarantined")
+        loaded = _count(merged.rows).rename({"n": "now"})
+        aside = _n_rows(merged.quarantine)
+        absent = ~pl.col("file").is_in(self.present)
+        told = self._of("raw_deliveries").filter(absent).select(*ACCOUNT, "delivered", "quarantined")
         untold = _count(self.rows()).join(told, on=ACCOUNT, how="anti")  # of broken files, or stored by a killed night
         kept = untold.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
-        before = pl.concat([told, kept]).join(loaded, on=ACCOUNT, how="left")
-        before = before.with_columns(loaded=pl.col("now").fill_null(0))
+        before = pl.concat([told, kept]).join(loaded, on=ACCOUNT, how="left").join(aside, on=ACCOUNT, how="left")
+        before = before.with_columns(
+            loaded=pl.col("now").fill_null(0), quarantined=pl.col("quarantined") + pl.col("n").fill_null(0)
+        )
         said = pl.col("delivered") - pl.col("loaded") - pl.col("quarantined")
         return before.with_columns(duplicate=said).select(*ACCOUNT, "delivered", "loaded", "quarantined", "duplicate")
 
@@ -116,6 +137,7 @@ def flights_of(rows: pl.DataFrame) -> pl.DataFrame:
         source.alias("source"),
         times.filter(acms).n_unique().cast(pl.Int64).alias("n_snapshots"),
         times.filter(cpl).n_unique().cast(pl.Int64).alias("n_seconds"),
+        *(pl.col(c).sort_by("time_utc").drop_nulls().first() for c in AIRPORTS),
     )
 
 
@@ -148,13 +170,11 @@ def _wanted(frame: pl.DataFrame, flights: list[str]) -> pl.DataFrame:
 
 def _account(rows: pl.DataFrame, quarantine: pl.DataFrame, merged: Merged) -> pl.DataFrame:
     """Rows delivered, loaded, quarantined and duplicate, for each file and flight; they must balance."""
-    came, kept_aside = _count(rows), quarantine.group_by(ACCOUNT).agg(pl.col("n_rows").sum().alias("n"))
+    came, kept_aside = _count(rows), _n_rows(quarantine)
     parts = {
         "delivered": pl.concat([came, kept_aside]),
         "loaded": _count(merged.rows),
-        "quarantined": pl.concat(
-            [kept_aside, merged.quarantine.group_by(ACCOUNT).agg(pl.col("n_rows").sum().alias("n"))]
-        ),
+        "quarantined": pl.concat([kept_aside, _n_rows(merged.quarantine)]),
         "duplicate": merged.duplicates.rename({"n_duplicate": "n"}),
     }
     account = parts["delivered"].select(ACCOUNT).unique()
@@ -162,6 +182,10 @@ def _account(rows: pl.DataFrame, quarantine: pl.DataFrame, merged: Merged) -> pl
         summed = part.group_by(ACCOUNT).agg(pl.col("n").sum().alias(name))
         account = account.join(summed, on=ACCOUNT, how="left")
     return account.with_columns(pl.col(*parts).fill_null(0).cast(pl.Int64)).select(*ACCOUNT, *parts)
+
+
+def _n_rows(quarantine: pl.DataFrame) -> pl.DataFrame:
+    return quarantine.group_by(ACCOUNT).agg(pl.col("n_rows").sum().alias("n"))
 
 
 def _count(rows: pl.DataFrame) -> pl.DataFrame:

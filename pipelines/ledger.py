@@ -91,6 +91,11 @@ class Ledger:
         with self._open() as con:
             return {p: (s, m) for p, s, m in con.execute("select path, size, mtime_ns from files")}
 
+    def digests(self) -> dict[str, str]:
+        """Content hash of every file seen, by path."""
+        with self._open() as con:
+            return dict(con.execute("select path, digest from files").fetchall())
+
     def register(
         self, files: Iterable[tuple[str, str, str, str, int, int, str]], flights: dict[str, list[str]]
     ) -> None:

@@ -29,6 +29,8 @@ class LandingFile:
     kind: Kind
     size: int
     mtime_ns: int
+    touched_ns: int = 0
+    """When content or modification time were last set, by the file system's own clock, which no program sets back."""
 
     @property
     def name(self) -> str:
@@ -53,7 +55,12 @@ class LandingFile:
     @property
     def received_at(self) -> datetime:
         """When it was last written."""
-        return datetime.fromtimestamp(self.mtime_ns // 1_000_000_000, UTC)
+        return received(self.mtime_ns)
+
+
+def received(mtime_ns: int) -> datetime:
+    """Modification time of a file, to the second."""
+    return datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
 
 
 class Landing(NamedTuple):
@@ -72,7 +79,7 @@ class _Listing:
         self.faults: list[tuple[str, Fault, datetime]] = []
 
     def refuse(self, path: str, reason: str, detail: str, mtime_ns: int = 0) -> None:
-        at = datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
+        at = received(mtime_ns)
         self.faults.append((_printable(path), Fault(reason, detail=detail), at))
 
     def entries(self, below: str) -> Iterator[os.DirEntry[str]]:
@@ -113,8 +120,9 @@ class _Listing:
             return
         operator, _, rest = path.partition("/")
         tail = rest.partition("/")[0]
+        touched = max(status.st_ctime_ns, status.st_mtime_ns)
         keys = ("", "") if kind == "fleet" else (operator, tail)
-        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, status.st_mtime_ns))
+        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, status.st_mtime_ns, touched))
 
     def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
         """Take fleet.csv at the top and the logs of a tail, where they belong."""
