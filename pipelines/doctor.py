@@ -69,6 +69,7 @@ def _home(home: Path) -> Iterator[Check]:
         yield Check("ledger", said == "ok", said)
     if (home / CATALOG).exists():
         yield _catalog(home)
+        yield _feed(home)
 
 
 def _catalog(home: Path) -> Check:
@@ -76,3 +77,19 @@ def _catalog(home: Path) -> Check:
         there = {name for (name,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
     missing = sorted(set(views()) - there)
     return Check("catalog", not missing, f"lacks {', '.join(missing)}" if missing else f"all {len(views())} views")
+
+
+_MISWRITTEN = """
+select file || ': ' || string_agg(distinct coalesce(column_name || ' ', '') || replace(reason, '_', ' '), '; ')
+from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin', 'unit_kpa', 'unit_kg_s',
+    'implausible_pressure', 'tail_of_two_operators') group by file order by max(received_at) desc, file
+"""
+
+
+def _feed(home: Path) -> Check:
+    """Whether files came in other units or wired otherwise than agreed."""
+    with connect(home) as con:
+        odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+    more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
+    said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
+    return Check("units and wiring", not odd, said)

@@ -23,8 +23,9 @@ _TAILS = ("tail",)
 _FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id")
 _IDENTITIES = ("alert_id", "reference", "msn", "file")
 """Told by a keyed hash: names of parts, papers and files, each of which leads to one aircraft."""
-_VERBATIM = ("detail", "content", "delivered_on")
-"""Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was delivered."""
+_VERBATIM = ("detail", "content", "delivered_on", "origin", "destination")
+"""Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was
+delivered; from where to where it flew."""
 _OUR_WORDS = (
     *("operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase"),
     *(

@@ -35,11 +35,14 @@ FLIGHT_FILES = ("acms", "history", "cpl")
 
 MADE: dict[str, Made] = {
     **dict.fromkeys(
-        ("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights"), Made(files=FLIGHT_FILES)
+        ("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights"),
+        Made(files=FLIGHT_FILES, code="2"),
     ),
-    "raw_messages": Made(files=("messages",)),
-    "raw_maintenance": Made(files=("maintenance",), code="2"),
-    **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Made(files=("messages", "maintenance"))),
+    "raw_messages": Made(files=("messages",), code="2"),
+    "raw_maintenance": Made(files=("maintenance",), code="3"),
+    **dict.fromkeys(
+        ("raw_records_deliveries", "raw_records_quarantine"), Made(files=("messages", "maintenance"), code="2")
+    ),
     **dict.fromkeys(
         ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"), Made(files=("fleet", "rejected", "refused"))
     ),

@@ -39,7 +39,8 @@ def raw_records(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
     landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(asked.aircraft or {})
     listed = home.ledger.files(list(RECORDS)).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
     here = landing_files(landing, listed)
-    read = [(f, RECORDS[f.kind][1](f, now)) for f in here]
+    fleet = home.store.read("raw_fleet")
+    read = [(f, RECORDS[f.kind][1](f, now, fleet)) for f in here]
     tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], asked, home.store) for kind in RECORDS]
     deliveries = [_account(f, x).with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
     quarantine = [x.quarantine.with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]

@@ -9,6 +9,9 @@ ZERO_CELSIUS_K = 273.15
 
 KEYS = ("flight_id", "report_time", "pack")
 PHASE = "phase_code"
+AIRPORTS = ("origin", "destination")
+WORDS = (PHASE, *AIRPORTS)
+"""Columns of text that may be missing for an operator, or empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,7 @@ SIGNAL_COLUMNS = (
 )
 SIGNAL_NAMES = tuple(c.name for c in SIGNAL_COLUMNS)
 """Any of these may be missing for an operator; the keys may not."""
-SNAPSHOT_COLUMNS = (*KEYS, PHASE, *SIGNAL_NAMES)
+SNAPSHOT_COLUMNS = (*KEYS, *WORDS, *SIGNAL_NAMES)
 CORE_NAMES = SIGNAL_NAMES[:8]
 """What nearly every operator records; two of them gone and strangers in their place means renamed columns."""
 SI_NAMES = tuple(c.si_name for c in SIGNAL_COLUMNS)

@@ -7,14 +7,15 @@ from datetime import UTC, datetime, time, timedelta
 
 import polars as pl
 
-from pipelines.intake.columns import PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES
+from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import MAX_ROWS_LISTED, Fault, first_and_rest
-from pipelines.intake.names import flight_day, flight_of_file, flight_tail, is_history
+from pipelines.intake.names import EARLIEST, flight_day, flight_of_file, flight_tail, is_history
 from pipelines.intake.plausibility import pressure_ratio, slipped_rows
 
 EARLY, LATE = timedelta(hours=3), timedelta(hours=48)
 """A flight's reports lie between 3 h before its UTC day begins (doors close before midnight) and 48 h after that."""
+AIRPORT = r"^[A-Z]{4}$"
 PHASES = ("TO", "CL", "CR", "DS", "AP", "GR")
 SILENCE = timedelta(hours=3)
 """Reports come every 2 to 10 minutes; the longest silence of a sound flight in the sample fleet is 26 minutes."""
@@ -28,6 +29,7 @@ _COLUMN_OF = {
     "repeated_header": "",
     "bad_flight_id": "flight_id",
     "flight_id_contradicts_path": "flight_id",
+    "too_early": "flight_id",
     "unreadable_time": "report_time",
     "future_time": "report_time",
     "time_contradicts_flight_id": "report_time",
@@ -101,11 +103,13 @@ def _verdicts(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> pl.DataF
     verdict = keys.select(reason.alias("reason"))
     slips = slipped_rows(raw)
     if slips.is_empty():
-        return verdict.with_columns(pl.lit(None, pl.String).alias("slipped"))
+        return verdict.with_columns(pl.lit(None, pl.String).alias(c) for c in ("slipped", "told"))
     slips = slips.rename({"reason": "slip", "column_name": "slipped"})
     joined = verdict.with_row_index("index").join(slips, on="index", how="left", maintain_order="left")
     return joined.select(
-        pl.coalesce("reason", "slip").alias("reason"), pl.when(pl.col("reason").is_null()).then("slipped")
+        pl.coalesce("reason", "slip").alias("reason"),
+        pl.when(pl.col("reason").is_null()).then("slipped"),
+        pl.when(pl.col("reason").is_null()).then("told"),
     )
 
 
@@ -120,6 +124,8 @@ def _flights(pairs: pl.DataFrame, about: pl.DataFrame) -> pl.DataFrame:
             wrong = "repeated_header" if flight == "flight_id" else "bad_flight_id"
         elif flight_tail(flight) != tails[i] or named[i] not in (None, flight):
             wrong = "flight_id_contradicts_path"
+        elif day < EARLIEST:
+            wrong = "too_early"
         rows.append((i, flight, wrong, day and datetime.combine(day, time(), UTC), packs[i]))
     schema = {**pairs.schema, "wrong_id": pl.String, "day": pl.Datetime("us", "UTC"), "packs": pl.Int64}
     return pl.DataFrame(rows, schema=schema, orient="row")
@@ -129,14 +135,14 @@ def _row_faults(
     raw: pl.DataFrame, verdict: pl.DataFrame, bad: pl.Series, about: pl.DataFrame
 ) -> list[tuple[int, Fault]]:
     is_text = about.get_column("is_text").to_list()  # then the caller shows the line as it came
-    refused = raw.filter(bad).hstack(verdict.filter(bad).rename({"slipped": "_slipped", "reason": "_reason"}))
+    refused = raw.filter(bad).hstack(verdict.filter(bad).select(pl.all().name.prefix("_")))
     refused, rest = first_and_rest(refused, ["file_index", "_reason"], MAX_ROWS_LISTED)
     faults = []
     for row in refused.iter_rows(named=True):
-        i, reason, slipped = row["file_index"], row.pop("_reason"), row.pop("_slipped")
+        i, reason, slipped, told = row["file_index"], row.pop("_reason"), row.pop("_slipped"), row.pop("_told")
         column = _COLUMN_OF.get(reason, slipped) or None
         found = row.get(column) if column else None
-        detail = f"Found {str(found)[:60]!r}." if found is not None else ""
+        detail = told or (f"Found {str(found)[:60]!r}." if found is not None else "")
         flight = None if reason in NO_FLIGHT else row["flight_id"]
         content = None if is_text[i] else _as_text(row)
         faults.append((i, Fault(reason, row["row"], column, detail, 1, flight, content)))
@@ -152,6 +158,7 @@ def _null_broken(rows: pl.DataFrame) -> tuple[pl.DataFrame, list[tuple[int, Faul
     """Rows without values that are no number or physically impossible, and a fault for each of those."""
     broken = {c.name: ~(pl.col(c.name).is_between(c.low, c.high) & pl.col(c.name).is_finite()) for c in SIGNAL_COLUMNS}
     broken[PHASE] = ~pl.col(PHASE).is_in(PHASES) & (pl.col(PHASE) != "")
+    broken |= {c: ~pl.col(c).str.contains(AIRPORT) & (pl.col(c) != "") for c in AIRPORTS}
     any_broken = rows.select(e.any().alias(c) for c, e in broken.items()).row(0, named=True) if rows.height else {}
     faults: list[tuple[int, Fault]] = []
     for name in (c for c, found in any_broken.items() if found):
@@ -160,12 +167,13 @@ def _null_broken(rows: pl.DataFrame) -> tuple[pl.DataFrame, list[tuple[int, Faul
         faults += [(i, _value_fault(name, row, flight, value)) for i, row, flight, value in found.iter_rows()]
         faults += [(i, Fault("out_of_range", None, name, f"And {n} more values.")) for i, n in rest.iter_rows()]
     nulled = [pl.when(~broken[c].fill_null(False)).then(c).alias(c) for c, found in any_broken.items() if found]
-    return rows.with_columns(nulled).with_columns(pl.when(pl.col(PHASE) != "").then(PHASE).alias(PHASE)), faults
+    return rows.with_columns(nulled).with_columns(pl.when(pl.col(c) != "").then(c).alias(c) for c in WORDS), faults
 
 
 def _value_fault(name: str, row: int, flight: str, value: float | str) -> Fault:
     if isinstance(value, str):
-        return Fault("unknown_phase", row, name, f"Found {value[:40]!r}.", flight_id=flight)
+        reason = "unknown_phase" if name == PHASE else "unknown_airport"
+        return Fault(reason, row, name, f"Found {value[:40]!r}.", flight_id=flight)
     reason = "out_of_range" if abs(value) < float("inf") else "not_a_number"
     return Fault(reason, row, name, f"Found {value:g}.", flight_id=flight)
 

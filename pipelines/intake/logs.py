@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime
 
 import polars as pl
@@ -11,7 +11,7 @@ from pipelines.intake.header import judge_header
 from pipelines.intake.judge import PACKS
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
-from pipelines.intake.names import flight_day, flight_tail, is_operator, is_tail
+from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_day, to_utc, zone_note
@@ -50,11 +50,15 @@ class Log:
     n_duplicate: int
 
 
-def read_messages(file: LandingFile, now: datetime) -> Log:
-    """Maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
+def read_messages(file: LandingFile, now: datetime, fleet: pl.DataFrame | None = None) -> Log:
+    """Maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`.
+
+    The `fleet` list says how many packs it has; two where it does not.
+    """
+    packs, _ = _listed(file, fleet)
 
     def judge(words: Words, moment: datetime | None) -> Row | Fault:
-        pack = _pack(words["pack"])
+        pack = _pack(words["pack"], packs)
         if fault := _bad_moment(moment, now, "message_time") or _bad_flight(words["flight_id"], file.tail):
             return fault
         if pack == 0:
@@ -74,17 +78,20 @@ def read_messages(file: LandingFile, now: datetime) -> Log:
     return _read(file, judge, MESSAGES, ("message_time", "flight_id", "pack", "code"), ("text",), timed="message_time")
 
 
-def read_maintenance(file: LandingFile, now: datetime) -> Log:
+def read_maintenance(file: LandingFile, now: datetime, fleet: pl.DataFrame | None = None) -> Log:
     """Work done on one aircraft: `operator, tail, done_on, pack, component, action, finding, reference, done_at`.
 
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work from before the first flight in store is
-    as good as any.
+    as good as any; from before the aircraft was delivered it is noted.
     """
+    packs, delivered_on = _listed(file, fleet)
+    early: list[date] = []
 
     def judge(words: Words, moment: datetime | None) -> Row | Fault:
-        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack(words["pack"])
-        if day is None or day > now.date() or (moment and moment > now):
-            return Fault("unreadable_time" if day is None else "future_time", column_name="done_on")
+        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack(words["pack"], packs)
+        if fault := _bad_moment(moment, now, "done_on") if moment else _bad_moment(day, now.date(), "done_on"):
+            return fault
+        early.extend([day] if delivered_on and day and day < delivered_on else [])
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
         codes = {c: words[c].upper() for c in ("component", "action", "finding")}
@@ -105,7 +112,19 @@ def read_maintenance(file: LandingFile, now: datetime) -> Log:
         )
 
     required = ("done_on", "pack", "component", "action")
-    return _read(file, judge, MAINTENANCE, required, ("finding", "reference"), timed="done_on")
+    log = _read(file, judge, MAINTENANCE, required, ("finding", "reference"), timed="done_on")
+    if not early:
+        return log
+    said = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
+    note = quarantine(file.path, file.received_at, [Fault("before_delivery", column_name="done_on", detail=said)])
+    return replace(log, quarantine=pl.concat([log.quarantine, note]))
+
+
+def _listed(file: LandingFile, fleet: pl.DataFrame | None) -> tuple[int, date | None]:
+    """Packs of the file's aircraft and the day it was delivered, as far as the fleet list knows it."""
+    for row in () if fleet is None else fleet.filter(operator=file.operator, tail=file.tail).iter_rows(named=True):
+        return row["packs"] or PACKS, row.get("delivered_on")
+    return PACKS, None
 
 
 def read_fleet(file: LandingFile, now: datetime) -> Log:
@@ -141,7 +160,8 @@ def _read(
         return Log(pl.DataFrame(schema=schema), quarantine(file.path, file.received_at, faults), 0, 0)
     text = open_text(content, lambda found: judge_header(found, required, optional))
     lines, line_faults = to_columns([text], ())
-    faults = [*text.faults, *line_faults[0]]
+    nothing_happened = () if unique else ("no_rows",)  # an aircraft without messages has a log of a header alone
+    faults = [f for f in (*text.faults, *line_faults[0]) if f.reason not in nothing_happened]
     good: dict[Row, int] = {}
     for row, words, moment in _lines(lines, (*required, *optional), timed, faults):
         verdict = judge(words, moment)
@@ -189,16 +209,19 @@ def _one_a_key(good: dict[Row, int], unique: int, text: Text, faults: list[Fault
     return list(kept.values())
 
 
-def _pack(word: str) -> int | None:
+def _pack(word: str, packs: int) -> int | None:
     """Pack number, None where none is given, 0 where it is none."""
     if not word:
         return None
-    return int(word) if word in {str(n) for n in range(1, MAX_PACKS + 1)} else 0
+    return int(word) if word in {str(n) for n in range(1, packs + 1)} else 0
 
 
-def _bad_moment(moment: datetime | date | None, now: datetime, column: str) -> Fault | None:
+def _bad_moment(moment: date | None, now: date, column: str) -> Fault | None:
+    """What is wrong with a day or a time, by what is now of the same kind."""
     if moment is None:
         return Fault("unreadable_time", column_name=column)
+    if (moment.date() if isinstance(moment, datetime) else moment) < EARLIEST:
+        return Fault("too_early", column_name=column)
     return Fault("future_time", column_name=column) if moment > now else None
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from pipelines.intake.wiring import miswritten_rows
 
 FLIGHT = ("file_index", "flight_id")
 MOST = 0.7
@@ -46,7 +47,7 @@ KILOPASCAL = Slip("unit_kpa", {"pt_psia": (23.5, 160.0), "cc_in_psia": (23.5, 16
 
 
 def slipped_rows(raw: pl.DataFrame) -> pl.DataFrame:
-    """Rows delivered in a wrong unit: `index` (position in `raw`), `reason`, `column_name` (those that slipped).
+    """Rows delivered in a wrong unit or wiring: `index` (in `raw`), `reason`, `column_name`, `told` (null: the reason).
 
     Parameters
     ----------
@@ -54,7 +55,9 @@ def slipped_rows(raw: pl.DataFrame) -> pl.DataFrame:
         `file_index, flight_id, pack` and the signals in recorded units, null where missing or no number.
     """
     found = [_by_band(raw, KELVIN), _by_band(raw, KILOPASCAL), _kilograms(raw), _by_atmosphere(raw)]
-    return pl.concat(found).unique("index", keep="first", maintain_order=True)
+    alone = pl.concat(found).unique("index", keep="first", maintain_order=True)
+    together = miswritten_rows(raw).join(alone, on="index", how="anti")
+    return pl.concat([alone.with_columns(told=pl.lit(None, pl.String)), together])
 
 
 def _none() -> pl.DataFrame:

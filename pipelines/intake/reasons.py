@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Scope = Literal["file", "row", "value", "note"]
-"""What was kept out: the whole file, a row, one value (its row goes on with null), or nothing (stored and flagged)."""
+Scope = Literal["file", "row", "value", "result", "note"]
+"""What was kept out: the whole file, a row, one value (its row goes on with null), a row that was computed from it, or
+nothing (stored and flagged)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,11 @@ REASONS: dict[str, Reason] = {
         "file", "A column name stands twice in the header, so it is unclear which one holds.", "Keep one of them."
     ),
     "cannot_read_parquet": Reason("file", "The Parquet file is truncated or damaged.", "Deliver it again."),
+    "cannot_process": Reason(
+        "file",
+        "Taking in the file failed in a way that was not foreseen; other files went on.",
+        "Compare it with a good file; report the detail.",
+    ),
     "wrong_type": Reason(
         "file", "A column has a type that holds no numbers, text or times.", "Write the types of the data contract."
     ),
@@ -63,6 +69,9 @@ REASONS: dict[str, Reason] = {
         "Deliver it under its own name.",
     ),
     "unreadable_time": Reason("row", "The time is missing or not ISO 8601.", "Write 2024-06-05T16:55:49Z."),
+    "too_early": Reason(
+        "row", "The day is before 1980: no recorder and no log of today begins there.", "Correct the date or the clock."
+    ),
     "future_time": Reason("row", "The time lies in the future.", "Check the recorder's clock."),
     "time_contradicts_flight_id": Reason(
         "row",
@@ -81,10 +90,25 @@ REASONS: dict[str, Reason] = {
         "Flows read as kg/s where lb/min is agreed: the compressor turns, hardly any air passes.",
         "Deliver lb/min.",
     ),
+    "wrong_unit": Reason(
+        "row",
+        "Physics holds in this flight only if the columns were written in another unit than agreed.",
+        "Deliver the agreed unit.",
+    ),
+    "swapped_columns": Reason(
+        "row",
+        "Physics holds in this flight only if two columns were written in each other's place.",
+        "Check the wiring and the export.",
+    ),
     "conflicting_delivery": Reason(
         "row",
-        "Another delivery gives other values for the same flight, pack and time.",
-        "Find out which delivery is right.",
+        "Another delivery contradicts this one of the same flight; the one with more rows is stored as a whole.",
+        "Find out which is right, and deliver it again under the name of the one that is stored.",
+    ),
+    "replaced_row": Reason(
+        "row",
+        "An earlier version of this file held the row; the later one lacks it and gives other values elsewhere.",
+        "Deliver the file whole.",
     ),
     "bad_code": Reason("row", "A code is missing or not one of those agreed.", "Use the codes of the data contract."),
     "bad_key": Reason("row", "The operator or tail is missing, malformed or listed twice.", "Correct the fleet list."),
@@ -98,12 +122,27 @@ REASONS: dict[str, Reason] = {
     "unknown_phase": Reason(
         "value", "phase_code is none of TO CL CR DS AP GR.", "Leave it empty when it is not known."
     ),
+    "unknown_airport": Reason(
+        "value", "origin or destination is no ICAO airport code.", "Write four capital letters, or leave it empty."
+    ),
+    # a result
+    "breaks_declaration": Reason(
+        "result",
+        "A row computed from this flight breaks the declaration of its table, so it is not stored.",
+        "Look at what the flight recorded; report it.",
+    ),
     # a note
+    "tail_of_two_operators": Reason(
+        "note", "The same tail flies for two operators on the same days.", "Find out which of the folders is right."
+    ),
     "unknown_tail": Reason("note", "The aircraft is not in fleet.csv.", "Add it to the fleet list."),
     "flight_id_from_column": Reason(
         "note",
         "The file name is not a flight_id; the flight was taken from the column.",
         "Name the file after its flight.",
+    ),
+    "before_delivery": Reason(
+        "note", "The work is dated before the aircraft was delivered.", "Correct the date, here or in fleet.csv."
     ),
     "extra_columns": Reason("note", "Columns outside the data contract were left aside.", "Nothing, or agree on them."),
     "other_spelling": Reason(
@@ -113,6 +152,9 @@ REASONS: dict[str, Reason] = {
     ),
     "other_encoding": Reason(
         "note", "The text is UTF-16 or starts with a byte order mark; it was converted.", "Export as plain UTF-8."
+    ),
+    "fewer_rows": Reason(
+        "note", "The file came again with fewer rows of a flight than before.", "Deliver it again, whole."
     ),
     "clock_jump": Reason(
         "note",

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import polars as pl
 
-from pipelines.intake.columns import CORE_NAMES, KEYS, PHASE, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES
+from pipelines.intake.columns import CORE_NAMES, KEYS, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import Header, judge_header
 from pipelines.intake.judge import Judged, about_files, judge
 from pipelines.intake.landing import LandingFile
@@ -16,12 +16,13 @@ from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
-from pipelines.intake.text import Text, open_text, to_columns
+from pipelines.intake.text import PLACE, Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
+from pipelines.panics import first_line, panics_as_errors
 
-ROW_COLUMNS = ("operator", "tail", "flight_id", "pack", "time_utc", "source", PHASE, *SI_NAMES, "file", "row_in_file")
+ROW_COLUMNS = ("operator", "tail", "flight_id", "pack", "time_utc", "source", *WORDS, *SI_NAMES, "file", "row_in_file")
 
-_KNOWN = (PHASE, *SIGNAL_NAMES)
+_KNOWN = (*WORDS, *SIGNAL_NAMES)
 _NUMBERS = ("pack", *SIGNAL_NAMES)
 
 
@@ -70,6 +71,24 @@ def read_snapshots(
         For each file `n_delivered` = rows in `rows` + `n_rows` in `quarantine`. Never raises for what a file holds.
     """
     files = [files] if isinstance(files, LandingFile) else list(files)
+    try:
+        with panics_as_errors():
+            return _read_together(files, now, fleet)
+    except Exception as error:
+        if len(files) == 1:
+            return _failed(files[0], error)
+    half = len(files) // 2
+    parts = [read_snapshots(part, now, fleet) for part in (files[:half], files[half:])]
+    return Intake(*(pl.concat([getattr(p, f) for p in parts]) for f in ("rows", "quarantine", "delivered")))
+
+
+def _failed(file: LandingFile, error: Exception) -> Intake:
+    """A file that nobody foresaw costs itself and no other."""
+    told = quarantine(file.path, file.received_at, [Fault("cannot_process", detail=first_line(error))])
+    return Intake(_no_rows(), told, _delivered([file.path], [0]))
+
+
+def _read_together(files: Sequence[LandingFile], now: datetime, fleet: pl.DataFrame | None) -> Intake:
     opened, raw = _open_all(files)
     rows = _no_rows()
     if raw.height:
@@ -78,12 +97,15 @@ def read_snapshots(
         rows = _in_si(judged.rows, about)
         _record(judged, opened)
     frames = [quarantine(f.path, f.received_at, o.faults) for f, o in zip(files, opened, strict=True) if o.faults]
-    delivered = {"file": [f.path for f in files], "n_delivered": [o.n_rows for o in opened]}
     return Intake(
         rows,
         pl.concat([pl.DataFrame(schema=QUARANTINE_SCHEMA), *frames]),
-        pl.DataFrame(delivered, schema={"file": pl.String, "n_delivered": pl.Int64}),
+        _delivered([f.path for f in files], [o.n_rows for o in opened]),
     )
+
+
+def _delivered(paths: list[str], n_rows: list[int]) -> pl.DataFrame:
+    return pl.DataFrame({"file": paths, "n_delivered": n_rows}, schema={"file": pl.String, "n_delivered": pl.Int64})
 
 
 def flights_in(file: LandingFile) -> list[str]:
@@ -94,7 +116,11 @@ def flights_in(file: LandingFile) -> list[str]:
     named = flight_of_file(file.name, file.tail)
     if named is not None:
         return [named]
-    _, raw = _open_all([file], only=("flight_id",))
+    try:
+        with panics_as_errors():
+            _, raw = _open_all([file], only=("flight_id",))
+    except Exception:
+        return []
     found = raw.get_column("flight_id").drop_nulls().unique().to_list() if raw.height else []
     return sorted(f for f in found if flight_day(f) is not None and flight_tail(f) == file.tail)
 
@@ -122,7 +148,7 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
     if not timed:
         return opened, pl.DataFrame()
     raw = pl.concat(timed, how="diagonal")
-    absent = [pl.lit(None, pl.String if c == PHASE else pl.Float64).alias(c) for c in _KNOWN if c not in raw.columns]
+    absent = [pl.lit(None, pl.String if c in WORDS else pl.Float64).alias(c) for c in _KNOWN if c not in raw.columns]
     return opened, raw.with_columns(absent)
 
 
@@ -134,8 +160,8 @@ def _texts(opened: Sequence[_Opened]) -> pl.DataFrame:
         opened[i].n_rows = opened[i].text.n_rows
     if frame.is_empty():
         return frame
-    index = pl.Series("file_index", places, dtype=pl.Int32).gather(frame["text"])
-    return frame.with_columns(index).drop("text")
+    index = pl.Series("file_index", places, dtype=pl.Int32).gather(frame[PLACE])
+    return frame.with_columns(index).drop(PLACE)
 
 
 def _timed(frame: pl.DataFrame, opened: Sequence[_Opened]) -> pl.DataFrame:
@@ -183,7 +209,7 @@ def _in_si(rows: pl.DataFrame, about: pl.DataFrame) -> pl.DataFrame:
     return pl.concat(
         [
             rows.select(
-                "flight_id", pl.col("pack").cast(pl.Int32), pl.col("report_time").alias("time_utc"), PHASE, *si,
+                "flight_id", pl.col("pack").cast(pl.Int32), pl.col("report_time").alias("time_utc"), *WORDS, *si,
                 pl.col("row").alias("row_in_file"),
             ),
             of_file,

@@ -120,7 +120,7 @@ def _events(chart: svg.Chart, parts: dict[str, pl.DataFrame], start: float) -> N
             chart.mark(at, "work", svg.GREEN, _work(w), w["action"][:1])
     for m in parts["messages"].to_dicts():
         if (at := m["message_time"].timestamp()) >= start:
-            chart.mark(at, "message", svg.VERMILLION, f"{words.clock(m['message_time'])}: message {m['code']}")
+            chart.mark(at, "message", svg.VERMILLION, f"{words.clock(m['message_time'])}: {_message(m)}")
     for a in parts["alerts"].to_dicts():
         chart.mark(a["raised_at"].timestamp(), "alert", svg.PURPLE, _alert(a))
 
@@ -130,6 +130,10 @@ def _work(w: dict[str, Any]) -> str:
     return (
         f"{words.day(w['done_on'])}: {words.PARTS.get(w['component'], w['component'])} {w['action'].lower()}{finding}"
     )
+
+
+def _message(m: dict[str, Any]) -> str:
+    return f"message {m['code']}" + (f", {m['text']}" if m["text"] else "")
 
 
 def _alert(a: dict[str, Any]) -> str:
@@ -155,7 +159,7 @@ def _recent(parts: dict[str, pl.DataFrame]) -> Html | None:
         for a in parts["alerts"].to_dicts()
     ]
     events += [
-        (words.day(m["message_time"]), f"{words.day(m['message_time'])}: message {m['code']}")
+        (words.day(m["message_time"]), f"{words.day(m['message_time'])}: {_message(m)}")
         for m in parts["messages"].to_dicts()
     ]
     last = sorted(set(events), reverse=True)[:3]

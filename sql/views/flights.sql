@@ -19,6 +19,8 @@ select
     f.source,
     f.n_snapshots,
     coalesce(v.cruise_minutes, 0) as cruise_minutes,
-    f.n_seconds
+    f.n_seconds,
+    f.origin,
+    f.destination
 from tables.raw_flights as f
 left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id;

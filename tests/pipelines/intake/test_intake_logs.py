@@ -1,5 +1,8 @@
 """The classes of bad input in messages, maintenance and the fleet list."""
 
+from datetime import date
+
+import polars as pl
 import pytest
 
 from pipelines.intake import read_fleet, read_maintenance, read_messages
@@ -9,12 +12,19 @@ WORK = "done_on,pack,component,action,finding,reference\n"
 AIRCRAFT = "operator,tail,msn,delivered_on,packs\n"
 LOGS = [
     ("messages", MESSAGE + '2024-05-02T18:51:18Z,LX-AAA_20240502_03,1,21-52-HXTEMP,"HOT, HIGH"\n', None),
+    ("messages", MESSAGE, None),
+    ("maintenance", WORK.strip(), None),
+    ("fleet", AIRCRAFT, "no_rows"),
     ("messages", MESSAGE + "yesterday,?,9,,\n", "unreadable_time"),
     ("messages", MESSAGE + "2061-05-02T18:51:18Z,,1,21-52-HXTEMP,\n", "future_time"),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,X,1,21-52-HXTEMP,\n", "bad_flight_id"),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,LX-AAB_20240502_03,1,21-52,\n", "flight_id_contradicts_path"),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,9,21-52-HXTEMP,\n", "bad_pack"),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1,=cmd(),\n", "bad_code"),
+    ("maintenance", WORK + "2024-05-03,3,HX,REPLACED,,\n", "bad_pack"),
+    ("maintenance", WORK + "1900-01-01,1,HX,REPLACED,,\n", "too_early"),
+    ("messages", MESSAGE + "1900-05-02T18:51:18Z,,1,21-52-HXTEMP,\n", "too_early"),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,,3,21-52-HXTEMP,\n", "bad_pack"),
     ("maintenance", WORK + "1999-01-01,1,HX,REPLACED,FOULED,WO1\n", None),
     ("maintenance", WORK + "2024-05-03,,RAM_DOOR,INSPECTED,,\n", None),
     ("maintenance", WORK + "2024-05-03T14:20:00Z,1,HX,REPLACED,,\n", None),
@@ -56,3 +66,13 @@ def test_a_log_of_work_gives_a_day_or_a_time_of_day(deliver, now):
     rows = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now).rows.sort("reference")
     assert [str(day) for day in rows["done_on"]] == ["2024-05-03", "2024-05-03", "2024-05-04"]
     assert [at and f"{at:%d %H:%M}" for at in rows["done_at"]] == [None, "03 22:30", "04 14:20"]
+
+
+def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
+    fleet = pl.DataFrame([{"operator": "AQX", "tail": "LX-AAA", "packs": 3, "delivered_on": date(2014, 6, 1)}])
+    content = WORK + "2024-05-03,3,HX,REPLACED,FOULED,WO1\n2013-05-03,1,HX,CLEANED,,WO2\n2024-05-04,4,HX,CLEANED,,WO3\n"
+    log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now, fleet)
+    assert log.rows["pack"].to_list() == [1, 3]
+    reasons = dict(log.quarantine.select("reason", "column_name").iter_rows())
+    assert reasons == {"bad_pack": "pack", "before_delivery": "done_on"}
+    assert "2013-05-03" in log.quarantine.filter(reason="before_delivery")["detail"].item()

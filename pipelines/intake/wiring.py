@@ -1,0 +1,202 @@
+"""Columns in another unit than agreed, or in each other's place: where physics holds only after one change.
+
+A flight's columns must obey the laws of `laws`. Where most rows of a pack break one of them, each unit a column is
+written in elsewhere and each swap of two columns is tried. If after one such change all laws hold, the recorder wrote
+the column that way: those rows are refused, with the column by name. A faulty sensor breaks laws too, and no change
+mends them: its readings are stored, and judged flight by flight afterwards.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from hdt_core.physics.model import Array
+from pipelines.intake.columns import POUND_KG, PSI_PA, SIGNAL_COLUMNS, SIGNAL_NAMES, ZERO_CELSIUS_K
+from pipelines.intake.laws import LAWS, Law
+
+PACK = ("file_index", "flight_id", "pack")
+MOST, FEW = 0.7, 0.12
+"""Share of a pack's rows from which on a law is broken, and up to which it holds."""
+ENOUGH = 5
+"""Rows that must say something of a law, and readings a column must have, not all the same."""
+
+Columns = Mapping[str, Array]
+"""Recorded name: values in the recorded unit, NaN where missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How a file may have been written: what each column holds if it was, and what to say then."""
+
+    reason: str
+    says: str
+    made: Mapping[str, Callable[[Columns], Array]]
+    shifts: bool = False
+    """Whether it moves both zero and scale."""
+
+    def of(self, columns: Columns) -> dict[str, Array]:
+        """The columns as they should have been written."""
+        return {**columns, **{name: make(columns) for name, make in self.made.items()}}
+
+
+def _unit(says: str, names: tuple[str, ...], scale: float, offset: float = 0.0, reason: str = "wrong_unit") -> Change:
+    def made(name: str) -> Callable[[Columns], Array]:
+        return lambda c: c[name] * scale + offset
+
+    shifts = offset != 0.0 and scale != 1.0
+    return Change(reason, f"It fits {says}.", {name: made(name) for name in names}, shifts)
+
+
+def _swap(one: str, other: str) -> Change:
+    return Change("swapped_columns", "It fits once they change places.", {one: _take(other), other: _take(one)})
+
+
+def _take(name: str) -> Callable[[Columns], Array]:
+    return lambda c: c[name]
+
+
+_CELSIUS, _PSI, _POUNDS = (tuple(n for n in SIGNAL_NAMES if n.endswith(e)) for e in ("_degc", "_psia", "_lbpm"))
+_UNITS: dict[tuple[str, ...], tuple[tuple[str, float, float, str], ...]] = {
+    _CELSIUS: (("°F", 1 / 1.8, -32 / 1.8, "wrong_unit"), ("K", 1.0, -ZERO_CELSIUS_K, "unit_kelvin")),
+    _PSI: (
+        ("kPa", 1e3 / PSI_PA, 0.0, "unit_kpa"),
+        ("hPa", 1e2 / PSI_PA, 0.0, "wrong_unit"),
+        ("bar", 1e5 / PSI_PA, 0.0, "wrong_unit"),
+        ("inHg", 3386.389 / PSI_PA, 0.0, "wrong_unit"),
+    ),
+    _POUNDS: (
+        ("kg/min", 1 / POUND_KG, 0.0, "wrong_unit"),
+        ("kg/s", 60 / POUND_KG, 0.0, "unit_kg_s"),
+        ("lb/s", 60.0, 0.0, "wrong_unit"),
+    ),
+    ("cc_speed_rpm",): (("rad/s", 30 / np.pi, 0.0, "wrong_unit"), ("Hz", 60.0, 0.0, "wrong_unit")),
+    ("altitude_ft",): (("m", 1 / 0.3048, 0.0, "wrong_unit"), ("flight levels", 100.0, 0.0, "wrong_unit")),
+    ("ram_door_pct",): (("a fraction of 1", 100.0, 0.0, "wrong_unit"),),
+}
+"""Columns of one unit, and for each other unit its name and the agreed unit as scale and offset of it."""
+_WITH_PARTNER = frozenset(("tat_degc", "cc_in_degc", "cc_out_degc"))
+_SWAPS = (
+    ("hx_in_degc", "hx_out_degc"),
+    ("cc_in_degc", "cc_out_degc"),
+    ("cc_in_psia", "cc_out_psia"),
+    ("hx_in_degc", "ram_out_degc"),
+    ("tat_degc", "hx_out_degc"),
+    ("tat_degc", "cc_out_degc"),
+    ("pt_psia", "cc_out_psia"),
+)
+
+
+def _changes() -> Iterator[Change]:
+    """All changes that are tried, of few columns before those of many."""
+    for names, units in _UNITS.items():
+        for unit in units:
+            yield from (_unit(unit[0], (name,), *unit[1:]) for name in names)
+    yield from (_swap(*pair) for pair in _SWAPS)
+    for names, units in _UNITS.items():
+        yield from (_unit(unit[0], names, *unit[1:]) for unit in units if len(names) > 1)
+
+
+CHANGES = tuple(_changes())
+
+
+def miswritten_rows(raw: pl.DataFrame) -> pl.DataFrame:
+    """Rows that some recorder wrote otherwise than agreed: `index` (in `raw`), `reason`, `column_name`, `told`.
+
+    Parameters
+    ----------
+    raw : DataFrame
+        `file_index, flight_id, pack` and the signals in recorded units, null where missing or no number.
+    """
+    units, flights = (_numbered(raw, key) for key in (PACK, PACK[:-1]))
+    flight_of = np.zeros(int(units.max(initial=-1)) + 1, np.int64)
+    flight_of[units] = flights
+    columns = {n: raw[n].to_numpy().astype(float) for n in SIGNAL_NAMES}
+    odd = np.isin(units, np.flatnonzero(_look(columns, units).share.max(axis=0) >= MOST))
+    found = []
+    for change in CHANGES if odd.any() else ():
+        here = np.flatnonzero(odd)
+        part = {n: v[here] for n, v in columns.items()}
+        cured = _cured(change, part, units[here], flight_of)
+        if cured.any():
+            found.append(_told(change, part, here, cured))
+            odd[here[cured]] = False
+    return pl.concat([_none(), *found])
+
+
+class _Look(NamedTuple):
+    """Of each law and unit (laws, units): share of rows that break it, 0 where few say anything; its value's spread."""
+
+    share: Array
+    spread: Array
+
+
+def _look(columns: Columns, units: Array) -> _Look:
+    signals = {c.si_name: columns[c.name] * c.scale + c.offset for c in SIGNAL_COLUMNS}
+    return _Look(*np.stack([_under(law, signals, units) for law in LAWS], axis=1))
+
+
+def _under(law: Law, signals: Columns, units: Array) -> tuple[Array, Array]:
+    """Share of rows that break one law, and the standard deviation of its value, in each unit."""
+    value = law.read(signals)
+    known = np.isfinite(value)
+    n_units = int(units.max(initial=-1)) + 1
+    told = np.bincount(units[~np.isnan(value)], minlength=n_units)
+    share = np.bincount(units[law.broken(value)], minlength=n_units) / np.maximum(told, 1) * (told >= ENOUGH)
+    n = np.maximum(np.bincount(units[known], minlength=n_units), 1)
+    mean = np.bincount(units[known], value[known], n_units) / n
+    away2 = np.bincount(units[known], (value[known] - mean[units[known]]) ** 2, n_units) / n
+    return share, np.sqrt(away2)
+
+
+def _numbered(raw: pl.DataFrame, key: tuple[str, ...]) -> Array:
+    return raw.select(pl.struct(key).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
+
+
+def _cured(change: Change, columns: Columns, units: Array, flight_of: Array) -> Array:
+    """Of each row whether its unit, the rows of a pack, breaks a law as written and none after the change.
+
+    One sensor that reads too much all along can be brought back within the spans by many a change of zero and scale.
+    So such a change must be that of all packs of the flight, for sensors fail one by one; or, where a column has a
+    partner that moves as it does, must let the broken laws vary less.
+    """
+    if all(np.isnan(columns[name]).all() for name in change.made):
+        return np.zeros(len(units), bool)
+    before, after = _look(columns, units), _look(change.of(columns), units)
+    cured = (before.share.max(axis=0) >= MOST) & (after.share.max(axis=0) <= FEW)
+    if change.shifts and _WITH_PARTNER.issuperset(change.made):
+        cured &= ((before.share < MOST) | (after.spread < before.spread)).all(axis=0)
+    elif change.shifts:
+        cured &= _in_all_packs(cured, flight_of)
+    for name in change.made:
+        cured &= _lively(columns[name], units, len(cured))
+    return cured[units]
+
+
+def _in_all_packs(cured: Array, flight_of: Array) -> Array:
+    """Of each unit whether all packs of its flight, two or more, are cured."""
+    packs = np.bincount(flight_of)
+    sick = np.bincount(flight_of[: len(cured)][cured], minlength=len(packs))
+    return ((sick == packs) & (packs > 1))[flight_of[: len(cured)]]
+
+
+def _lively(values: Array, units: Array, n_units: int) -> Array:
+    """Of each unit whether a column reads more than two values or none: a sensor that stands still tells no unit."""
+    read = pl.DataFrame({"unit": units, "value": values}).filter(pl.col("value").is_not_nan())
+    counts = read.group_by("unit").agg(pl.col("value").n_unique())
+    lively = np.ones(n_units, bool)
+    lively[counts.filter(pl.col("value") <= 2)["unit"].to_numpy()] = False
+    return lively
+
+
+def _told(change: Change, columns: Columns, here: Array, cured: Array) -> pl.DataFrame:
+    recorded = np.any([~np.isnan(columns[name]) for name in change.made], axis=0)
+    index = pl.Series("index", here[cured & recorded], dtype=pl.UInt32)
+    words = {"reason": change.reason, "column_name": ", ".join(change.made), "told": change.says}
+    return pl.DataFrame(index).with_columns(pl.lit(v).alias(k) for k, v in words.items())
+
+
+def _none() -> pl.DataFrame:
+    return pl.DataFrame(schema={"index": pl.UInt32} | dict.fromkeys(("reason", "column_name", "told"), pl.String))
