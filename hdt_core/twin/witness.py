@@ -1,8 +1,10 @@
 """A second witness for each sensor the conductance leans on: a sensor that steps or drifts is not a core that fouls.
 
 Pack flow is also seen at the compressor's inlet, TAT at the compressors' inlets, the exchanger's exit temperature by
-the other pack, whose controller keeps a constant distance while both doors can move. Where a witness departs from
-what it always said, and the conductance departs with it as that sensor's error would make it, the error is taken out.
+the other pack, whose controller keeps a constant distance while both doors can move, the door's position by climb and
+descent. Where a witness departs from what it always said, and the conductance departs with it as that sensor's error
+would make it, the error is taken out. Two witnesses need no such step, and so may judge a slow drift: climb and descent
+have no other reason to leave the cruise, and both packs' compressors see TAT leave them alike.
 """
 
 from typing import NamedTuple
@@ -12,14 +14,33 @@ import polars as pl
 
 from hdt_core.twin.crossing import PACK, Array
 
-WITNESSES: dict[str, tuple[str, float]] = {
-    # apart column: derivative column of the ln conductance ratio by it, least departure worth a second look
-    "exit_apart_k": ("ratio_per_exit_k", 1.2),
-    "flows_apart_ln": ("ratio_per_ln_flow", 0.03),
-    "tat_apart_k": ("ratio_per_tat_k", 1.2),
-}
+
+class Witness(NamedTuple):
+    """Where a second sensor speaks.
+
+    Columns of its departure, of the ln conductance ratio's derivative by it (empty: they move alike), and of what
+    vouches for it (empty: none); least departure worth a second look, and flights it remembers.
+    """
+
+    apart: str
+    slope: str
+    least: float
+    vouch: str = ""
+    memory: float = 40.0
+
+
+LONG = 200.0
+"""Flights over which a vouched witness learns what is usual: what a drift adds in that time is seen. Sound ones keep
+their level to a third of their flight-to-flight scatter over years."""
+WITNESSES = (
+    # a door that reads wrong moves the ratio of cruise, and that of climb and descent by twice as much
+    Witness("door_apart_ln", "", 0.04, "door_apart_ln", LONG),
+    Witness("exit_apart_k", "ratio_per_exit_k", 1.2),
+    Witness("flows_apart_ln", "ratio_per_ln_flow", 0.03),
+    Witness("tat_apart_k", "ratio_per_tat_k", 0.8, "other_tat_apart_k", LONG),
+)
 GATE_SD = 4.0
-MEMORY_FLIGHTS, RATIO_MEMORY, SHIFT_MEMORY = 40.0, 6.0, 8.0
+RATIO_MEMORY, SHIFT_MEMORY = 6.0, 8.0
 CONFIRMED = 2
 SHARE_LOW, SHARE_HIGH = 0.4, 2.0
 SHIFT_SD = 0.15
@@ -41,48 +62,81 @@ def corrections(flights: pl.DataFrame) -> Corrections:
     total = Corrections(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool))
     if not n:
         return total
-    pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
-    ratio = flights["ln_ua_ratio"].to_numpy().astype(float)
-    for apart, (slope, gate) in WITNESSES.items():
-        if apart not in flights.columns:
+    seen = _beside(flights)
+    pack = seen.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
+    ratio = seen["ln_ua_ratio"].to_numpy().astype(float)
+    for witness in WITNESSES:
+        if witness.apart not in seen.columns:
             continue
-        values, slopes = (flights[c].to_numpy().astype(float) for c in (apart, slope))
+        apart = seen[witness.apart].to_numpy().astype(float)
+        slope = seen[witness.slope].to_numpy().astype(float) if witness.slope else np.ones(n)
+        vouch = seen[witness.vouch].to_numpy().astype(float) if witness.vouch else np.full(n, np.nan)
         for rows in np.split(np.arange(n), np.flatnonzero(np.diff(pack)) + 1):
-            found = _walk(values[rows], slopes[rows], ratio[rows] - total.shift[rows], gate)
+            found = _walk(apart[rows], slope[rows], ratio[rows] - total.shift[rows], vouch[rows], witness)
             total.shift[rows] += found
             total.variance[rows] += (SHIFT_SD * found) ** 2
             total.fault[rows] |= found != 0.0
     return total
 
 
-def _walk(apart: Array, slope: Array, ratio: Array, least: float) -> Array:
+def _beside(flights: pl.DataFrame) -> pl.DataFrame:
+    """Flights with what the other pack says of TAT."""
+    if "tat_apart_k" not in flights.columns:
+        return flights
+    key = [*PACK, "flight_id"]
+    other = flights.select(
+        *PACK[:2],
+        (3 - pl.col("pack")).cast(flights.schema["pack"]).alias("pack"),
+        "flight_id",
+        other_tat_apart_k="tat_apart_k",
+    )
+    return flights.join(other.unique(key), on=key, how="left", maintain_order="left")
+
+
+def _walk(apart: Array, slope: Array, ratio: Array, vouch: Array, witness: Witness) -> Array:
     """Follow one witness along a pack; the correction of each flight, from that flight and earlier ones."""
     shift = np.zeros(len(apart))
-    usual, spread, met = 0.0, least / GATE_SD, 0
+    usual, last, spread, met, beside, met_beside = 0.0, 0.0, witness.least / GATE_SD, 0, 0.0, 0
     held, departed, returned, sign, fault, level = np.nan, 0, 2, 0.0, False, 0.0
+    second, heard = 0.0, 0
     for k in range(len(apart)):
         off = apart[k] - usual
         if np.isfinite(off):
-            if met >= 5 and abs(off) > max(least, GATE_SD * spread):
+            if met >= 5 and abs(off) > max(witness.least, GATE_SD * spread):
                 departed = departed + 1 if np.sign(off) == sign else 1
                 sign, returned = np.sign(off), 0
                 level = off if departed == 1 else level + (off - level) / min(departed, SHIFT_MEMORY)
+                if np.isfinite(vouch[k]):
+                    heard = heard + 1 if departed > 1 else 1
+                    second += (vouch[k] - beside - second) / min(heard, SHIFT_MEMORY)
                 if not fault and departed >= CONFIRMED:
-                    fault = _to_blame(ratio[k] - held, slope[k] * level)
+                    if min(met_beside, heard) >= CONFIRMED:
+                        fault = _alike(second, level)
+                    else:
+                        fault = _to_blame(ratio[k] - held, slope[k] * level)
             else:
                 returned += 1
                 if returned >= CONFIRMED or not fault:
                     departed, fault = 0, False
                 met += 1
-                gain = 1.0 / min(met, MEMORY_FLIGHTS)
-                spread += gain * (1.25 * abs(off) - spread) if met > 1 else 0.0
-                usual += gain * off
+                gain = 1.0 / min(met, witness.memory)
+                # of steps from flight to flight: a drift must not pass for scatter
+                spread += gain * (1.25 * abs(apart[k] - last) / np.sqrt(2.0) - spread) if met > 1 else 0.0
+                usual, last = usual + gain * off, apart[k]
+                if np.isfinite(vouch[k]):
+                    met_beside += 1
+                    beside += (vouch[k] - beside) / min(met_beside, witness.memory)
         if fault and returned == 0 and np.isfinite(slope[k]):
             shift[k] = slope[k] * level
         if np.isfinite(ratio[k]) and (departed == 0 or fault) and returned != 1:
             corrected = ratio[k] - shift[k]
             held = corrected if np.isnan(held) else held + (corrected - held) / RATIO_MEMORY
     return shift
+
+
+def _alike(vouched: float, off: float) -> bool:
+    """Whether a second look finds the same departure."""
+    return bool(np.isfinite(vouched) and SHARE_LOW < vouched / off < SHARE_HIGH)
 
 
 def _to_blame(change: float, expected: float) -> bool:
