@@ -42,15 +42,14 @@ def redelivered(
     Returns
     -------
     Redelivered
-        Only a file with fewer rows of a flight than are stored of it counts: otherwise the new version replaces the
-        old. Rows it lacks are `rows` where it contradicts none that it repeats, else quarantine rows; a note names the
-        file and both counts.
+        Only a file counts that has some rows of a flight and fewer than are stored of it; one with none leaves the
+        flight as it is, any other replaces it. Rows it lacks are `rows` where it contradicts none that it repeats,
+        else quarantine rows; a note names the file and both counts.
     """
     replaced = stored_aside.filter(pl.col("reason") == REPLACED)
     before = _counted(stored.select(*ACCOUNT, n=pl.lit(1, pl.Int64)), replaced.select(*ACCOUNT, n="n_rows"))
     now = _counted(rows.select(*ACCOUNT, n=pl.lit(1, pl.Int64)), aside.select(*ACCOUNT, n="n_rows"))
-    both = before.join(now, on=ACCOUNT, how="left", suffix="_now").with_columns(pl.col("n_now").fill_null(0))
-    fewer = both.filter(pl.col("n_now") < pl.col("n"))
+    fewer = before.join(now, on=ACCOUNT, suffix="_now").filter(pl.col("n_now") < pl.col("n"))
     if fewer.is_empty():
         return Redelivered(rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA))
     speaks = fewer.join(rows.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")
