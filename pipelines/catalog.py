@@ -1,6 +1,14 @@
-"""The analysts' window: views over the Parquet files, built under another name and renamed into place."""
+"""The analysts' window: views over the Parquet files, built under another name and renamed into place.
 
+The views name files by `tables.folder()`, which finds the tables beside the opened catalog: a home may be moved, copied
+or mounted elsewhere and its catalog goes along unchanged.
+"""
+
+import atexit
 import re
+import shutil
+import tempfile
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -12,8 +20,19 @@ from pipelines.files import replacing
 from pipelines.meanings import Header, declared, meaning, read_header
 from pipelines.objects import StoreError
 from pipelines.store import URL, Store
+from pipelines.versions import digest
 
 CATALOG = "catalog.duckdb"
+# DuckDB tells no expression where a database lies, but keeps its own temporary files beside the file it was opened
+# with. Attached to another database, or where that setting was changed, the catalog is taken to be where it was made.
+_BESIDE = f"""
+case
+    when getvariable('tables_folder') is not null then getvariable('tables_folder')
+    when ends_with(current_setting('temp_directory'), '{CATALOG}.tmp')
+    then left(current_setting('temp_directory'), -{len(CATALOG) + 4}) || 'tables/'
+    else {{made}}
+end"""
+_ELSEWHERE = "coalesce(getvariable('tables_folder'), {made})"
 
 
 def publish(home: Path) -> Path:
@@ -27,6 +46,8 @@ def publish(home: Path) -> Path:
             store.open_to(con)
             con.begin()  # a commit for every comment would take longer than all the rest
             con.execute("create schema tables")
+            con.execute(f"create macro tables.folder() as {_folder(store)}")
+            con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
             for table, sources in store.snapshot().items():
                 _base_view(con, table, sources)
             add_views(con)
@@ -34,6 +55,33 @@ def publish(home: Path) -> Path:
         finally:
             con.close()
     return path
+
+
+def fault_of(home: Path) -> str | None:
+    """Why the catalog must be made anew; None where it is whole, of this version and reads this home's tables."""
+    if not (home / CATALOG).exists():
+        return "it was missing"
+    try:
+        with _opened(home) as con:
+            ((made_as,),) = con.execute("select tables.made_as()").fetchall()
+            there = {v for (v,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
+    except duckdb.Error as error:
+        return f"it could not be read ({_first_line(error)})"
+    if made_as != _made_as(Store(home.resolve())):
+        return "it was made for another place or by another version"
+    return "it lacked views" if {*views(), *TABLES} - there else None
+
+
+def _made_as(store: Store) -> str:
+    """Of what a catalog is made."""
+    said = [f"{name}.{c} {declared(k)}" for name, t in TABLES.items() for c, k in t.schema.columns().items()]
+    return digest(_folder(store), *(sql for _, sql in sorted(views().items())), *said)
+
+
+def _folder(store: Store) -> str:
+    """Where the tables are, as an expression: objects stay, files are beside the catalog or where a variable says."""
+    made = _quoted(f"{store.root}/")
+    return made if store.remote else (_ELSEWHERE if store.url else _BESIDE).format(made=made)
 
 
 def add_views(con: duckdb.DuckDBPyConnection) -> None:
@@ -63,8 +111,8 @@ def tables_read() -> list[str]:
 
 
 def _base_view(con: duckdb.DuckDBPyConnection, table: str, sources: list[str]) -> None:
-    """`tables.<table>` over the table's files or objects."""
-    named = ", ".join(_quoted(source) for source in sources)
+    """`tables.<table>` over the table's objects, or over its files below `tables.folder()`."""
+    named = ", ".join(_quoted(s) if "://" in s else f"tables.folder() || {_quoted(s)}" for s in sources)
     con.execute(f"create view tables.{table} as select * from read_parquet([{named}], union_by_name = true)")
     add_meanings(con, table)
 
@@ -83,7 +131,7 @@ def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
-    """The published catalog, read only.
+    """The published catalog, read only: nothing in the home is written, not even what a large sort spills.
 
     Through it nothing but the tables' own files or objects can be reached: no other file, no other place in the
     network, no extension; and no statement can change that.
@@ -93,31 +141,57 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     FileNotFoundError
         Nothing has been published yet.
     StoreError
-        What was published reads another store than HDT_STORE_URL names.
+        It is damaged or of another version, or reads another store than HDT_STORE_URL names.
     """
     if not (home / CATALOG).exists():
         raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
-    store, con = Store(home.resolve()), _opened(home)
-    named = con.execute("select sql from duckdb_views() where schema_name = 'tables' limit 1").fetchall()
-    if (
-        named and _quoted(f"{store.root}/").rstrip("'") not in named[0][0]
-    ):  # the home was moved or copied, its views were not
-        con.close()
-        if "'s3://" in named[0][0] or store.remote:
-            raise StoreError(f"the catalog in {home} reads another store than {store.root}; set {URL} as it was")
-        publish(home)
+    try:
         con = _opened(home)
-    ((locked,),) = con.execute("select current_setting('lock_configuration')").fetchall()  # to its end, or `sql` fails
-    if not locked:  # connections of one process share one database, and who came first has locked it
-        store.open_to(con)
-        con.execute(f"set allowed_directories = [{_quoted(store.root)}]")
-        for setting in _LOCKS:
-            con.execute(f"set {setting}")
+        ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
+    except duckdb.Error as error:
+        raise StoreError(
+            f"the catalog in {home} can't be read ({_first_line(error)}); `hdt nightly` makes it anew"
+        ) from None
+    # connections of one process share one database, and who came first has locked it; each has variables of its own
+    folder = _held(con) if locked else _lock(con, Store(home.resolve()), made)
+    con.execute(f"set variable tables_folder = {_quoted(folder)}")
     return con
 
 
 def _opened(home: Path) -> duckdb.DuckDBPyConnection:
     return duckdb.connect(str(home / CATALOG), read_only=True)
+
+
+def _lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
+    """Leave open the store's place and nothing else; that place."""
+    if store.remote != made.startswith("s3://") or (store.remote and made != f"{store.root}/"):
+        con.close()
+        raise StoreError(f"the catalog in {store.home} reads another store than {store.root}; set {URL} as it was")
+    folder = f"{store.root}/" if store.url else made
+    store.open_to(con)
+    con.execute(f"set allowed_directories = [{_quoted(folder)}]")
+    con.execute(f"set temp_directory = {_quoted(_scratch())}")
+    for setting in _LOCKS:
+        con.execute(f"set {setting}")
+    return folder
+
+
+def _held(con: duckdb.DuckDBPyConnection) -> str:
+    """The place that `_lock` left open; DuckDB adds that of its temporary files."""
+    open_to = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
+    return next(place for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
+
+
+@cache
+def _scratch() -> str:
+    """This process's own folder for what does not fit into memory; gone when it ends."""
+    folder = tempfile.mkdtemp(prefix="hdt-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]
 
 
 _LOCKS = (

@@ -10,8 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipelines import sqlite_reader
 from pipelines.catalog import CATALOG, connect, views
 from pipelines.intake.landing import list_landing
+from pipelines.landing import fault_of
+from pipelines.objects import StoreError
 
 _NEEDED_GB = 1.0
 
@@ -48,8 +51,8 @@ def _packages() -> Iterator[Check]:
 
 
 def _landing(landing: Path) -> Check:
-    if not landing.is_dir():
-        return Check("landing zone", False, f"{landing} is no folder")
+    if fault := fault_of(landing):
+        return Check("landing zone", False, fault)
     listing = list_landing(landing)
     files, refused = len(listing.files), listing.quarantine.height
     said = f"{files} files to take in, {refused} that are none of the contract's"
@@ -64,8 +67,7 @@ def _home(home: Path) -> Iterator[Check]:
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
     if (home / "ledger.sqlite").exists():
-        with sqlite3.connect(f"file:{home / 'ledger.sqlite'}?mode=ro", uri=True) as con:
-            said = con.execute("pragma integrity_check").fetchone()[0]
+        said = _ledger(home / "ledger.sqlite")
         yield Check("ledger", said == "ok", said)
     if (home / CATALOG).exists():
         yield _catalog(home)
@@ -73,9 +75,12 @@ def _home(home: Path) -> Iterator[Check]:
 
 
 def _catalog(home: Path) -> Check:
-    with connect(home) as con:
-        there = {name for (name,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
-    missing = sorted(set(views()) - there)
+    try:
+        with connect(home) as con:
+            there = con.execute("select view_name from duckdb_views() where not internal").fetchall()
+    except StoreError as error:
+        return Check("catalog", False, str(error))
+    missing = sorted(set(views()) - {name for (name,) in there})
     return Check("catalog", not missing, f"lacks {', '.join(missing)}" if missing else f"all {len(views())} views")
 
 
@@ -93,3 +98,10 @@ def _feed(home: Path) -> Check:
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
     said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
     return Check("units and wiring", not odd, said)
+
+
+def _ledger(path: Path) -> str:
+    try:
+        return str(sqlite_reader.read(path, lambda con: con.execute("pragma integrity_check").fetchone()[0]))
+    except sqlite3.DatabaseError as error:
+        return str(error)

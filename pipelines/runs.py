@@ -8,6 +8,8 @@ from typing import Any
 import dagster as dg
 import polars as pl
 from dagster._core.definitions.job_base import InMemoryJob
+from dagster._core.errors import DagsterExecutionInterruptedError
+from dagster._core.events import RunFailureReason
 from dagster._core.execution.api import execute_run
 
 from pipelines import partitions
@@ -143,6 +145,8 @@ class Runner:
         if result.success:
             return None
         self.show_failed(run.run_id, block)
+        if any(_was_stopped(e) for e in result.all_events):  # and so is the night, which may be a run itself
+            raise DagsterExecutionInterruptedError
         return why_failed(result.all_events) or "the run stopped before a step could say why"
 
     def show_failed(self, run_id: str, block: Block) -> None:
@@ -150,6 +154,12 @@ class Runner:
         log, cells = self.instance.event_log_storage, self.known().cells(block)
         if isinstance(log, OneForMany) and cells:
             log.planned_in_vain(run_id, cells)
+
+
+def _was_stopped(event: dg.DagsterEvent) -> bool:
+    """Whether someone ended the run; Dagster calls it a failure of the run, and what follows would go on."""
+    failed = event.event_type == dg.DagsterEventType.RUN_FAILURE
+    return failed and event.job_failure_data.failure_reason == RunFailureReason.UNEXPECTED_TERMINATION
 
 
 def why_failed(events: Iterable[dg.DagsterEvent]) -> str | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import dagster as dg
 
 from pipelines.catalog import publish
-from pipelines.landing import unseen
+from pipelines.landing import fault_of, unseen
 from pipelines.nightly import holding, run_night
 from pipelines.resources import Home
 from pipelines.versions import digest
@@ -33,6 +33,8 @@ class _Log:
 def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
     """Everything `hdt nightly` does; its runs, one a range of cells, stand beside this one in the list of runs."""
     where = Path(home.home)
+    if fault := fault_of(Path(home.landing)):
+        raise dg.Failure(fault)
     with holding(where):
         night = run_night(Path(home.landing), where, _Log(context.log), instance=context.instance)
         publish(where)
@@ -63,6 +65,9 @@ every_night = dg.ScheduleDefinition(
 )
 def landing_zone(context: dg.SensorEvaluationContext, home: Home) -> Iterator[dg.RunRequest | dg.SkipReason]:
     """One run for each state of the landing zone; a zone that is still being written to waits for the next look."""
+    if fault := fault_of(Path(home.landing)):
+        yield dg.SkipReason(fault)
+        return
     files, new = unseen(Path(home.landing), home.ledger)
     if not new:
         yield dg.SkipReason(f"nothing new among {files} files")

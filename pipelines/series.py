@@ -51,7 +51,7 @@ class Series:
     @property
     def type(self) -> DagsterEventType | None:
         """Of the events; None for a line of a log."""
-        return self.event.dagster_event_type if self.event.is_dagster_event else None
+        return self.event.dagster_event_type
 
     @property
     def crosses_runs(self) -> bool:
@@ -135,7 +135,7 @@ class OneForMany(SqlEventLogStorage):
     def store_event_batch(self, events: Sequence[EventLogEntry]) -> None:
         """Store events of one or more runs in one transaction, with those that waited."""
         self._waiting += events
-        if not all(e.is_dagster_event and e.dagster_event_type in _PATIENT for e in events):
+        if not all(e.dagster_event_type in _PATIENT for e in events):
             due, self._waiting = self._waiting, []
             self._store([self._one(e, self._partitions(e)) for e in due])
 
@@ -153,13 +153,13 @@ class OneForMany(SqlEventLogStorage):
                 self._store_asset_event(conn, event, event_id)
 
     def _partitions(self, event: EventLogEntry) -> Sequence[str | None]:
-        if not (event.is_dagster_event and event.dagster_event_type in ASSET_EVENTS):
+        if event.dagster_event_type not in ASSET_EVENTS:
             return [None]
         stands = self._alike.pop(_what(event), None) if event.dagster_event_type == _MADE else None
         return stands or [event.get_dagster_event().partition]
 
     def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> Series:
-        if event.is_dagster_event and event.dagster_event_type == _PLANNED:
+        if event.dagster_event_type == _PLANNED:
             event = _of(event, partitions[0])  # the run's tags name its range; its keys once more would be 100 kB
         return Series(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
 

@@ -15,7 +15,7 @@ def status_of(home: Path) -> dict[str, Any]:
     A cell waits when it was never made or when what it was made of has changed; what depends on a waiting cell is
     counted when that one has been made.
     """
-    ledger = Ledger(home)
+    ledger = Ledger(home, looks=True)
     assets = {}
     for table in MADE:
         cells, waiting = expected(ledger, table).height, stale(ledger, table).height

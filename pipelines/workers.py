@@ -14,6 +14,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pipelines.stops import deaf
+
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.blocks import Block, Made
     from pipelines.runs import Runner
@@ -57,7 +59,9 @@ class Workers:
         """
         pool = self._ready()
         try:
-            for future in as_completed([pool.submit(_make, self.landing, self.home, tables, b, label) for b in blocks]):
+            with deaf():  # it is a submission that starts a process
+                made = [pool.submit(_make, self.landing, self.home, tables, b, label) for b in blocks]
+            for future in as_completed(made):
                 yield future.result()
         except BrokenProcessPool:
             from pipelines.blocks import Block, Made

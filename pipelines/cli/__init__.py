@@ -4,7 +4,8 @@ import sqlite3
 import sys
 
 from pipelines.cli import look, make, night, share
-from pipelines.cli.base import StopError, UsageError, app, err, out
+from pipelines.cli.base import StopError, UsageError, app, out, say_error
+from pipelines.stops import StoppedError, ends_in_order
 
 __all__ = ["app", "look", "main", "make", "night", "share"]
 
@@ -15,8 +16,10 @@ def main() -> None:
     from pipelines.postgres import DatabaseError
     from pipelines.workers import EngineError
 
+    code = 2
     try:
-        sys.exit(app(standalone_mode=False))
+        with ends_in_order():
+            sys.exit(app(standalone_mode=False))
     except (StopError, BusyError, DatabaseError, EngineError) as error:
         said = str(error)
     except UsageError as error:
@@ -25,14 +28,14 @@ def main() -> None:
             out.print(error.format_message(), markup=False)
             sys.exit(2)
         said = f"{error.format_message()} `{command} --help` lists what it takes."
-    except KeyboardInterrupt:
-        said = "stopped; the next run goes on from here"
+    except StoppedError as stop:
+        said, code = "stopped", stop.code
     except OSError as error:
         said = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
     except Exception as error:
         said = _of_the_disk(error)
-    err.print(f"hdt: {said}", markup=False, soft_wrap=True)
-    sys.exit(2)
+    say_error(said)
+    sys.exit(code)
 
 
 def _of_the_disk(error: Exception) -> str:

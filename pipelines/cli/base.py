@@ -75,13 +75,18 @@ class StopError(Exception):
     """Ends the command with one line that says what to do."""
 
 
+def say_error(words: str) -> None:
+    """One line on standard error."""
+    err.print(f"hdt: {words}", markup=False, soft_wrap=True)
+
+
 def landing_folder(path: Path | None) -> Path:
     """The landing zone, or a line that says what is wrong with it."""
+    from pipelines.landing import fault_of
+
     landing = _named(path, "--landing", "HDT_LANDING")
-    if not landing.is_dir():
-        raise StopError(
-            f"no landing zone at {landing}; give --landing the folder that holds fleet.csv and one folder per operator"
-        )
+    if fault := fault_of(landing):
+        raise StopError(fault)
     return landing
 
 

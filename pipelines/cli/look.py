@@ -1,7 +1,6 @@
 """Commands that only look: status, report, query, explain, ui."""
 
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, home_folder, landing_folder, out
+from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, home_folder, landing_folder, out, say_error
+from pipelines.stops import ends_at_once
 
 
 @app.command()
@@ -56,7 +56,7 @@ def query(sql: Annotated[str, typer.Argument(help="A select over the catalog's v
 
     from pipelines.catalog import ask, connect
 
-    with connect(home_folder(home)) as con:
+    with ends_at_once(lambda: say_error("stopped")), connect(home_folder(home)) as con:
         try:
             answer = ask(con, sql)
             if answer is not None:
@@ -95,19 +95,31 @@ def explain(
 def ui(
     landing: LandingDir = None,
     home: HomeDir = None,
-    port: int = 3000,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 3000,
     read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no run can be started.")] = False,
+    listen: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 within a container.")] = "127.0.0.1",
+    name: Annotated[
+        list[str] | None, typer.Option(help="Name, without a port, under which a proxy shows the page.")
+    ] = None,
+    daemon: Annotated[bool, typer.Option(help="Start Dagster's daemon too, which runs schedules and sensors.")] = True,
 ) -> None:
     """Open Dagster's page on this machine.
 
-    It shows the same assets and run history that the other commands work on.
+    It shows the same assets and run history that the other commands work on. The address it prints holds the home's
+    token, without which the page can only be looked at.
     """
-    from pipelines.runs import open_instance
-
     where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
-    open_instance(where).dispose()
-    os.environ |= {"HDT_HOME": str(where), "HDT_LANDING": str(zone), "DAGSTER_HOME": str(where / "dagster")}
-    os.chdir(where)  # dagster would read a dagster.yaml that lies in the folder it is started from
-    page = ["dagster_webserver", "--read-only"] if read_only else ["dagster", "dev"]
-    at = ["-m", "pipelines.definitions", "--host", "127.0.0.1", "--port", str(port)]
-    os.execv(sys.executable, [sys.executable, "-m", *page, *at])
+    try:
+        from pipelines.ui import listening, serve
+    except ImportError:
+        raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
+    try:
+        sock = listening(listen, port)
+    except OSError as error:
+        raise StopError(f"can't listen at {listen}:{port} ({error.strerror}); name another --port") from None
+    with sock:
+        serve(where, zone, sock, _say_where, tuple(name or ()), read_only, daemon)
+
+
+def _say_where(address: str) -> None:
+    out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)

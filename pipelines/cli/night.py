@@ -12,7 +12,19 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, home_folder, landing_folder, out
+from pipelines.cli.base import (
+    AsJson,
+    HomeDir,
+    LandingDir,
+    StopError,
+    app,
+    err,
+    home_folder,
+    landing_folder,
+    out,
+    say_error,
+)
+from pipelines.stops import ends_at_once
 from pipelines.workers import cores
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
@@ -123,7 +135,7 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
     from pipelines.landing import unseen
     from pipelines.ledger import Ledger
 
-    files, new = unseen(landing, Ledger(home))
+    files, new = unseen(landing, Ledger(home, looks=True))
     if as_json:
         out.print_json(json.dumps({"files": files, "new_files": [f.path for f in new]}))
         return
@@ -133,24 +145,31 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.catalog import publish
+    from pipelines.catalog import fault_of, publish
     from pipelines.nightly import holding, run_night
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
-    with holding(home):
+
+    def say_stopped() -> None:
+        bars.stop()
+        say_error("stopped; the next run goes on from here")
+
+    with ends_at_once(say_stopped), holding(home):
         try:
             night = run_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
-        if not night.idle or not (home / "catalog.duckdb").exists():
+        fault = fault_of(home) if night.idle else None
+        if fault or not night.idle:
             publish(home)
     seconds = time.monotonic() - began
     if as_json:
-        told = {"seconds": round(seconds, 2), "idle": night.idle} | {f: getattr(night, f) for f in night.__slots__}
-        out.print_json(json.dumps(told))
+        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault}
+        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__}))
     elif night.idle:
         said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
-        out.print(f"{said} Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
+        mended = f" made anew, for {fault}" if fault else ""
+        out.print(f"{said} Catalog{mended}: {home / 'catalog.duckdb'}", soft_wrap=True)
     else:
         _say(home, night, seconds)
     if night.failed:

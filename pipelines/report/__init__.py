@@ -9,6 +9,5 @@ from pipelines.report.page import page
 
 def write_report(home: Path, target: Path) -> None:
     """Write the page over the catalog in `home` to `target`: same catalog, same bytes."""
-    html = page(read_facts(home))
     with replacing(target.resolve()) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+        temporary.write_text(page(read_facts(home)), encoding="utf-8")

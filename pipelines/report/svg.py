@@ -16,12 +16,12 @@ Point = tuple[Number, Number]
 
 
 def ticks(low: float, high: float, wanted: int = 5) -> list[float]:
-    """Round numbers from `low` to `high`, about `wanted` of them."""
+    """Round numbers from `low` to `high`, about `wanted` of them; never outside, not even by what floats round."""
     span = max(high - low, 1e-12)
     power = 10.0 ** math.floor(math.log10(span / wanted))
     step = next(m * power for m in (1, 2, 2.5, 5, 10) if span / (m * power) <= wanted + 0.5)
     first = math.ceil(low / step - 1e-9)
-    return [i * step for i in range(first, math.floor(high / step + 1e-9) + 1)]
+    return [min(max(i * step, low), high) for i in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
 def month_ticks(low: float, high: float, wanted: int = 6) -> list[tuple[float, str]]:

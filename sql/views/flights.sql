@@ -1,4 +1,5 @@
 -- Which flights arrived, and what of them?
+-- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- Grain: flight. Reads: tables.raw_flights, tables.legs_verdicts.
 create or replace view flights as
 with verdicts as (
@@ -21,6 +22,7 @@ select
     coalesce(v.cruise_minutes, 0) as cruise_minutes,
     f.n_seconds,
     f.origin,
-    f.destination
+    f.destination,
+    (f.departed_at at time zone 'UTC')::date as departed_on
 from tables.raw_flights as f
 left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id;

@@ -1,6 +1,7 @@
 """The catalog keeps the contract: views, columns, keys, an exact account, and it is readable while a run writes."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,8 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipelines.catalog import connect, ordered, publish, views
+from pipelines.catalog import CATALOG, connect, fault_of, ordered, publish, views
+from pipelines.objects import StoreError
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
 
@@ -103,12 +105,104 @@ def test_a_reader_keeps_reading_while_the_catalog_is_published(own_home):
 
 def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
     _, home = own_home
-    for file in (home / "tables/raw_flights").rglob("*.parquet"):
+    for file in set((home / "tables/raw_flights").rglob("*.parquet")) - {home / "tables/raw_flights/empty.parquet"}:
         file.unlink()
     with connect(home) as con:
         assert con.execute("select count(*) from flights").fetchone() == (0,)
     with connect(sample_home) as con:
         assert con.execute("select count(*) from flights").fetchone()[0] > 0
+
+
+COUNT = "select count(*) from flights"
+
+
+def opened(path: Path | str, cwd: Path) -> str:
+    """What DuckDB by itself counts in a catalog that is opened from some folder, or why it can't."""
+    asks = f"import duckdb; print(duckdb.connect({str(path)!r}, read_only=True).execute({COUNT!r}).fetchone()[0])"
+    done = subprocess.run([sys.executable, "-c", asks], cwd=cwd, capture_output=True, text=True, check=False)
+    return done.stdout.strip() or done.stderr
+
+
+@pytest.mark.parametrize("how", ["copied", "moved", "linked", "below a name with a quote"])
+def test_a_home_may_lie_elsewhere_and_nothing_has_to_be_written(own_home, tmp_path, how):
+    """Also opened by DuckDB itself, by any path from any folder: copied homes, other mounts."""
+    _, home = own_home
+    with connect(home) as con:
+        flights = con.execute(COUNT).fetchone()[0]
+    there = tmp_path / ("o'clock" if "quote" in how else "there") / "home"
+    there.parent.mkdir()
+    if how == "linked":
+        home.rename(tmp_path / "mounted")
+        there.symlink_to(tmp_path / "mounted")
+    elif how == "copied":
+        shutil.copytree(home, there)
+        shutil.rmtree(home / "tables")
+    else:
+        home.rename(there)
+    before = (there / CATALOG).read_bytes()
+    with connect(there) as con:
+        assert con.execute(COUNT).fetchone() == (flights,)
+        with connect(there) as second:
+            assert second.execute(COUNT).fetchone() == (flights,)
+    for path, cwd in ((there / CATALOG, Path("/")), (CATALOG, there), (f"../{CATALOG}", there / "tables")):
+        assert opened(path, cwd) == str(flights)
+    assert (there / CATALOG).read_bytes() == before
+
+
+def test_a_catalog_may_be_attached_to_another_database(own_home, tmp_path):
+    _, home = own_home
+    publish(home)
+    with duckdb.connect() as con:
+        con.execute(f"attach '{home / CATALOG}' as other (read_only)")
+        assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
+    home.rename(tmp_path / "moved")
+    with duckdb.connect() as con:
+        con.execute(f"attach '{tmp_path / 'moved' / CATALOG}' as other (read_only)")
+        con.execute(f"set variable tables_folder = '{tmp_path / 'moved/tables'}/'")
+        assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
+
+
+def _without_a_view(path: Path) -> None:
+    with duckdb.connect(str(path)) as con:
+        con.execute("drop view alerts")
+
+
+def _of_an_earlier_version(path: Path) -> None:
+    path.unlink()
+    with duckdb.connect(str(path)) as con:
+        con.execute("create view flights as select 1 as operator")
+
+
+DAMAGE = {
+    "missing": Path.unlink,
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 3]),
+    "torn": lambda path: path.write_bytes(path.read_bytes()[:8192] + bytes(path.stat().st_size - 8192)),
+    "text": lambda path: path.write_text("no database\n" * 1000),
+    "without a view": _without_a_view,
+    "of an earlier version": _of_an_earlier_version,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(own_home, damage):
+    _, home = own_home
+    publish(home)
+    assert fault_of(home) is None
+    DAMAGE[damage](home / CATALOG)
+    assert fault_of(home)
+    if damage not in {"missing", "without a view"}:
+        with pytest.raises(StoreError, match="`hdt nightly` makes it anew"):
+            connect(home)
+    publish(home)
+    assert fault_of(home) is None
+
+
+def test_a_copy_is_made_anew_for_its_own_place(own_home, sample_home):
+    _, home = own_home
+    publish(home)
+    (home / CATALOG).write_bytes((sample_home / CATALOG).read_bytes())
+    assert "another place" in str(fault_of(home))
 
 
 def test_a_second_reader_of_one_process_answers_too(sample_home):

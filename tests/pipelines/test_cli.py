@@ -1,12 +1,16 @@
 """The command as a tired engineer meets it: help everywhere, and one line that says what to do."""
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from benchmarks.fingerprint import fingerprint
+from pipelines.cli import main
+from pipelines.ledger import Ledger
 
 COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 
@@ -44,6 +48,75 @@ def test_a_wrong_argument_gives_one_line_that_says_what_to_do(words, says):
     assert "Traceback" not in done.stderr
 
 
+def _parent(zone: Path) -> str:
+    (zone / "landing").mkdir(parents=True)
+    (zone / "landing/fleet.csv").write_text("operator,tail\n")
+    return f"give --landing {zone / 'landing'}"
+
+
+def _empty(zone: Path) -> str:
+    zone.mkdir()
+    return "is empty; mount the landing zone there"
+
+
+def _another_folder(zone: Path) -> str:
+    (zone / "AQX" / "LX-AAB").mkdir(parents=True)
+    return f"no fleet.csv in {zone}"
+
+
+@pytest.mark.parametrize("make", [_parent, _empty, _another_folder])
+@pytest.mark.parametrize("command", [("nightly",), ("nightly", "--dry-run"), ("backfill",), ("ui",)], ids=" ".join)
+def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make):
+    """For a home that knows files too: nothing is taken for a night without flights."""
+    says = make(tmp_path / "zone")
+    Ledger(tmp_path / "home").register([("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": ["T1_20240101_01"]})
+    before = sorted((tmp_path / "home").iterdir())
+    began = os.times().children_user
+    done = hdt(*command, "--landing", str(tmp_path / "zone"), "--home", str(tmp_path / "home"))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert os.times().children_user - began < 1.0  # of its own work: other tests run beside this one
+    assert sorted((tmp_path / "home").iterdir()) == before
+
+
+def _folder(path: Path) -> None:
+    (path / "kept").mkdir(parents=True)
+
+
+REFUSED = {
+    "folder": _folder,
+    "pipe": os.mkfifo,
+    "link to a folder": lambda path: path.symlink_to(path.parent),
+    "link to a device": lambda path: path.symlink_to("/dev/null"),
+    "link to a link to a pipe": lambda path: (os.mkfifo(path.parent / "pipe"), path.symlink_to(path.parent / "pipe")),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_report_replaces_no_other_than_a_file(sample_home, tmp_path, monkeypatch, capsys, kind):
+    target = tmp_path / "report.html"
+    REFUSED[kind](target)
+    before = sorted((p, p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.rglob("*"))
+    monkeypatch.setattr(sys, "argv", ["hdt", "report", "--home", str(sample_home), "--out", str(target)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "no regular file; name another" in capsys.readouterr().err
+    assert sorted((p, p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.rglob("*")) == before
+
+
+def test_a_report_replaces_the_file_that_a_link_names(sample_home, tmp_path, monkeypatch):
+    (tmp_path / "old.html").touch()
+    (tmp_path / "report.html").symlink_to("old.html")
+    monkeypatch.setattr(sys, "argv", ["hdt", "report", "--home", str(sample_home), "--out", f"{tmp_path}/report.html"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert (tmp_path / "report.html").is_symlink()
+    assert "<html" in (tmp_path / "old.html").read_text()
+
+
 def test_an_idle_night_says_so_in_a_line(own_home):
     landing, home = own_home
     done = hdt("nightly", "--landing", str(landing), "--home", str(home))
@@ -52,6 +125,22 @@ def test_an_idle_night_says_so_in_a_line(own_home):
     told = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
     assert told["idle"]
     assert told["seconds"] < 5
+
+
+def test_an_idle_night_mends_the_catalog(own_home):
+    landing, home = own_home
+    (home / "catalog.duckdb").write_bytes(b"no database")
+    broken = hdt("query", "--home", str(home), "select 1")
+    assert broken.returncode == 2
+    assert "`hdt nightly` makes it anew" in broken.stderr
+    assert len(broken.stderr.splitlines()) == 1
+    ill = json.loads(hdt("doctor", "--home", str(home), "--json").stdout)
+    assert [c["check"] for c in ill if not c["well"]] == ["catalog"]
+    done = hdt("nightly", "--landing", str(landing), "--home", str(home))
+    assert "Catalog made anew, for it could not be read" in done.stdout
+    assert hdt("query", "--home", str(home), "select count(*) from flights").returncode == 0
+    told = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
+    assert told["catalog_fault"] is None
 
 
 def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):

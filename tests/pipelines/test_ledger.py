@@ -160,6 +160,7 @@ def test_the_command_says_it_in_one_line(variable, says, tmp_path):
     pytest.importorskip("psycopg2")
     for folder in ("landing", "home/dagster"):
         (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "landing/fleet.csv").touch()
     shutil.copy(Path(__file__).parents[2] / "deploy/dagster.yaml", tmp_path / "home/dagster")
     words = ["nightly", "--landing", str(tmp_path / "landing"), "--home", str(tmp_path / "home")]
     command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]

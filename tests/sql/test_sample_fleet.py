@@ -106,6 +106,20 @@ def test_as_of_is_what_was_known_by_then(sample):
     sample.execute("set TimeZone = 'Pacific/Kiritimati'")
 
 
+@pytest.mark.parametrize("view", ["flights", "legs", "features", "health_parameters", "prognoses"])
+def test_the_day_of_departure_is_that_of_the_flights_name_wherever_it_is_read(sample, view):
+    named = "strptime(regexp_extract(flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
+    assert rows(sample, f"select count(*) > 0 from {view}") == [(True,)]
+    assert rows(sample, f"select count(*) from {view} where departed_on is distinct from {named}") == [(0,)]
+    elsewhere = rows(sample, f"select count(*) from {view} where departed_at::date is distinct from {named}")
+    assert elsewhere != [(0,)], "in this time zone the other day shifts"
+
+
+def test_an_alert_is_raised_on_the_day_of_its_flight(sample):
+    named = "strptime(regexp_extract(raised_flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
+    assert rows(sample, f"select count(*) from alerts where raised_on is distinct from {named}") == [(0,)]
+
+
 def test_the_yield_counts_every_leg_once(sample):
     assert rows(sample, "select sum(n_legs)::int, sum(n_admitted)::int from filter_yield") == rows(
         sample, "select count(*)::int, count_if(admitted)::int from legs"

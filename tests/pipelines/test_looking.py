@@ -1,0 +1,124 @@
+"""Commands that only look write nothing, not for a moment: on a read-only home they answer as on any other."""
+
+import ctypes
+import os
+import sqlite3
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from pipelines.ledger import Ledger
+
+_DROP_FROM_BOUNDING_SET, _OVERRIDE_PERMISSIONS = 24, 1
+
+LOOKS = {
+    "status": (),
+    "query": ("select count(*) from fleet_ranking",),
+    "query more than memory holds": ("select x from range(9000000) t(x) order by hash(x) limit 1",),
+    "explain": ("LX-AAB",),
+    "report": ("--out", "{out}/report.html"),
+    "export": ("--out", "{out}/all"),
+    "export of one operator": ("--out", "{out}/one", "--format", "duckdb", "--operator", "AQX"),
+    "doctor": (),
+    "nightly": ("--dry-run", "--landing", "{landing}"),
+}
+
+
+def as_anybody() -> None:
+    """Root too is held to what permissions say."""
+    if os.geteuid() == 0:
+        assert ctypes.CDLL(None).prctl(_DROP_FROM_BOUNDING_SET, _OVERRIDE_PERMISSIONS, 0, 0, 0) == 0
+
+
+def tree(home: Path) -> list[tuple[str, int, int]]:
+    """All there is below a home; a folder's time tells of files that came and went."""
+    return sorted((str(p), p.lstat().st_mtime_ns, p.lstat().st_size) for p in (home, *home.rglob("*")))
+
+
+def permit(home: Path, writing: bool) -> None:
+    for path in (home, *home.rglob("*")):
+        path.chmod(path.stat().st_mode | 0o200 if writing else path.stat().st_mode & ~0o222)
+
+
+@pytest.fixture
+def read_only(own_home):
+    landing, home = own_home
+    permit(home, writing=False)
+    yield landing, home
+    permit(home, writing=True)
+
+
+def look(command: str, landing: Path, home: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    words = [w.format(out=out, landing=landing) for w in LOOKS[command]]
+    run = [sys.executable, "-c", "from pipelines.cli import main; main()", command.split(maxsplit=1)[0], *words]
+    return subprocess.run(
+        [*run, "--home", str(home)], capture_output=True, text=True, check=False, preexec_fn=as_anybody
+    )
+
+
+@pytest.mark.parametrize("command", LOOKS)
+def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
+    landing, home = read_only
+    done = look(command, landing, home, tmp_path)
+    if command == "doctor":  # which is asked whether a night could run
+        assert [line for line in done.stdout.splitlines() if "FAULT" in line] == [
+            f"FAULT  home: {home} cannot be written to"
+        ]
+    else:
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("command", ["status", "query", "nightly", "doctor"])
+def test_what_only_looks_leaves_no_trace(own_home, tmp_path, command):
+    landing, home = own_home
+    before = tree(home)
+    assert look(command, landing, home, tmp_path).returncode == 0
+    assert tree(home) == before
+
+
+def test_a_dry_run_makes_no_home(own_home, tmp_path):
+    landing, _ = own_home
+    assert look("nightly", landing, tmp_path / "none", tmp_path).returncode == 0
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
+    """Its last commit is in the log beside it."""
+    _, home = own_home
+    writes = (
+        "import os, sqlite3; con = sqlite3.connect('ledger.sqlite'); con.execute('pragma journal_mode=wal');"
+        "con.execute(\"insert into files values ('new', '', '', 'acms', 1, 1, '')\"); con.commit(); os._exit(1)"
+    )
+    subprocess.run([sys.executable, "-c", writes], cwd=home, check=False)
+    assert (home / "ledger.sqlite-wal").stat().st_size > 0
+    permit(home, writing=False)
+    try:
+        assert Ledger(home, looks=True).known_files()["new"] == (1, 1)
+    finally:
+        permit(home, writing=True)
+
+
+def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):
+    """Each commit adds a pair, of which a reader sees both or none."""
+    ledger, over, seen = Ledger(tmp_path), threading.Event(), []
+    ledger.register([], {})
+
+    def read() -> None:
+        while not over.is_set():
+            try:
+                seen.append(len(Ledger(tmp_path, looks=True).known_files()))
+            except sqlite3.Error as error:
+                seen.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for n in range(60):
+        ledger.register([(f"{n}/{k}" * 50, "", "", "acms", 1, 1, "") for k in range(2)], {})
+    over.set()
+    reader.join()
+    assert {n % 2 if isinstance(n, int) else n for n in seen} == {0}
+    assert seen == sorted(seen)
+    assert max(seen) > 2
