@@ -85,7 +85,12 @@ class Store:
     def declare(self, table: str) -> None:
         """Let the table have its columns even while nothing is stored."""
         empty = TABLES[table].schema.create_empty()
-        self.shelf.change(table, lambda held: [(EMPTY, empty)] if held(EMPTY) is None else [])
+
+        def lacking(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
+            there = held(EMPTY)
+            return [(EMPTY, empty)] if there is None or there.schema != empty.schema else []
+
+        self.shelf.change(table, lacking)
 
     def snapshot(self) -> dict[str, list[str]]:
         """Of every table the files or objects, or their common pattern, that a catalog's view reads."""
