@@ -13,8 +13,8 @@ from pathlib import Path
 from pipelines import sqlite_reader
 from pipelines.catalog import CATALOG, connect, views
 from pipelines.intake.landing import list_landing
-from pipelines.landing import fault_of
 from pipelines.objects import StoreError
+from pipelines.zone import fault_of
 
 _NEEDED_GB = 1.0
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import dagster as dg
 
 from pipelines.catalog import publish
-from pipelines.landing import fault_of, unseen
+from pipelines.landing import unseen
 from pipelines.nightly import holding, run_night
 from pipelines.resources import Home
 from pipelines.versions import digest
+from pipelines.zone import fault_of
 
 QUIET_S = 120
 """A file counts as delivered when it has not been written to for so long."""

@@ -12,15 +12,11 @@ __all__ = ["app", "look", "main", "make", "night", "share"]
 
 def main() -> None:
     """Run the command; whatever a user can mend is said in one line."""
-    from pipelines.nightly import BusyError
-    from pipelines.postgres import DatabaseError
-    from pipelines.workers import EngineError
-
     code = 2
     try:
         with ends_in_order():
             sys.exit(app(standalone_mode=False))
-    except (StopError, BusyError, DatabaseError, EngineError) as error:
+    except StopError as error:
         said = str(error)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "hdt"
@@ -33,9 +29,18 @@ def main() -> None:
     except OSError as error:
         said = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
     except Exception as error:
-        said = _of_the_disk(error)
+        said = _of_a_night(error)
     say_error(said)
     sys.exit(code)
+
+
+def _of_a_night(error: Exception) -> str:
+    """What a night can't do, in its own words; any other error goes on its way."""
+    from pipelines.nightly import BusyError
+    from pipelines.postgres import DatabaseError
+    from pipelines.workers import EngineError
+
+    return str(error) if isinstance(error, BusyError | DatabaseError | EngineError) else _of_the_disk(error)
 
 
 def _of_the_disk(error: Exception) -> str:

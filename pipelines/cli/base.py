@@ -82,7 +82,7 @@ def say_error(words: str) -> None:
 
 def landing_folder(path: Path | None) -> Path:
     """The landing zone, or a line that says what is wrong with it."""
-    from pipelines.landing import fault_of
+    from pipelines.zone import fault_of
 
     landing = _named(path, "--landing", "HDT_LANDING")
     if fault := fault_of(landing):

@@ -95,9 +95,9 @@ def backfill(
 
     By operator, aircraft or departure date (both ends included). It may be stopped and started again.
     """
+    where = landing_folder(landing)
     from pipelines.intake.names import is_operator, is_tail
 
-    where = landing_folder(landing)
     if operator and not (is_operator(operator) and (where / operator).is_dir()):
         raise StopError(f"no operator {operator} in {where}")
     if tail and not (is_tail(tail) and any(where.glob(f"*/{tail}"))):
