@@ -70,8 +70,10 @@ def _home(home: Path) -> Iterator[Check]:
         said = _ledger(home / "ledger.sqlite")
         yield Check("ledger", said == "ok", said)
     if (home / CATALOG).exists():
-        yield _catalog(home)
-        yield _feed(home)
+        catalog = _catalog(home)
+        yield catalog
+        if catalog.well:
+            yield _feed(home)
 
 
 def _catalog(home: Path) -> Check:

@@ -27,6 +27,7 @@ def listening(address: str, port: int) -> socket.socket:
     sock = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     sock.bind((address, port))
+    sock.listen()  # who comes before the server is ready waits
     return sock
 
 
