@@ -144,7 +144,8 @@ def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.
     )
     rows = complete_air_data(moving).drop_nulls(list(hx.SIGNALS))
     signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
-    ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
+    with np.errstate(all="ignore"):  # no ram pressure, no flow and no ratio
+        ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
     there = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
     found = there.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
     both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK)

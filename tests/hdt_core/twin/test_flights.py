@@ -127,6 +127,8 @@ def test_a_wrong_door_shows_between_cruise_and_climb_and_wear_does_not(fleet, mo
         .with_columns(ram_door_open=0.5 * pl.col("ram_door_open"))
     )
     both = pl.concat([fleet.samples, climb.select(fleet.samples.columns)])
+    still = climb.select(fleet.samples.columns).with_columns(mach=pl.lit(0.0), total_pressure_pa=pl.lit(2e4))
+    estimate_flights(pl.concat([fleet.samples, still]), model)  # no ram pressure: no word, no warning
     sound = estimate_flights(both, model)["door_apart_ln"]
     off = estimate_flights(both.with_columns(pl.col("ram_door_open") + 0.05), model)["door_apart_ln"]
     worn = estimate_flights(both.with_columns(pl.col("hx_out_k") + 3.0), model)["door_apart_ln"]
