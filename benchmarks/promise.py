@@ -26,6 +26,7 @@ from hdt_core.estimation.swarm import search_box
 
 NEAR = 1e-3  # standard deviations
 STARTS = 24
+LEVEL_90 = 1.6448536
 
 
 @dataclass(slots=True)
@@ -37,6 +38,7 @@ class Tally:
     broken: list[str] = field(default_factory=list)  # `converged`, but away from the best
     raised: list[str] = field(default_factory=list)
     at_best: int = 0
+    covered: list[bool] = field(default_factory=list)  # parameters within the 90 % interval
     seconds: float = 0.0
     n_evals: int = 0
 
@@ -59,7 +61,7 @@ def unpolished(estimator: Estimator) -> Estimator:
 def main(n: int, estimators: Sequence[Estimator] = ESTIMATORS, seed: int = 0, starts: int = STARTS) -> list[Tally]:
     """Every estimator on `n` problems."""
     tallies = [Tally(e.name) for e in estimators]
-    for i, (family, problem) in enumerate(drawn(n, seed)):
+    for i, (family, problem, truth) in enumerate(drawn(n, seed)):
         found: list[tuple[Tally, Estimate]] = []
         for estimator, tally in zip(estimators, tallies, strict=True):
             started = time.process_time()
@@ -75,9 +77,11 @@ def main(n: int, estimators: Sequence[Estimator] = ESTIMATORS, seed: int = 0, st
         allowed = NEAR**2 * max(noise_variance(best, problem.n_values, free), 1.0)
         for tally, estimate in found:
             tally.statuses[estimate.status] += 1
-            tally.n_evals += estimate.n_evals
+            tally.n_evals += estimate.n_evals + estimate.n_checks
             above = float(problem.objective(estimate.belief.mean[None])[0]) - best
             tally.at_best += above <= allowed
+            if estimate.status not in ("diverged", "not_identifiable") and np.isfinite(truth).all():
+                tally.covered += (np.abs(estimate.belief.mean - truth) < LEVEL_90 * estimate.belief.sd).tolist()
             if estimate.status == "converged" and above > allowed:
                 tally.broken.append(f"{family} {i}: {above:.3g}")
     return tallies
@@ -85,13 +89,15 @@ def main(n: int, estimators: Sequence[Estimator] = ESTIMATORS, seed: int = 0, st
 
 def table(tallies: Sequence[Tally], n: int) -> str:
     """Markdown."""
-    columns = ("method", "at the best", "`converged`", "kept", "other statuses", "exceptions", "passes", "CPU [s]")
-    lines = ["| " + " | ".join(columns) + " |", "| --- |" + " ---: |" * 3 + " --- |" + " ---: |" * 3]
+    columns = ["method", "at the best", "`converged`", "kept", "other statuses", "exceptions", "coverage of 90 %"]
+    columns += ["passes", "CPU [s]"]
+    lines = ["| " + " | ".join(columns) + " |", "| --- |" + " ---: |" * 3 + " --- |" + " ---: |" * 4]
     for t in tallies:
         said = t.statuses["converged"]
         kept = f"{100.0 * (1.0 - len(t.broken) / said):.1f} %" if said else "-"
         others = ", ".join(f"{v} `{k}`" for k, v in t.statuses.most_common() if k != "converged")
-        cells = f"{t.at_best} of {n} | {said} | {kept} | {others} | {len(t.raised)} | {t.n_evals / n:.0f}"
+        coverage = f"{np.mean(t.covered):.2f}" if t.covered else "-"
+        cells = f"{t.at_best} of {n} | {said} | {kept} | {others} | {len(t.raised)} | {coverage} | {t.n_evals / n:.0f}"
         lines.append(f"| {t.name} | {cells} | {t.seconds / n:.2f} |")
     return "\n".join(lines)
 

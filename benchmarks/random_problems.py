@@ -13,7 +13,9 @@ from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 
-Family = Callable[[np.random.Generator], Problem]
+Trial = tuple[Problem, Array]
+"""A problem, and the parameters that made its record (n,); NaN where sigma or the model is not the record's."""
+Family = Callable[[np.random.Generator], Trial]
 Model = Callable[[Array, Array], Array]
 
 
@@ -28,7 +30,7 @@ def static(
     guess: float = 0.3,
     certain: bool = True,
     bounds: Array | None = None,
-) -> Problem:
+) -> Trial:
     """Samples of `model(theta, x)` with noise of `noise` times sigma, from a guess off by `guess` of the truth."""
     spread = guess * np.maximum(np.abs(truth), 1e-12)
     mean = truth + spread * rng.standard_normal(truth.size)
@@ -36,7 +38,8 @@ def static(
     box = np.tile([-np.inf, np.inf], (n, 1)) if bounds is None else bounds
     mean = np.clip(mean, *box.T)
     clean = model(truth, x)
-    return Problem(
+    honest = truth if noise == 1.0 else np.full(n, np.nan)
+    problem = Problem(
         names=tuple(f"p{i}" for i in range(n)),
         bounds=box,
         prior=Belief(mean, np.diag(spread**2)) if certain else unknown(mean),
@@ -44,15 +47,16 @@ def static(
         sigma=np.array([sigma]),
         observe=lambda _x, theta, i: np.asarray(model(theta, x[i]))[None],
     )
+    return problem, honest
 
 
-def decay(rng: np.random.Generator) -> Problem:
+def decay(rng: np.random.Generator) -> Trial:
     """One exponential."""
     truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)])
     return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, np.linspace(0.0, 4.0, 60), sigma=0.05)
 
 
-def near_equal(rng: np.random.Generator) -> Problem:
+def near_equal(rng: np.random.Generator) -> Trial:
     """Two exponentials whose rates nearly agree, with nothing known before."""
     rate = rng.uniform(0.5, 1.5)
     truth = np.array([1.0, rate, 1.0, rate * rng.uniform(1.05, 1.6)])
@@ -61,7 +65,7 @@ def near_equal(rng: np.random.Generator) -> Problem:
     return static(rng, model, truth, np.linspace(0.0, 5.0, 50), sigma=0.02, certain=False, bounds=box)
 
 
-def wave(rng: np.random.Generator) -> Problem:
+def wave(rng: np.random.Generator) -> Trial:
     """A sine of unknown frequency: a valley at every alias."""
     truth = np.array([rng.uniform(1.0, 3.0), rng.uniform(2.0, 6.0), rng.uniform(-1.0, 1.0)])
     box = np.array([[0.1, 10.0], [0.5, 12.0], [-3.2, 3.2]])
@@ -69,7 +73,7 @@ def wave(rng: np.random.Generator) -> Problem:
     return static(rng, model, truth, np.linspace(0.0, 6.0, 80), sigma=0.1, certain=False, bounds=box)
 
 
-def bells(rng: np.random.Generator) -> Problem:
+def bells(rng: np.random.Generator) -> Trial:
     """A peak on a slope, sought from far away."""
     truth = np.array([rng.uniform(2.0, 6.0), rng.uniform(2.0, 8.0), rng.uniform(0.4, 1.2), rng.uniform(-0.3, 0.3)])
     box = np.array([[0.0, 20.0], [0.0, 10.0], [0.1, 5.0], [-2.0, 2.0]])
@@ -77,7 +81,7 @@ def bells(rng: np.random.Generator) -> Problem:
     return static(rng, model, truth, np.linspace(0.0, 10.0, 70), sigma=0.1, guess=0.6, certain=False, bounds=box)
 
 
-def stiff(rng: np.random.Generator) -> Problem:
+def stiff(rng: np.random.Generator) -> Trial:
     """Rates three orders of magnitude apart."""
     truth = np.array([rng.uniform(0.5, 2.0), rng.uniform(200.0, 900.0), rng.uniform(0.5, 2.0), rng.uniform(0.2, 0.9)])
     x = np.concatenate([np.geomspace(1e-4, 1e-2, 40), np.linspace(0.02, 5.0, 40)])
@@ -85,14 +89,14 @@ def stiff(rng: np.random.Generator) -> Problem:
     return static(rng, model, truth, x, sigma=0.02)
 
 
-def scales(rng: np.random.Generator) -> Problem:
+def scales(rng: np.random.Generator) -> Trial:
     """Parameters twelve orders of magnitude apart."""
     truth = np.array([rng.uniform(1.0, 9.0) * 1e6, rng.uniform(1.0, 9.0) * 1e-6])
     model: Model = lambda p, x: p[0] / (1.0 + p[1] * x)  # noqa: E731
     return static(rng, model, truth, np.linspace(1e4, 1e6, 50), sigma=2e4)
 
 
-def product(rng: np.random.Generator) -> Problem:
+def product(rng: np.random.Generator) -> Trial:
     """Only the product of two parameters is seen."""
     truth = rng.uniform(0.5, 3.0, 2)
     certain = bool(rng.random() < 0.5)
@@ -101,29 +105,29 @@ def product(rng: np.random.Generator) -> Problem:
     return static(rng, model, truth, np.linspace(0.0, 4.0, 40), sigma=0.1, certain=certain, bounds=box)
 
 
-def misfit(rng: np.random.Generator) -> Problem:
+def misfit(rng: np.random.Generator) -> Trial:
     """A model that lacks a term."""
-    whole, extra = decay(rng), rng.uniform(0.1, 0.6)
+    (whole, truth), extra = decay(rng), rng.uniform(0.1, 0.6)
     x = np.linspace(0.0, 4.0, 60)
-    return replace(whole, measured=whole.measured + (extra * np.sin(3.0 * x))[:, None])
+    return replace(whole, measured=whole.measured + (extra * np.sin(3.0 * x))[:, None]), truth * np.nan
 
 
-def loud(rng: np.random.Generator) -> Problem:
+def loud(rng: np.random.Generator) -> Trial:
     """Sigma declared three times too small."""
     truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)])
     x = np.linspace(0.0, 4.0, 60)
     return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, x, sigma=0.05, noise=3.0, certain=False)
 
 
-def holed(rng: np.random.Generator) -> Problem:
+def holed(rng: np.random.Generator) -> Trial:
     """Six values in ten missing."""
-    whole = decay(rng) if rng.random() < 0.5 else lag(rng)
+    whole, truth = decay(rng) if rng.random() < 0.5 else lag(rng)
     measured = whole.measured.copy()
     measured[rng.random(measured.shape) < 0.6] = np.nan
-    return replace(whole, measured=measured)
+    return replace(whole, measured=measured), truth
 
 
-def exact(rng: np.random.Generator) -> Problem:
+def exact(rng: np.random.Generator) -> Trial:
     """A record without noise."""
     truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0), rng.uniform(0.1, 1.0)])
     model: Model = lambda p, x: p[0] * np.exp(-p[1] * x) + p[2]  # noqa: E731
@@ -132,7 +136,7 @@ def exact(rng: np.random.Generator) -> Problem:
 
 def dynamic(
     rng: np.random.Generator, step: Callable[..., Array], truth: Array, start: Array, *, n: int, sigma: float
-) -> Problem:
+) -> Trial:
     """A record of the first state, prior of 20 % of the truth."""
     sd = 0.2 * np.abs(truth)
     problem = Problem(
@@ -145,20 +149,20 @@ def dynamic(
         transition=step,
         start=Belief(start, np.zeros((start.size, start.size))),
     )
-    return replace(problem, measured=problem.simulate(truth) + sigma * rng.standard_normal((n, 1)))
+    return replace(problem, measured=problem.simulate(truth) + sigma * rng.standard_normal((n, 1))), truth
 
 
-def lag(rng: np.random.Generator) -> Problem:
+def lag(rng: np.random.Generator) -> Trial:
     """A first-order lag behind a swinging input."""
     swing = 0.3 + np.sin(np.arange(100) / rng.uniform(4.0, 12.0))
     truth = np.array([rng.uniform(0.5, 3.0), rng.uniform(0.7, 0.95)])
-    whole = dynamic(
+    whole, truth = dynamic(
         rng, lambda x, p, i: p[1] * x + (1.0 - p[1]) * p[0] * swing[i], truth, np.zeros(1), n=100, sigma=0.05
     )
-    return replace(whole, bounds=np.array([[0.0, 30.0], [0.0, 0.999]]))
+    return replace(whole, bounds=np.array([[0.0, 30.0], [0.0, 0.999]])), truth
 
 
-def van_der_pol(rng: np.random.Generator) -> Problem:
+def van_der_pol(rng: np.random.Generator) -> Trial:
     """An oscillator that limits itself, by Runge and Kutta."""
 
     def rates(x: Array, p: Array) -> Array:
@@ -175,7 +179,7 @@ def van_der_pol(rng: np.random.Generator) -> Problem:
     return dynamic(rng, step, np.array([rng.uniform(0.5, 4.0)]), np.array([2.0, 0.0]), n=120, sigma=0.1)
 
 
-def exchanger(rng: np.random.Generator) -> Problem:
+def exchanger(rng: np.random.Generator) -> Trial:
     """The project's own heat exchanger: its conductances from an hour of flight."""
     names = [p.name for p in HEAT_EXCHANGER.free("design")][:2]
     k = 80
@@ -191,7 +195,7 @@ def exchanger(rng: np.random.Generator) -> Problem:
     measured = {
         s.name: clean[s.name] + s.sigma * rng.standard_normal(k) for s in HEAT_EXCHANGER.outputs if s.sigma is not None
     }
-    return declared_problem(HEAT_EXCHANGER, names, inputs, measured)
+    return declared_problem(HEAT_EXCHANGER, names, inputs, measured), np.array([truth[name] for name in names])
 
 
 FAMILIES: tuple[Family, ...] = (
@@ -199,7 +203,8 @@ FAMILIES: tuple[Family, ...] = (
 )  # fmt: skip
 
 
-def drawn(n: int, seed: int = 0) -> list[tuple[str, Problem]]:
-    """`n` problems, the families in turn: name and problem."""
+def drawn(n: int, seed: int = 0) -> list[tuple[str, Problem, Array]]:
+    """`n` problems, the families in turn: name, problem, truth."""
     rngs = np.random.default_rng(seed).spawn(n)
-    return [(FAMILIES[i % len(FAMILIES)].__name__, FAMILIES[i % len(FAMILIES)](rng)) for i, rng in enumerate(rngs)]
+    chosen = [FAMILIES[i % len(FAMILIES)] for i in range(n)]
+    return [(family.__name__, *family(rng)) for family, rng in zip(chosen, rngs, strict=True)]
