@@ -75,7 +75,12 @@ def better_optimum(problem: Problem, at: Point, variance: float) -> tuple[Point 
         n_evals += found.n_evals
         best = found if found.objective < best.objective else best
     lower_by = at.objective - best.objective
-    return (best if lower_by > BETTER * max(variance, 1e-12) else None), n_evals
+    return (best if lower_by > _worth(variance) else None), n_evals
+
+
+def _worth(variance: float) -> float:
+    """By how much an objective must be lower to be another optimum: never less than a thousandth of sigma, squared."""
+    return max(BETTER * variance, 1e-6)
 
 
 def _apart(cloud: Array, objectives: Array, width: Array) -> Array:
@@ -132,7 +137,7 @@ def profiled(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> 
             ends[i, side], unlimited[i, side], spent, low = _end(problem, at, cov, int(i), sign, variance)
             n_evals += spent
             lowest = low if low.objective < lowest.objective else lowest
-    better = lowest.theta if lowest.objective < at.objective - BETTER * variance else None
+    better = lowest.theta if lowest.objective < at.objective - _worth(variance) else None
     return Profile(problem.names, ends, unlimited, n_evals, better)
 
 

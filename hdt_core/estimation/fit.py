@@ -15,6 +15,7 @@ from hdt_core.estimation.problem import Array
 
 Verdict = Literal["adequate", "lack_of_fit", "sigma_too_large", "untested"]
 CHANCE = 1e-3  # of a record as declared to be called anything but adequate, on either side
+ROUNDING = 1e-6  # of sigma, squared: below, the pattern of residuals is that of rounding and of the last step
 STRUCTURE = 4.0  # standard deviations of the residuals' serial correlation
 
 
@@ -100,7 +101,8 @@ class Fit:
         than sigma allows; `untested`: no degrees of freedom; else `adequate`."""
         if not self.degrees:
             return "untested"
-        if self.p_value < CHANCE or not np.isfinite(self.chi2) or self.serial_correlation > STRUCTURE:
+        structured = self.serial_correlation > STRUCTURE and self.reduced_chi2 > ROUNDING
+        if self.p_value < CHANCE or not np.isfinite(self.chi2) or structured:
             return "lack_of_fit"
         return "sigma_too_large" if chdtr(self.degrees, self.chi2) < CHANCE else "adequate"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.promise import best_objective, main
-from benchmarks.random_problems import FAMILIES, drawn, loud, van_der_pol
-from hdt_core.estimation import ESTIMATORS, Belief, NonlinearLeastSquares, UnscentedKalman
+from benchmarks.random_problems import FAMILIES, drawn, exact, loud, van_der_pol
+from hdt_core.estimation import ESTIMATORS, Belief, DifferentialEvolution, NonlinearLeastSquares, UnscentedKalman
 
 
 def test_every_method_keeps_its_promise_and_none_raises():
@@ -64,3 +64,11 @@ def test_scaled_deviations_cover_where_the_declared_do_not():
     assert np.mean(declared) < 0.55
     assert np.mean(scaled) == pytest.approx(0.9, abs=0.05)
     assert np.mean(sandwich) == pytest.approx(0.9, abs=0.07)
+
+
+def test_a_record_without_noise_has_one_optimum():
+    for seed in range(6):
+        problem, _ = exact(np.random.default_rng(seed))
+        estimate = DifferentialEvolution().estimate(problem)
+        assert estimate.status == "converged"
+        assert estimate.fit.verdict == "sigma_too_large"
