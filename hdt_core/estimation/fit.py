@@ -91,7 +91,7 @@ class Fit:
         before, after = self.residuals[:-1], self.residuals[1:]
         pairs = ~np.isnan(before) & ~np.isnan(after)
         power = float(np.nanmean(self.residuals**2)) if self.n_values else 0.0
-        if not power > 0.0 or not pairs.any():
+        if not 0.0 < power < np.inf or not pairs.any():
             return 0.0
         return float(np.sum((before * after)[pairs]) / power / np.sqrt(pairs.sum()))
 
