@@ -4,6 +4,7 @@ import polars as pl
 
 from hdt_core.twin.calibrate import baseline_flights
 from pipelines.ledger import Ledger
+from pipelines.settings import accepted_terms
 from pipelines.store import Store
 
 
@@ -26,4 +27,5 @@ def baseline_inputs(ledger: Ledger) -> list[str]:
     """What the model is made of, as lines to be hashed."""
     store, cells = Store(ledger.home), baseline_cells(ledger)
     records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance")]
-    return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))]
+    terms = [f"term {name}" for name in accepted_terms(ledger.home)]
+    return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))] + terms

@@ -1,7 +1,7 @@
 """How a simulated fleet is built and flown: drawn once per seed, so that no two fleets share their constants."""
 
 import string
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,8 @@ class FleetSettings:
         ISO date of the first departures.
     cpl_share : float
         Share of flights that leave a 1 Hz log as well. [-]
+    missing : dict
+        Coefficient of each physical term that the twin's model lacks (`hdt_core.physics.terms`), by name.
     """
 
     operators: int = 2
@@ -29,6 +31,7 @@ class FleetSettings:
     flights: int = 350
     first_day: str = "2024-03-04"
     cpl_share: float = 0.004
+    missing: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import polars as pl
 
 from hdt_core.simulate import flying, papers, shop
 from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
+from hdt_core.simulate.lacking import recorded_air, recorded_pack
 from hdt_core.simulate.recorder import draw_biases, record
 from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
 from hdt_core.simulate.truth import health_truth
@@ -101,7 +102,8 @@ def _aircraft(
 ) -> Aircraft:
     plan = _plan(rng, design, operator, tail, size)
     now = flying.conditions(rng, plan.schedule, *flying.snapshot_times(rng, plan.schedule))
-    air = record(rng, air_data(now), plan.biases[0], operator.temperature_step_k)
+    read = recorded_air(now, size.missing)
+    air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k)
     arrived = rng.random(size.flights) > 0.01
     logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
     rows, truth, book = [], [], papers.Book(plan)
@@ -110,11 +112,14 @@ def _aircraft(
         asked = demand(rng, design, now)
         history = shop.draw_history(rng, operator, design, *pick(now, asked, size.flights))
         true = true_signals(rng, design, now, asked=asked, history=history)
-        rows.append(pack_rows(rng, plan, now, true=true, history=history, pack=pack, air=air))
+        seen = recorded_pack(true, read, size.missing)
+        rows.append(pack_rows(rng, plan, now, true=seen, history=history, pack=pack, air=air))
         truth.append(health_truth(plan, now, true, history=history, pack=pack, arrived=arrived))
         book.write(rng, history, pack, truth[-1])
         for index in logged:
-            cpl.setdefault(str(plan.ids[index]), []).append(_log_1hz(rng, plan, int(index), history, pack))
+            cpl.setdefault(str(plan.ids[index]), []).append(
+                _log_1hz(rng, plan, int(index), history, pack, size.missing)
+            )
     snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[arrived].tolist()))
     return Aircraft(
         operator=operator.name,
@@ -136,11 +141,21 @@ def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail
     return Plan(operator, design, tail, schedule, ids, start, draw_biases(rng), rng.random() < operator.ram_out_share)
 
 
-def _log_1hz(rng: np.random.Generator, plan: Plan, index: int, history: shop.PackHistory, pack: int) -> pl.DataFrame:
+def _log_1hz(
+    rng: np.random.Generator,
+    plan: Plan,
+    index: int,
+    history: shop.PackHistory,
+    pack: int,
+    missing: dict[str, float],
+) -> pl.DataFrame:
     """One flight at 1 Hz: the core's heat lags what the snapshots' steady exchanger shows."""
     after_s = np.arange(0.0, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
     # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
     now = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
     true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
-    air = record(rng, air_data(now), plan.biases[0], plan.operator.temperature_step_k)
-    return pack_rows(rng, plan, now, true=true, history=history, pack=pack, air=air).drop("phase_code")
+    read = recorded_air(now, missing)
+    air = record(rng, air_data(read), plan.biases[0], plan.operator.temperature_step_k)
+    return pack_rows(rng, plan, now, true=recorded_pack(true, read, missing), history=history, pack=pack, air=air).drop(
+        "phase_code"
+    )

@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.physics.terms import within
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.characterise import fit_compressor
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
@@ -15,6 +16,7 @@ from hdt_core.twin.crossing import (
     PACK,
     Array,
     Points,
+    as_met,
     cruise_samples,
     flights_of,
     level_points,
@@ -25,9 +27,11 @@ from hdt_core.twin.entry import FIRST_FLIGHTS, entry_posterior, fleet_levels
 from hdt_core.twin.flights import design_gradient, estimate_flights
 from hdt_core.twin.hierarchy import fit_exchanger
 from hdt_core.twin.inlet import learn_inlet
+from hdt_core.twin.missing import coefficients
 from hdt_core.twin.pooling import Level, levels_of
 from hdt_core.twin.sensors import sensor_prior
 
+TERM_ROUNDS = 3
 MILESTONES = (10, 20, 40, 80, 160)
 """Flights of a tail after which its baseline grows; the last is the commissioning window's end: what comes later is
 judged by the model and never teaches it, or slow wear would be learned as normal."""
@@ -56,7 +60,7 @@ def baseline_flights(flights: pl.DataFrame) -> list[str]:
     return sorted(ordered.filter(pl.col("order") <= reached.fill_null(MILESTONES[0]))["flight_id"].to_list())
 
 
-def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame) -> Dsm:
+def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: tuple[str, ...] = ()) -> Dsm:
     """Calibrate the Digital System Model from the baseline flights among `samples`.
 
     Parameters
@@ -65,19 +69,37 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
         Of the leg filter; admitted legs calibrate, monitored samples of the others do not.
     maintenance : DataFrame
         `operator, tail, done_on, pack, component, action`; exchanger replacements split a pack's baseline into units.
+    terms : tuple of str
+        Physical terms accepted by name (`physics.terms`); coefficient and design are found in turn.
 
     Returns
     -------
     Dsm
         Depends on the data set alone. With no usable flight it holds the priors, and says so through its deviations.
     """
+    model = _calibrated(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
+    for _ in range(TERM_ROUNDS if terms else 0):
+        seen = estimate_flights(nominal_baseline(samples, legs), model)
+        found = coefficients(seen, model, terms)
+        model = _calibrated(samples, legs, maintenance, {n: within(n, model.terms[n] + found[n]) for n in terms})
+    return model
+
+
+def nominal_baseline(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Samples of the admitted legs among the baseline's flights."""
+    everything = flights_of(samples)
+    base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
+    return samples.join(_admitted(base, legs).select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+
+
+def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
     everything = flights_of(samples)
     base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
     admitted = _admitted(base, legs)
     window = samples.join(base.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     packs = everything.select(PACK).unique().sort(PACK)
-    points = to_points(level_points(cruise, everything), packs)
+    points = to_points(level_points(as_met(cruise, terms), everything), packs)
     fit = fit_exchanger(points, *sensor_prior(cruise, packs))
     flying = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     corrections = probe_corrections(flying, packs)
@@ -119,6 +141,7 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
         packs=designs,
         n_flights=base["flight_id"].n_unique(),
         cruise_flows_kg_s=_middle_flows(points, fit.mean),
+        terms=terms,
     )
     ordered = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
     draft = replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))

@@ -1,5 +1,6 @@
 """The one crossing between frames and arrays: cruise samples of a flight and pack, and points fit for a calibration."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.terms import corrected
 from hdt_core.twin.exchanger import SIGNALS
 
 Array = NDArray[Any]
@@ -84,6 +86,14 @@ def complete_air_data(cruise: pl.DataFrame) -> pl.DataFrame:
     total_pa = np.where(np.isnan(total_pa), static_pa * total_to_static_pressure(mach), total_pa)
     filled = pl.DataFrame({"mach": mach, "total_pressure_pa": total_pa}).fill_nan(None)
     return cruise.with_columns(filled["mach"], filled["total_pressure_pa"])
+
+
+def as_met(cruise: pl.DataFrame, terms: Mapping[str, float]) -> pl.DataFrame:
+    """Cruise samples with the accepted physical terms taken out of what was recorded."""
+    if not terms:
+        return cruise
+    met = corrected({name: cruise[name].to_numpy().astype(float) for name in SIGNALS}, terms)
+    return cruise.with_columns(pl.Series(name, values).fill_nan(None) for name, values in met.items())
 
 
 def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:

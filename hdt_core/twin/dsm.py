@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,8 @@ class Dsm:
         Conductance of each operator and pack, pooled with the fleet.
     hot_inlet : tuple
         Slopes of the hot inlet's law, in the order of `hdt_core.twin.inlet.TERMS`; empty where it is not known.
+    terms : dict
+        Coefficient of each physical term that an engineer has accepted (`physics.terms`), by name.
     """
 
     dsm_version: str
@@ -72,6 +74,7 @@ class Dsm:
     cruise_flows_kg_s: tuple[float, float] = (REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S)
     levels: tuple[Level, ...] = ()
     hot_inlet: tuple[float, ...] = ()
+    terms: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers, lists and strings, ready for JSON."""

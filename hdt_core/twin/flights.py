@@ -7,7 +7,7 @@ from hdt_core.physics.model import Array
 from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_flights, compressor_samples
-from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, complete_air_data, cruise_samples, flights_of
+from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, as_met, complete_air_data, cruise_samples, flights_of
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.inlet import inlet_above_law
 from hdt_core.twin.sensors import exit_differences
@@ -51,7 +51,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     """
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
-    exchanger = _exchanger(cruise, dsm)
+    exchanger = _exchanger(as_met(cruise, dsm.terms), dsm)
     witnesses = _witnesses(samples, cruise, exchanger, dsm)
     flying = cruise_samples(samples, monitored=False)
     machine = compressor_flights(compressor_samples(flying, dsm.pack_table()))

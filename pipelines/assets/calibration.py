@@ -1,6 +1,7 @@
 """How the aircraft were built: the Digital System Model, from the commissioning window of each tail."""
 
 import json
+from pathlib import Path
 
 import polars as pl
 
@@ -14,6 +15,7 @@ from pipelines.assets.stage import Shown, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.plots import calibration_metadata
 from pipelines.resources import Home
+from pipelines.settings import accepted_terms
 
 
 @stage(
@@ -31,7 +33,7 @@ def calibration(home: Home) -> Shown:
     maintenance, messages = (baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages"))
     norm = learn_norm(verdicts, samples, maintenance, messages)
     admitted = admit_by(norm, verdicts, leg_signs(samples, norm), maintenance, messages)
-    dsm = calibrate(samples, admitted, maintenance)
+    dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
     shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
     laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_laws(samples).to_dict())}

@@ -18,6 +18,7 @@ ORDER = (
     "explain",
     "report",
     "query",
+    "terms",
     "export",
     "ui",
     "simulate",

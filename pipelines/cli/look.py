@@ -3,7 +3,7 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -123,3 +123,57 @@ def ui(
 
 def _say_where(address: str) -> None:
     out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)
+
+
+@app.command()
+def terms(
+    home: HomeDir = None,
+    accept: Annotated[
+        list[str] | None, typer.Option(help="Let the model have this term from the next night on.")
+    ] = None,
+    drop: Annotated[list[str] | None, typer.Option(help="Take it from the model again.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Physical terms that residuals of nominal flights ask for, and the evidence.
+
+    What the model has is a term a line in `terms.txt` of the home.
+    """
+    from hdt_core.physics.terms import TERMS
+    from hdt_core.twin.dsm import Dsm
+    from pipelines.settings import accepted_terms
+    from pipelines.store import Store
+    from pipelines.terms import accept as write
+    from pipelines.terms import proposals
+
+    where = home_folder(home)
+    unknown = sorted({*(accept or ()), *(drop or ())} - set(TERMS))
+    if unknown:
+        raise StopError(f"no term {', '.join(unknown)}; there are {', '.join(sorted(TERMS))}")
+    if accept or drop:
+        write(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
+        out.print(f"Terms from the next night on: {', '.join(accepted_terms(where)) or 'none'}")
+        return
+    held = Store(where).read("calibration_dsm")
+    if not held.height:
+        raise StopError("no model yet; run `hdt nightly` first")
+    dsm = Dsm.from_dict(json.loads(held["model"][0]))
+    found = proposals(where, dsm)
+    if as_json:
+        out.print_json(json.dumps({"accepted": dsm.terms, "terms": found.to_dicts()}))
+        return
+    for name, value in dsm.terms.items():
+        out.print(f"accepted  {name} = {value:.3g} {TERMS[name].unit}", soft_wrap=True)
+    for row in found.iter_rows(named=True):
+        out.print(_term_line(row), markup=False, soft_wrap=True)
+
+
+def _term_line(row: dict[str, Any]) -> str:
+    head = f"{'PROPOSED' if row['proposed'] else '-':8}  {row['term']}"
+    if row["value"] is None:
+        return f"{head}: {row['n']} changes between flights are too few"
+    return (
+        f"{head} = {row['value']:.3g} +- {row['sd']:.2g} {row['unit']} ({row['meaning']}): BIC falls by "
+        f"{row['bic_gain']:.0f}, F {row['f']:.0f}; residual of aircraft left out "
+        f"{100 * row['held_out_change']:+.0f} %; "
+        f"moves a flight's loss by {row['loss_shift_sd']:.3f}; {row['n']} changes"
+    )

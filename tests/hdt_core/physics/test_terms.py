@@ -1,0 +1,51 @@
+"""Terms that a model may lack: what they do is undone exactly, and the library is sound."""
+
+import numpy as np
+import pytest
+from CoolProp.CoolProp import PropsSI
+
+from hdt_core.physics.terms import TERMS, corrected, recorded, saturation_pressure_pa, within
+
+MET = {
+    "altitude_m": np.array([9500.0, 11000.0]),
+    "mach": np.array([0.80, 0.85]),
+    "tat_k": np.array([243.0, 262.0]),
+    "total_pressure_pa": np.array([44e3, 36e3]),
+    "hx_in_k": np.array([380.0, 410.0]),
+    "hx_out_k": np.array([292.0, 301.0]),
+    "pack_flow_kg_s": np.array([0.7, 0.85]),
+}
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_what_sensors_record_is_turned_back(name):
+    seen = recorded(MET, {name: 0.1})
+    signal = TERMS[name].signal
+    assert np.all(np.abs(seen[signal] - MET[signal]) > 0.0)
+    back = corrected(seen, {name: 0.1})
+    for of, values in MET.items():
+        np.testing.assert_allclose(back[of], values, rtol=1e-12)
+
+
+def test_without_a_term_nothing_changes():
+    assert corrected(MET, {}) == MET
+    assert TERMS["water_spray"].name == "water_spray"
+    with pytest.raises(KeyError):
+        corrected(MET, {"unheard_of": 1.0})
+
+
+def test_vapour_pressure_is_water_s():
+    for temperature_k in (275.0, 290.0, 320.0):
+        assert saturation_pressure_pa(temperature_k) == pytest.approx(
+            PropsSI("P", "T", temperature_k, "Q", 0, "Water"), rel=5e-3
+        )
+
+
+def test_a_leak_grows_with_what_drives_it():
+    low, high = recorded(MET, {"flow_leak": 0.1})["pack_flow_kg_s"] / MET["pack_flow_kg_s"]
+    assert 1.0 < low < high
+
+
+def test_bounds_hold():
+    assert within("water_spray", 7.0) == 1.0
+    assert within("inlet_gain", 0.07) == 0.07
