@@ -122,8 +122,8 @@ def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Arra
     """Logarithm of measured over expected UA: unit offset minus wear, in the mean. (n,) NaN where no exchanger fits."""
     s = without_bias(signals, bias)
     ram = clean_ram_flow_kg_s(s, design)
-    measured = measured_conductance_w_k(s["pack_flow_kg_s"], ram, s["hx_in_k"], s["hx_out_k"], s["tat_k"])
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a shut door or a pack at rest has no exchanger to fit
+        measured = measured_conductance_w_k(s["pack_flow_kg_s"], ram, s["hx_in_k"], s["hx_out_k"], s["tat_k"])
         return np.log(measured) - ln_clean_conductance(s, ram, design)
 
 

@@ -31,6 +31,7 @@ def test_an_unknown_name_is_refused(tmp_path):
 
 
 def test_the_command_accepts_and_drops(tmp_path):
+    (tmp_path / "catalog.duckdb").touch()  # a home that has seen a night
     run = CliRunner()
     assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "water_spray"]).exit_code == 0
     assert accepted_terms(tmp_path) == ("water_spray",)
