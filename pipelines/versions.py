@@ -56,7 +56,7 @@ MADE: dict[str, Made] = {
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
     "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),
     "features": Made(("twin_health", "residuals", "features_witnesses", "raw_maintenance"), code="6"),
-    "features_alerts": Made(("features",), code="7"),
+    "features_alerts": Made(("features",), code="8"),
     "prognosis_base": Made(),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     **dict.fromkeys(

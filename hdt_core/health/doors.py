@@ -14,8 +14,9 @@ SAME_STOP = 0.03
 """Openings closer than this may be one stop: noise, quantisation and a flight's last approach to it. [-]"""
 JAM_ABOVE, PEG_ABOVE = 0.06, 0.15
 """A door no wider than this above its lower stop may rest there, and its outlet then says nothing of its travel. [-]"""
-SURE_PEG_K, SURE_PEG_SAMPLES = 2.0, 3
-"""Excess and samples at the stop with which one flight is enough: six sigma of a sound flight. [K]"""
+SURE_PEG_K, SURE_PEG_SAMPLES = 3.0, 3
+"""Excess and samples at the stop with which one flight is enough: nine sigma of a sound flight, and more
+than a TAT that reads 5 K wrong feigns. [K]"""
 WARM_K, USUAL_FLIGHTS = 6.0, 40
 """Outlet above what is usual beside its target at which a motionless door is jammed wherever it stands, for a free one
 would open: three sigma of a flight's own trim. [K] Flights that say what is usual."""

@@ -41,7 +41,7 @@ class Limits:
     still_span : float
         A door that moves less from climb to descent does not follow: seven sigma of its position sensor.
     peg_k : float
-        Outlet above its target while the door rests, not open, at its widest: three sigma of a sound flight.
+        Outlet above its target while the door rests, not open, at its widest: four sigma of a sound flight.
     """
 
     fouling: float = 0.15
@@ -54,7 +54,7 @@ class Limits:
     compressor: float = 0.05
     lost: float = 0.2
     still_span: float = 0.035
-    peg_k: float = 1.0
+    peg_k: float = 1.3
 
 
 @dataclass(slots=True)
