@@ -19,6 +19,7 @@ from hdt_core.tables import TABLES
 from pipelines import postgres
 from pipelines.landing import scan
 from pipelines.ledger import Ledger
+from pipelines.settings import accepted_terms
 from pipelines.steps import STEPS, Step
 from pipelines.store import Store
 from pipelines.versions import CELL, MADE, digest, stale
@@ -121,7 +122,7 @@ def run_night(
             chain.send_out()  # first: what a killed night sent out may still be writing
         Store(home).sweep()
         found = scan(landing, ledger)
-        made_as = digest(repr(MADE), repr(STEPS))
+        made_as = digest(repr(MADE), repr(STEPS), *accepted_terms(Path(home)))
         for step in () if ledger.is_settled(made_as) else STEPS:
             chain.step(step)
     if only is None and not chain.failed:
