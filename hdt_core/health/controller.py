@@ -7,7 +7,7 @@ pressure scheduled on altitude; the compressor delivers that, and the pressure i
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,11 +41,20 @@ class Law:
         Tail to the schedule's value at the knots, mean zero; the key `""` holds that of all tails together.
     gains : mapping
         Tail to the factor on the third reading; 0 where there is none.
+    levels : mapping
+        `tail/pack` to the constant that its readings had in the window, `""` to that of all.
     """
 
     knots: tuple[float, ...]
     shapes: Mapping[str, tuple[float, ...]]
     gains: Mapping[str, float]
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+    def level_column(self, packs: pl.DataFrame) -> pl.Series:
+        """Constant of each row's pack (`tail`, `pack`); that of all packs for one the law has not met."""
+        name = pl.concat_str("tail", "pack", separator="/")
+        known = name.replace_strict(dict(self.levels), default=self.levels.get(""), return_dtype=pl.Float64)
+        return packs.select(known)[:, 0]
 
     def shape(self, tail: str, x: Array, third: Array | float = 0.0) -> Array:
         """Scheduled part of the reading."""
@@ -82,7 +91,12 @@ class Laws:
         """Plain values, fit for JSON."""
         both = {"outlet": self.outlet, "delivery": self.delivery}
         return {
-            name: {"knots": list(v.knots), "shapes": {k: list(s) for k, s in v.shapes.items()}, "gains": dict(v.gains)}
+            name: {
+                "knots": list(v.knots),
+                "shapes": {k: list(s) for k, s in v.shapes.items()},
+                "gains": dict(v.gains),
+                "levels": dict(v.levels),
+            }
             for name, v in both.items()
         }
 
@@ -91,7 +105,8 @@ class Laws:
         """Inverse of `to_dict`."""
 
         def law(p: Mapping[str, Any]) -> Law:
-            return Law(tuple(p["knots"]), {k: tuple(v) for k, v in p["shapes"].items()}, dict(p["gains"]))
+            shapes = {k: tuple(v) for k, v in p["shapes"].items()}
+            return Law(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
 
         return cls(law(plain["outlet"]), law(plain["delivery"]))
 
@@ -112,10 +127,12 @@ def learn_laws(samples: pl.DataFrame) -> Laws:
     window = _baseline(samples)
     pack = pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64).alias("group")
     flight = pl.struct("tail", "flight_id", "pack").rank("dense").cast(pl.Int64).alias("group")
-    held = window.filter(has_authority()).select("tail", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
+    held = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
     flow2 = pl.col("pack_flow_kg_s") ** 2
     running = (pl.col("phase") == "cruise") & (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("cc_out_pa") > 0)
-    delivered = window.filter(running).select("tail", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
+    delivered = window.filter(running).select(
+        "tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2
+    )
     return Laws(_learn(held, TAT_KNOTS_K), _learn(delivered, ALTITUDE_KNOTS_M))
 
 
@@ -136,7 +153,17 @@ def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> Law:
     for (tail,), own in known.group_by("tail", maintain_order=True):
         if own.height >= ENOUGH:
             fits[str(tail)] = _fit(own, knots)
-    return Law(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
+    law = Law(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
+    return replace(law, levels=_levels(law, known))
+
+
+def _levels(law: Law, rows: pl.DataFrame) -> dict[str, float]:
+    """What is left of the readings of each pack once the schedule is taken out, and of all packs under `""`."""
+    scheduled = law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
+    left = rows.select("tail", "pack", left=pl.col("y") - scheduled)
+    own = left.group_by("tail", "pack").agg(pl.col("left").median()).sort("tail", "pack")
+    levels = {f"{tail}/{pack}": float(level) for tail, pack, level in own.rows()}
+    return levels | ({"": float(left["left"].median())} if rows.height else {})  # type: ignore[arg-type]
 
 
 def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...], float]:

@@ -1,17 +1,22 @@
-"""What a health track says about its own future: causal features, one row a unit, one column a flight.
+"""What the record of a unit says about its future: causal features, one row a unit, one column a flight.
 
-Every feature at flight k is a function of flights up to k of that unit. Losses are divided by the loss at which the
-aircraft speaks (the limit), so that one model serves exchangers and compressors, and fleets with other limits.
+Every feature at flight k is a function of flights up to k. Nothing is divided by a fleet's limit: wear, reserve and what
+flights ask are in ln of conductance, which means the same for every type.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hdt_core.prognosis.conditions import ASKED, LEVELS, asked
+from hdt_core.prognosis.first_passage import passage, wear_rate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 HORIZONS = (10, 30, 100)
-FEATURES = (
+WEAR = (
     "level",
     "level_sd",
     "peak",
@@ -26,69 +31,143 @@ FEATURES = (
     "jump_10",
     "jump_largest",
     "jump_share",
+)
+QUANTILES = ASKED[:-1]
+RESERVE = (
+    *(name.replace("asked", "reserve") for name in QUANTILES),
+    "asked_trend",
     "left_linear_30",
     "left_linear_100",
     "left_linear_segment",
-    "left_power",
+)
+AHEAD = (50.0, 100.0, 200.0, 300.0)
+PASSAGE = (*(f"passage_{round(k)}" for k in AHEAD), "passage_median")
+SEEN = (
+    "overheat_10",
+    "overheat_40",
+    "overheat_most_40",
+    "overheat_half_40",
+    "hot_share_40",
     "full_open_10",
     "full_open_40",
+    "season_sin",
+    "season_cos",
 )
+FEATURES = (*WEAR, *RESERVE, *PASSAGE, *SEEN)
+HOT_K = 3.0
+"""A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
+RATIO_SD = 0.012
+"""What is not known of the ratio that is left, beside what `first_passage.ASK_SD` says of the question. [-]"""
+_EDGES = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0])
 _FAR = 1000.0
-_DROP = 0.08  # of the limit: larger than any noise of a filtered track over three flights
+_DROP = 0.035  # loss: larger than any noise of a filtered track over three flights
 
 
-def history(level: Array, sd: Array, age: Array, full_open: Array) -> dict[str, Array]:
-    """Features of health tracks.
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Units side by side, arrays (units, flights): NaN where unknown, before the first and after the last flight.
+
+    Attributes
+    ----------
+    level, sd : ndarray
+        Health loss, forward filled, and its standard deviation. [-]
+    age : ndarray
+        Flights since installation; NaN where the unit was already flying when the record began. [flight]
+    ratio : ndarray
+        Ln conductance ratio that is left, in the unit in which flights ask for it. [-]
+    overheat_k, overheat_half_k, full_open : ndarray
+        Outlet above its held level in the hottest fifth and in half of a flight's high samples [K]; share of them with
+        the ram door full open [-].
+    day : ndarray
+        Day of the year. [day]
+    """
+
+    level: Array
+    sd: Array
+    age: Array
+    ratio: Array
+    overheat_k: Array
+    overheat_half_k: Array
+    full_open: Array
+    day: Array
+
+
+def feature_rows(panel: Panel, at: tuple[Index, Index], critical: Array, where: tuple[Index, Index]) -> Array:
+    """Features of some flights. (n, p), columns `FEATURES`, NaN where undefined.
 
     Parameters
     ----------
-    level : array, shape (units, flights)
-        Health loss over its limit, forward filled; NaN before the first and after the last flight. [-]
-    sd : array, shape (units, flights)
-        Its standard deviation on the same scale. [-]
-    age : array, shape (units, flights)
-        Flights since installation; NaN where the unit was already flying when the record began. [flight]
-    full_open : array, shape (units, flights)
-        Share of the cruise with the ram door full open, where there is one; NaN where unknown. [-]
-
-    Returns
-    -------
-    dict of str to array
-        One (units, flights) array for each of `FEATURES`; slopes per flight, NaN where undefined.
+    panel : Panel
+        Units and their flights.
+    at : tuple of array
+        Unit and flight of each row, as the panel counts them.
+    critical : array, shape (packs, flights)
+        What each flight of a pack asked, whichever unit flew. See `conditions.asked`.
+    where : tuple of array
+        Pack and flight of each row, as `critical` counts them.
     """
-    flights = level.shape[1]
-    k = np.broadcast_to(np.arange(flights), level.shape)
-    start = _segment_start(level)
+    start = _segment_start(panel.level)
+    along = _wear(panel, start) | _seen(panel)
+    rows = {name: values[at] for name, values in along.items()}
+    asks, ratio = asked(critical, *where), panel.ratio[at]
+    rows |= {name.replace("asked", "reserve"): ratio - asks[name] for name in QUANTILES}
+    rows["asked_trend"] = asks["asked_trend"]
+    # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
+    slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
+    rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
+    run = (np.arange(panel.level.shape[1]) - start + 1.0)[at]
+    rate = wear_rate(np.where(run >= 60.0, slope["100"], slope["segment"]), run)
+    rows |= _passages(ratio, np.stack([asks[name] for name in ASKED[: len(LEVELS)]], axis=1), *rate)
+    return np.stack([rows[name] for name in FEATURES], axis=1)
+
+
+def _wear(panel: Panel, start: Index) -> dict[str, Array]:
+    level = panel.level
+    k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     slope: dict[str, Array] = {f"slope_{h}": _slope(level, np.maximum(start, k - h + 1)) for h in HORIZONS}
-    segment, life = _slope(level, start), _slope(level, np.zeros_like(start))
     jump = np.nan_to_num(level - _back(level, 3))
     peak = np.asarray(np.fmax.accumulate(level, axis=1))
     largest = np.asarray(np.maximum.accumulate(jump, axis=1))
     entry = np.broadcast_to(np.asarray(level[:, :5].mean(axis=1, keepdims=True)), level.shape)
-    risen = np.cumsum(np.maximum(jump - 0.05, 0.0), axis=1) / 3.0
+    risen = np.cumsum(np.maximum(jump - 0.02, 0.0), axis=1) / 3.0
     return {
         "level": level,
-        "level_sd": sd,
+        "level_sd": panel.sd,
         "peak": peak,
-        "age_flights": age,
+        "age_flights": panel.age,
         "seen_flights": np.asarray(k + 1.0, dtype=float),
         "entry_level": np.asarray(np.where(k < 5, level, entry)),
         **slope,
-        "slope_segment": segment,
-        "slope_life": life,
+        "slope_segment": _slope(level, start),
+        "slope_life": _slope(level, np.zeros_like(start)),
         "bend": slope["slope_30"] - slope["slope_100"],
         "roughness": _roughness(level),
         "jump_10": _rolling_max(jump, 10),
         "jump_largest": largest,
-        "jump_share": risen / np.maximum(peak, 0.05),
-        "left_linear_30": _left_linear(level, slope["slope_30"]),
-        "left_linear_100": _left_linear(level, slope["slope_100"]),
-        "left_linear_segment": _left_linear(level, segment),
-        "left_power": _left_power(
-            level, np.asarray(k - start + 1.0, dtype=float), slope["slope_100"], np.minimum(k - start, 99.0)
-        ),
-        "full_open_10": _mean_known(full_open, 10),
-        "full_open_40": _mean_known(full_open, 40),
+        "jump_share": risen / np.maximum(peak, 0.02),
+    }
+
+
+def _passages(ratio: Array, asks: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
+    """The physical forecast at each flight, before any learner: see `first_passage`."""
+    by = passage(ratio, np.full(rate.size, RATIO_SD), asks, rate, rate_sd, _EDGES)
+    at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], AHEAD, strict=True)}
+    return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
+
+
+def _seen(panel: Panel) -> dict[str, Array]:
+    angle = 2.0 * np.pi * panel.day / 365.25
+    hot = np.where(np.isnan(panel.overheat_k), np.nan, panel.overheat_k > HOT_K)
+    return {
+        "overheat_10": _mean_known(panel.overheat_k, 10),
+        "overheat_40": _mean_known(panel.overheat_k, 40),
+        "overheat_most_40": _rolling_max(np.nan_to_num(panel.overheat_k), 40) + 0.0 * panel.overheat_k,
+        "overheat_half_40": _mean_known(panel.overheat_half_k, 40),
+        "hot_share_40": _mean_known(hot, 40),
+        "full_open_10": _mean_known(panel.full_open, 10),
+        "full_open_40": _mean_known(panel.full_open, 40),
+        "season_sin": np.sin(angle),
+        "season_cos": np.cos(angle),
     }
 
 
@@ -129,7 +208,7 @@ def _rolling_max(values: Array, flights: int) -> Array:
 
 
 def _roughness(level: Array) -> Array:
-    """Root mean square of the flight-to-flight change over 30 flights, per limit."""
+    """Root mean square of the flight-to-flight change over 30 flights. [-]"""
     change = np.nan_to_num(np.diff(level, axis=1, prepend=level[:, :1])) ** 2
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     start = np.maximum(k - 29, 0)
@@ -140,19 +219,11 @@ def _mean_known(values: Array, flights: int) -> Array:
     """Mean of what is known of the last flights; NaN where nothing is."""
     k = np.broadcast_to(np.arange(values.shape[1]), values.shape)
     start = np.maximum(k - flights + 1, 0)
-    count = _span_sum(np.isfinite(values).astype(float), start)
-    total = _span_sum(np.nan_to_num(values), start)
-    return np.asarray(np.where(count > 0.5, total / np.maximum(count, 1.0), np.nan))
+    known = np.isfinite(values)
+    total, count = _span_sum(np.where(known, values, 0.0), start), _span_sum(known.astype(float), start)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1.0), np.nan))
 
 
-def _left_linear(level: Array, slope: Array) -> Array:
-    """Flights until the limit on a straight line through the present; `_FAR` when it doesn't rise."""
-    return np.asarray(np.clip((1.0 - level) / np.maximum(slope, 1.0 / _FAR / 2.0), 0.0, _FAR), dtype=float)
-
-
-def _left_power(level: Array, n: Array, slope: Array, span: Array) -> Array:
-    """Flights until the limit on x ~ n^p, the exponent p = x'n/x read in the middle of the last `span` flights."""
-    n_mid, x_mid = n - 0.5 * span, np.maximum(level - 0.5 * span * slope, 0.02)
-    p = np.clip(slope * n_mid / x_mid, 0.3, 4.0)
-    x = np.clip(level, 0.02, 1.0)
-    return np.asarray(np.clip(n * (x ** (-1.0 / p) - 1.0), 0.0, _FAR))
+def _left_linear(reserve: Array, slope: Array) -> Array:
+    """Flights until a reserve is used up at this rate, 0 to `_FAR`."""
+    return np.asarray(np.where(slope > 1e-6, np.clip(reserve / np.maximum(slope, 1e-6), 0.0, _FAR), _FAR))

@@ -26,8 +26,6 @@ class Limit:
 
 
 PRIORS = {
-    # the ram door is full open and the hot air too warm at about 40 % loss; sizing differs between fleets
-    "HX": Limit(0.41, 0.06, 0.04),
     # flow can no longer be held; more varied, since a speed margin hides it
     "CC": Limit(0.25, 0.06, 0.05),
 }

@@ -1,25 +1,36 @@
-"""From frames to the learner's arrays: one row a flight and pack, in units of the limit."""
+"""From frames to the learner's arrays: one row a flight and pack."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.prognosis.history import FEATURES, history
-from hdt_core.prognosis.limits import Limit
+from hdt_core.health.margin import CRITICAL, EXCESS_K, SHARES
+from hdt_core.prognosis.conditions import repeated
+from hdt_core.prognosis.history import FEATURES, Panel, feature_rows
+from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
 from hdt_core.prognosis.lives import flight_rows
+from hdt_core.prognosis.message_rule import PRIOR as RULE_PRIOR
+from hdt_core.prognosis.message_rule import MessageRule, learn_rules
 from hdt_core.records.unit_index import PACK
-from hdt_core.simulate.training import draw_fleets
+from hdt_core.simulate.episodes import Episodes
+from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
 
 Array = NDArray[np.float64]
 
-INPUTS = (*FEATURES, "limit_sd")
+INPUTS = (*FEATURES, "rule_sd")
 LOSSES = (
-    "hx_fouling", "hx_fouling_sd", "door_full_open_share", "cc_efficiency_loss", "cc_efficiency_loss_sd",
-    "cc_diameter_loss",
+    "hx_fouling", "hx_fouling_sd", "hx_ln_ua_ratio", "cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss",
 )  # fmt: skip
 """Features that a prognosis is made of."""
+ASKS = ("overheat_p20_k", "overheat_p50_k", "full_open_share")
+"""And what the flights showed of the margin, beside their critical ratios."""
+
+Says = Limit | dict[str, MessageRule]
+"""When the aircraft speaks: a limit of the loss, or the rule of each operator's monitor, `""` for any other."""
+UNTOLD: dict[str, Says] = {"HX": {"": RULE_PRIOR}, "CC": PRIORS["CC"]}
+"""What is believed before any message, by component."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,27 +62,29 @@ class Rows:
         return Rows(self.features[keep], self.left[keep], self.failed[keep], self.group[keep], self.life[keep])
 
 
-def simulated_rows(seed: int, fleets: int = 50, units: int = 70, flights: int = 600, stride: int = 20) -> Rows:
-    """Rows of simulated lives; the limit is known no better than a fleet with few messages knows it."""
+def simulated_rows(seed: int, fleets: int = 50, aircraft: int = 20, flights: int = 600, stride: int = 20) -> Rows:
+    """Rows of simulated lives; what flights ask is known no better than a fleet with few messages knows it."""
     rng = np.random.default_rng(seed + 1)
     parts = []
-    for number, (lives, limit) in enumerate(draw_fleets(seed, fleets, units, flights)):
-        doubt = np.exp(rng.uniform(np.log(0.02), np.log(0.18), units))
-        believed = limit * np.exp(doubt * rng.standard_normal(units))
-        age = np.where(lives.age_known[:, None], np.arange(flights, dtype=float), np.nan)
-        # a fleet in four has no door signal, and so has every compressor
-        door = lives.full_open if number % 4 else np.full_like(lives.full_open, np.nan)
-        table = _table(lives.measured / believed[:, None], lives.sd / believed[:, None], age, door, doubt)
+    for number, (lives, doubt) in enumerate(draw_fleets(seed, fleets, aircraft, flights)):
         left = lives.message[:, None] - np.arange(flights)[None, :]
-        keep = (left >= 1) & ((np.arange(flights)[None, :] + rng.integers(0, stride, (units, 1))) % stride == 0)
-        unit = np.nonzero(keep)[0]
+        offset = rng.integers(0, stride, (left.shape[0], 1))
+        keep = (left >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
+        unit, flight = np.nonzero(keep)
+        found = feature_rows(_panel_of(lives), (unit, flight), repeated(lives.asked), (unit, LEAD + flight))
+        table = np.column_stack([found, np.full(unit.size, doubt)])
         failed = lives.message[unit] < flights
-        parts.append(
-            Rows(table[keep], left[keep].astype(float), failed, np.full(unit.size, f"{number}"), number * units + unit)
-        )
-    return Rows(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("features", "left", "failed", "group", "life"))
-    )
+        life = number * left.shape[0] + unit
+        parts.append(Rows(table, left[keep].astype(float), failed, np.full(unit.size, f"{number}"), life))
+    return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
+
+
+def _panel_of(lives: Episodes) -> Panel:
+    age = np.where(lives.age_known[:, None], np.arange(lives.loss.shape[1], dtype=float), np.nan)
+    return Panel(
+        lives.measured, lives.sd, age, lives.ratio,
+        lives.overheat_k, lives.overheat_half_k, lives.full_open, lives.day,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,28 +93,30 @@ class Tracks:
 
     Attributes
     ----------
-    value, sd, age, door : ndarray, shape (lives, flights)
-        Loss, its standard deviation, flights since installation, share of the cruise with the ram door full open; NaN
-        after a life's last flight. [-], [-], [flight], [-]
+    panel : Panel
+        Lives and their flights.
     at : ndarray of int, shape (n, 2)
         For each row of `keys`: its life and its column, the column -1 before the first known value.
+    curves : ndarray, shape (packs, flights, shares, excesses)
+        Critical ln ratio of every flight of every pack; no shares for a component whose message has a limit of its own.
+    where : ndarray of int, shape (n, 2)
+        For each row of `keys`: its pack and flight in `curves`.
     keys : DataFrame
         operator, tail, flight_id, pack, departed_at, one row a flight, sorted by pack and departure.
     left, failed : ndarray, shape (n,)
         As in `Rows`.
     """
 
-    value: Array
-    sd: Array
-    age: Array
-    door: Array
+    panel: Panel
     at: NDArray[np.int_]
+    curves: Array
+    where: NDArray[np.int_]
     keys: pl.DataFrame
     left: Array
     failed: NDArray[np.bool_]
 
 
-def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Tracks:
+def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str, asks: pl.DataFrame | None = None) -> Tracks:
     """Cut health tracks into lives.
 
     Parameters
@@ -112,50 +127,116 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         From `lives.episodes`.
     component : str
         "HX" or "CC".
+    asks : DataFrame, optional
+        Of `health.margin.margin_flights`: what each flight asked. Without it nothing is known of an exchanger's margin.
     """
-    flights = flight_rows(features.with_columns(_loss(features, component)), "value", "sd", "door")
+    known = features.with_columns(_loss(features, component))
+    if component == "HX" and asks is not None:
+        known = known.join(asks.select(*PACK, "flight_id", *CRITICAL, *ASKS), on=[*PACK, "flight_id"], how="left")
+    known = known.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*CRITICAL, *ASKS) if c not in known.columns)
+    flights = flight_rows(known, "value", "sd", "ratio", *CRITICAL, *ASKS)
     own = lives.filter(pl.col("component") == component).drop("component")
-    flights = flights.join(own, on=PACK).filter(pl.col("first_row") <= pl.col("row")).sort(*PACK, "row", "first_row")
-    flights = flights.unique([*PACK, "row"], keep="last", maintain_order=True).with_columns(
+    rows = flights.join(own, on=PACK).filter(pl.col("first_row") <= pl.col("row")).sort(*PACK, "row", "first_row")
+    rows = rows.unique([*PACK, "row"], keep="last", maintain_order=True).with_columns(
         life_id=(pl.struct(*PACK, "life").rank("dense").cast(pl.Int64) - 1),
         column=pl.col("value").is_not_null().cum_sum().over(*PACK, "life").cast(pl.Int64) - 1,
+        pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1),
     )
-    seen = flights.filter(pl.col("value").is_not_null())
-    shape = (int(flights["life_id"].max() or 0) + 1, int(seen["column"].max() or 0) + 1)  # type: ignore[arg-type]
-    place = (seen["life_id"].to_numpy(), seen["column"].to_numpy())
-    age = np.where(seen["age_known"].to_numpy(), (seen["row"] - seen["first_row"]).to_numpy(), np.nan)
     return Tracks(
-        value=_spread(shape, place, seen["value"].to_numpy()),
-        sd=_spread(shape, place, seen["sd"].to_numpy()),
-        age=_spread(shape, place, age),
-        door=_spread(shape, place, seen["door"].cast(pl.Float64).to_numpy()),
-        at=flights.select("life_id", "column").to_numpy(),
-        keys=flights.select(*PACK, "flight_id", "departed_at", "life_id"),
-        left=(flights["end_row"] - flights["row"]).to_numpy().astype(float),
-        failed=flights["failed"].to_numpy(),
+        panel=_panel(rows.filter(pl.col("value").is_not_null()), int(rows["life_id"].max() or 0) + 1),  # type: ignore[arg-type]
+        at=rows.select("life_id", "column").to_numpy(),
+        curves=_curves(rows, component),
+        where=rows.select("pack_id", "row").to_numpy(),
+        keys=rows.select(*PACK, "flight_id", "departed_at", "life_id"),
+        left=(rows["end_row"] - rows["row"]).to_numpy().astype(float),
+        failed=rows["failed"].to_numpy(),
     )
 
 
-def fleet_rows(track: Tracks, limit: Limit) -> Rows:
-    """Features of every flight of the tracks in units of a limit; unknown health gives NaN, not an error."""
-    doubt = np.full(len(track.value), limit.sd / limit.mean)
-    table = _table(track.value / limit.mean, track.sd / limit.mean, track.age, track.door, doubt)
-    life, column = track.at[:, 0], track.at[:, 1]
-    features = np.where((column < 0)[:, None], np.nan, table[life, np.maximum(column, 0)])
-    return Rows(features, track.left, track.failed, track.keys["tail"].to_numpy().astype(str), life)
+def _panel(seen: pl.DataFrame, lives: int) -> Panel:
+    shape = (lives, int(seen["column"].max() or 0) + 1)  # type: ignore[arg-type]
+    place = (seen["life_id"].to_numpy(), seen["column"].to_numpy())
+    age = pl.when("age_known").then(pl.col("row") - pl.col("first_row")).cast(pl.Float64)
+    day = pl.col("departed_at").dt.ordinal_day().cast(pl.Float64)
+    columns = seen.select("value", "sd", age.alias("age"), "ratio", *ASKS, day.alias("day")).to_numpy().astype(float)
+    return Panel(*(_spread(shape, place, values) for values in columns.T))
 
 
-def message_levels(track: Tracks) -> tuple[Array, NDArray[np.str_]]:
+def _curves(rows: pl.DataFrame, component: str) -> Array:
+    shares = SHARES if component == "HX" else ()
+    shape = (int(rows["pack_id"].max() or 0) + 1, int(rows["row"].max() or 0) + 1)  # type: ignore[arg-type]
+    out = np.full((*shape, len(shares), len(EXCESS_K)), np.nan)
+    if shares:
+        values = rows.select(CRITICAL).to_numpy().astype(float).reshape(-1, len(shares), len(EXCESS_K))
+        out[rows["pack_id"].to_numpy(), rows["row"].to_numpy()] = values
+    return out
+
+
+def fleet_rows(track: Tracks, says: Says) -> Rows:
+    """Features of every flight of the tracks; unknown health gives NaN, not an error.
+
+    Parameters
+    ----------
+    track : Tracks
+        From `tracks`.
+    says : Says
+        When the aircraft speaks, as far as known.
+    """
+    critical, doubt = _critical(track, says)
+    at = (track.at[:, 0], np.maximum(track.at[:, 1], 0))
+    found = feature_rows(track.panel, at, critical, (track.where[:, 0], track.where[:, 1]))
+    features = np.where((track.at[:, 1] < 0)[:, None], np.nan, np.column_stack([found, doubt]))
+    return Rows(features, track.left, track.failed, track.keys["tail"].to_numpy().astype(str), track.at[:, 0])
+
+
+def _critical(track: Tracks, says: Says) -> tuple[Array, Array]:
+    """What two hot flights asked, (packs, flights), and the doubt about the message in ln of conductance, (n,)."""
+    if isinstance(says, Limit):
+        critical = np.full(track.curves.shape[:2], np.log1p(-says.mean))
+        return critical, np.full(len(track.at), says.sd / (1.0 - says.mean))
+    critical, doubt = np.full(track.curves.shape[:2], np.nan), np.zeros(track.curves.shape[0])
+    operator = np.empty(track.curves.shape[0], dtype=object)
+    operator[track.where[:, 0]] = track.keys["operator"].to_numpy()
+    for name in np.unique(operator.astype(str)):
+        packs, rule = operator == name, says.get(name, says[""])
+        curve = track.curves[packs][:, :, SHARES.index(rule.share)]
+        critical[packs] = repeated(_at_excess(curve, rule.excess_k), rule.of)
+        per_k = np.abs(_at_excess(curve, rule.excess_k + 1.0) - _at_excess(curve, rule.excess_k - 1.0)) / 2.0
+        doubt[packs] = rule.excess_sd_k * (float(np.nanmedian(per_k)) if np.isfinite(per_k).any() else LN_RATIO_PER_K)
+    return critical, doubt[track.where[:, 0]]
+
+
+def _at_excess(curve: Array, excess_k: float) -> Array:
+    """Curves over `EXCESS_K` read at one value, straight beyond the ends. (packs, flights, excesses) to (packs, flights)"""
+    grid = np.array(EXCESS_K)
+    j = int(np.clip(np.searchsorted(grid, excess_k) - 1, 0, grid.size - 2))
+    share = (excess_k - grid[j]) / (grid[j + 1] - grid[j])
+    return np.asarray(curve[..., j] + share * (curve[..., j + 1] - curve[..., j]))
+
+
+def learn_says(track: Tracks, component: str, use: NDArray[np.bool_]) -> Says:
+    """When the aircraft speaks, from the rows in `use`."""
+    if component != "HX":
+        levels, tails = _message_levels(track)
+        seen = np.unique(track.keys["tail"].to_numpy().astype(str)[use])
+        return learn_limit(levels[np.isin(tails, seen)], PRIORS[component])
+    lives = np.unique(track.at[use, 0])
+    column = np.full(len(track.panel.level), -1)
+    told = track.failed & (track.left == 0) & (track.at[:, 1] >= 0)
+    column[track.at[told, 0]] = track.at[told, 1]
+    operator = np.empty(column.size, dtype=object)
+    operator[track.at[:, 0]] = track.keys["operator"].to_numpy()
+    # flights after the message still flew with the unit: they are no evidence that the rule was met without one
+    after = np.arange(track.panel.level.shape[1])[None, :] > np.where(column >= 0, column, 10**9)[:, None]
+    seen_k = (np.where(after, np.nan, v)[lives] for v in (track.panel.overheat_k, track.panel.overheat_half_k))
+    return learn_rules(dict(zip(SHARES, seen_k, strict=True)), column[lives], operator[lives].astype(str))
+
+
+def _message_levels(track: Tracks) -> tuple[Array, NDArray[np.str_]]:
     """Loss seen on the flight before each message, and the tail it belongs to."""
     last = track.failed & (track.left == 1) & (track.at[:, 1] >= 0)
-    level = track.value[track.at[last, 0], track.at[last, 1]]
+    level = track.panel.level[track.at[last, 0], track.at[last, 1]]
     return level, track.keys["tail"].to_numpy().astype(str)[last]
-
-
-def _table(level: Array, sd: Array, age: Array, door: Array, limit_sd: Array) -> Array:
-    columns = history(level, sd, age, door)
-    known = [columns[name] for name in FEATURES]
-    return np.stack([*known, np.broadcast_to(limit_sd[:, None], level.shape)], axis=-1)
 
 
 def _spread(shape: tuple[int, int], place: tuple[NDArray[np.int_], NDArray[np.int_]], values: Array) -> Array:
@@ -165,15 +246,15 @@ def _spread(shape: tuple[int, int], place: tuple[NDArray[np.int_], NDArray[np.in
 
 
 def _loss(features: pl.DataFrame, component: str) -> list[pl.Expr]:
-    """Value and sd of the component's loss and the door's state, null where columns are missing."""
+    """Value and sd of the component's loss and ln of what is left, null where columns are missing."""
     if component == "HX":
-        names = {"hx_fouling": "value", "hx_fouling_sd": "sd", "door_full_open_share": "door"}
+        names = {"hx_fouling": "value", "hx_fouling_sd": "sd", "hx_ln_ua_ratio": "ratio"}
         return [_column(features, name).alias(alias) for name, alias in names.items()]
     # head is proportional to efficiency and to the square of the effective diameter (equation 5)
     deficit = _column(features, "cc_diameter_loss")
     value = pl.coalesce(_column(features, "cc_efficiency_loss"), 1.0 - (1.0 - deficit) ** 2)
     value_sd = _column(features, "cc_efficiency_loss_sd").alias("sd")
-    return [value.alias("value"), value_sd, pl.lit(None, pl.Float64).alias("door")]
+    return [value.alias("value"), value_sd, (1.0 - value).clip(0.05).log().alias("ratio")]
 
 
 def _column(features: pl.DataFrame, name: str) -> pl.Expr:

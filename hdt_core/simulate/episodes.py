@@ -1,8 +1,8 @@
 """Unit lives as the twin would see them: the training episodes of the prognosis model.
 
-A life is a wear curve, washed now and then, watched through the twin's noise, and ended by the message the aircraft
-raises when its temperature controller runs out of ram door. At which loss that happens varies with weather, route and
-unit, so the hazard rises steeply with the loss instead of jumping at one value.
+A life is a wear curve, washed now and then, watched through the twin's noise, and ended by the message that the aircraft
+raises when flights ask for more conductance than is left (`hdt_core.simulate.margins`). A compressor's ends where its loss
+passes a limit that varies from unit to unit and day to day.
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +10,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hdt_core.simulate.margins import Asked, ask, critical_ratio, excess_at
 from hdt_core.simulate.wear import Array, WearSettings, draw_wear
+
+LEAD = 150
+"""Flights of the pack before the unit was installed: what they asked is known by then."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRule:
+    """When the aircraft speaks: a flight is hot where its outlet is `excess_k` above its level in `share` of the samples
+    above 15,000 ft, and the message comes with the second hot flight of `of`; with the first where `of` is 1.
+    """
+
+    share: float = 0.2
+    excess_k: float = 7.0
+    of: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +34,18 @@ class EpisodeSettings:
 
     Attributes
     ----------
-    units, flights : int
-        Lives drawn, and how long each is followed. [-], [flight]
+    aircraft, flights : int
+        Aircraft of two packs each, and how long each life is followed. [-], [flight]
     wear : WearSettings
         Population of wear.
-    limit_mean, limit_sd : float
-        Loss at which the controller gives up on a normal day, and its spread over units. [-]
-    weather_sd : float
-        Spread of that limit over flights: hot days and slow routes raise the message earlier. [-]
+    rule : MessageRule
+        When the aircraft speaks.
+    believed_excess_k : float
+        What is believed of the rule's excess. [K]
+    map_error, pack_error : float
+        Spread over fleets, and over packs, of the error in what a flight is said to ask. ln [-]
+    unit_sd : float
+        Spread of conductance over units as built. ln [-]
     worn_at_entry : float
         Share of units that were flying before the record begins. [-]
     wash_share, wash_every_flights : float
@@ -35,38 +54,42 @@ class EpisodeSettings:
         The twin's error: per flight, slowly varying, and constant for a unit. [-]
     rebased_share : float
         Share of the units worn at entry whose wear the twin took for its own zero, in part. [-]
-    door_reach, door_spread : float
-        Share of the limit at which the ram door stands full open half of the time, and over what range of loss (a share
-        of the limit) that comes about. [-]
     """
 
-    units: int = 1500
+    aircraft: int = 20
     flights: int = 600
     wear: WearSettings = field(default_factory=WearSettings)
-    limit_mean: float = 0.42
-    limit_sd: float = 0.03
-    weather_sd: float = 0.015
+    rule: MessageRule = field(default_factory=MessageRule)
+    believed_excess_k: float = 7.0
+    map_error: float = 0.03
+    pack_error: float = 0.02
+    unit_sd: float = 0.04
     worn_at_entry: float = 0.3
     wash_share: float = 0.4
     wash_every_flights: float = 250.0
     noise_sd: float = 0.012
     drift_sd: float = 0.008
-    offset_sd: float = 0.008
+    offset_sd: float = 0.02
     rebased_share: float = 0.4
-    door_reach: float = 0.85
-    door_spread: float = 0.12
 
 
 @dataclass(frozen=True, slots=True)
 class Episodes:
-    """Lives with known ends.
+    """Lives with known ends; arrays are (units, flights) where nothing else is said.
 
     Attributes
     ----------
-    loss, measured, sd : ndarray, shape (units, flights)
+    loss, measured, sd : ndarray
         True loss, the twin's filtered loss and its stated standard deviation. [-]
-    full_open : ndarray, shape (units, flights)
-        Share of each flight's cruise with the ram door full open. [-]
+    ratio : ndarray
+        The twin's filtered ln conductance ratio. [-]
+    asked : ndarray, shape (units, LEAD + flights)
+        Critical ln ratio of each flight as believed, NaN before the record begins. [-]
+    overheat_k, overheat_half_k, full_open : ndarray
+        How far the outlet was above its level in the hottest fifth and in half of the high samples [K], and share of
+        them with the ram door full open [-]; NaN for a compressor.
+    day : ndarray
+        Day of the year and years before. [day]
     message : ndarray of int, shape (units,)
         Flight of the message, `flights` when none came while the unit was followed.
     age_known : ndarray of bool, shape (units,)
@@ -76,13 +99,18 @@ class Episodes:
     loss: Array
     measured: Array
     sd: Array
+    ratio: Array
+    asked: Array
+    overheat_k: Array
+    overheat_half_k: Array
     full_open: Array
+    day: Array
     message: NDArray[np.int_]
     age_known: NDArray[np.bool_]
 
 
 def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
-    """Lives from installation or entry to the message, or to the end of the record.
+    """Lives of exchangers from installation or entry to the message, or to the end of the record.
 
     Parameters
     ----------
@@ -92,17 +120,62 @@ def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
         The fleet to draw.
     """
     rng = np.random.default_rng(seed)
-    old = rng.random(settings.units) < settings.worn_at_entry
-    wear = draw_wear(rng, np.where(old, rng.uniform(0.0, 0.7, settings.units), 0.0), settings.flights, settings.wear)
-    loss = _wash(rng, wear.loss, settings)
-    limit = settings.limit_mean + settings.limit_sd * rng.standard_normal((settings.units, 1))
-    message = _message(rng, loss, limit, settings)
-    age_known = ~old & (rng.random(settings.units) < 0.7)
-    measured, sd = _observe(rng, loss, settings, age_known)
-    # nobody saw the unit new: what it had lost by entry can be missing from all that is said of it
-    rebased = old & (rng.random(settings.units) < settings.rebased_share)
-    measured -= (rebased * rng.uniform(0.0, 0.9, settings.units) * loss[:, 0])[:, None]
-    return Episodes(loss, measured, sd, _full_open(rng, loss, limit, settings), message, age_known)
+    flights = ask(rng, settings.aircraft, LEAD + settings.flights)
+    units = flights.day.shape[0]
+    old = rng.random(units) < settings.worn_at_entry
+    loss = _losses(rng, old, settings)
+    built = settings.unit_sd * rng.standard_normal((units, 1))
+    left = built + np.log1p(-loss)
+    seen = excess_at(flights.after(LEAD), left)
+    message = _message(seen, settings.rule)
+    age_known = ~old & (rng.random(units) < 0.7)
+    watched = _observe(rng, loss, settings, old, age_known)
+    hot = np.quantile(seen, [0.5, 0.8], axis=2)
+    return Episodes(
+        loss=loss,
+        measured=watched[0],
+        sd=watched[1],
+        ratio=built + watched[2],
+        asked=_believed(rng, flights, old, settings),
+        overheat_k=np.maximum(hot[1], 0.0),
+        overheat_half_k=np.maximum(hot[0], 0.0),
+        full_open=np.asarray((seen > -0.5).mean(axis=2)),
+        day=flights.day[:, LEAD:],
+        message=message,
+        age_known=age_known,
+    )
+
+
+def draw_limited(seed: int, settings: EpisodeSettings, limit: float, believed: float) -> Episodes:
+    """Lives of compressors: the message comes where the loss passes a limit, `limit` in the mean of the fleet.
+
+    Parameters
+    ----------
+    seed, settings
+        As in `draw_episodes`.
+    limit, believed : float
+        Mean loss at the message, and what is believed of it. [-]
+    """
+    rng = np.random.default_rng(seed)
+    units = 2 * settings.aircraft
+    old = rng.random(units) < settings.worn_at_entry
+    loss = _losses(rng, old, settings)
+    own = limit + 0.03 * rng.standard_normal((units, 1))
+    over = loss + 0.012 * rng.standard_normal(loss.shape) > own
+    age_known = ~old & (rng.random(units) < 0.7)
+    watched = _observe(rng, loss, settings, old, age_known)
+    unknown = np.full(loss.shape, np.nan)
+    return Episodes(
+        loss=loss, measured=watched[0], sd=watched[1], ratio=np.log1p(-np.minimum(watched[0], 0.95)),
+        asked=np.full((units, LEAD + settings.flights), np.log1p(-believed)),
+        overheat_k=unknown, overheat_half_k=unknown, full_open=unknown, day=unknown,
+        message=np.asarray(np.where(over.any(axis=1), over.argmax(axis=1), settings.flights)), age_known=age_known,
+    )  # fmt: skip
+
+
+def _losses(rng: np.random.Generator, old: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
+    age = np.where(old, rng.uniform(0.0, 0.7, old.size), 0.0)
+    return np.minimum(_wash(rng, draw_wear(rng, age, settings.flights, settings.wear).loss, settings), 0.9)
 
 
 def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> Array:
@@ -120,40 +193,51 @@ def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> A
     return out
 
 
-def _message(rng: np.random.Generator, loss: Array, limit: Array, settings: EpisodeSettings) -> NDArray[np.int_]:
-    """First flight on which the loss exceeds what that day's weather leaves room for."""
-    units, flights = loss.shape
-    season = np.sin(2.0 * np.pi * (np.arange(flights) / 1400.0 + rng.random((units, 1))))
-    day = settings.weather_sd * (season + rng.standard_normal(loss.shape))
-    over = loss + day > limit
-    return np.asarray(np.where(over.any(axis=1), over.argmax(axis=1), flights))
+def _message(seen: Array, rule: MessageRule) -> NDArray[np.int_]:
+    """First flight on which the rule is met; `flights` where it never is."""
+    hot = np.quantile(seen, 1.0 - rule.share, axis=2) > rule.excess_k
+    before = np.zeros_like(hot)
+    for lag in range(1, rule.of):
+        before[:, lag:] |= hot[:, :-lag]
+    met = hot & (before if rule.of > 1 else True)
+    return np.asarray(np.where(met.any(axis=1), met.argmax(axis=1), hot.shape[1]))
 
 
-def _full_open(rng: np.random.Generator, loss: Array, limit: Array, settings: EpisodeSettings) -> Array:
-    """The controller's side of it: on a hard flight the door is full open at a smaller loss than on an easy one."""
-    unit = 1.0 + 0.05 * rng.standard_normal(limit.shape)
-    flight = settings.door_spread * rng.standard_normal(loss.shape)
-    short = (loss / limit - settings.door_reach * unit + flight) / (0.4 * settings.door_spread)
-    share = 1.0 / (1.0 + np.exp(-np.clip(1.7 * short, -30.0, 30.0)))
-    # a share of some twenty snapshots
-    return np.asarray(rng.binomial(20, share) / 20.0)
+def _believed(rng: np.random.Generator, flights: Asked, old: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
+    """What each flight is said to ask: by a rule not known exactly, through a model with its errors."""
+    critical = critical_ratio(flights, 0.2, settings.believed_excess_k)
+    error = settings.map_error * rng.standard_normal() + settings.pack_error * rng.standard_normal((old.size, 1))
+    flight = 0.015 * rng.standard_normal(critical.shape)
+    known_from = np.where(old, LEAD, rng.integers(0, LEAD, old.size))
+    unknown = np.arange(critical.shape[1])[None, :] < known_from[:, None]
+    return np.where(unknown, np.nan, critical + error + flight)
 
 
 def _observe(
-    rng: np.random.Generator, loss: Array, settings: EpisodeSettings, age_known: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Measured loss as a filter returns it: noisy flights, smoothed with a unit's own gain, plus slow errors."""
-    units, flights = loss.shape
-    offset = settings.offset_sd * np.where(age_known, 1.0, 2.0) * rng.standard_normal(units)
+    rng: np.random.Generator,
+    loss: Array,
+    settings: EpisodeSettings,
+    old: NDArray[np.bool_],
+    age_known: NDArray[np.bool_],
+) -> tuple[Array, Array, Array]:
+    """Loss, its stated sd and ln of what is left as a filter returns them: noisy flights smoothed with a unit's own
+    gain, slow errors; the loss with the offset of its zero as well.
+    """
+    units = loss.shape[0]
+    offset = settings.offset_sd * np.where(age_known, 0.5, 1.0) * rng.standard_normal(units)
     gain = rng.uniform(0.15, 0.6, units)
     flight = loss + settings.noise_sd * rng.standard_normal(loss.shape)
-    measured = np.empty_like(loss)
+    followed = np.empty_like(loss)
     level, drift = flight[:, 0], settings.drift_sd * rng.standard_normal(units)
-    for k in range(flights):
+    for k in range(loss.shape[1]):
         surprise = flight[:, k] - level
         # the twin's filter opens up for a clear step, so a clog isn't smeared over weeks
         level = level + np.where(np.abs(surprise) > 4.0 * settings.noise_sd, 0.9, gain) * surprise
         drift = 0.98 * drift + np.sqrt(1.0 - 0.98**2) * settings.drift_sd * rng.standard_normal(units)
-        measured[:, k] = level + offset + drift
-    spread = np.sqrt(offset.std() ** 2 + settings.drift_sd**2 + (settings.noise_sd * 0.5) ** 2)
-    return measured, spread * rng.uniform(0.7, 1.4, (units, 1)) * np.ones_like(loss)
+        followed[:, k] = level + drift
+    # nobody saw the unit new: what it had lost by entry can be missing from all that is said of it
+    rebased = old & (rng.random(units) < settings.rebased_share)
+    missing = (rebased * rng.uniform(0.0, 0.9, units) * loss[:, 0])[:, None]
+    spread = np.sqrt(settings.offset_sd**2 + settings.drift_sd**2 + (settings.noise_sd * 0.5) ** 2)
+    sd = spread * rng.uniform(0.7, 1.4, (units, 1)) * np.ones_like(loss)
+    return followed + offset[:, None] - missing, sd, np.log1p(-np.minimum(followed, 0.95))

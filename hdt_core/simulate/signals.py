@@ -60,11 +60,16 @@ def demand(rng: np.random.Generator, design: PackDesign, now: Conditions) -> Dem
     descending = np.isin(now.phase, ("DS", "AP"))
     flow = design.flow_cruise_kg_s * (1.0 + 0.06 * (1.0 - height) - 0.1 * descending + 0.035 * per_flight[0])
     flow = flow * (1.0 + 0.008 * np.sin(now.time_s / 500.0 + 6.28 * per_flight[0]))
-    nominal = _compressor(design, now, np.full(now.mach.size, design.diameter_intercept_m - 0.011), 0.0 * now.mach)
-    hot_in_k = nominal["cc_out_k"] + design.hot_rise_k + 22.0 * (1.0 - height)
     offset = target_k(reference(np.ones(1)), np.zeros(1))[0]
     wish_k = sized_target_k(design) - offset + 0.7 * per_flight[1]
-    return Demand(flow, hot_in_k, target_k(now, wish_k))
+    return Demand(flow, hot_inlet_k(design, now), target_k(now, wish_k))
+
+
+def hot_inlet_k(design: PackDesign, now: Conditions) -> Array:
+    """Air that reaches the exchanger: from the compressor, warmed by what lies between, more where it is dense. [K]"""
+    nominal = _compressor(design, now, np.full(now.mach.size, design.diameter_intercept_m - 0.011), 0.0 * now.mach)
+    height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
+    return np.asarray(nominal["cc_out_k"] + design.hot_rise_k + 22.0 * (1.0 - height))
 
 
 def pick(now: Conditions, asked: Demand, flights: int) -> tuple[Conditions, Demand]:

@@ -1,38 +1,55 @@
-"""Many small fleets of lives, each with its own wear, limit and twin, so that a model learns what they share."""
+"""Many small fleets of lives, each with its own type, climate, wear, message and twin, so that a model learns what they
+share.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from hdt_core.simulate.episodes import Episodes, EpisodeSettings, draw_episodes
+from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, MessageRule, draw_episodes, draw_limited
 from hdt_core.simulate.wear import WearSettings
 
+__all__ = ["LEAD", "LN_RATIO_PER_K", "draw_fleets"]
 
-def draw_fleets(seed: int, fleets: int, units: int, flights: int) -> Iterator[tuple[Episodes, float]]:
+LN_RATIO_PER_K = 0.026
+"""Ln conductance that a kelvin of the outlet is worth at full door, in the middle of the designs drawn. [1/K]"""
+LIMITED_SHARE = 0.15
+"""Share of the fleets whose lives end at a limit of their own, as a compressor's do."""
+
+
+def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator[tuple[Episodes, float]]:
     """Fleets of lives with different habits.
 
     Parameters
     ----------
     seed : int
         Same seed, same fleets.
-    fleets, units, flights : int
-        Fleets, units a fleet, flights each unit is followed.
+    fleets, aircraft, flights : int
+        Fleets, aircraft a fleet (two units each), flights each unit is followed.
 
     Yields
     ------
     episodes : Episodes
         The lives.
-    limit : float
-        The fleet's mean loss at the message. [-]
+    doubt : float
+        Standard deviation of what is believed of the message, in ln of conductance. [-]
     """
     rng = np.random.default_rng(seed)
     for number in range(fleets):
-        settings = _draw_settings(rng, units, flights)
-        yield draw_episodes(seed * 1009 + number, settings), settings.limit_mean
+        settings = _draw_settings(rng, aircraft, flights)
+        own = seed * 1009 + number
+        if rng.random() < LIMITED_SHARE:
+            limit, doubt = float(np.clip(0.25 + 0.06 * rng.standard_normal(), 0.1, 0.5)), rng.uniform(0.01, 0.08)
+            believed = float(np.clip(limit + doubt * rng.standard_normal(), 0.08, 0.6))
+            yield draw_limited(own, settings, limit, believed), doubt / (1.0 - limit)
+        else:
+            doubt_k = rng.uniform(0.4, 3.0)
+            believed_k = settings.rule.excess_k + doubt_k * float(rng.standard_normal())
+            yield draw_episodes(own, replace(settings, believed_excess_k=believed_k)), LN_RATIO_PER_K * doubt_k
 
 
-def _draw_settings(rng: np.random.Generator, units: int, flights: int) -> EpisodeSettings:
+def _draw_settings(rng: np.random.Generator, aircraft: int, flights: int) -> EpisodeSettings:
     wear = WearSettings(
         life_median_flights=330.0 * float(np.exp(0.35 * rng.standard_normal())),
         life_log_sd=rng.uniform(0.5, 0.9),
@@ -40,21 +57,19 @@ def _draw_settings(rng: np.random.Generator, units: int, flights: int) -> Episod
         clog_rate=float(np.exp(rng.uniform(np.log(1 / 6000), np.log(1 / 1200)))),
         rate_log_sd=rng.uniform(0.1, 0.4),
     )
-    limit = float(np.clip(0.41 + 0.06 * rng.standard_normal(), 0.22, 0.6))
+    of = int(rng.choice([1, 2, 3], p=[0.15, 0.15, 0.7]))
     return replace(
         EpisodeSettings(),
-        units=units,
+        aircraft=aircraft,
         flights=flights,
-        wear=replace(wear, reference_loss=limit),
-        limit_mean=limit,
-        limit_sd=rng.uniform(0.015, 0.04),
-        weather_sd=rng.uniform(0.005, 0.025),
+        wear=wear,
+        rule=MessageRule(rng.uniform(0.1, 0.5), rng.uniform(3.0, 11.0), of),
+        map_error=rng.uniform(0.01, 0.05),
+        pack_error=rng.uniform(0.005, 0.03),
         worn_at_entry=rng.uniform(0.1, 0.6),
         wash_share=float(rng.choice([0.0, 0.5, 1.0])),
         noise_sd=rng.uniform(0.004, 0.02),
         drift_sd=rng.uniform(0.002, 0.012),
-        offset_sd=rng.uniform(0.003, 0.015),
+        offset_sd=rng.uniform(0.005, 0.03),
         rebased_share=rng.uniform(0.0, 0.6),
-        door_reach=rng.uniform(0.65, 1.05),
-        door_spread=rng.uniform(0.06, 0.2),
     )

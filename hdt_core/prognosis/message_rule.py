@@ -1,0 +1,104 @@
+"""When the aircraft speaks: how hot, in how much of a flight and how often, learned from the messages there are."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EXCESS_K = np.arange(1.0, 16.0)
+OFS = (1, 2, 3)
+PRIOR_EXCESS_K, PRIOR_EXCESS_SD_K = 7.0, 2.5
+"""A controller holds its outlet within 2 or 3 K; a message that is not to cry wolf waits for two or three times that."""
+PRIOR_OF = {1: 0.25, 2: 0.25, 3: 0.5}
+"""Fault messages are latched by persistence, commonly two occurrences: ARINC 624, section 3."""
+EXACT, NEAR, MISSED, SPURIOUS = 0.5, 0.12, 0.03, 0.08
+"""Likelihood of a life whose rule was met on the flight of its message, within three flights of it, never or long
+before; and of a life without a message whose rule was met."""
+OTHERS = 0.5
+"""Weight of other operators' messages: one type, other settings of its monitor."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRule:
+    """A flight is hot where `share` of its high samples lie `excess_k` above the level held, door full open; the message
+    comes with the second hot flight of `of`, with the first where `of` is 1.
+
+    Attributes
+    ----------
+    excess_sd_k : float
+        Standard deviation of `excess_k`. [K]
+    messages : int
+        Messages it was learned from.
+    """
+
+    share: float = 0.2
+    excess_k: float = PRIOR_EXCESS_K
+    excess_sd_k: float = PRIOR_EXCESS_SD_K
+    of: int = 3
+    messages: int = 0
+
+
+PRIOR = MessageRule()
+
+
+def learn_rules(
+    overheat_k: Mapping[float, Array], message: NDArray[np.int_], operator: NDArray[np.str_]
+) -> dict[str, MessageRule]:
+    """Posterior of the rule for each operator, and under `""` for one that is not there.
+
+    An operator without a single message may be one that sends none: its quiet lives are no evidence.
+
+    Parameters
+    ----------
+    overheat_k : mapping of float to array
+        For each share of the high samples how far it lay above its level, (lives, flights), NaN where unknown. [K]
+    message : array of int, shape (lives,)
+        Flight of the life's message, -1 for none.
+    operator : array of str, shape (lives,)
+        Whose life it was.
+    """
+    rules = [(share, of, excess) for share, of, excess in product(overheat_k, OFS, EXCESS_K)]
+    fits = np.stack([_fit(_first_met(overheat_k[s], e, of), message) for s, of, e in rules], axis=1)
+    prior = np.array([np.log(PRIOR_OF[of]) - 0.5 * ((e - PRIOR_EXCESS_K) / PRIOR_EXCESS_SD_K) ** 2 for _, of, e in rules])
+    fits *= np.isin(operator, np.unique(operator[message >= 0]))[:, None]
+    out = {}
+    for name in ("", *np.unique(operator)):
+        weight = np.where(operator == name, 1.0, OTHERS) if name else np.full(operator.size, OTHERS)
+        own = int((message >= 0)[operator == name].sum()) if name else int((message >= 0).sum())
+        out[str(name)] = _summary(rules, prior + weight @ fits, own)
+    return out
+
+
+def _summary(rules: list[tuple[float, int, float]], log_posterior: Array, messages: int) -> MessageRule:
+    """The likeliest share and persistence, mean and spread of the excess given these."""
+    chance = np.exp(log_posterior - log_posterior.max())
+    kinds = sorted({(share, of) for share, of, _ in rules})
+    mass = [sum(c for c, (s, of, _) in zip(chance, rules, strict=True) if (s, of) == kind) for kind in kinds]
+    share, of = kinds[int(np.argmax(mass))]
+    here = np.array([(s, o) == (share, of) for s, o, _ in rules])
+    excess, weight = np.array([e for *_, e in rules])[here], chance[here] / chance[here].sum()
+    mean = float(weight @ excess)
+    # the grid's own step counts as doubt
+    sd = float(np.sqrt(weight @ (excess - mean) ** 2 + 0.5**2))
+    return MessageRule(share, mean, sd, of, messages)
+
+
+def _first_met(overheat_k: Array, excess_k: float, of: int) -> NDArray[np.int_]:
+    """First flight of each life on which a rule is met, -1 where it never is."""
+    hot = np.nan_to_num(overheat_k) > excess_k
+    before = np.zeros_like(hot)
+    for lag in range(1, of):
+        before[:, lag:] |= hot[:, :-lag]
+    met = hot & before if of > 1 else hot
+    return np.where(met.any(axis=1), met.argmax(axis=1), -1)
+
+
+def _fit(met: NDArray[np.int_], message: NDArray[np.int_]) -> Array:
+    """Log likelihood of each life under a rule."""
+    off = np.abs(met - message)
+    failed = np.where(met < 0, MISSED, np.where(off == 0, EXACT, np.where(off <= 3, NEAR, MISSED)))
+    return np.log(np.where(message >= 0, failed, np.where(met >= 0, SPURIOUS, 1.0 - SPURIOUS)))
