@@ -4,8 +4,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hdt_core.prognosis.limits import Limit
+from hdt_core.prognosis.message_rule import MessageRule
 from hdt_core.prognosis.model import Fit, Fits, Fold, Prognosis
 from hdt_core.prognosis.recalibrate import Correction
+from hdt_core.prognosis.rows import Says
 
 Card = dict[str, Any]
 
@@ -23,9 +25,9 @@ def to_parts(model: Prognosis) -> dict[str, Any]:
 
 def from_parts(parts: dict[str, Any]) -> Prognosis:
     """Model from what `to_parts` gave."""
-    low, high = parts["base_levels"]
+    low, middle, high = parts["base_levels"]
     folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in parts.get("folds", []))
-    return Prognosis(tuple(parts["hazard"]), (low, high), _fits(parts["fits"]), parts["version"], folds)
+    return Prognosis(tuple(parts["hazard"]), (low, middle, high), _fits(parts["fits"]), parts["version"], folds)
 
 
 def _plain(fits: Fits) -> dict[str, Any]:
@@ -35,14 +37,22 @@ def _plain(fits: Fits) -> dict[str, Any]:
 def _fits(plain: dict[str, Any]) -> Fits:
     return {
         component: Fit(
-            Limit(**fit["limit"]),
+            _says(fit["says"]),
             Correction(tuple(fit["correction"]["weights"])),
-            (fit["levels"][0], fit["levels"][1]),
+            (fit["levels"][0], fit["levels"][1], fit["levels"][2]),
             fit["failures"],
             fit["lives"],
         )
         for component, fit in plain.items()
     }
+
+
+def _says(plain: dict[str, Any]) -> Says:
+    return Limit(**plain) if "mean" in plain else {name: MessageRule(**rule) for name, rule in plain.items()}
+
+
+def _told(says: Says) -> dict[str, Any]:
+    return asdict(says) if isinstance(says, Limit) else {name: asdict(rule) for name, rule in says.items()}
 
 
 def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card:
@@ -58,13 +68,13 @@ def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card
     return {
         "model_version": model.version,
         "says": (
-            "rul_flights, rul_low, rul_high: median and 90 % interval of the flights left, given that the message "
-            "comes within 300 flights; p_event_50: probability of the message within 50 flights, without that condition"
+            "rul_flights, rul_low, rul_high: 50, 5 and 95 % points of the flights left until the message, without any "
+            "condition; 300 stands for 300 or more; p_event_50: probability of the message within 50 flights"
         ),
-        "learned_from": "simulated lives (base); the fleet's own failed and censored lives (limit, hazard, interval)",
+        "learned_from": "simulated lives (base); the fleet's own failed and censored lives (the message's rule, hazard, interval)",
         "failures": {component: fit.failures for component, fit in model.fits.items()},
         "lives": {component: fit.lives for component, fit in model.fits.items()},
-        "loss_at_message": {c: {"mean": f.limit.mean, "sd": f.limit.sd} for c, f in model.fits.items()},
+        "message": {component: _told(fit.says) for component, fit in model.fits.items()},
         "not_for": "removals for other reasons than the message; components without a health track",
         "scores": scores or {},
     }

@@ -102,11 +102,6 @@ def event_by(hazard: Array) -> Array:
     return np.concatenate([np.zeros((hazard.shape[0], 1)), 1.0 - alive], axis=1)
 
 
-def within_horizon(by: Array) -> Array:
-    """The same, given that the event comes within the last edge."""
-    return np.asarray(by / np.maximum(by[:, -1:], 1e-9))
-
-
 def quantile(by: Array, level: float) -> Array:
     """Flights by which the event has come with probability `level`, linear between edges; the last edge at most."""
     rising = by + 1e-9 * np.arange(by.shape[1])

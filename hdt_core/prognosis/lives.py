@@ -38,11 +38,13 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
     -------
     DataFrame
         operator, tail, pack, component, life (0..), first_row and end_row (the pack's flights counted from 0; the end
-        is the message's flight, or the last flight of the unit plus one), failed, age_known.
+        is the message's flight, or the last flight of the unit plus one), failed, age_known, mute (the operator has
+        given no message of any kind, so that its lives end unheard).
     """
     flights = flight_rows(features)
     parts = [_component_lives(flights, messages, maintenance, failure) for failure in FAILURES]
-    return pl.concat(parts).sort("component", *PACK, "life")
+    heard = pl.col("operator").is_in(messages["operator"].unique().implode())
+    return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=~heard)
 
 
 def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:

@@ -1,8 +1,7 @@
-"""Prognosis: how many flights are left, how sure, and how likely a message is within fifty.
+"""Prognosis: how many flights are left, how sure, and how likely a message is by flight k, without any condition.
 
-A gradient-boosted hazard learned from simulated lives is the prior; a fleet's own lives move the limit, the hazard and
-the interval. Remaining life is told for the case that the message comes within the horizon (300 flights): median and
-90 % interval of the flights left, given that. How likely it is to come at all is `p_event_50`, without any condition.
+A gradient-boosted hazard learned from simulated lives is the prior; a fleet's own lives move the message's rule, the
+hazard and the interval. What lies beyond the horizon of 300 flights is told as the horizon.
 """
 
 import hashlib
@@ -15,17 +14,17 @@ import polars as pl
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile, within_horizon
-from hdt_core.prognosis.history import FEATURES
-from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
-from hdt_core.prognosis.recalibrate import Correction, learn_correction, learn_levels, simulated_levels
-from hdt_core.prognosis.rows import Tracks, fleet_rows, message_levels, simulated_rows, tracks
+from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
+from hdt_core.prognosis.recalibrate import NOMINAL, Correction, Levels, learn_correction, learn_levels
+from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
 from hdt_core.records.unit_index import PACK
 
 Array = NDArray[np.float64]
 
 HORIZON = float(EDGES[-1])
-_LEVEL = FEATURES.index("level")
+_LEVEL, _RESERVE = INPUTS.index("level"), INPUTS.index("reserve_95")
+AHEAD = (25, 50, 100, 200, 300)
+"""Flights for which the probability of a message is told."""
 MEMBERS = 3
 """Models in the base."""
 LEARN_EVERY, LEARN_ROWS = 4, 15_000
@@ -34,16 +33,15 @@ learned are a few numbers, and so many rows tell them."""
 FOLDS = 5
 HELD = "out_of_fold"
 IN_ORDER = ("component", *PACK, "departed_at")
-_AT_50 = int(np.searchsorted(EDGES, 50.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What one component's lives taught: the limit, the hazard's correction, the interval's quantile levels."""
+    """What one component's lives taught: when the aircraft speaks, the hazard's correction, the levels that are told."""
 
-    limit: Limit
+    says: Says
     correction: Correction = field(default_factory=Correction)
-    levels: tuple[float, float] = (0.05, 0.95)
+    levels: Levels = NOMINAL
     failures: int = 0
     lives: int = 0
 
@@ -69,7 +67,7 @@ class Prognosis:
     hazard : tuple of HistGradientBoostingClassifier
         The base: each learned from its own simulated fleets, their hazards averaged.
     base_levels : tuple of float
-        Quantile levels of the 90 % interval on simulated lives held out.
+        Levels at which the distribution is told, from simulated lives held out.
     fits : dict of str to Fit
         By component.
     version : str
@@ -79,7 +77,7 @@ class Prognosis:
     """
 
     hazard: tuple[HistGradientBoostingClassifier, ...]
-    base_levels: tuple[float, float]
+    base_levels: Levels
     fits: Fits = field(default_factory=dict)
     version: str = ""
     folds: tuple[Fold, ...] = ()
@@ -93,8 +91,7 @@ def fit_prognosis(
     Parameters
     ----------
     features : DataFrame
-        operator, tail, flight_id, pack, departed_at, hx_fouling, hx_fouling_sd and, where there are,
-        cc_efficiency_loss, cc_efficiency_loss_sd, cc_diameter_loss. May be empty.
+        operator, tail, flight_id, pack, departed_at and what there is of `rows.LOSSES` and `rows.ASKS`. May be empty.
     lives : DataFrame
         From `lives.episodes`. May hold no failure.
     seed : int
@@ -102,7 +99,7 @@ def fit_prognosis(
     base : Prognosis, optional
         What `fit_base` gave, where it is kept; it depends on no fleet.
     """
-    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in PRIORS})
+    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in UNTOLD})
 
 
 def fit_tracks(base: Prognosis, lived: dict[str, Tracks]) -> Prognosis:
@@ -121,7 +118,7 @@ def predict_prognosis(
         Columns of the contract's `prognoses`, one row a flight, pack and component; where the health is unknown so far
         the row is there and its values are null.
     """
-    parts = [_say(model, tracks(features, lives, c), model.fits[c], c, split) for c in PRIORS]
+    parts = [_say(model, tracks(features, lives, c), model.fits[c], c, split) for c in UNTOLD]
     return pl.concat(parts).sort(IN_ORDER)
 
 
@@ -137,7 +134,7 @@ def out_of_fold(
     With `by="operator"` no life of the tail's whole operator was seen: what a new operator may expect.
     """
     base = base or fit_base(seed)
-    lived = {c: tracks(features, lives, c) for c in PRIORS}
+    lived = {c: tracks(features, lives, c) for c in UNTOLD}
     return say_by_fold(base, learn_folds(base, lived, features[by].unique().to_list(), by), lived, by=by)
 
 
@@ -160,14 +157,14 @@ def say_by_fold(
 ) -> pl.DataFrame:
     """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
     parts = [
-        _say(base, _only(track, np.zeros(len(track.at), bool)), Fit(PRIORS[c]), c, HELD) for c, track in lived.items()
+        _say(base, track, Fit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()
     ]
     for component, track in lived.items():
         wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
         own = track.keys[by].to_numpy().astype(str)
         for fold in folds:
             rows, model = wanted & np.isin(own, fold.held), named(base, {component: fold.fits[component]})
-            parts.append(_say(model, _only(track, rows), fold.fits[component], component, HELD))
+            parts.append(_say(model, track, fold.fits[component], component, HELD, rows))
     return pl.concat(parts).sort(IN_ORDER)
 
 
@@ -186,60 +183,49 @@ def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognos
         rows = simulated_rows(members * seed + member, fleets)
         learned.append(fit_hazard(rows.features, rows.left, rows.failed, seed))
     check = simulated_rows(members * seed + members, fleets=20)
-    check = check.take(check.failed)
-    return Prognosis(tuple(learned), simulated_levels(hazards(learned, check.features), check.left, check.life))
+    by = event_by(hazards(learned, check.features))
+    return Prognosis(tuple(learned), learn_levels(by, check.left, check.failed, check.life, prior_lives=0.0))
 
 
 def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> Fit:
-    """Limit, then correction, then interval levels, from the rows in `use`."""
-    use = np.ones(track.left.size, bool) if use is None else use
-    levels, tails = message_levels(track)
-    seen = np.unique(track.keys["tail"].to_numpy().astype(str)[use])
-    levels = levels[np.isin(tails, seen)]
-    limit = learn_limit(levels, PRIORS[component])
+    """When the aircraft speaks, then the correction, then the levels, from the rows in `use`."""
+    use = ~track.mute if use is None else use & ~track.mute
+    says = learn_says(track, component, use)
     every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
-    rows = fleet_rows(track, limit).take(use & (track.at[:, 1] % every == 0))
+    rows = fleet_rows(track, says, use & (track.at[:, 1] % every == 0))
     rows = rows.take((rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
-    failures = int(np.unique(rows.life[rows.failed]).size)
+    failures, lives = int(np.unique(rows.life[rows.failed]).size), int(np.unique(rows.life).size)
     if not failures:
-        return Fit(limit, levels=base.base_levels, lives=int(np.unique(rows.life).size))
-    raw = hazards(base.hazard, rows.features)
-    correction = learn_correction(raw, rows.features[:, _LEVEL], rows.left, rows.failed, rows.life)
-    by = event_by(correction(raw, rows.features[:, _LEVEL]))[rows.failed]
-    interval = learn_levels(by, rows.left[rows.failed], rows.life[rows.failed], base.base_levels)
-    return Fit(limit, correction, interval, failures, int(np.unique(rows.life).size))
+        return Fit(says, levels=base.base_levels, lives=lives)
+    raw, reserve = hazards(base.hazard, rows.features), rows.features[:, _RESERVE]
+    correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
+    by = event_by(correction(raw, reserve))
+    levels = learn_levels(by, rows.left, rows.failed, rows.life, base.base_levels)
+    return Fit(says, correction, levels, failures, lives)
 
 
-def _only(track: Tracks, rows: NDArray[np.bool_]) -> Tracks:
-    """The tracks of the lives that some flights belong to, asked about those flights."""
-    lives, life = np.unique(track.at[rows, 0], return_inverse=True)
-    at = np.column_stack([life, track.at[rows, 1]])
-    cut = {name: getattr(track, name)[lives] for name in ("value", "sd", "age", "door")}
-    return Tracks(**cut, at=at, keys=track.keys.filter(rows), left=track.left[rows], failed=track.failed[rows])
-
-
-def _say(model: Prognosis, track: Tracks, fit: Fit, component: str, split: str) -> pl.DataFrame:
-    rows = fleet_rows(track, fit.limit)
-    by = event_by(fit.correction(hazards(model.hazard, rows.features), rows.features[:, _LEVEL]))
-    given = within_horizon(by)
+def _say(
+    model: Prognosis, track: Tracks, fit: Fit, component: str, split: str, asked: NDArray[np.bool_] | None = None
+) -> pl.DataFrame:
+    asked = np.ones(len(track.at), bool) if asked is None else asked
+    rows = fleet_rows(track, fit.says, asked)
+    by = event_by(fit.correction(hazards(model.hazard, rows.features), rows.features[:, _RESERVE]))
     known = np.isfinite(rows.features[:, _LEVEL])
-    numbers = {
-        "rul_flights": quantile(given, 0.5),
-        "rul_low": np.minimum(quantile(given, fit.levels[0]), quantile(given, 0.5)),
-        "rul_high": np.maximum(quantile(given, fit.levels[1]), quantile(given, 0.5)),
-        "p_event_50": by[:, _AT_50],
-    }
+    low, middle, high = (quantile(by, level) for level in fit.levels)
+    numbers = {"rul_flights": middle, "rul_low": np.minimum(low, middle), "rul_high": np.maximum(high, middle)}
+    numbers |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
     columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in numbers.items()]
-    return track.keys.select(
+    return track.keys.filter(asked).select(
         "operator", "tail", "flight_id", "pack", pl.lit(component).alias("component"), "departed_at", *columns,
+        pl.Series("beyond_horizon", middle >= HORIZON).alias("beyond_horizon"),
         pl.lit(model.version).alias("model_version"), pl.lit(split).alias("split"),
-    )  # fmt: skip
+    ).with_columns(pl.when(pl.col("rul_flights").is_not_null()).then("beyond_horizon").alias("beyond_horizon"))  # fmt: skip
 
 
 def named(base: Prognosis, fits: Fits | None = None) -> Prognosis:
     """`base` with these fits, and the digest of both for a version."""
     fits = fits or {}
-    told: dict[str, Any] = {c: [f.limit.mean, f.limit.sd, f.correction.weights, f.levels] for c, f in fits.items()}
+    told: dict[str, Any] = {c: [repr(f.says), f.correction.weights, f.levels] for c, f in fits.items()}
     told["base"] = [
         base.base_levels,
         [float(np.sum(m.train_score_)) if len(m.train_score_) else m.n_iter_ for m in base.hazard],

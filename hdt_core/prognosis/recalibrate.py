@@ -11,13 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
+from scipy.stats import CensoredData, ecdf
 
-from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, position, within_horizon
+from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, position
 
 Array = NDArray[np.float64]
+Levels = tuple[float, float, float]
 
-TERMS = ("constant", "near", "level")
-_PRIOR_SD = np.array([0.5, 0.3, 0.3])
+TERMS = ("constant", "near", "reserve")
+_PRIOR_SD = np.array([0.7, 0.4, 0.8])
+RESERVE = (-0.2, 0.6, 0.2)
+"""Lowest and highest reserve that the correction tells apart, and the one in between where it does nothing. ln [-]"""
+NOMINAL: Levels = (0.05, 0.5, 0.95)
+"""Points of the distribution that are told: 90 % of it, and its middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +32,15 @@ class Correction:
 
     weights: tuple[float, ...] = (0.0, 0.0, 0.0)
 
-    def __call__(self, hazard: Array, level: Array) -> Array:
+    def __call__(self, hazard: Array, reserve: Array) -> Array:
         """Corrected hazards, shape (n, SPANS)."""
         span = np.broadcast_to(np.arange(SPANS), hazard.shape)
-        shift = _terms(span, level[:, None]) @ np.asarray(self.weights)
+        shift = _terms(span, reserve[:, None]) @ np.asarray(self.weights)
         return np.asarray(expit(logit(np.clip(hazard, 1e-7, 1.0 - 1e-7)) + shift))
 
 
 def learn_correction(
-    hazard: Array, level: Array, left: Array, failed: NDArray[np.bool_], life: NDArray[np.int_]
+    hazard: Array, reserve: Array, left: Array, failed: NDArray[np.bool_], life: NDArray[np.int_]
 ) -> Correction:
     """Correction from a fleet's lives.
 
@@ -42,8 +48,8 @@ def learn_correction(
     ----------
     hazard : array, shape (n, SPANS)
         Hazards of the base model.
-    level : array, shape (n,)
-        Loss over its limit.
+    reserve : array, shape (n,)
+        Ln conductance above what one flight in twenty asks. [-]
     left, failed, life : array, shape (n,)
         As in `rows.Rows`.
 
@@ -57,7 +63,7 @@ def learn_correction(
     if not hit.any():
         return Correction()
     offset = logit(np.clip(hazard[row, span], 1e-7, 1.0 - 1e-7))
-    terms = _terms(span, level[row])
+    terms = _terms(span, reserve[row])
     weight = exposure * np.unique(life).size / life.size
 
     def cost(w: Array) -> tuple[float, Array]:
@@ -70,40 +76,51 @@ def learn_correction(
 
 
 def learn_levels(
-    by: Array, left: Array, life: NDArray[np.int_], prior: tuple[float, float], prior_lives: float = 10.0
-) -> tuple[float, float]:
-    """Quantile levels of a 90 % interval: distributional conformal prediction, whole lives exchanged.
+    by: Array,
+    left: Array,
+    failed: NDArray[np.bool_],
+    life: NDArray[np.int_],
+    prior: Levels = NOMINAL,
+    prior_lives: float = 20.0,
+) -> Levels:
+    """Quantile levels at which the distribution is told: distributional conformal prediction with censored lives.
 
     Parameters
     ----------
     by : array, shape (n, SPANS + 1)
-        P(event within t) of rows of failed lives of other tails.
-    left, life : array, shape (n,)
-        Flights until the event; which life a row belongs to.
+        P(event within t) of rows of other tails.
+    left, failed, life : array, shape (n,)
+        Flights until the event or until the life was cut; whether it ended in the event; which life a row belongs to.
     prior : tuple of float
         Levels from simulated lives.
     prior_lives : float
-        Weight of the prior, in lives.
+        Weight of the prior, in failed lives.
+
+    Notes
+    -----
+    The probability that the event has come by its time is uniform where the distribution is right. Of a life that was cut
+    it is known to be larger than at the cut; the Kaplan-Meier estimate [2] of its distribution takes both.
 
     References
     ----------
     .. [1] V. Chernozhukov, K. Wuethrich, Y. Zhu, Distributional conformal prediction, PNAS 118 (48), 2021.
+    .. [2] E. L. Kaplan, P. Meier, Nonparametric estimation from incomplete observations, JASA 53, 1958.
     """
-    inside = left <= EDGES[-1]
-    if not inside.any():
+    within = failed & (left <= EDGES[-1])
+    if not within.any():
         return prior
-    at = position(within_horizon(by[inside]), left[inside])
-    lives = np.unique(life[inside]).size
+    at = np.clip(position(by, np.minimum(left, EDGES[-1])), 1e-9, 1.0)
+    alive = ecdf(CensoredData.right_censored(at, ~within)).sf
+    lives = np.unique(life[within]).size
     share = lives / (lives + prior_lives)
-    low, high = np.quantile(at, [0.05, 0.95])
-    return float((1 - share) * prior[0] + share * low), float((1 - share) * prior[1] + share * high)
+    reached = np.append(1.0 - alive.probabilities, 1.0)
+    own = [float(np.append(alive.quantiles, 1.0)[np.searchsorted(reached, level)]) for level in NOMINAL]
+    low, middle, high = ((1.0 - share) * p + share * o for p, o in zip(prior, own, strict=True))
+    return low, middle, high
 
 
-def simulated_levels(hazard: Array, left: Array, life: NDArray[np.int_]) -> tuple[float, float]:
-    """The same from simulated lives that the model was not trained on."""
-    return learn_levels(event_by(hazard), left, life, (0.05, 0.95), prior_lives=0.0)
-
-
-def _terms(span: NDArray[np.int_], level: Array) -> Array:
+def _terms(span: NDArray[np.int_], reserve: Array) -> Array:
     near = np.exp(-EDGES[span + 1] / 50.0)
-    return np.stack(np.broadcast_arrays(np.ones(1), near, np.clip(np.nan_to_num(level), 0.0, 1.2) - 0.5), axis=-1)
+    low, high, zero = RESERVE
+    known = np.clip(np.nan_to_num(reserve, nan=zero), low, high) - zero
+    return np.stack(np.broadcast_arrays(np.ones(1), near, known), axis=-1)

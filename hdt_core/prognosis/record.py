@@ -1,15 +1,14 @@
 """What a fleet has on record, as it stood at any time, and which of it has been said already."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
 import numpy as np
 import polars as pl
 
-from hdt_core.prognosis.limits import PRIORS
 from hdt_core.prognosis.lives import episodes
-from hdt_core.prognosis.rows import Tracks, tracks
+from hdt_core.prognosis.rows import UNTOLD, Tracks, tracks
 from hdt_core.records.unit_index import PACK
 
 Heard = dict[str, tuple[int, str]]
@@ -53,7 +52,7 @@ class Record:
     def tracks(self) -> dict[str, Tracks]:
         """Health tracks by component."""
         lives = self.lives()
-        return {c: tracks(self.features, lives, c) for c in PRIORS}
+        return {c: tracks(self.features, lives, c) for c in UNTOLD}
 
 
 def heard(track: Tracks, earlier: Heard | None = None) -> tuple[Heard, np.ndarray]:
@@ -71,9 +70,11 @@ def heard(track: Tracks, earlier: Heard | None = None) -> tuple[Heard, np.ndarra
 
 
 def _digest(track: Tracks, start: int, end: int) -> str:
-    """Of what a prognosis is made of, flight by flight: health, door, age, and the flight's name."""
+    """Of what a prognosis is made of, flight by flight: health, margin, age, and the flight's name."""
     life, column = track.at[start:end].T
-    known = [values[life, column] for values in (track.value, track.sd, track.age, track.door)]
-    numbers = np.column_stack([*known, column]).astype(float)
+    pack, flight = track.where[start:end].T
+    known = [getattr(track.panel, f.name)[life, column] for f in fields(track.panel)]
+    curves = track.curves[pack, flight].reshape(end - start, -1)
+    numbers = np.column_stack([*known, column, curves]).astype(float)
     names = "|".join(track.keys["flight_id"][start:end])
     return hashlib.blake2b(numbers.tobytes() + names.encode(), digest_size=10).hexdigest()

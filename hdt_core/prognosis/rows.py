@@ -67,15 +67,14 @@ def simulated_rows(seed: int, fleets: int = 50, aircraft: int = 20, flights: int
     rng = np.random.default_rng(seed + 1)
     parts = []
     for number, (lives, doubt) in enumerate(draw_fleets(seed, fleets, aircraft, flights)):
-        left = lives.message[:, None] - np.arange(flights)[None, :]
+        left, failed = lives.left()
         offset = rng.integers(0, stride, (left.shape[0], 1))
         keep = (left >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
         unit, flight = np.nonzero(keep)
         found = feature_rows(_panel_of(lives), (unit, flight), repeated(lives.asked), (unit, LEAD + flight))
         table = np.column_stack([found, np.full(unit.size, doubt)])
-        failed = lives.message[unit] < flights
         life = number * left.shape[0] + unit
-        parts.append(Rows(table, left[keep].astype(float), failed, np.full(unit.size, f"{number}"), life))
+        parts.append(Rows(table, left[keep], failed[keep], np.full(unit.size, f"{number}"), life))
     return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
 
 
@@ -105,6 +104,8 @@ class Tracks:
         operator, tail, flight_id, pack, departed_at, one row a flight, sorted by pack and departure.
     left, failed : ndarray, shape (n,)
         As in `Rows`.
+    mute : ndarray of bool, shape (n,)
+        Rows of an operator that has given no message of any kind: its lives end unheard.
     """
 
     panel: Panel
@@ -114,26 +115,24 @@ class Tracks:
     keys: pl.DataFrame
     left: Array
     failed: NDArray[np.bool_]
+    mute: NDArray[np.bool_]
 
 
-def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str, asks: pl.DataFrame | None = None) -> Tracks:
+def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Tracks:
     """Cut health tracks into lives.
 
     Parameters
     ----------
     features : DataFrame
-        operator, tail, flight_id, pack, departed_at and the component's loss and sd (see `_loss`), any row order.
+        operator, tail, flight_id, pack, departed_at, the component's loss and sd (see `_loss`) and what each flight
+        asked, `CRITICAL` and `ASKS` of `health.margin.margin_flights`, any row order. What is not there is not known.
     lives : DataFrame
         From `lives.episodes`.
     component : str
         "HX" or "CC".
-    asks : DataFrame, optional
-        Of `health.margin.margin_flights`: what each flight asked. Without it nothing is known of an exchanger's margin.
     """
-    known = features.with_columns(_loss(features, component))
-    if component == "HX" and asks is not None:
-        known = known.join(asks.select(*PACK, "flight_id", *CRITICAL, *ASKS), on=[*PACK, "flight_id"], how="left")
-    known = known.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*CRITICAL, *ASKS) if c not in known.columns)
+    margin = [_column(features if component == "HX" else features.clear(), c).alias(c) for c in (*CRITICAL, *ASKS)]
+    known = features.with_columns(*_loss(features, component), *margin)
     flights = flight_rows(known, "value", "sd", "ratio", *CRITICAL, *ASKS)
     own = lives.filter(pl.col("component") == component).drop("component")
     rows = flights.join(own, on=PACK).filter(pl.col("first_row") <= pl.col("row")).sort(*PACK, "row", "first_row")
@@ -150,6 +149,7 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str, asks: pl
         keys=rows.select(*PACK, "flight_id", "departed_at", "life_id"),
         left=(rows["end_row"] - rows["row"]).to_numpy().astype(float),
         failed=rows["failed"].to_numpy(),
+        mute=rows["mute"].to_numpy(),
     )
 
 
@@ -172,8 +172,8 @@ def _curves(rows: pl.DataFrame, component: str) -> Array:
     return out
 
 
-def fleet_rows(track: Tracks, says: Says) -> Rows:
-    """Features of every flight of the tracks; unknown health gives NaN, not an error.
+def fleet_rows(track: Tracks, says: Says, asked: NDArray[np.bool_] | None = None) -> Rows:
+    """Features of flights of the tracks; unknown health gives NaN, not an error.
 
     Parameters
     ----------
@@ -181,12 +181,16 @@ def fleet_rows(track: Tracks, says: Says) -> Rows:
         From `tracks`.
     says : Says
         When the aircraft speaks, as far as known.
+    asked : array of bool, shape (n,), optional
+        Which rows; all by default.
     """
+    asked = np.ones(len(track.at), bool) if asked is None else asked
     critical, doubt = _critical(track, says)
-    at = (track.at[:, 0], np.maximum(track.at[:, 1], 0))
-    found = feature_rows(track.panel, at, critical, (track.where[:, 0], track.where[:, 1]))
-    features = np.where((track.at[:, 1] < 0)[:, None], np.nan, np.column_stack([found, doubt]))
-    return Rows(features, track.left, track.failed, track.keys["tail"].to_numpy().astype(str), track.at[:, 0])
+    (life, column), (pack, flight) = track.at[asked].T, track.where[asked].T
+    found = feature_rows(track.panel, (life, np.maximum(column, 0)), critical, (pack, flight))
+    features = np.where((column < 0)[:, None], np.nan, np.column_stack([found, doubt[asked]]))
+    tail = track.keys["tail"].to_numpy().astype(str)
+    return Rows(features, track.left[asked], track.failed[asked], tail[asked], life)
 
 
 def _critical(track: Tracks, says: Says) -> tuple[Array, Array]:

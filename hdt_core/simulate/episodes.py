@@ -94,6 +94,8 @@ class Episodes:
         Flight of the message, `flights` when none came while the unit was followed.
     age_known : ndarray of bool, shape (units,)
         False for a unit that was already flying when the record began.
+    first_message : ndarray of int, shape (units,), optional
+        Flight of an earlier unit's message, where no log cut the lives apart.
     """
 
     loss: Array
@@ -107,6 +109,15 @@ class Episodes:
     day: Array
     message: NDArray[np.int_]
     age_known: NDArray[np.bool_]
+    first_message: NDArray[np.int_] | None = None
+
+    def left(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Flights to the next message or to the end of what was followed, and whether it is a message: (units, flights)."""
+        k = np.arange(self.loss.shape[1])[None, :]
+        end = np.broadcast_to(self.message[:, None], self.loss.shape)
+        if self.first_message is not None:
+            end = np.where(k < self.first_message[:, None], self.first_message[:, None], end)
+        return (end - k).astype(float), np.asarray(end < self.loss.shape[1])
 
 
 def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:

@@ -168,13 +168,19 @@ def _weather(rng: np.random.Generator, schedule: Schedule, habits: Habits, first
     lower = rng.random(day.size) < habits.low_share
     cruise_m = np.where(lower, rng.uniform(7300.0, 10100.0, day.size), schedule.cruise_m)
     spell = np.convolve(rng.standard_normal(day.size + 9), np.ones(10) / np.sqrt(10.0), "valid")
-    weather = habits.weather_k * (0.6 * spell + 0.8 * rng.standard_normal(day.size))
+    weather = habits.weather_k * (0.6 * spell + 0.8 * heavy_tailed(rng, (day.size,)))
     return replace(schedule, cruise_m=cruise_m, warmer_k=habits.warmer_k + season + weather)
+
+
+def heavy_tailed(rng: np.random.Generator, size: tuple[int, ...]) -> Array:
+    """Draws of unit variance with the tails of Student's t at five degrees of freedom."""
+    return np.asarray(rng.standard_t(5.0, size) / np.sqrt(5.0 / 3.0))
 
 
 def _excess_k(rng: np.random.Generator, design: PackDesign, habits: Habits, now: Conditions) -> Array:
     """Outlet above its held level with the door full open, at each of `LN_RATIOS`. (samples, ratios)"""
-    mood = rng.standard_normal((3, int(now.flight.max()) + 1))[:, now.flight]
+    # now and then a flight is unlike the others: a full cabin, a hot ramp, a failed recirculation fan
+    mood = heavy_tailed(rng, (3, int(now.flight.max()) + 1))[:, now.flight]
     height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
     flow = design.flow_cruise_kg_s * (1.0 + 0.06 * (1.0 - height) + habits.flow_sd * mood[0])
     hot_in_k = hot_inlet_k(design, now) + habits.inlet_sd_k * mood[1]

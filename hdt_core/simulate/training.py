@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, MessageRule, draw_episodes, draw_limited
-from hdt_core.simulate.wear import WearSettings
+from hdt_core.simulate.wear import Array, WearSettings
 
 __all__ = ["LEAD", "LN_RATIO_PER_K", "draw_fleets"]
 
@@ -16,6 +16,8 @@ LN_RATIO_PER_K = 0.026
 """Ln conductance that a kelvin of the outlet is worth at full door, in the middle of the designs drawn. [1/K]"""
 LIMITED_SHARE = 0.15
 """Share of the fleets whose lives end at a limit of their own, as a compressor's do."""
+UNLOGGED_SHARE = 0.2
+"""Share of the others whose operator logs nothing: what is told of one life is that of several units in a row."""
 
 
 def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator[tuple[Episodes, float]]:
@@ -46,7 +48,34 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
         else:
             doubt_k = rng.uniform(0.4, 3.0)
             believed_k = settings.rule.excess_k + doubt_k * float(rng.standard_normal())
-            yield draw_episodes(own, replace(settings, believed_excess_k=believed_k)), LN_RATIO_PER_K * doubt_k
+            lives = draw_episodes(own, replace(settings, believed_excess_k=believed_k))
+            yield unlogged(rng, lives) if rng.random() < UNLOGGED_SHARE else lives, LN_RATIO_PER_K * doubt_k
+
+
+def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
+    """Lives of packs whose replacements nobody logged: a unit's record goes on with that of the next.
+
+    The unit that failed flies one to nine flights more; then the next pack's unit, with its flights, takes its place. The
+    message that counts is the next one.
+    """
+    units, flights = lives.loss.shape
+    joint = np.minimum(lives.message + rng.integers(2, 10, units), flights)
+    follower = np.roll(np.arange(units), -1)
+
+    def spliced(values: Array, lead: int = 0) -> Array:
+        out = values.copy()
+        for unit, start in enumerate(joint + lead):
+            left = values.shape[1] - start
+            out[unit, start:] = values[follower[unit], lead : lead + left]
+        return out
+
+    second = np.minimum(joint + lives.message[follower], flights)
+    fields_ = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
+    joined = {name: spliced(getattr(lives, name)) for name in fields_}
+    nobody = np.zeros(units, dtype=bool)
+    return replace(
+        lives, **joined, asked=spliced(lives.asked, LEAD), message=second, first_message=lives.message, age_known=nobody
+    )
 
 
 def _draw_settings(rng: np.random.Generator, aircraft: int, flights: int) -> EpisodeSettings:
