@@ -35,7 +35,7 @@ STEPS = [
     Step(
         "operational twins",
         "flight",
-        [("twin_flights",), ("residuals",), ("legs_signs", "features_witnesses")],
+        [("twin_flights",), ("residuals",), ("legs_signs", "features_witnesses"), ("features_margin",)],
         folded=4,
     ),
     Step(

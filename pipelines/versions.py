@@ -48,20 +48,23 @@ MADE: dict[str, Made] = {
     ),
     **dict.fromkeys(("legs_samples", "legs_verdicts"), Made(("raw_flights",), code="2")),
     **dict.fromkeys(
-        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="8")
+        ("calibration_dsm", "calibration_design", "calibration_laws"), Made(("legs_samples",), baseline=True, code="9")
     ),
     "twin_flights": Made(("legs_samples", "calibration_dsm"), code="4"),
     "residuals": Made(("twin_flights",), code="2"),
     **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="10")),
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
+    "features_margin": Made(("legs_samples", "calibration_dsm", "calibration_laws")),
     "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),
-    "features": Made(("twin_health", "residuals", "features_witnesses", "raw_maintenance"), code="6"),
-    "features_alerts": Made(("features",), code="8"),
-    "prognosis_base": Made(),
+    "features": Made(
+        ("twin_health", "residuals", "features_witnesses", "features_margin", "raw_maintenance"), code="7"
+    ),
+    "features_alerts": Made(("features",), code="9"),
+    "prognosis_base": Made(code="2"),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     **dict.fromkeys(
         ("prognoses", "prognosis_model"),
-        Made(("features", "prognosis_base", "raw_messages", "raw_maintenance"), code="4"),
+        Made(("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"), code="5"),
     ),
 }
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.health.margin import SHOWN_MARGIN, left_margin
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import finite
@@ -35,6 +36,7 @@ def features(
     *,
     twin_flights: pl.DataFrame | None = None,
     witnesses: pl.DataFrame | None = None,
+    margin: pl.DataFrame | None = None,
     health: Sequence[str] = HEALTH,
 ) -> pl.DataFrame:
     """One row for each flight and pack, one column a feature.
@@ -49,6 +51,8 @@ def features(
         What each flight alone says; gives the virtual sensors.
     witnesses : DataFrame, optional
         `witnesses.witnesses(samples)`; its columns are passed on under their own names.
+    margin : DataFrame, optional
+        `margin.margin_flights(samples, ...)`: what each flight asked; gives the margin that is left.
     health : sequence of str, optional
         Health parameters to describe; the first is the loss that is watched for jumps. What stands before the first
         underscore is the component's code in the maintenance log, in small letters.
@@ -69,6 +73,8 @@ def features(
     wide = _join_new(wide, witnesses)
     components = list(dict.fromkeys(_component(name) for name in health))
     wide = since_maintenance(wide, maintenance, components)
+    if margin is not None and twin_flights is not None:
+        wide = wide.join(_margins(wide, twin_flights, margin), on=KEY, how="left")
     trends = [e for name in health for e in trend(name, [*UNIT, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
     lives = [f"{component}_life" for component in components]
@@ -131,6 +137,14 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
     if more is None:
         return wide
     return wide.join(more.select(*KEY, *(c for c in more.columns if c not in wide.columns)), on=KEY, how="left")
+
+
+def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFrame) -> pl.DataFrame:
+    """Margin columns of each flight; rows of `wide` are in order of departure."""
+    seen = wide.select(*KEY, "hx_fouling", "hx_life").join(
+        twin_flights.select(*KEY, "ln_ua_ratio"), on=KEY, how="left", maintain_order="left"
+    )
+    return left_margin(seen, margin).select(*KEY, *SHOWN_MARGIN)
 
 
 def since_maintenance(

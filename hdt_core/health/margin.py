@@ -57,6 +57,11 @@ def critical_name(share: float, excess_k: float) -> str:
 CRITICAL = tuple(critical_name(share, excess) for share in SHARES for excess in EXCESS_K)
 HOT_DAY = tuple(name.replace("_p20_", "_hot_day_") for name in CRITICAL[: len(EXCESS_K)])
 PARTS = ("hx_margin_design_k", "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_blockage_k")
+SHOWN_MARGIN = (
+    "hx_ln_ua_ratio", "hx_margin_k", "hx_margin_sd_k", "hx_margin_status", "hx_margin_hot_day_k",
+    "hx_margin_hot_day_sd_k", *PARTS, "hx_margin_wear_k", "hx_margin_profile_k", "overheat_p20_k", "full_open_share",
+)  # fmt: skip
+"""What is told of the margin after each flight: see `left_margin`."""
 
 
 def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:

@@ -52,7 +52,12 @@ def with_span(features: Array, span: NDArray[np.int_]) -> Array:
 
 
 def fit_hazard(
-    features: Array, left: Array, failed: NDArray[np.bool_], seed: int, share: float = 0.3
+    features: Array,
+    left: Array,
+    failed: NDArray[np.bool_],
+    seed: int,
+    rises: Sequence[int] | None = None,
+    share: float = 0.3,
 ) -> HistGradientBoostingClassifier:
     """Classifier of P(event in span | alive at its start).
 
@@ -64,6 +69,8 @@ def fit_hazard(
         As in `at_risk`.
     seed : int
         Draws which (row, span) samples are kept.
+    rises : sequence of int, optional
+        For each feature 1 where physics lets the hazard only rise with it, -1 where only fall, 0 where either.
     share : float
         Share of the samples kept; neighbours along a life say the same thing.
     """
@@ -71,14 +78,15 @@ def fit_hazard(
     keep = np.random.default_rng(seed).random(row.size) < share
     row, span, hit, exposure = row[keep], span[keep], hit[keep], exposure[keep]
     model = HistGradientBoostingClassifier(
-        max_iter=110,
-        learning_rate=0.12,
-        max_leaf_nodes=31,
-        min_samples_leaf=200,
+        max_iter=150,
+        learning_rate=0.08,
+        max_leaf_nodes=12,
+        min_samples_leaf=400,
         max_features=0.4,
         l2_regularization=1.0,
         early_stopping=False,
         random_state=seed,
+        monotonic_cst=None if rises is None else [*rises, 0],
     )
     with threadpool_limits(1, "openmp"):  # on a busy machine its threads spin: ten times the processor for nothing
         return model.fit(with_span(features[row], span), hit, sample_weight=exposure)

@@ -54,6 +54,10 @@ SEEN = (
     "season_cos",
 )
 FEATURES = (*WEAR, *RESERVE, *PASSAGE, *SEEN)
+FALLING = ("reserve_", "left_linear_", "passage_median")
+RISING = ("passage_", "overheat_", "hot_share_", "full_open_")
+RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) else 0 for name in FEATURES)
+"""How the hazard may follow each feature: less in reserve, or hotter flights, never make a message less likely."""
 HOT_K = 3.0
 """A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
 RATIO_SD = 0.012

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
+from hdt_core.prognosis.history import RISES
 from hdt_core.prognosis.recalibrate import NOMINAL, Correction, Levels, learn_correction, learn_levels
 from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
 from hdt_core.records.unit_index import PACK
@@ -178,13 +179,16 @@ def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognos
     members, fleets : int
         Models, and simulated fleets that each of them learns from.
     """
-    learned = []
-    for member in range(members):
-        rows = simulated_rows(members * seed + member, fleets)
-        learned.append(fit_hazard(rows.features, rows.left, rows.failed, seed))
+    learned = tuple(fit_member(members * seed + member, fleets) for member in range(members))
     check = simulated_rows(members * seed + members, fleets=20)
     by = event_by(hazards(learned, check.features))
-    return Prognosis(tuple(learned), learn_levels(by, check.left, check.failed, check.life, prior_lives=0.0))
+    return Prognosis(learned, learn_levels(by, check.left, check.failed, check.life, prior_lives=0.0))
+
+
+def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
+    """One model of a base, from its own simulated fleets."""
+    rows = simulated_rows(seed, fleets)
+    return fit_hazard(rows.features, rows.left, rows.failed, seed, (*RISES, 0))
 
 
 def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> Fit:

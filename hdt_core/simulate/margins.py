@@ -22,6 +22,8 @@ LN_RATIOS = np.array([-1.1, -0.7, -0.45, -0.25, -0.1, 0.1, 0.4])
 SHARES_OF_FLIGHT = np.array([-0.6, 0.05, 0.3, 0.55, 0.8, 0.98])
 """Where in a flight it is asked, in cruises after top of climb; the first is in the climb above 15,000 ft."""
 FIRST_DAYS = 365.0
+LEAST_FLOW = 0.6
+"""Share of its cruise flow below which a pack is not run. [-]"""
 SOUND_HOT = 0.004
 """Share of flights on which sound packs of a type that anyone would fly leave their level by 7 K."""
 
@@ -182,7 +184,7 @@ def _excess_k(rng: np.random.Generator, design: PackDesign, habits: Habits, now:
     # now and then a flight is unlike the others: a full cabin, a hot ramp, a failed recirculation fan
     mood = heavy_tailed(rng, (3, int(now.flight.max()) + 1))[:, now.flight]
     height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
-    flow = design.flow_cruise_kg_s * (1.0 + 0.06 * (1.0 - height) + habits.flow_sd * mood[0])
+    flow = design.flow_cruise_kg_s * np.maximum(1.0 + 0.06 * (1.0 - height) + habits.flow_sd * mood[0], LEAST_FLOW)
     hot_in_k = hot_inlet_k(design, now) + habits.inlet_sd_k * mood[1]
     trim_k = habits.pack_sd_k * rng.standard_normal() + habits.target_sd_k * mood[2]
     held_k = sized_target_k(design) + trim_k + habits.target_slope * (now.tat_k - 247.2)

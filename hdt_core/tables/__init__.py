@@ -86,6 +86,7 @@ TABLES: dict[str, Entry] = {
     "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
     "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_witnesses": Entry(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
+    "features_margin": Entry(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
     "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import dataframely as dy
 
-from hdt_core.tables.base import DatedLegTable, Table, moment, operator_key, pack_key, text
+from hdt_core.tables.base import DatedLegTable, Table, count, moment, number, operator_key, pack_key, text
 from hdt_core.tables.raw import Signals
 
 _HEALTH = {
@@ -57,6 +57,22 @@ _FREE = {
     "hx_out_minus_target_k": "exchanger outlet less its controller's target",
     "hx_out_between_packs_k": "exchanger outlet less the other pack's",
 }
+_MARGIN = {
+    "hx_ln_ua_ratio": "ln of the conductance that is left over the model's, unit's offset included, as tracked",
+    "hx_margin_k": "margin: level held less outlet with the ram door full open, hottest fifth of the high samples",
+    "hx_margin_sd_k": "standard deviation of it",
+    "hx_margin_hot_day_k": "the same on the standard's hot day (ISA + 15 K) at the flight's own level, speed and flow",
+    "hx_margin_hot_day_sd_k": "standard deviation of it",
+    "hx_margin_design_k": "margin of a clean pack at the reference cruise",
+    "hx_margin_target_k": "of the margin: what the flight's own target adds",
+    "hx_margin_flow_k": "of the margin: what its flow and inlet temperature add",
+    "hx_margin_ambient_k": "of the margin: what the air outside adds",
+    "hx_margin_wear_k": "of the margin: what wear, blockage and the unit's own build add",
+    "hx_margin_blockage_k": "of that: what a blocked ram side adds; null without a ram outlet probe",
+    "hx_margin_profile_k": "of the margin: what the hottest fifth of the flight adds to its middle",
+    "overheat_p20_k": "outlet above its level with the ram door full open, hottest fifth of the high samples",
+    "full_open_share": "share of the high samples with the ram door full open",
+}
 _DOOR = {
     "door_span": "5 to 95 % span of the ram door's position in the flight",
     "door_max": "widest ram door position",
@@ -106,6 +122,7 @@ def _columns() -> Iterator[tuple[str, dy.Column]]:
     yield from (_number(f"w_{name}", what) for name, what in _MODELLED.items())
     yield from _of_sensors()
     yield from _of_witnesses()
+    yield from _of_margin()
     yield from _of_life()
 
 
@@ -141,6 +158,12 @@ def _of_witnesses() -> Iterator[tuple[str, dy.Column]]:
     yield _number("hx_out_target_sd_k", "scatter of the outlet about its target")
 
 
+def _of_margin() -> Iterator[tuple[str, dy.Column]]:
+    for name, what in _MARGIN.items():
+        yield _number(name, what)
+    yield "hx_margin_status", _kept(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
+
+
 def _of_life() -> Iterator[tuple[str, dy.Column]]:
     yield "flights_since_replacement", _kept(dy.Int64, "-", "flights of this exchanger; null before the first logged")
     yield "flights_seen_of_unit", _kept(dy.Int64, "-", "flights of this exchanger on record")
@@ -168,6 +191,37 @@ Features = cast("type[Table]", type("Features", (DatedLegTable,), {"__doc__": _D
 _DOC = "What sensors, door and controllers of a pack say of themselves in a flight: flight, pack."
 _WITNESSES = {**dict(_of_sensors()), **dict(_of_witnesses())}
 FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (DatedLegTable,), {"__doc__": _DOC, **_WITNESSES}))
+
+
+class _Margin(DatedLegTable):
+    """What a flight asked of the exchanger, whatever its wear: flight, pack."""
+
+    high_n = count("samples above 15,000 ft behind it")
+    held_k = number("level the controller holds the hot outlet at, median of the high samples", "K")
+    held_status = text("flight, pack or unknown: whose level that is", nullable=False)
+    full_open_share = number("share of the high samples with the ram door full open", "-", 0, 1)
+    overheat_p20_k = number("hottest fifth of the high samples: outlet above its level, door full open", "K", 0)
+    overheat_p50_k = number("hotter half of the high samples: outlet above its level, door full open", "K", 0)
+    hx_margin_design_k = number("margin of a clean pack at the reference cruise", "K")
+    hx_margin_target_k = number("what the flight's own target adds to it", "K")
+    hx_margin_flow_k = number("what the flight's flow and inlet temperature add", "K")
+    hx_margin_ambient_k = number("what the air outside adds", "K")
+    hx_margin_blockage_k = number("what a blocked ram side adds; null without a ram outlet probe", "K")
+
+
+def _critical(where: str) -> dict[str, dy.Column]:
+    lead = "ln conductance ratio at which the outlet, door full open, is"
+    at = ("20 K below", "10 K below", "at", "5 K above", "10 K above")
+    names = ("minus_20k", "minus_10k", "0k", "5k", "10k")
+    words = {"p20": "in a fifth of the high samples", "p50": "in half of them", "hot_day": "on the standard's hot day"}
+    return {
+        f"critical_ln_ratio_{where}_{n}": number(f"{lead} {a} its level {words[where]}")
+        for n, a in zip(names, at, strict=True)
+    }
+
+
+_CRITICAL = {**_critical("p20"), **_critical("p50"), **_critical("hot_day")}
+FeaturesMargin = cast("type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL}))
 
 
 class FeaturesAlerts(Table):

@@ -2,7 +2,7 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import LegTable, Table, moment, number, text
+from hdt_core.tables.base import LegTable, Table, flag, moment, number, text
 
 
 class PrognosisModel(Table):
@@ -20,9 +20,14 @@ class Prognoses(LegTable):
 
     component = text("HX or CC", nullable=False, primary_key=True)
     departed_at = moment("first recorded time")
-    rul_flights = number("flights left until the failure message", "flights", 0)
-    rul_low = number("lower end of the 90 % interval", "flights", 0)
-    rul_high = number("upper end of the 90 % interval", "flights", 0)
+    rul_flights = number("flights left until the failure message, 50 % point without any condition", "flights", 0)
+    rul_low = number("5 % point of the flights left; 300 stands for 300 or more", "flights", 0)
+    rul_high = number("95 % point of the flights left; 300 stands for 300 or more", "flights", 0)
+    p_event_25 = number("probability of a failure event within the next 25 flights", "-", 0, 1)
     p_event_50 = number("probability of a failure event within the next 50 flights", "-", 0, 1)
+    p_event_100 = number("probability of a failure event within the next 100 flights", "-", 0, 1)
+    p_event_200 = number("probability of a failure event within the next 200 flights", "-", 0, 1)
+    p_event_300 = number("probability of a failure event within the next 300 flights", "-", 0, 1)
+    beyond_horizon = flag("rul_flights lies beyond the horizon of 300 flights", nullable=True)
     model_version = text("model that says so", nullable=False)
     split = text("out_of_fold or live", nullable=False)

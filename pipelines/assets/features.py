@@ -8,9 +8,11 @@ from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.health.alerts import raise_alerts
 from hdt_core.health.controller import Laws
 from hdt_core.health.features import features as describe
+from hdt_core.health.margin import margin_flights
 from hdt_core.health.witnesses import witnesses
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage
+from pipelines.assets.twin import model_of
 
 
 @stage("legs_signs", "features_witnesses", group="features")
@@ -21,6 +23,15 @@ def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[p
     return leg_signs(legs_samples, norm), witnesses(legs_samples, laws)
 
 
+@stage("features_margin", group="features")
+def features_margin(
+    legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame
+) -> pl.DataFrame:
+    """What each flight asked of the exchangers: the conductance below which the outlet leaves its level, door full open."""
+    laws = Laws.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    return margin_flights(legs_samples, model_of(calibration_dsm), laws)
+
+
 @stage("features", group="features")
 def features(
     twin_health: pl.DataFrame,
@@ -29,6 +40,7 @@ def features(
     raw_maintenance: pl.DataFrame,
     twin_flights: pl.DataFrame,
     features_witnesses: pl.DataFrame,
+    features_margin: pl.DataFrame,
 ) -> pl.DataFrame:
     """Health, residuals and their trends, virtual sensors, witnesses for door and sensors, by flight and pack."""
     return describe(
@@ -38,6 +50,7 @@ def features(
         raw_maintenance,
         twin_flights=twin_flights,
         witnesses=features_witnesses,
+        margin=features_margin,
     )
 
 

@@ -6,10 +6,11 @@ from typing import Any
 import polars as pl
 import skops.io
 
+from hdt_core.health.margin import CRITICAL
 from hdt_core.prognosis.card import from_parts, model_card, to_parts
 from hdt_core.prognosis.model import Prognosis, fit_base
 from hdt_core.prognosis.record import Heard, Record
-from hdt_core.prognosis.rows import LOSSES
+from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
 from hdt_core.records.unit_index import PACK
 from pipelines.assets.stage import Shown, stage
@@ -28,7 +29,7 @@ def prognosis_base() -> pl.DataFrame:
     return _kept(base, model_card(base))
 
 
-@stage("prognoses", "prognosis_model", group="prognosis", after=("features",))
+@stage("prognoses", "prognosis_model", group="prognosis", after=("features", "features_margin"))
 def prognosis(
     prognosis_base: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> Shown:
@@ -36,7 +37,10 @@ def prognosis(
 
     A base that does worse than the one in service is not promoted.
     """
-    features = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False)).collect()
+    features = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False))
+    asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
+    # what a flight asked is kept beside the features, of which it would be a fifth
+    features = features.join(asks, on=[*PACK, "flight_id"], how="left").collect()
     served = serve(loaded(prognosis_base), _last(home.store), Record(features, raw_messages, raw_maintenance))
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
     return Shown((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)
