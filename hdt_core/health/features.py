@@ -8,6 +8,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.health.first_passage import passages
 from hdt_core.health.margin import SHOWN_MARGIN, left_margin
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.records.unit_index import number_units
@@ -77,6 +78,8 @@ def features(
         wide = wide.join(_margins(wide, twin_flights, margin), on=KEY, how="left")
     trends = [e for name in health for e in trend(name, [*UNIT, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
+    if margin is not None and "hx_ln_ua_ratio" in wide.columns:
+        wide = wide.join(passages(wide, margin), on=KEY, how="left")
     lives = [f"{component}_life" for component in components]
     return finite(_usage(_beside(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
 

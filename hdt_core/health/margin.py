@@ -6,6 +6,7 @@ be with the door full open, and, turned round, how low the conductance may fall 
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
@@ -32,11 +33,11 @@ SHARES = (0.2, 0.5)
 EXCESS_K = (-20.0, -10.0, 0.0, 5.0, 10.0)
 """Outlet above its held level at which critical ratios are kept; others are read between them. [K]"""
 SHOWN = ("high_n", "held_k", "held_status", "full_open_share", *(f"overheat_p{round(100 * s)}_k" for s in SHARES))
-REFERENCE_M, REFERENCE_MACH = 11_000.0, 0.84
+REFERENCE_M, REFERENCE_MACH, REFERENCE_INLET_K = 11_000.0, 0.84, 390.0
 LN_RATIOS = np.array([-1.2, -0.8, -0.55, -0.35, -0.2, -0.05, 0.1, 0.3, 0.6])
 """Conductance ratios at which the model is asked; between them the outlet is all but linear. [-]"""
 HOT_DAY_K = 15.0
-"""The hot day that a margin is stated for: the standard atmosphere and 15 K, at the flight's own level, speed and flow."""
+"""The hot day that a margin is stated for: the standard atmosphere and 15 K, at the flight's level, speed and flow."""
 TRIM_SAMPLES = 2
 """Samples with the door in motion that give a flight's own held level."""
 HELD_SD_K = {"flight": 0.5, "pack": 2.0}
@@ -46,6 +47,31 @@ RATIO_SD = 0.025
 seen. ln [-]"""
 UNIT_FLIGHTS = 30
 """Flights over which a unit's offset is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRule:
+    """When the aircraft speaks: a flight is hot where `share` of its high samples lie `excess_k` above the level
+    held, door full open; the message comes with the second hot flight of `of`, with the first where `of` is 1.
+
+    Attributes
+    ----------
+    excess_sd_k : float
+        Standard deviation of `excess_k`. [K]
+    messages : int
+        Messages it was learned from.
+    """
+
+    share: float = SHARES[0]
+    excess_k: float = 7.0
+    excess_sd_k: float = 2.5
+    of: int = 3
+    messages: int = 0
+
+
+PRIOR_RULE = MessageRule()
+"""Before any message: a controller holds its outlet within 2 or 3 K, and a message that is not to cry wolf waits for
+two or three times that, on two flights of three."""
 
 
 def critical_name(share: float, excess_k: float) -> str:
@@ -81,9 +107,9 @@ def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     DataFrame
         One row a flight and pack: `held_k` (level the outlet is held at, median of the high samples), `held_status`
         (flight, pack or unknown: whose level that is), `high_n`, `critical_ln_ratio_p<share>_<excess>k` (ln conductance
-        ratio below which that share of the high samples leaves the held level by more than the excess with the door full
-        open), the same `_hot_day_`, `full_open_share`, `overheat_p<share>_k` (how far the outlet was above its level,
-        door full open, in that share of the high samples), and `PARTS`. Missing is null.
+        ratio below which that share of the high samples leaves the held level by more than the excess with the door
+        full open), the same `_hot_day_`, `full_open_share`, `overheat_p<share>_k` (how far the outlet was above its
+        level, door full open, in that share of the high samples), and `PARTS`. Missing is null.
     """
     flights = flights_of(samples)
     high = _high(samples, dsm, laws)
@@ -122,16 +148,20 @@ def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws:
 def margin_parts(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: Laws) -> list[pl.Series]:
     """What a clean pack's margin is made of, taken in turn from the reference cruise to the flight: `PARTS`. [K]
 
-    The reference: the standard day at 11 km and Mach 0.84, the flow of the baseline, inlet 390 K, the fleet's own target.
-    The blockage is what the heat balance of a measured ram outlet says the door no longer lets through.
+    The reference: the standard day at 11 km and Mach 0.84, the flow of the baseline, inlet 390 K, the fleet's own
+    target. The blockage is what the heat balance of a measured ram outlet says the door no longer lets through.
     """
     n = flights.height
     tail, level_k = flights["tail"].to_numpy(), laws.outlet.levels.get("", 0.0)
-    cold_k = float(standard_temperature_k(REFERENCE_M) * total_to_static_temperature(REFERENCE_MACH))
-    total_pa = float(standard_pressure_pa(REFERENCE_M) * total_to_static_pressure(REFERENCE_MACH))
-    reference = {"altitude_m": REFERENCE_M, "mach": REFERENCE_MACH, "tat_k": cold_k, "total_pressure_pa": total_pa}
-    reference |= {"hx_in_k": 390.0, "pack_flow_kg_s": dsm.cruise_flows_kg_s[0]}
-    now = {name: np.full(n, value) for name, value in reference.items()}
+    altitude_m, mach = np.full(n, REFERENCE_M), np.full(n, REFERENCE_MACH)
+    now = {
+        "altitude_m": altitude_m,
+        "mach": mach,
+        "tat_k": standard_temperature_k(altitude_m) * total_to_static_temperature(mach),
+        "total_pressure_pa": standard_pressure_pa(altitude_m) * total_to_static_pressure(mach),
+        "hx_in_k": np.full(n, REFERENCE_INLET_K),
+        "pack_flow_kg_s": np.full(n, dsm.cruise_flows_kg_s[0]),
+    }
 
     def margin_k(signals: Mapping[str, Array], trim_k: Array | float, ln_ram: Array | float = 0.0) -> Array:
         held_k = laws.outlet.column(tail, signals["tat_k"]).to_numpy() + trim_k
@@ -168,7 +198,9 @@ def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     excess = full_open_outlet_k(hx.without_bias(signals, bias), dsm.design, LN_RATIOS) - held_k[:, None]
     over = pl.when(pl.col("ram_door_open") > FULL_OPEN).then(pl.col("hx_out_k") - pl.col("held_k"))
     ram_out = {"ram_out_k": rows["ram_out_k"].to_numpy().astype(float)} if "ram_out_k" in rows.columns else {}
-    balance = hx.ln_ram_flow_ratio({**signals, **ram_out}, dsm.design, bias) if ram_out else np.full(rows.height, np.nan)
+    balance = (
+        hx.ln_ram_flow_ratio({**signals, **ram_out}, dsm.design, bias) if ram_out else np.full(rows.height, np.nan)
+    )
     return rows.with_columns(
         pl.Series("ln_ram_ratio", np.where(np.isfinite(balance), balance, np.nan)).fill_nan(None),
         over.clip(0.0).fill_null(0.0).alias("overheat_k"),
@@ -231,14 +263,18 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     -------
     DataFrame
         `FLIGHT_PACK`; `hx_ln_ua_ratio`, the conductance that is left as the track has it, the unit's offset in it;
-        `hx_margin_k` (own conditions, the hottest fifth of the high samples) and `hx_margin_hot_day_k`, each with `_sd_k`
-        (`_sd`) and status; its parts. Positive: the door has so many kelvin in hand; negative: the outlet was above its level.
+        `hx_margin_k` (own conditions, the hottest fifth of the high samples) and `hx_margin_hot_day_k`, each with
+        `_sd_k` (`_sd`) and status; its parts. Positive: the door has so many kelvin in hand; negative: the outlet was
+        above its level.
     """
     rows = wide.select(*FLIGHT_PACK, left_ln_ratio()).join(asks, on=FLIGHT_PACK, how="left", maintain_order="left")
     ratio = rows["hx_ln_ua_ratio"].to_numpy().astype(float)
     half = len(EXCESS_K)
     margins, per_ratio = zip(
-        *(_margin_at(ratio, rows.select(names).to_numpy().astype(float)) for names in (CRITICAL[:half], HOT_DAY, CRITICAL[half:])),
+        *(
+            _margin_at(ratio, rows.select(names).to_numpy().astype(float))
+            for names in (CRITICAL[:half], HOT_DAY, CRITICAL[half:])
+        ),
         strict=True,
     )
     held_sd = rows["held_status"].replace_strict(HELD_SD_K, default=None, return_dtype=pl.Float64).to_numpy()
@@ -262,8 +298,16 @@ def left_ln_ratio() -> pl.Expr:
     return (offset.over("operator", "tail", "pack", "hx_life") - worn).alias("hx_ln_ua_ratio")
 
 
+def at_excess(curve: Array, excess_k: float) -> Array:
+    """Curves over `EXCESS_K` read at one value, straight beyond the ends: (..., excesses) to (...)."""
+    grid = np.array(EXCESS_K)
+    j = int(np.clip(np.searchsorted(grid, excess_k) - 1, 0, grid.size - 2))
+    share = (excess_k - grid[j]) / (grid[j + 1] - grid[j])
+    return np.asarray(curve[..., j] + share * (curve[..., j + 1] - curve[..., j]))
+
+
 def _margin_at(ratio: Array, critical: Array) -> tuple[Array, Array]:
-    """Margin at a ln ratio [K] and kelvin a unit of it, from critical ratios over `EXCESS_K`: straight beyond the ends."""
+    """Margin at a ln ratio [K] and kelvin a unit of it, from critical ratios over `EXCESS_K`."""
     grid = np.array(EXCESS_K)
     left = np.clip((critical > ratio[:, None]).sum(axis=1) - 1, 0, grid.size - 2)
     rows = np.arange(len(ratio))

@@ -3,8 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hdt_core.health.margin import MessageRule
 from hdt_core.prognosis.limits import Limit
-from hdt_core.prognosis.message_rule import MessageRule
 from hdt_core.prognosis.model import Fit, Fits, Fold, Prognosis
 from hdt_core.prognosis.recalibrate import Correction
 from hdt_core.prognosis.rows import Says
@@ -71,7 +71,7 @@ def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card
             "rul_flights, rul_low, rul_high: 50, 5 and 95 % points of the flights left until the message, without any "
             "condition; 300 stands for 300 or more; p_event_50: probability of the message within 50 flights"
         ),
-        "learned_from": "simulated lives (base); the fleet's own failed and censored lives (the message's rule, hazard, interval)",
+        "learned_from": "simulated lives (base); the fleet's own failed and censored lives (rule, hazard, interval)",
         "failures": {component: fit.failures for component, fit in model.fits.items()},
         "lives": {component: fit.lives for component, fit in model.fits.items()},
         "message": {component: _told(fit.says) for component, fit in model.fits.items()},

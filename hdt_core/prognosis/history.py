@@ -1,7 +1,7 @@
 """What the record of a unit says about its future: causal features, one row a unit, one column a flight.
 
-Every feature at flight k is a function of flights up to k. Nothing is divided by a fleet's limit: wear, reserve and what
-flights ask are in ln of conductance, which means the same for every type.
+Every feature at flight k is a function of flights up to k. Nothing is divided by a fleet's limit: wear, reserve and
+what flights ask are in ln of conductance, which means the same for every type.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.prognosis.conditions import ASKED, LEVELS, asked
-from hdt_core.prognosis.first_passage import passage, wear_rate
+from hdt_core.health.conditions import ASKED, LEVELS, asked
+from hdt_core.health.first_passage import RATIO_SD, passage, wear_rate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -60,8 +60,6 @@ RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) e
 """How the hazard may follow each feature: less in reserve, or hotter flights, never make a message less likely."""
 HOT_K = 3.0
 """A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
-RATIO_SD = 0.012
-"""What is not known of the ratio that is left, beside what `first_passage.ASK_SD` says of the question. [-]"""
 _EDGES = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0])
 _FAR = 1000.0
 _DROP = 0.035  # loss: larger than any noise of a filtered track over three flights
@@ -120,7 +118,7 @@ def feature_rows(panel: Panel, at: tuple[Index, Index], critical: Array, where: 
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
     run = (np.arange(panel.level.shape[1]) - start + 1.0)[at]
-    rate = wear_rate(np.where(run >= 60.0, slope["100"], slope["segment"]), run)
+    rate = wear_rate(np.asarray(np.where(run >= 60.0, slope["100"], slope["segment"]), dtype=float), run)
     rows |= _passages(ratio, np.stack([asks[name] for name in ASKED[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
 

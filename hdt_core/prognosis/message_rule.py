@@ -1,18 +1,18 @@
 """When the aircraft speaks: how hot, in how much of a flight and how often, learned from the messages there are."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hdt_core.health.margin import PRIOR_RULE as PRIOR
+from hdt_core.health.margin import MessageRule
+
 Array = NDArray[np.float64]
 
 EXCESS_K = np.arange(1.0, 16.0)
 OFS = (1, 2, 3)
-PRIOR_EXCESS_K, PRIOR_EXCESS_SD_K = 7.0, 2.5
-"""A controller holds its outlet within 2 or 3 K; a message that is not to cry wolf waits for two or three times that."""
 PRIOR_OF = {1: 0.25, 2: 0.25, 3: 0.5}
 """Fault messages are latched by persistence, commonly two occurrences: ARINC 624, section 3."""
 EXACT, NEAR, MISSED, SPURIOUS = 0.5, 0.12, 0.03, 0.08
@@ -20,29 +20,6 @@ EXACT, NEAR, MISSED, SPURIOUS = 0.5, 0.12, 0.03, 0.08
 before; and of a life without a message whose rule was met."""
 OTHERS = 0.5
 """Weight of other operators' messages: one type, other settings of its monitor."""
-
-
-@dataclass(frozen=True, slots=True)
-class MessageRule:
-    """A flight is hot where `share` of its high samples lie `excess_k` above the level held, door full open; the message
-    comes with the second hot flight of `of`, with the first where `of` is 1.
-
-    Attributes
-    ----------
-    excess_sd_k : float
-        Standard deviation of `excess_k`. [K]
-    messages : int
-        Messages it was learned from.
-    """
-
-    share: float = 0.2
-    excess_k: float = PRIOR_EXCESS_K
-    excess_sd_k: float = PRIOR_EXCESS_SD_K
-    of: int = 3
-    messages: int = 0
-
-
-PRIOR = MessageRule()
 
 
 def learn_rules(
@@ -63,7 +40,9 @@ def learn_rules(
     """
     rules = [(share, of, excess) for share, of, excess in product(overheat_k, OFS, EXCESS_K)]
     fits = np.stack([_fit(_first_met(overheat_k[s], e, of), message) for s, of, e in rules], axis=1)
-    prior = np.array([np.log(PRIOR_OF[of]) - 0.5 * ((e - PRIOR_EXCESS_K) / PRIOR_EXCESS_SD_K) ** 2 for _, of, e in rules])
+    prior = np.array(
+        [np.log(PRIOR_OF[of]) - 0.5 * ((e - PRIOR.excess_k) / PRIOR.excess_sd_k) ** 2 for _, of, e in rules]
+    )
     fits *= np.isin(operator, np.unique(operator[message >= 0]))[:, None]
     out = {}
     for name in ("", *np.unique(operator)):

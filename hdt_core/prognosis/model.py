@@ -38,7 +38,7 @@ IN_ORDER = ("component", *PACK, "departed_at")
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What one component's lives taught: when the aircraft speaks, the hazard's correction, the levels that are told."""
+    """What one component's lives taught: when the aircraft speaks, the hazard's correction, the levels told."""
 
     says: Says
     correction: Correction = field(default_factory=Correction)
@@ -157,9 +157,7 @@ def say_by_fold(
     by: str = "tail",
 ) -> pl.DataFrame:
     """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
-    parts = [
-        _say(base, track, Fit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()
-    ]
+    parts = [_say(base, track, Fit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()]
     for component, track in lived.items():
         wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
         own = track.keys[by].to_numpy().astype(str)
@@ -221,9 +219,9 @@ def _say(
     columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in numbers.items()]
     return track.keys.filter(asked).select(
         "operator", "tail", "flight_id", "pack", pl.lit(component).alias("component"), "departed_at", *columns,
-        pl.Series("beyond_horizon", middle >= HORIZON).alias("beyond_horizon"),
+        (columns[0] >= HORIZON).alias("beyond_horizon"),
         pl.lit(model.version).alias("model_version"), pl.lit(split).alias("split"),
-    ).with_columns(pl.when(pl.col("rul_flights").is_not_null()).then("beyond_horizon").alias("beyond_horizon"))  # fmt: skip
+    )  # fmt: skip
 
 
 def named(base: Prognosis, fits: Fits | None = None) -> Prognosis:

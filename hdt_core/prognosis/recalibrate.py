@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 from scipy.stats import CensoredData, ecdf
 
-from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, position
+from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, position
 
 Array = NDArray[np.float64]
 Levels = tuple[float, float, float]
@@ -98,8 +98,8 @@ def learn_levels(
 
     Notes
     -----
-    The probability that the event has come by its time is uniform where the distribution is right. Of a life that was cut
-    it is known to be larger than at the cut; the Kaplan-Meier estimate [2] of its distribution takes both.
+    The probability that the event has come by its time is uniform where the distribution is right. Of a life that was
+    cut it is known to be larger than at the cut; the Kaplan-Meier estimate [2] of its distribution takes both.
 
     References
     ----------

@@ -6,13 +6,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.health.margin import CRITICAL, EXCESS_K, SHARES
-from hdt_core.prognosis.conditions import repeated
+from hdt_core.health.conditions import repeated
+from hdt_core.health.margin import CRITICAL, EXCESS_K, PRIOR_RULE, SHARES, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows
 from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
 from hdt_core.prognosis.lives import flight_rows
-from hdt_core.prognosis.message_rule import PRIOR as RULE_PRIOR
-from hdt_core.prognosis.message_rule import MessageRule, learn_rules
+from hdt_core.prognosis.message_rule import learn_rules
 from hdt_core.records.unit_index import PACK
 from hdt_core.simulate.episodes import Episodes
 from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
@@ -29,7 +28,7 @@ ASKS = ("overheat_p20_k", "overheat_p50_k", "full_open_share")
 
 Says = Limit | dict[str, MessageRule]
 """When the aircraft speaks: a limit of the loss, or the rule of each operator's monitor, `""` for any other."""
-UNTOLD: dict[str, Says] = {"HX": {"": RULE_PRIOR}, "CC": PRIORS["CC"]}
+UNTOLD: dict[str, Says] = {"HX": {"": PRIOR_RULE}, "CC": PRIORS["CC"]}
 """What is believed before any message, by component."""
 
 
@@ -204,18 +203,10 @@ def _critical(track: Tracks, says: Says) -> tuple[Array, Array]:
     for name in np.unique(operator.astype(str)):
         packs, rule = operator == name, says.get(name, says[""])
         curve = track.curves[packs][:, :, SHARES.index(rule.share)]
-        critical[packs] = repeated(_at_excess(curve, rule.excess_k), rule.of)
-        per_k = np.abs(_at_excess(curve, rule.excess_k + 1.0) - _at_excess(curve, rule.excess_k - 1.0)) / 2.0
+        critical[packs] = repeated(at_excess(curve, rule.excess_k), rule.of)
+        per_k = np.abs(at_excess(curve, rule.excess_k + 1.0) - at_excess(curve, rule.excess_k - 1.0)) / 2.0
         doubt[packs] = rule.excess_sd_k * (float(np.nanmedian(per_k)) if np.isfinite(per_k).any() else LN_RATIO_PER_K)
     return critical, doubt[track.where[:, 0]]
-
-
-def _at_excess(curve: Array, excess_k: float) -> Array:
-    """Curves over `EXCESS_K` read at one value, straight beyond the ends. (packs, flights, excesses) to (packs, flights)"""
-    grid = np.array(EXCESS_K)
-    j = int(np.clip(np.searchsorted(grid, excess_k) - 1, 0, grid.size - 2))
-    share = (excess_k - grid[j]) / (grid[j + 1] - grid[j])
-    return np.asarray(curve[..., j] + share * (curve[..., j + 1] - curve[..., j]))
 
 
 def learn_says(track: Tracks, component: str, use: NDArray[np.bool_]) -> Says:

@@ -1,8 +1,8 @@
 """Unit lives as the twin would see them: the training episodes of the prognosis model.
 
-A life is a wear curve, washed now and then, watched through the twin's noise, and ended by the message that the aircraft
-raises when flights ask for more conductance than is left (`hdt_core.simulate.margins`). A compressor's ends where its loss
-passes a limit that varies from unit to unit and day to day.
+A life is a wear curve, washed now and then, watched through the twin's noise, and ended by the message that the
+aircraft raises when flights ask for more conductance than is left (`hdt_core.simulate.margins`). A compressor's ends
+where its loss passes a limit that varies from unit to unit and day to day.
 """
 
 from dataclasses import dataclass, field
@@ -10,22 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hdt_core.health.margin import MessageRule
 from hdt_core.simulate.margins import Asked, ask, critical_ratio, excess_at
 from hdt_core.simulate.wear import Array, WearSettings, draw_wear
 
 LEAD = 150
 """Flights of the pack before the unit was installed: what they asked is known by then."""
-
-
-@dataclass(frozen=True, slots=True)
-class MessageRule:
-    """When the aircraft speaks: a flight is hot where its outlet is `excess_k` above its level in `share` of the samples
-    above 15,000 ft, and the message comes with the second hot flight of `of`; with the first where `of` is 1.
-    """
-
-    share: float = 0.2
-    excess_k: float = 7.0
-    of: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +102,7 @@ class Episodes:
     first_message: NDArray[np.int_] | None = None
 
     def left(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Flights to the next message or to the end of what was followed, and whether it is a message: (units, flights)."""
+        """Flights to the next message or the end of what was followed, and whether it is a message. (units, flights)"""
         k = np.arange(self.loss.shape[1])[None, :]
         end = np.broadcast_to(self.message[:, None], self.loss.shape)
         if self.first_message is not None:
@@ -133,7 +123,7 @@ def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
     rng = np.random.default_rng(seed)
     flights = ask(rng, settings.aircraft, LEAD + settings.flights)
     units = flights.day.shape[0]
-    old = rng.random(units) < settings.worn_at_entry
+    old = np.asarray(rng.random(units) < settings.worn_at_entry)
     loss = _losses(rng, old, settings)
     built = settings.unit_sd * rng.standard_normal((units, 1))
     left = built + np.log1p(-loss)
@@ -169,7 +159,7 @@ def draw_limited(seed: int, settings: EpisodeSettings, limit: float, believed: f
     """
     rng = np.random.default_rng(seed)
     units = 2 * settings.aircraft
-    old = rng.random(units) < settings.worn_at_entry
+    old = np.asarray(rng.random(units) < settings.worn_at_entry)
     loss = _losses(rng, old, settings)
     own = limit + 0.03 * rng.standard_normal((units, 1))
     over = loss + 0.012 * rng.standard_normal(loss.shape) > own

@@ -105,7 +105,8 @@ def draw_type(rng: np.random.Generator) -> PackDesign:
 
 
 def excess_at(asked: Asked, ratio: Array) -> Array:
-    """Outlet above its level with the door full open at a ln conductance ratio of each flight. (packs, flights, samples)
+    """Outlet above its level with the door full open at a ln conductance ratio of each flight. (packs, flights,
+    samples)
 
     Parameters
     ----------
@@ -193,4 +194,4 @@ def _excess_k(rng: np.random.Generator, design: PackDesign, habits: Habits, now:
     core = ("hx_ua_reference_w_k", "hx_exponent_hot", "hx_exponent_cold", "hx_hot_share", "hx_wall_share")
     clean = clean_conductance_w_k(flow, ram, **{name: np.asarray(getattr(design, name)) for name in core})
     outlets = [outlets_k(flow, ram, hot_in_k, cold_in_k, clean * np.exp(r))[0] for r in LN_RATIOS]
-    return np.stack(outlets, axis=1) - held_k[:, None]
+    return np.asarray(np.stack(outlets, axis=1) - held_k[:, None])

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, MessageRule, draw_episodes, draw_limited
+from hdt_core.health.margin import MessageRule
+from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes, draw_limited
 from hdt_core.simulate.wear import Array, WearSettings
 
 __all__ = ["LEAD", "LN_RATIO_PER_K", "draw_fleets"]
@@ -55,8 +56,8 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
 def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
     """Lives of packs whose replacements nobody logged: a unit's record goes on with that of the next.
 
-    The unit that failed flies one to nine flights more; then the next pack's unit, with its flights, takes its place. The
-    message that counts is the next one.
+    The unit that failed flies one to nine flights more; then the next pack's unit, with its flights, takes its place.
+    The message that counts is the next one.
     """
     units, flights = lives.loss.shape
     joint = np.minimum(lives.message + rng.integers(2, 10, units), flights)
@@ -70,8 +71,8 @@ def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
         return out
 
     second = np.minimum(joint + lives.message[follower], flights)
-    fields_ = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
-    joined = {name: spliced(getattr(lives, name)) for name in fields_}
+    told = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
+    joined = {name: spliced(getattr(lives, name)) for name in told}
     nobody = np.zeros(units, dtype=bool)
     return replace(
         lives, **joined, asked=spliced(lives.asked, LEAD), message=second, first_message=lives.message, age_known=nobody
@@ -92,7 +93,7 @@ def _draw_settings(rng: np.random.Generator, aircraft: int, flights: int) -> Epi
         aircraft=aircraft,
         flights=flights,
         wear=wear,
-        rule=MessageRule(rng.uniform(0.1, 0.5), rng.uniform(3.0, 11.0), of),
+        rule=MessageRule(rng.uniform(0.1, 0.5), rng.uniform(3.0, 11.0), of=of),
         map_error=rng.uniform(0.01, 0.05),
         pack_error=rng.uniform(0.005, 0.03),
         worn_at_entry=rng.uniform(0.1, 0.6),

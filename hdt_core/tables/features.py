@@ -161,6 +161,11 @@ def _of_witnesses() -> Iterator[tuple[str, dy.Column]]:
 def _of_margin() -> Iterator[tuple[str, dy.Column]]:
     for name, what in _MARGIN.items():
         yield _number(name, what)
+    for ahead in (100, 300):
+        what = (
+            f"chance of the exchanger's message within {ahead} flights, by physics alone: no fleet's messages are in it"
+        )
+        yield _number(f"hx_passage_{ahead}", what)
     yield "hx_margin_status", _kept(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
 
 

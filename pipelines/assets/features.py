@@ -27,7 +27,7 @@ def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[p
 def features_margin(
     legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame
 ) -> pl.DataFrame:
-    """What each flight asked of the exchangers: the conductance below which the outlet leaves its level, door full open."""
+    """What each flight asked of the exchangers: the conductance below which the outlet leaves its level."""
     laws = Laws.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
     return margin_flights(legs_samples, model_of(calibration_dsm), laws)
 

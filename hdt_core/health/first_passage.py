@@ -10,10 +10,12 @@ References
 """
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from hdt_core.prognosis.conditions import LEVELS
+from hdt_core.health.conditions import ASKED, LEVELS, asked, repeated
+from hdt_core.health.margin import CRITICAL, EXCESS_K, PRIOR_RULE, at_excess
 
 Array = NDArray[np.float64]
 
@@ -23,6 +25,8 @@ NODES = ndtri((np.arange(5) + 0.5) / 5.0)
 """Standard normal nodes of equal weight that stand for the doubt about the rate."""
 SLOPE_SD, SLOPE_FLIGHTS = 0.010, 60.0
 """Scatter of a flight's ln ratio that a slope is taken from, and flights after which its error stops falling."""
+RATIO_SD = 0.012
+"""What is not known of the ratio that is left, beside what `ASK_SD` says of the question. [-]"""
 ASK_SD = 0.03
 """What the quantiles of a window leave out: the map's error and the coarseness of six quantiles. [-]"""
 
@@ -35,9 +39,7 @@ def wear_rate(slope: Array, flights: Array) -> tuple[Array, Array]:
     return weight * slope + (1.0 - weight) * RATE, np.sqrt(weight * error2)
 
 
-def passage(
-    ratio: Array, ratio_sd: Array, asked: Array, rate: Array, rate_sd: Array, edges: Array
-) -> Array:
+def passage(ratio: Array, ratio_sd: Array, asked: Array, rate: Array, rate_sd: Array, edges: Array) -> Array:
     """P(message within `edges` flights), (n, edges), from 0 at no flights.
 
     Parameters
@@ -66,3 +68,53 @@ def _weights() -> Array:
     """Share of flights that each quantile stands for: half the way to its neighbours."""
     bounds = np.concatenate([[0.0], 0.5 * (np.array(LEVELS[1:]) + np.array(LEVELS[:-1])), [1.0]])
     return np.diff(bounds)
+
+
+AHEAD = (100, 300)
+"""Flights for which the features tell the physical forecast."""
+PASSAGES = tuple(f"hx_passage_{ahead}" for ahead in AHEAD)
+
+
+def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
+    """P(message within `AHEAD` flights) of each exchanger after each flight, by the rule that holds before any message.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        One row a flight and pack in order of departure: operator, tail, pack, flight_id, `hx_ln_ua_ratio`,
+        `hx_fouling`, `hx_fouling_slope_100_per_flight`, `flights_seen_of_unit`.
+    asks : DataFrame
+        Of `margin.margin_flights`.
+
+    Returns
+    -------
+    DataFrame
+        operator, tail, flight_id, pack and `PASSAGES`; null while nothing is known. It learns from no fleet, so what
+        was said of a flight never changes.
+    """
+    key = ["operator", "tail", "flight_id", "pack"]
+    known = flights.join(asks.select(*key, *CRITICAL[: len(EXCESS_K)]), on=key, how="left", maintain_order="left")
+    pack = known.select(pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64) - 1).to_series().to_numpy()
+    flight = known.select(pl.int_range(pl.len()).over("operator", "tail", "pack")).to_series().to_numpy()
+    if not known.height:
+        return known.select(key).with_columns(pl.lit(None, pl.Float64).alias(name) for name in PASSAGES)
+    curves = np.full((pack.max() + 1, flight.max() + 1, len(EXCESS_K)), np.nan)
+    curves[pack, flight] = known.select(CRITICAL[: len(EXCESS_K)]).to_numpy().astype(float)
+    asks_now = asked(repeated(at_excess(curves, PRIOR_RULE.excess_k), PRIOR_RULE.of), pack, flight)
+    ratio, loss, slope, run = (
+        known[c].cast(pl.Float64).to_numpy()
+        for c in ("hx_ln_ua_ratio", "hx_fouling", "hx_fouling_slope_100_per_flight", "flights_seen_of_unit")
+    )
+    rate = wear_rate(
+        np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), np.minimum(np.where(np.isnan(slope), 2.0, run + 1.0), 100.0)
+    )
+    levels = np.stack([asks_now[name] for name in ASKED[: len(LEVELS)]], axis=1)
+    by = passage(
+        ratio,
+        np.full(ratio.size, RATIO_SD),
+        levels,
+        *rate,
+        np.array([0.0, 10.0, 25.0, 50.0, 100.0, 150.0, 200.0, 300.0]),
+    )
+    told = [pl.Series(name, by[:, at]).fill_nan(None) for name, at in zip(PASSAGES, (4, 7), strict=True)]
+    return known.select(key).with_columns(told)
