@@ -117,7 +117,7 @@ def feature_rows(panel: Panel, at: tuple[Index, Index], critical: Array, where: 
     # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
-    run = (np.arange(panel.level.shape[1]) - start + 1.0)[at]
+    run = np.asarray((np.arange(panel.level.shape[1]) - start + 1.0)[at], dtype=float)
     rate = wear_rate(np.asarray(np.where(run >= 60.0, slope["100"], slope["segment"]), dtype=float), run)
     rows |= _passages(ratio, np.stack([asks[name] for name in ASKED[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
