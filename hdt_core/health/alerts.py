@@ -11,6 +11,7 @@ from hdt_core.health.diagnoses import DIAGNOSES
 from hdt_core.health.doors import door_cases
 from hdt_core.health.episodes import Case, Limits, occupied
 from hdt_core.health.grid import Grid
+from hdt_core.health.low_margin import low_margin_cases
 from hdt_core.health.sensors import outlet_doubtful, sensor_cases
 from hdt_core.health.wear import cc_cases, hx_cases
 from hdt_core.records.unit_index import PACK, select_entries
@@ -64,7 +65,9 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     biased = occupied(grid.shape, [c for c in sensors if c.facts.get("biased")])
     sick = door_on | biased | outlet_doubtful(grid)
     compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, sensors))
-    return doors + sensors + hx_cases(grid, maintenance, limits, sick) + compressors
+    exchangers = hx_cases(grid, maintenance, limits, sick)
+    low = low_margin_cases(grid, maintenance, limits, occupied(grid.shape, exchangers), sick)
+    return doors + sensors + exchangers + low + compressors
 
 
 def end_with_the_unit(grid: Grid, maintenance: pl.DataFrame, cases: list[Case]) -> list[Case]:

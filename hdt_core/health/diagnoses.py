@@ -64,6 +64,10 @@ _EXCHANGER = (
     "hx_fouling", "hx_fouling_sd", "hx_fouling_slope_30_per_flight", "door_full_open_share",
     "door_median_between_packs", "hx_fouling_between_packs", "ram_flow_loss",
 )  # fmt: skip
+_MARGIN = (
+    "hx_passage_100", "hx_passage_300", "hx_margin_k", "hx_margin_sd_k", "hx_margin_hot_day_k", "hx_margin_design_k",
+    "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_wear_k", "overheat_p20_k",
+)  # fmt: skip
 _COMPRESSOR = ("cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss")
 
 DIAGNOSES = {
@@ -90,6 +94,17 @@ DIAGNOSES = {
             severity=lambda facts: "high",
             evidence=wording.clog,
             measured=_EXCHANGER,
+        ),
+        Diagnosis(
+            code="HX_LOW_MARGIN",
+            component="HX",
+            name="little cooling margin left",
+            action="Not a new exchanger alone: check target, flow schedule and ram door travel (ATA 21-53, rigging), "
+            "keep the aircraft off hot sectors where it can be, and wash at the next stop",
+            ended_by=("REPLACED", "CLEANED"),
+            severity=wording.margin_severity,
+            evidence=wording.low_margin,
+            measured=(*_EXCHANGER, *_MARGIN),
         ),
         Diagnosis(
             code="CC_DEGRADED",

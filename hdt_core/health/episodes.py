@@ -14,7 +14,7 @@ REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
 DIAMETER_SD = 0.022
 """Flight-to-flight scatter of the effective diameter of a sound compressor, relative. [-]"""
 FAILS_AT = 0.38
-"""Loss of conductance at which packs of this kind ran out of ram door (fleets show 0.36 to 0.49)."""
+"""Loss of conductance at which packs ran out of ram door in the first fleets seen; used where the margin is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +27,15 @@ class Limits:
         Loss of conductance that a planner wants to know of, once it is exceeded with probability `fouling_odds`: about
         six packs in 1,000 flights come this far, and two of them may be called too early.
     fouling_soon, soon_odds, soon_flights : float
-        A smaller loss, exceeded with probability `soon_odds`, is told of where its trend leads to `FAILS_AT` within so
-        many flights: about a month of warning, which a shop visit takes.
+        Where the margin is not known, a smaller loss, exceeded with probability `soon_odds`, is told of when its trend
+        leads to `FAILS_AT` within so many flights: about a month of warning, which a shop visit takes.
     clog : float
         Loss gained within three flights, beyond the trend, that calls for a look at the core: nine sigma of the
         difference, and three times the dust that one bad station leaves.
     ram_flow : float
         Loss of ram flow gained with it, where a ram outlet probe tells: less, and it is a film, not a blockage.
+    passage : float
+        Chance of the message within 300 flights, by physics alone, that calls for a plan though the loss is small.
     compressor : float
         Efficiency loss worth a case.
     lost : float
@@ -51,6 +53,7 @@ class Limits:
     soon_flights: float = 100.0
     clog: float = 0.1
     ram_flow: float = 0.04
+    passage: float = 0.9
     compressor: float = 0.05
     lost: float = 0.2
     still_span: float = 0.035

@@ -60,10 +60,16 @@ def _led_to(jump: Case, first: int, ended: Array) -> bool:
 
 
 def _soon(grid: Grid, loss: Array, sd: Array, limits: Limits) -> Array:
-    """Flights on which a smaller loss grows so fast that waiting for the limit would leave a planner no time."""
+    """Flights on which a smaller loss grows so fast that waiting for the limit would leave a planner no time.
+
+    Where the margin is known, it says so itself: see `low_margin`.
+    """
+    unknown = ~np.isfinite(grid.values("hx_passage_300"))
     slope = 0.5 * sum(grid.values(f"hx_fouling_slope_{n}_per_flight") for n in (30, 100))
     left = (FAILS_AT - loss) / np.maximum(np.nan_to_num(slope), 1e-6)
-    return np.asarray((_odds(loss, sd, limits.fouling_soon) > limits.soon_odds) & (left < limits.soon_flights))
+    return np.asarray(
+        unknown & (_odds(loss, sd, limits.fouling_soon) > limits.soon_odds) & (left < limits.soon_flights)
+    )
 
 
 def risen(alone: Array, ended: Array) -> Array:

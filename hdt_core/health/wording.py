@@ -136,6 +136,42 @@ def _ram_flow(facts: Facts, otherwise: str) -> Witness | None:
     return Witness(otherwise, "ram flow that of a clean duct: no blockage")
 
 
+def margin_severity(facts: Facts) -> str:
+    """High where the message is more likely than not within a hundred flights."""
+    return "high" if facts["hx_passage_100"] > 0.5 else "medium"
+
+
+def low_margin(facts: Facts, since: str) -> Evidence:
+    """Little reserve before the message, and what took it."""
+    loss, sd = facts["hx_fouling"], facts["hx_fouling_sd"]
+    moved = (
+        f"With the ram door full open the outlet would stand {_kelvin(facts['hx_margin_k'])} its level in the hottest fifth "
+        f"of the last flight, {_kelvin(facts['hx_margin_hot_day_k'])} it on a hot day (ISA + 15 K); message 21-52-HXTEMP "
+        f"within 300 flights with probability {_probability(facts['hx_passage_300'])}, believed since {since}"
+    )
+    parts = {
+        "the design gives": "hx_margin_design_k", "target": "hx_margin_target_k", "flow": "hx_margin_flow_k",
+        "air outside": "hx_margin_ambient_k", "wear and build": "hx_margin_wear_k",
+    }  # fmt: skip
+    shares = ", ".join(f"{word} {facts[name]:+.0f} K" for word, name in parts.items() if not math.isnan(facts[name]))
+    told = [Witness(NEUTRAL, f"what makes the margin: {shares}")] if shares else []
+    told.append(
+        Witness(NEUTRAL, f"UA lost (hx_fouling) {100 * loss:.0f} +- {100 * sd:.0f} %: wear alone does not explain it")
+    )
+    if facts["overheat_p20_k"] > 1.0:
+        above = f"on the last flight the outlet was {facts['overheat_p20_k']:.0f} K above its level, door full open"
+        told.append(Witness(SUPPORTS, above))
+    waiting = "Waiting costs the message on a hot day, and an exchanger that is taken off in vain"
+    return Evidence(moved, (*told, _full_open(facts)), "a cooler season, or an outlet sensor that reads high", waiting)
+
+
+def _kelvin(margin_k: float) -> str:
+    """A margin as a reader sees it: how far below or above a level."""
+    if math.isnan(margin_k):
+        return "at an unknown distance from"
+    return f"{abs(margin_k):.0f} K {'below' if margin_k >= 0.0 else 'above'}"
+
+
 def compressor(facts: Facts, since: str) -> Evidence:
     """Efficiency where the exit temperature is recorded, else effective diameter."""
     loss, sd, shrunk = facts["cc_efficiency_loss"], facts["cc_efficiency_loss_sd"], facts["shrunk"]
