@@ -145,9 +145,10 @@ def low_margin(facts: Facts, since: str) -> Evidence:
     """Little reserve before the message, and what took it."""
     loss, sd = facts["hx_fouling"], facts["hx_fouling_sd"]
     moved = (
-        f"With the ram door full open the outlet would stand {_kelvin(facts['hx_margin_k'])} its level in the hottest fifth "
-        f"of the last flight, {_kelvin(facts['hx_margin_hot_day_k'])} it on a hot day (ISA + 15 K); message 21-52-HXTEMP "
-        f"within 300 flights with probability {_probability(facts['hx_passage_300'])}, believed since {since}"
+        f"With the ram door full open the outlet would stand {_kelvin(facts['hx_margin_k'])} its level in the hottest "
+        f"fifth of the last flight, {_kelvin(facts['hx_margin_hot_day_k'])} it on a hot day (ISA + 15 K); message "
+        f"21-52-HXTEMP within 300 flights with probability {_probability(facts['hx_passage_300'])}, "
+        f"believed since {since}"
     )
     parts = {
         "the design gives": "hx_margin_design_k", "target": "hx_margin_target_k", "flow": "hx_margin_flow_k",
@@ -155,9 +156,8 @@ def low_margin(facts: Facts, since: str) -> Evidence:
     }  # fmt: skip
     shares = ", ".join(f"{word} {facts[name]:+.0f} K" for word, name in parts.items() if not math.isnan(facts[name]))
     told = [Witness(NEUTRAL, f"what makes the margin: {shares}")] if shares else []
-    told.append(
-        Witness(NEUTRAL, f"UA lost (hx_fouling) {100 * loss:.0f} +- {100 * sd:.0f} %: wear alone does not explain it")
-    )
+    worn = f"UA lost (hx_fouling) {100 * loss:.0f} +- {100 * sd:.0f} %: wear alone does not explain it"
+    told.append(Witness(NEUTRAL, worn))
     if facts["overheat_p20_k"] > 1.0:
         above = f"on the last flight the outlet was {facts['overheat_p20_k']:.0f} K above its level, door full open"
         told.append(Witness(SUPPORTS, above))

@@ -8,24 +8,22 @@ import skops.io
 
 from hdt_core.health.margin import CRITICAL
 from hdt_core.prognosis.card import from_parts, model_card, to_parts
-from hdt_core.prognosis.model import Prognosis, fit_base
+from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.record import Heard, Record
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
 from hdt_core.records.unit_index import PACK
 from pipelines.assets.stage import Shown, stage
+from pipelines.learned import TRUSTED, shipped_base
 from pipelines.pictures import DRAWN, night_pictures
 from pipelines.resources import Home
 from pipelines.store import Store
 
-# what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file
-TRUSTED = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
-
 
 @stage("prognosis_base", group="prognosis")
 def prognosis_base() -> pl.DataFrame:
-    """What simulated lives teach, before any fleet has been seen: fitted once for a version of the code."""
-    base = fit_base()
+    """What simulated lives teach, before any fleet has been seen: learned once and shipped."""
+    base = shipped_base()
     return _kept(base, model_card(base))
 
 
