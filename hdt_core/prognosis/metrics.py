@@ -111,13 +111,15 @@ def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, 
 
 
 def score_prognoses(judged: pl.DataFrame) -> dict[str, float]:
-    """Figures over judged prognoses; remaining life over lives that ended in the message, capped at 300 flights.
+    """Figures over judged prognoses; remaining life capped at 300 flights.
 
-    A figure that can't be computed is left out.
+    Of every flight of which it is known: the message came, or the unit outlived 300 more flights. Lives that ended in the
+    message alone would reward whoever always foretells one. A figure that can't be computed is left out.
     """
-    ended = judged.filter(pl.col("failed") & pl.col("rul_flights").is_not_null())
+    outlived = pl.col("failed") | (pl.col("left") >= CAP)
+    ended = judged.filter(outlived & pl.col("rul_flights").is_not_null())
     asked = judged.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
-    scores: dict[str, float] = {"failures": float(ended["life"].n_unique())}
+    scores: dict[str, float] = {"failures": float(ended.filter("failed")["life"].n_unique())}
     if ended.height:
         truth, said, low, high = (
             np.minimum(ended[c].to_numpy(), CAP) for c in ("left", "rul_flights", "rul_low", "rul_high")

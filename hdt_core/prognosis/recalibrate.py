@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Levels = tuple[float, float, float]
 
 TERMS = ("constant", "near", "reserve")
-_PRIOR_SD = np.array([0.7, 0.4, 0.8])
+_PRIOR_SD = np.array([0.5, 0.3, 0.5])
 RESERVE = (-0.2, 0.6, 0.2)
 """Lowest and highest reserve that the correction tells apart, and the one in between where it does nothing. ln [-]"""
 NOMINAL: Levels = (0.05, 0.5, 0.95)

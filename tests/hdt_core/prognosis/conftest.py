@@ -6,7 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.simulate.episodes import EpisodeSettings, draw_episodes
+from hdt_core.health.margin import CRITICAL, EXCESS_K, SHARES
+from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes
+from hdt_core.simulate.training import LN_RATIO_PER_K
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
 
@@ -26,23 +28,38 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     features, messages, maintenance = [], [], []
     for number in range(8):
         for pack in (1, 2):
-            tail, total, value = f"LX-T{number:02d}", 320, np.empty(0)
+            tail, total, value = f"LX-T{number:02d}", 320, np.empty((0, len(COLUMNS)))
             flights = _flights(tail, pack, total)
-            while value.size < total:
+            while len(value) < total:
                 track, message = next(lives)
-                end = value.size + message
-                value = np.append(value, track[: message + 3])
+                end = len(value) + message
+                value = np.concatenate([value, track[: message + 3]])
                 if end + 3 < total:
                     told = flights.row(end, named=True)
                     messages.append((told["departed_at"], told["flight_id"], pack, tail))
                     maintenance.append((flights["departed_at"][end + 3].date(), pack, tail))
-            features.append(flights.with_columns(hx_fouling=pl.Series(value[:total]), hx_fouling_sd=0.015))
+            told = pl.DataFrame(value[:total], schema=list(COLUMNS))
+            features.append(pl.concat([flights, told], how="horizontal"))
     return pl.concat(features), _messages(messages), _maintenance(maintenance)
 
 
+COLUMNS = (
+    "hx_fouling", "hx_fouling_sd", "hx_ln_ua_ratio", "overheat_p20_k", "overheat_p50_k", "full_open_share", *CRITICAL,
+)  # fmt: skip
+
+
 def _lives() -> list[tuple[np.ndarray, int]]:
-    lives = draw_episodes(77, EpisodeSettings(units=120, flights=420))
-    return [(track, int(min(end, 400))) for track, end in zip(lives.measured, lives.message, strict=True)]
+    lives = draw_episodes(77, EpisodeSettings(aircraft=60, flights=420))
+    tracks = np.stack([*_columns(lives)], axis=-1)
+    return [(track, int(min(end, 400))) for track, end in zip(tracks, lives.message, strict=True)]
+
+
+def _columns(lives: Episodes) -> list[np.ndarray]:
+    """`COLUMNS`, the critical ratios as straight lines through the one that the episodes were drawn with."""
+    asked = np.where(np.isnan(lives.asked), np.nanmedian(lives.asked), lives.asked)[:, LEAD:]
+    curves = [asked - 0.05 * i - LN_RATIO_PER_K * (e - 7.0) for i in range(len(SHARES)) for e in EXCESS_K]
+    seen = (lives.overheat_k, lives.overheat_half_k, lives.full_open)
+    return [lives.measured, np.full(lives.measured.shape, 0.015), lives.ratio, *seen, *curves]
 
 
 def _messages(rows: list[tuple[object, ...]]) -> pl.DataFrame:

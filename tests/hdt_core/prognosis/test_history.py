@@ -3,21 +3,28 @@
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.history import FEATURES, history
+from hdt_core.prognosis.history import FEATURES, RISES, Panel, feature_rows
+
+NAMES = {name: i for i, name in enumerate(FEATURES)}
 
 
 def track(rows: int = 3, flights: int = 200) -> np.ndarray:
     rng = np.random.default_rng(0)
-    return np.cumsum(0.004 * rng.gamma(1.0, 1.0, (rows, flights)), axis=1) + 0.01 * rng.standard_normal((rows, flights))
+    return np.cumsum(0.002 * rng.gamma(1.0, 1.0, (rows, flights)), axis=1) + 0.01 * rng.standard_normal((rows, flights))
 
 
-def features(level: np.ndarray) -> dict[str, np.ndarray]:
+def features(level: np.ndarray, asked: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Each feature over (units, flights), each unit on a pack of its own."""
     age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
-    return history(level, np.full_like(level, 0.02), age, np.clip(level, 0.0, 1.0))
-
-
-def test_names_are_the_declared_ones():
-    assert set(features(track())) == set(FEATURES)
+    hot = 10.0 * np.clip(level, 0.0, 1.0)
+    panel = Panel(
+        level, np.full_like(level, 0.02), age, np.log1p(-np.clip(level, 0.0, 0.9)), hot, 0.5 * hot, 0.1 * hot, age
+    )
+    rng = np.random.default_rng(5)
+    asked = -0.6 + 0.1 * rng.standard_normal((len(level), 400))[:, : level.shape[1]] if asked is None else asked
+    at = tuple(i.ravel() for i in np.indices(level.shape))
+    found = feature_rows(panel, at, asked, at)
+    return {name: found[:, i].reshape(level.shape) for name, i in NAMES.items()}
 
 
 @pytest.mark.parametrize("cut", [1, 6, 50, 150])
@@ -29,18 +36,21 @@ def test_nothing_from_the_future(cut):
 
 
 def test_a_straight_line_is_read_exactly():
-    level = np.broadcast_to(0.1 + 0.003 * np.arange(150.0), (1, 150))
-    said = features(level)
+    level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
+    said = features(level, np.full((1, 150), np.log(0.5)))
     for name in ("slope_10", "slope_30", "slope_100", "slope_segment", "slope_life"):
-        assert said[name][0, 140] == pytest.approx(0.003, rel=1e-6)
-    assert said["left_linear_30"][0, 140] == pytest.approx((1.0 - level[0, 140]) / 0.003, rel=1e-6)
+        assert said[name][0, 140] == pytest.approx(0.002, rel=1e-6)
+    left = 1.0 - level[0, 140]
+    assert said["reserve_95"][0, 140] == pytest.approx(np.log(left / 0.5), rel=1e-9)
+    assert said["left_linear_30"][0, 140] == pytest.approx(np.log(left / 0.5) / (0.002 / left), rel=1e-6)
 
 
-@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
-def test_a_power_law_is_extrapolated_to_its_end(power):
-    n = np.arange(1.0, 301.0)
-    left = features(((n / 400.0) ** power)[None, :])["left_power"][0, 250]
-    assert left == pytest.approx(400.0 - 251.0, rel=0.25)
+def test_what_is_asked_beyond_what_is_left_is_a_message_soon():
+    level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
+    safe, gone = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
+    assert safe["passage_50"][0, 140] < 0.01
+    assert gone["passage_50"][0, 140] > 0.99
+    assert gone["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
 
 
 def test_a_wash_starts_a_new_stretch():
@@ -48,3 +58,10 @@ def test_a_wash_starts_a_new_stretch():
     said = features(level)
     assert said["slope_segment"][0, -1] == pytest.approx(0.3 / 49, rel=0.1)
     assert said["peak"][0, -1] == pytest.approx(0.6)
+
+
+def test_the_hazard_may_only_follow_physics_where_physics_says_how():
+    signs = dict(zip(FEATURES, RISES, strict=True))
+    assert signs["reserve_95"] == signs["left_linear_30"] == signs["passage_median"] == -1
+    assert signs["passage_100"] == signs["overheat_40"] == signs["hot_share_40"] == 1
+    assert signs["level"] == signs["slope_30"] == 0

@@ -113,7 +113,7 @@ def test_a_worse_model_is_not_promoted(fitted):
 def test_service_keeps_the_model_that_does_better(fleet, fitted):
     features, _, model = fitted
     record = Record(*fleet)
-    blind = replace(model, base_levels=(0.45, 0.55), fits={})
+    blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
     first = serve(model, None, record)
     assert first.card["promoted"]

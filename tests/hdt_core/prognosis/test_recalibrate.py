@@ -20,7 +20,27 @@ def test_no_failure_no_correction():
     hazard = np.full((30, SPANS), 0.1)
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
     assert done == Correction()
-    assert learn_levels(event_by(hazard)[:0], np.empty(0), np.empty(0, int), (0.04, 0.96)) == (0.04, 0.96)
+    none = np.empty(0)
+    said = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
+    assert said == (0.04, 0.5, 0.96)
+
+
+def test_levels_of_a_right_distribution_are_the_nominal_ones_in_spite_of_censoring():
+    rng = np.random.default_rng(3)
+    death, cut = rng.exponential(120.0, 4000), rng.uniform(0.0, 250.0, 4000)
+    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
+    low, middle, high = learn_levels(by, np.minimum(death, cut), death <= cut, np.arange(4000), prior_lives=0.0)
+    assert low == pytest.approx(0.05, abs=0.01)
+    assert middle == pytest.approx(0.5, abs=0.03)
+    assert high > 0.85  # nothing was seen beyond the cuts: as far as the lives reach
+
+
+def test_levels_of_a_distribution_that_comes_too_late_are_lower():
+    rng = np.random.default_rng(4)
+    death = rng.exponential(60.0, 2000)
+    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (2000, SPANS + 1))
+    _, middle, _ = learn_levels(by, death, np.ones(2000, bool), np.arange(2000))
+    assert middle == pytest.approx(1.0 - np.exp(-0.5 * np.log(2.0)), abs=0.03)
 
 
 @pytest.mark.parametrize(("n", "share"), [(3, 0.1), (200, 0.6)])
@@ -37,15 +57,15 @@ def test_a_hazard_twice_too_low_is_corrected_as_far_as_the_lives_carry(n, share)
 
 
 def test_limit_moves_from_the_prior_to_the_messages():
-    prior = PRIORS["HX"]
+    prior = PRIORS["CC"]
     assert learn_limit(np.empty(0), prior) == prior
-    few, many = learn_limit(np.full(1, 0.3), prior), learn_limit(np.full(30, 0.3), prior)
-    assert 0.3 < few.mean < prior.mean
-    assert many.mean == pytest.approx(0.3, abs=0.01)
+    few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)
+    assert 0.15 < few.mean < prior.mean
+    assert many.mean == pytest.approx(0.15, abs=0.01)
     assert many.sd < few.sd < prior.sd
 
 
 def test_a_clog_does_not_pull_the_limit_far():
-    levels = np.array([0.40, 0.41, 0.39, 0.40])
-    clean, clogged = learn_limit(levels, PRIORS["HX"]), learn_limit(np.append(levels, 0.8), PRIORS["HX"])
+    levels = np.array([0.25, 0.26, 0.24, 0.25])
+    clean, clogged = learn_limit(levels, PRIORS["CC"]), learn_limit(np.append(levels, 0.65), PRIORS["CC"])
     assert abs(clogged.mean - clean.mean) < 0.03
