@@ -54,6 +54,8 @@ SEEN = (
     "season_cos",
 )
 FEATURES = (*WEAR, *RESERVE, *PASSAGE, *SEEN)
+RECORD = (*WEAR, *SEEN, "ratio", "run")
+"""What does not depend on when the aircraft speaks."""
 FALLING = ("reserve_", "left_linear_", "passage_median")
 RISING = ("passage_", "overheat_", "hot_share_", "full_open_")
 RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) else 0 for name in FEATURES)
@@ -94,8 +96,8 @@ class Panel:
     day: Array
 
 
-def feature_rows(panel: Panel, at: tuple[Index, Index], critical: Array, where: tuple[Index, Index]) -> Array:
-    """Features of some flights. (n, p), columns `FEATURES`, NaN where undefined.
+def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
+    """What the record alone says at some flights, whenever the aircraft speaks. (n, q), columns `RECORD`.
 
     Parameters
     ----------
@@ -103,21 +105,33 @@ def feature_rows(panel: Panel, at: tuple[Index, Index], critical: Array, where: 
         Units and their flights.
     at : tuple of array
         Unit and flight of each row, as the panel counts them.
+    """
+    start = _segment_start(panel.level)
+    along = _wear(panel, start) | _seen(panel)
+    run = np.asarray(np.arange(panel.level.shape[1]) - start + 1.0, dtype=float)
+    along |= {"ratio": panel.ratio, "run": run}
+    return np.stack([along[name][at] for name in RECORD], axis=1)
+
+
+def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
+    """Features of some flights. (n, p), columns `FEATURES`, NaN where undefined.
+
+    Parameters
+    ----------
+    record : array, shape (n, q)
+        From `record_rows`.
     critical : array, shape (packs, flights)
         What each flight of a pack asked, whichever unit flew. See `conditions.asked`.
     where : tuple of array
         Pack and flight of each row, as `critical` counts them.
     """
-    start = _segment_start(panel.level)
-    along = _wear(panel, start) | _seen(panel)
-    rows = {name: values[at] for name, values in along.items()}
-    asks, ratio = asked(critical, *where), panel.ratio[at]
+    rows = dict(zip(RECORD, record.T, strict=True))
+    asks, ratio, run = asked(critical, *where), rows["ratio"], rows["run"]
     rows |= {name.replace("asked", "reserve"): ratio - asks[name] for name in QUANTILES}
     rows["asked_trend"] = asks["asked_trend"]
     # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
-    run = np.asarray((np.arange(panel.level.shape[1]) - start + 1.0)[at], dtype=float)
     rate = wear_rate(np.asarray(np.where(run >= 60.0, slope["100"], slope["segment"]), dtype=float), run)
     rows |= _passages(ratio, np.stack([asks[name] for name in ASKED[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)

@@ -113,8 +113,8 @@ def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, 
 def score_prognoses(judged: pl.DataFrame) -> dict[str, float]:
     """Figures over judged prognoses; remaining life capped at 300 flights.
 
-    Of every flight of which it is known: the message came, or the unit outlived 300 more flights. Lives that ended in the
-    message alone would reward whoever always foretells one. A figure that can't be computed is left out.
+    Of every flight of which it is known: the message came, or the unit outlived 300 more flights. Lives that ended in
+    the message alone would reward whoever always foretells one. A figure that can't be computed is left out.
     """
     outlived = pl.col("failed") | (pl.col("left") >= CAP)
     ended = judged.filter(outlived & pl.col("rul_flights").is_not_null())

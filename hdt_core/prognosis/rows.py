@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hdt_core.health.conditions import repeated
 from hdt_core.health.margin import CRITICAL, EXCESS_K, PRIOR_RULE, SHARES, MessageRule, at_excess
-from hdt_core.prognosis.history import FEATURES, Panel, feature_rows
+from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
 from hdt_core.prognosis.lives import flight_rows
 from hdt_core.prognosis.message_rule import learn_rules
@@ -70,7 +70,8 @@ def simulated_rows(seed: int, fleets: int = 50, aircraft: int = 20, flights: int
         offset = rng.integers(0, stride, (left.shape[0], 1))
         keep = (left >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
         unit, flight = np.nonzero(keep)
-        found = feature_rows(_panel_of(lives), (unit, flight), repeated(lives.asked), (unit, LEAD + flight))
+        record = record_rows(_panel_of(lives), (unit, flight))
+        found = feature_rows(record, repeated(lives.asked), (unit, LEAD + flight))
         table = np.column_stack([found, np.full(unit.size, doubt)])
         life = number * left.shape[0] + unit
         parts.append(Rows(table, left[keep], failed[keep], np.full(unit.size, f"{number}"), life))
@@ -95,6 +96,8 @@ class Tracks:
         Lives and their flights.
     at : ndarray of int, shape (n, 2)
         For each row of `keys`: its life and its column, the column -1 before the first known value.
+    record : ndarray, shape (n, q)
+        What the record says at each row of `keys`, columns `history.RECORD`.
     curves : ndarray, shape (packs, flights, shares, excesses)
         Critical ln ratio of every flight of every pack; no shares for a component whose message has a limit of its own.
     where : ndarray of int, shape (n, 2)
@@ -109,6 +112,7 @@ class Tracks:
 
     panel: Panel
     at: NDArray[np.int_]
+    record: Array
     curves: Array
     where: NDArray[np.int_]
     keys: pl.DataFrame
@@ -140,9 +144,12 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         column=pl.col("value").is_not_null().cum_sum().over(*PACK, "life").cast(pl.Int64) - 1,
         pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1),
     )
+    panel = _panel(rows.filter(pl.col("value").is_not_null()), int(rows["life_id"].max() or 0) + 1)  # type: ignore[arg-type]
+    at = rows.select("life_id", "column").to_numpy()
     return Tracks(
-        panel=_panel(rows.filter(pl.col("value").is_not_null()), int(rows["life_id"].max() or 0) + 1),  # type: ignore[arg-type]
-        at=rows.select("life_id", "column").to_numpy(),
+        panel=panel,
+        at=at,
+        record=record_rows(panel, (at[:, 0], np.maximum(at[:, 1], 0))),
         curves=_curves(rows, component),
         where=rows.select("pack_id", "row").to_numpy(),
         keys=rows.select(*PACK, "flight_id", "departed_at", "life_id"),
@@ -186,7 +193,7 @@ def fleet_rows(track: Tracks, says: Says, asked: NDArray[np.bool_] | None = None
     asked = np.ones(len(track.at), bool) if asked is None else asked
     critical, doubt = _critical(track, says)
     (life, column), (pack, flight) = track.at[asked].T, track.where[asked].T
-    found = feature_rows(track.panel, (life, np.maximum(column, 0)), critical, (pack, flight))
+    found = feature_rows(track.record[asked], critical, (pack, flight))
     features = np.where((column < 0)[:, None], np.nan, np.column_stack([found, doubt[asked]]))
     tail = track.keys["tail"].to_numpy().astype(str)
     return Rows(features, track.left[asked], track.failed[asked], tail[asked], life)

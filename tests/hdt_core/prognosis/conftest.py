@@ -49,7 +49,7 @@ COLUMNS = (
 
 
 def _lives() -> list[tuple[np.ndarray, int]]:
-    lives = draw_episodes(77, EpisodeSettings(aircraft=60, flights=420))
+    lives = draw_episodes(78, EpisodeSettings(aircraft=60, flights=420))
     tracks = np.stack([*_columns(lives)], axis=-1)
     return [(track, int(min(end, 400))) for track, end in zip(tracks, lives.message, strict=True)]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.history import FEATURES, RISES, Panel, feature_rows
+from hdt_core.prognosis.history import FEATURES, RISES, Panel, feature_rows, record_rows
 
 NAMES = {name: i for i, name in enumerate(FEATURES)}
 
@@ -23,7 +23,7 @@ def features(level: np.ndarray, asked: np.ndarray | None = None) -> dict[str, np
     rng = np.random.default_rng(5)
     asked = -0.6 + 0.1 * rng.standard_normal((len(level), 400))[:, : level.shape[1]] if asked is None else asked
     at = tuple(i.ravel() for i in np.indices(level.shape))
-    found = feature_rows(panel, at, asked, at)
+    found = feature_rows(record_rows(panel, at), asked, at)
     return {name: found[:, i].reshape(level.shape) for name, i in NAMES.items()}
 
 

@@ -13,16 +13,17 @@ from hdt_core.prognosis.card import from_parts, model_card, promote, to_parts
 from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import fit_base, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.model import fit_member, fit_prognosis, out_of_fold, predict_prognosis
 from hdt_core.prognosis.record import Record
 from hdt_core.prognosis.rows import INPUTS
 from hdt_core.prognosis.service import serve
+from pipelines.learned import shipped_base
 
 
 @pytest.fixture(scope="module")
 def base():
-    """A small base: one model, a third of the simulated fleets."""
-    return fit_base(members=1, fleets=16)
+    """The base that is shipped: it was learned from fleets of other seeds."""
+    return shipped_base()
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,9 @@ def test_nothing_from_the_future(fitted):
 
 def test_unseen_lives_are_foretold(held_out):
     scores = score_prognoses(held_out)
-    assert scores["mae_flights"] < 50.0
+    known = held_out.filter(pl.col("failed") | (pl.col("left") >= 300))["left"].clip(0, 300).to_numpy()
+    constant = np.abs(known - np.median(known)).mean()
+    assert scores["mae_flights"] < 0.65 * constant
     assert scores["interval_skill"] > 0.2
     assert 0.8 < scores["coverage"] < 1.0
     assert scores["brier_skill"] > 0.25
@@ -95,7 +98,13 @@ def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
 
 def test_same_arguments_same_model(fitted):
     features, lives, model = fitted
-    assert fit_prognosis(features, lives, base=fit_base(members=1, fleets=16)).version == model.version
+    assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
+
+
+def test_same_seed_same_base():
+    one, other = (fit_member(4, fleets=3) for _ in range(2))
+    probe = np.random.default_rng(0).standard_normal((50, len(INPUTS) + 1))
+    np.testing.assert_array_equal(one.predict_proba(probe), other.predict_proba(probe))
 
 
 def test_a_worse_model_is_not_promoted(fitted):
