@@ -81,15 +81,12 @@ def _chart(facts: Facts, row: dict[str, Any], parts: dict[str, pl.DataFrame]) ->
     when = _seconds(parts["health"]["departed_at"])
     start, now = min(when), max(when)
     ahead = max(0.22 * (now - start), 5 * DAY_S)
-    limit = facts.card.get("loss_at_message", {}).get("HX", {}).get("mean")
-    top = max([45.0, *(100 * hx["value"] + 5).to_list(), 100 * limit + 5 if limit else 0])
+    top = max([45.0, *(100 * hx["value"] + 5).to_list()])
     chart = svg.Chart((start, now + ahead), (-10.0, top), f"Health of {words.pack_name(row)} over time")
-    if limit:
-        chart.line([(start, 100 * limit), (now + ahead, 100 * limit)], svg.GREY, dash="5 4", width=1)
-        chart.words(start, 100 * limit, "message usual here", svg.GREY)
     _lines(chart, hx, parts["health"].filter(parameter="cc_efficiency_loss"))
     _events(chart, parts, start)
-    _expected(chart, facts, row, now, 100 * limit if limit else 40.0)
+    # at which loss the message comes differs from flight to flight, so it has no line: only its time is drawn
+    _expected(chart, facts, row, now, 100 * hx["value"][-1] if hx.height else 0.0)
     return chart.svg(svg.month_ticks(start, now + ahead, 5), "% lost")
 
 

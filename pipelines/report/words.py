@@ -6,6 +6,7 @@ from typing import Any
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.health.diagnoses import DIAGNOSES
+from hdt_core.prognosis.model import HORIZON
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
@@ -70,15 +71,18 @@ def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
 
 
 def flights_left(row: Row) -> str:
-    """Flights left with the 90 % interval, or only what they surely exceed where no event is near."""
+    """Flights left with the 90 % interval, or only what they surely exceed where no event is near.
+
+    300 stands for 300 or more: nobody looks further.
+    """
     rul, low, high, p = (row[k] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50"))
     if rul is None:
         return "not known"
     if low is None or high is None:
         return f"about {rul:.0f}"
-    if p is not None and p < 0.05:
+    if rul >= HORIZON or (p is not None and p < 0.05):
         return f"more than {low:.0f}"
-    return f"{rul:.0f} ({low:.0f} to {high:.0f})"
+    return f"{rul:.0f} ({low:.0f} to {high:.0f}{' or more' if high >= HORIZON else ''})"
 
 
 def diagnosis(code: str) -> str:
