@@ -1,6 +1,6 @@
 """What the flights of a pack have asked of its exchanger of late: the conditions that flights to come are drawn from.
 
-A flight asks for a critical ln conductance ratio (`hdt_core.health.margin`): below it, enough of the flight is spent
+A flight asks for a critical ln conductance ratio (`hdt_core.health.asks`): below it, enough of the flight is spent
 above the level the controller should hold. How often that was asked, and how much, does not depend on the exchanger
 that flew; so it is kept by pack, over all of its units.
 """

@@ -53,7 +53,7 @@ def features(
     witnesses : DataFrame, optional
         `witnesses.witnesses(samples)`; its columns are passed on under their own names.
     margin : DataFrame, optional
-        `margin.margin_flights(samples, ...)`: what each flight asked; gives the margin that is left.
+        `asks.margin_flights(samples, ...)`: what each flight asked; gives the margin that is left.
     health : sequence of str, optional
         Health parameters to describe; the first is the loss that is watched for jumps. What stands before the first
         underscore is the component's code in the maintenance log, in small letters.

@@ -14,8 +14,9 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from hdt_core.health.asks import CRITICAL, EXCESS_K
 from hdt_core.health.conditions import ASKED, LEVELS, asked, repeated
-from hdt_core.health.margin import CRITICAL, EXCESS_K, PRIOR_RULE, at_excess
+from hdt_core.health.margin import PRIOR_RULE, at_excess
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         One row a flight and pack in order of departure: operator, tail, pack, flight_id, `hx_ln_ua_ratio`,
         `hx_fouling`, `hx_fouling_slope_100_per_flight`, `flights_seen_of_unit`.
     asks : DataFrame
-        Of `margin.margin_flights`.
+        Of `asks.margin_flights`.
 
     Returns
     -------

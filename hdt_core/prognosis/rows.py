@@ -6,8 +6,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from hdt_core.health.asks import CRITICAL, EXCESS_K, SHARES
 from hdt_core.health.conditions import repeated
-from hdt_core.health.margin import CRITICAL, EXCESS_K, PRIOR_RULE, SHARES, MessageRule, at_excess
+from hdt_core.health.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
 from hdt_core.prognosis.lives import flight_rows
@@ -128,7 +129,7 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
     ----------
     features : DataFrame
         operator, tail, flight_id, pack, departed_at, the component's loss and sd (see `_loss`) and what each flight
-        asked, `CRITICAL` and `ASKS` of `health.margin.margin_flights`, any row order. What is not there is not known.
+        asked, `CRITICAL` and `ASKS` of `health.asks.margin_flights`, any row order. What is not there is not known.
     lives : DataFrame
         From `lives.episodes`.
     component : str

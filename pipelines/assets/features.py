@@ -6,9 +6,9 @@ import polars as pl
 
 from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.health.alerts import raise_alerts
+from hdt_core.health.asks import margin_flights
 from hdt_core.health.controller import Laws
 from hdt_core.health.features import features as describe
-from hdt_core.health.margin import margin_flights
 from hdt_core.health.witnesses import witnesses
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage

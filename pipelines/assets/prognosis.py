@@ -6,7 +6,7 @@ from typing import Any
 import polars as pl
 import skops.io
 
-from hdt_core.health.margin import CRITICAL
+from hdt_core.health.asks import CRITICAL
 from hdt_core.prognosis.card import from_parts, model_card, to_parts
 from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.record import Heard, Record

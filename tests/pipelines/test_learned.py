@@ -19,5 +19,5 @@ def test_a_third_of_the_base_learned_again_says_the_same():
 
 def test_a_base_learned_from_other_inputs_is_refused(monkeypatch):
     monkeypatch.setattr(learned, "INPUTS", ("another",))
-    with pytest.raises(learned.StaleBaseError, match="python -m pipelines.learned"):
+    with pytest.raises(learned.StaleBaseError, match=r"python -m pipelines\.learned"):
         learned.shipped_base.__wrapped__()

@@ -4,18 +4,10 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.health.asks import CRITICAL, EXCESS_K, LN_RATIOS, PARTS, critical_ln_ratio, full_open_outlet_k
 from hdt_core.health.conditions import asked, repeated
 from hdt_core.health.first_passage import passage, wear_rate
-from hdt_core.health.margin import (
-    CRITICAL,
-    EXCESS_K,
-    LN_RATIOS,
-    PARTS,
-    at_excess,
-    critical_ln_ratio,
-    full_open_outlet_k,
-    left_margin,
-)
+from hdt_core.health.margin import at_excess, left_margin
 from hdt_core.twin import exchanger as hx
 
 CRUISE = {
