@@ -46,7 +46,7 @@ $(READY): requirements.lock pyproject.toml
 # setuptools builds this project from the same pinned set, so it is named here and not in the dependencies
 lock:
 	$(BIN)/uv pip compile --quiet --custom-compile-command 'make lock' --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-strip-extras \
-	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra s3 --extra notebook --extra fmi --extra dev pyproject.toml build-requirements.in -o requirements.lock
+	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra s3 --extra notebook --extra fmi --extra genetic --extra dev pyproject.toml build-requirements.in -o requirements.lock
 
 clean:
 	rm -rf $(VENV) $(HDT_HOME) .pytest_cache .mypy_cache .ruff_cache
