@@ -26,7 +26,7 @@ shared as (
         || ' to ' || strftime(b.until, '%Y-%m-%d') || '.' as detail
     from spans as a
     inner join spans as b
-        on a.tail = b.tail and a.operator != b.operator and a.since <= b.until and b.since <= a.until
+        on a.tail = b.tail and a.operator != b.operator and a.since <= b.until and a.until >= b.since
 )
 
 select * from tables.raw_quarantine
