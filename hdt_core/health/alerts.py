@@ -65,8 +65,8 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     biased = occupied(grid.shape, [c for c in sensors if c.facts.get("biased")])
     sick = door_on | biased | outlet_doubtful(grid)
     compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, sensors))
-    exchangers = hx_cases(grid, maintenance, limits, sick)
-    low = low_margin_cases(grid, maintenance, limits, occupied(grid.shape, exchangers), sick)
+    low = low_margin_cases(grid, maintenance, limits, sick)
+    exchangers = hx_cases(grid, maintenance, limits, sick, occupied(grid.shape, low))
     return doors + sensors + exchangers + low + compressors
 
 

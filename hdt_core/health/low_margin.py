@@ -16,7 +16,7 @@ SETTLED = 5
 FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", "overheat_p20_k")
 
 
-def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, worn: Array, sick: Array) -> list[Case]:
+def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick: Array) -> list[Case]:
     """Packs whose message is to be expected within 300 flights though their loss is below its limit.
 
     Parameters
@@ -27,8 +27,8 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, worn
         Log of work; a new or washed unit begins anew.
     limits : Limits
         Where belief turns into a case.
-    worn, sick : array
-        (units, flights) bool: where fouling or a clog is a case already, where a door or the outlet is in doubt.
+    sick : array
+        (units, flights) bool: where a door or the outlet is in doubt.
     """
     ended = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
@@ -36,7 +36,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, worn
     low = persistent(sure, 4, 5, 20, keep=soon > 0.6 * limits.passage, ended=ended)
     cases = []
     for unit, first, end in spells(low, ended):
-        if worn[unit, first] or loss[unit, first] > limits.fouling:
+        if loss[unit, first] > limits.fouling:
             continue  # wear explains it, and says so
         facts = {name: float(grid.values(name)[unit, first]) for name in FACTS}
         small = np.nonzero(~(soon[unit, : first + 1] > limits.passage))[0]

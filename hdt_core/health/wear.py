@@ -21,23 +21,29 @@ FEIGNED = 90
 """Flights that a faulty sensor may feign a better exchanger before its repair brings the loss back at once."""
 TEN, RISE_MARGIN = 10, 0.02
 """Flights taken together, and what the lowest of many tens lies below the truth by chance alone (scatter 0.005). [-]"""
+BEYOND_DOUBT = 0.05
+"""Loss beyond its limit at which a worn exchanger that has a case of little margin gets one of wear: two sigma. [-]"""
 SAME_CLOG = 40
 """Flights within which a jump and the loss it leads to are one case."""
 SHRUNK = 0.025
 """Loss of effective diameter that an efficiency loss of 5 % brings: equation (5) takes the root of efficiency."""
 
 
-def hx_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick: Array) -> list[Case]:
+def hx_cases(
+    grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick: Array, planned: Array | None = None
+) -> list[Case]:
     """Fouling past its limit, and sudden clogs; `sick` (units, flights) tells where a door or the outlet is in doubt.
 
-    Icing is gone by the next flight and never persists.
+    Icing is gone by the next flight and never persists. Where a shop visit is `planned` for little margin already, a
+    second case of the same exchanger waits until its wear is beyond doubt.
     """
     ended = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
     loss, sd, step = grid.values("hx_fouling"), grid.values("hx_fouling_sd"), grid.values("hx_fouling_step_3")
     settled = (since(ended) > SETTLED) & ~(step < -limits.clog)
     trusted = settled & (~lingering(sick, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
     gained = risen(np.where(lingering(sick, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), ended)
-    worn = (_odds(loss, sd, limits.fouling) > limits.fouling_odds) | (gained > limits.fouling + RISE_MARGIN)
+    limit = limits.fouling + (0.0 if planned is None else np.where(planned, BEYOND_DOUBT, 0.0))
+    worn = (_odds(loss, sd, limit) > limits.fouling_odds) | (gained > limit + RISE_MARGIN)
     sure = worn | _soon(grid, loss, sd, limits)
     keep = np.fmax(loss, gained) > 0.75 * limits.fouling_soon
     fouled = persistent(sure & trusted, 3, 4, 15, keep=keep, ended=ended)
@@ -152,7 +158,7 @@ def _diameter(grid: Grid, ended: Array) -> Array:
     return np.concatenate([shift.moved, smaller.astype(float)], axis=2)
 
 
-def _odds(value: Array, sd: Array, limit: float) -> Array:
+def _odds(value: Array, sd: Array, limit: Array | float) -> Array:
     """Probability that the quantity is above the limit; 0 where unknown."""
     safe = np.maximum(np.nan_to_num(sd, nan=1.0), 1e-6)
     return np.asarray(np.nan_to_num(ndtr((value - limit) / safe)))
