@@ -110,8 +110,7 @@ class Ledger:
 
     def digests(self) -> dict[str, str]:
         """Content hash of every file seen, by path."""
-        with self._open() as con:
-            return dict(con.execute("select path, digest from files").fetchall())
+        return dict(self._ask(lambda con: con.execute("select path, digest from files").fetchall()))
 
     def register(
         self, files: Iterable[tuple[str, str, str, str, int, int, str]], flights: dict[str, list[str]]

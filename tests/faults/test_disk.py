@@ -82,6 +82,7 @@ def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, l
     def full(*_: object, **__: object) -> None:
         raise error
 
+    (tmp_path / "fleet.csv").write_text("operator,tail,msn,delivered_on,packs\n")
     monkeypatch.setattr(nightly, "run_night", full)
     monkeypatch.setattr(sys, "argv", ["hdt", "nightly", "--landing", str(tmp_path), "--home", str(tmp_path / "home")])
     with pytest.raises(SystemExit) as end:

@@ -34,7 +34,7 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
                 track, message = next(lives)
                 end = len(value) + message
                 value = np.concatenate([value, track[: message + 3]])
-                if end + 3 < total:
+                if end + 6 < total:  # the entry counts from the end of its day: three flights later at the most
                     told = flights.row(end, named=True)
                     messages.append((told["departed_at"], told["flight_id"], pack, tail))
                     maintenance.append((flights["departed_at"][end + 3].date(), pack, tail))
@@ -51,7 +51,8 @@ COLUMNS = (
 def _lives() -> list[tuple[np.ndarray, int]]:
     lives = draw_episodes(78, EpisodeSettings(aircraft=60, flights=420))
     tracks = np.stack([*_columns(lives)], axis=-1)
-    return [(track, int(min(end, 400))) for track, end in zip(tracks, lives.message, strict=True)]
+    ends = np.minimum(lives.message, 400)
+    return [(track, int(end)) for track, end in zip(tracks, ends, strict=True) if end > 10]
 
 
 def _columns(lives: Episodes) -> list[np.ndarray]:

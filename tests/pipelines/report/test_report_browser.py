@@ -25,7 +25,8 @@ const find = document.getElementById('find');
 find.value = 'a9-bac 2'; find.dispatchEvent(new Event('input'));
 seen.found = shown().map((r) => r.cells[2].textContent);
 seen.cards = [...document.querySelectorAll('#tracks article')].filter((r) => !r.hidden).length;
-const folds = () => [...document.querySelectorAll('details')].map((d) => d.open);
+// the fold of closed alerts; within a card another one holds what was said when it was raised
+const folds = () => [...document.querySelectorAll('details')].filter((d) => d.querySelector('[data-find]')).map((d) => d.open);
 seen.unfolded = folds();
 find.value = ''; find.dispatchEvent(new Event('input'));
 seen.folded = folds();
