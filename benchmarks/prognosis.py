@@ -28,8 +28,9 @@ from hdt_core.prognosis.metrics import (
     prognostic_horizon,
     score_prognoses,
 )
-from hdt_core.prognosis.model import Prognosis, fit_base, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.model import Prognosis, fit_prognosis, out_of_fold, predict_prognosis
 from hdt_core.simulate.design import FleetSettings
+from pipelines.learned import shipped_base
 
 PAGE = Path(__file__).parent.parent / "docs" / "prognosis.md"
 SCORED, TAUGHT = 9000, 6000
@@ -317,7 +318,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="update docs/prognosis.md")
     given = parser.parse_args()
     scored = list(flown(SCORED, given.fleets, SIZE))
-    base = fit_base()
+    base = shipped_base()
     counted = pl.concat([tally(f) for f in scored])
     judged = product(scored, base)
     flights = int(counted.filter(pl.col("what") == "flights")["value"].sum())
