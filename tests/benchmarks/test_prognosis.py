@@ -8,7 +8,7 @@ from benchmarks.augment import SHORTEST, augmented
 from benchmarks.contestants import lead_at_budget
 from benchmarks.federated import averaged_rule
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
-from benchmarks.prognosis import ALERT_GOALS, alert_figures
+from benchmarks.prognosis import ALERT_GOALS, alert_figures, low_margin_rightly
 from hdt_core.health.asks import EXCESS_K, SHARES, critical_name
 from hdt_core.health.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.history import FEATURES
@@ -103,3 +103,10 @@ def test_rules_of_operators_average_by_precision_with_the_prior_counted_once():
 def test_share_and_persistence_are_those_that_most_messages_speak_for():
     few, many = MessageRule(0.2, 5.0, 1.0, 3, 1), MessageRule(0.5, 9.0, 1.0, 1, 6)
     assert averaged_rule([few, many]) == MessageRule(0.5, pytest.approx(9.0), pytest.approx(1.0), 1, 7)
+
+
+def test_an_alert_of_low_margin_is_right_when_the_message_comes_soon():
+    at = {"tail": ["a", "a", "a", "b"], "pack": [1, 1, 1, 1], "index": [100, 500, 100, 100]}
+    alerts = pl.DataFrame(at | {"diagnosis": ["HX_LOW_MARGIN", "HX_LOW_MARGIN", "HX_FOULING", "HX_LOW_MARGIN"]})
+    ended = {"tail": ["a", "b"], "pack": [1, 1], "component": ["HX", "HX"], "message_index": [300, None]}
+    assert low_margin_rightly(alerts, pl.DataFrame(ended)).to_list() == [True, False, False, False]
