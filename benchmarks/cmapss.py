@@ -5,13 +5,13 @@ and intervals that cover 88 to 92 % at 90 %. Published: LSTM 16.1, DCNN 12.6, th
 them against lives capped at 125, which is easier; both are printed. DIR holds
 train_FD001.txt.gz, test_FD001.txt.gz, RUL_FD001.txt.
 
-The layer is the one exchangers get: causal features of a health track (`history`), the discrete-time hazard
+The layer is the one exchangers get: causal features of a health track (`feature_rows`), the discrete-time hazard
 (`fit_hazard`), and interval levels from engines held out (`learn_levels`). Only the health track is this file's own.
 """
 
 import argparse
 import gzip
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, position, quantile
-from hdt_core.prognosis.history import FEATURES, history
+from hdt_core.prognosis.history import FEATURES, SEEN, Panel, feature_rows, record_rows
 from hdt_core.prognosis.metrics import interval_score
 
 Array = NDArray[np.float64]
@@ -56,6 +56,8 @@ class Track:
     mean: Array
     spread: Array
     weight: Array
+    limit: float = 1.0
+    """Loss at which engines end: the middle of those that teach. [-]"""
 
     def __call__(self, engines: Engines) -> tuple[Array, Array]:
         """Smoothed loss (0 healthy, 1 failed) and smoothed standardised sensors, causal."""
@@ -79,7 +81,8 @@ def learn_track(train: Engines) -> Track:
     z = (train.sensors - mean) / spread
     used = np.clip(1.0 - train.left / HEALTHY_CYCLES, 0.0, 1.0)
     weight = np.linalg.lstsq(np.column_stack([z, np.ones(len(z))]), used, rcond=None)[0]
-    return Track(mean, spread, weight)
+    track = Track(mean, spread, weight)
+    return replace(track, limit=float(np.median(track(train)[0][train.last])))
 
 
 def smoothed(values: Array, unit: Array, gain: float) -> Array:
@@ -100,11 +103,13 @@ def features(engines: Engines, track: Track) -> Array:
     level = np.full((unit.max() + 1, column.max() + 1), np.nan)
     level[unit, column] = loss
     age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
-    told = history(level, np.full_like(level, 0.1), age, np.full_like(level, np.nan))
-    moving = np.isfinite(track.spread)
-    return np.column_stack(
-        [*(told[name][unit, column] for name in FEATURES if not name.startswith("full_open")), sensors[:, moving]]
-    )
+    ratio, unknown = np.log1p(-np.minimum(level, 0.95)), np.full_like(level, np.nan)
+    panel = Panel(level, np.full_like(level, 0.1), age, ratio, unknown, unknown, unknown, unknown)
+    # an engine asks for nothing that differs from cycle to cycle: it ends at a limit, as a compressor does
+    critical = np.full_like(level, np.log1p(-min(track.limit, 0.95)))
+    told = feature_rows(record_rows(panel, (unit, column)), critical, (unit, column))
+    known = np.array([name not in SEEN for name in FEATURES])
+    return np.column_stack([told[:, known], sensors[:, np.isfinite(track.spread)]])
 
 
 def fit(x: Array, left: Array, seed: int) -> list[HistGradientBoostingClassifier]:

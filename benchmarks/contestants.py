@@ -12,12 +12,11 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.isotonic import IsotonicRegression
 
 from benchmarks.fleets import Frames
-from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile, within_horizon
+from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES
-from hdt_core.prognosis.limits import PRIORS
 from hdt_core.prognosis.lives import episodes
-from hdt_core.prognosis.recalibrate import learn_levels
-from hdt_core.prognosis.rows import fleet_rows, tracks
+from hdt_core.prognosis.recalibrate import Levels, learn_levels
+from hdt_core.prognosis.rows import UNTOLD, fleet_rows, tracks
 
 Array = NDArray[np.float64]
 
@@ -53,12 +52,14 @@ def rows_of(fleet: Frames) -> Asked:
     )
     seen = fleet["features"].join(truth, on=["tail", "flight_id", "pack"], how="left")
     known = tracks(seen, lives, "HX")
-    ceiling = tracks(seen.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002)), lives, "HX")
+    true_ratio = (1.0 - pl.col("loss")).log()
+    truly = seen.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002), hx_ln_ua_ratio=true_ratio)
+    ceiling = tracks(truly, lives, "HX")
     frame = known.keys.join(
         seen.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
     )
     raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
-    health, true = (fleet_rows(t, PRIORS["HX"]).features for t in (known, ceiling))
+    health, true = (fleet_rows(t, UNTOLD["HX"]).features for t in (known, ceiling))
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
     kept = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
     return Asked(
@@ -78,10 +79,10 @@ def together(parts: list[Asked]) -> Asked:
 
 @dataclass(frozen=True)
 class Learner:
-    """Hazard and the quantile levels of its 90 % interval."""
+    """Hazard and the quantile levels of its 90 % interval and middle."""
 
     model: HistGradientBoostingClassifier
-    levels: tuple[float, float]
+    levels: Levels
     known: NDArray[np.bool_]
 
     @classmethod
@@ -94,31 +95,33 @@ class Learner:
         known = np.isfinite(asked.inputs[name][use & ~held]).any(axis=0)
         x = np.where(known, asked.inputs[name], 0.0)
         model = fit_hazard(x[use & ~held], asked.left[use & ~held], asked.failed[use & ~held], seed)
-        check = use & held & asked.failed
+        check = use & held
         by = event_by(hazards([model], x[check]))
-        return cls(model, learn_levels(by, asked.left[check], asked.life[check], (0.05, 0.95), prior_lives=5.0), known)
+        left, failed, life = (v[check] for v in (asked.left, asked.failed, asked.life))
+        return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), known)
 
     def say(self, asked: Asked, name: str) -> pl.DataFrame:
         """Prognoses of every row, in the columns of `prognoses`, and the risk of a message within 100 flights."""
         by = event_by(hazards([self.model], np.where(self.known, asked.inputs[name], 0.0)))
-        given = within_horizon(by)
+        low, middle, high = (quantile(by, level) for level in self.levels)
         return outcome(asked).with_columns(
-            rul_flights=pl.Series(quantile(given, 0.5)),
-            rul_low=pl.Series(quantile(given, self.levels[0])),
-            rul_high=pl.Series(quantile(given, self.levels[1])),
+            rul_flights=pl.Series(middle),
+            rul_low=pl.Series(np.minimum(low, middle)),
+            rul_high=pl.Series(np.maximum(high, middle)),
             p_event_50=pl.Series(by[:, EDGES.tolist().index(50.0)]),
             risk=pl.Series(by[:, EDGES.tolist().index(100.0)]),
         )
 
 
 def extrapolated(taught: Asked, asked: Asked) -> pl.DataFrame:
-    """The contestant without a learner: the health track's power law to the limit, its error as taught fleets show."""
+    """The contestant without a learner: the middle of the first passage, its error as taught fleets show."""
 
     def left(rows: Asked) -> Array:
-        return np.clip(np.nan_to_num(rows.inputs["health"][:, FEATURES.index("left_power")], nan=300.0), 1.0, 300.0)
+        middle = rows.inputs["health"][:, FEATURES.index("passage_median")]
+        return np.clip(np.nan_to_num(middle, nan=EDGES[-1]), 1.0, EDGES[-1])
 
-    known = taught.failed & (taught.left >= 1) & (taught.left <= EDGES[-1])
-    factor = np.quantile(taught.left[known] / left(taught)[known], [0.05, 0.95])
+    known = (taught.left >= 1) & (taught.failed | (taught.left >= EDGES[-1]))
+    factor = np.quantile(np.minimum(taught.left, EDGES[-1])[known] / left(taught)[known], [0.05, 0.95])
     seen = (taught.left >= 1) & (taught.failed | (taught.left > 50))
     hit = taught.failed & (taught.left <= 50)
     odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(left(taught)[seen], hit[seen].astype(float))

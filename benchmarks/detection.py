@@ -23,6 +23,7 @@ from hdt_core.simulate.design import FleetSettings
 GROUP = {
     "HX_FOULING": "HX",
     "HX_SUDDEN_CLOG": "HX",
+    "HX_LOW_MARGIN": "HX",
     "CC_DEGRADED": "CC",
     "RAM_DOOR_FAULT": "RAM_DOOR",
     "SENSOR_FAULT": "SENSOR",

@@ -1,11 +1,11 @@
 """Learning across operators that share no flights: `python -m benchmarks.federated [--fleets N] [--write]`.
 
-One type flown by five operators, each in a climate of its own, through the whole chain. What lives teach (the limit,
-the correction of the simulated base, the interval's levels: seven numbers a component) is compared when it is taught by
-an operator's own lives, by everybody's in one place, and by everybody's at home with only the numbers, or only the
-prognoses, put together. The same without the simulated base, where each operator fits a hazard of its own. Every tail
-is judged by what other tails taught; then an operator by what the other operators taught. `--write` puts the tables
-into docs/federated.md.
+One type flown by five operators, each in a climate of its own, through the whole chain. What lives teach (when the
+aircraft speaks, the correction of the simulated base, the levels told: ten numbers for an exchanger, eight for a
+compressor) is compared when it is taught by an operator's own lives, by everybody's in one place, and by everybody's at
+home with only the numbers, or only the prognoses, put together. The same without the simulated base, where each
+operator fits a hazard of its own. Every tail is judged by what other tails taught; then an operator by what the other
+operators taught. `--write` puts the tables into docs/federated.md.
 """
 
 import argparse
@@ -19,12 +19,15 @@ from benchmarks import page
 from benchmarks.contestants import Asked, Learner, rows_of
 from benchmarks.fleets import Frames, flown
 from benchmarks.prognosis import markdown
+from hdt_core.health.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.limits import PRIORS, Limit
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import bootstrap, judge, score_prognoses
-from hdt_core.prognosis.model import Fit, Fits, Prognosis, fit_base, fit_prognosis, named, predict_prognosis
+from hdt_core.prognosis.model import Fit, Fits, Prognosis, fit_prognosis, named, predict_prognosis
 from hdt_core.prognosis.recalibrate import Correction
+from hdt_core.prognosis.rows import UNTOLD, Says
 from hdt_core.simulate.design import FleetSettings
+from pipelines.learned import shipped_base
 
 PAGE = Path(__file__).parents[1] / "docs" / "federated.md"
 FIRST_SEED = 9500
@@ -36,28 +39,54 @@ Part = tuple[pl.DataFrame, pl.DataFrame]
 
 
 def averaged(fits: list[Fits]) -> Fits:
-    """One fit of many, each number weighted by the failures that taught it; the limit by its precision.
-
-    A limit's posterior holds the prior once for every operator: it is taken out of all but one.
-    """
-    return {c: _averaged([f[c] for f in fits], PRIORS[c]) for c in PRIORS}
+    """One fit of many, each number weighted by the failures that taught it; when the aircraft speaks, by precision."""
+    return {c: _averaged([f[c] for f in fits]) for c in UNTOLD}
 
 
-def _averaged(fits: list[Fit], prior: Limit) -> Fit:
-    own = np.array([f.limit.sd**-2.0 - prior.sd**-2.0 for f in fits])
-    precision = prior.sd**-2.0 + own.sum()
-    moved = sum(f.limit.mean * f.limit.sd**-2.0 - prior.mean * prior.sd**-2.0 for f in fits)
-    mean = (prior.mean * prior.sd**-2.0 + moved) / precision
+def _averaged(fits: list[Fit]) -> Fit:
     weight = np.array([max(f.failures, 1e-9) for f in fits])
     weights = np.average([f.correction.weights for f in fits], axis=0, weights=weight)
-    levels = np.average([f.levels for f in fits], axis=0, weights=weight)
+    low, middle, high = (float(v) for v in np.average([f.levels for f in fits], axis=0, weights=weight))
     return Fit(
-        Limit(float(mean), float(precision**-0.5), prior.unit_sd),
+        _averaged_says([f.says for f in fits]),
         Correction(tuple(float(w) for w in weights)),
-        (float(levels[0]), float(levels[1])),
+        (low, middle, high),
         sum(f.failures for f in fits),
         sum(f.lives for f in fits),
     )
+
+
+def _averaged_says(says: list[Says]) -> Says:
+    """One limit of many; or one rule, for everybody: a type's monitors are alike here."""
+    limits = [s for s in says if isinstance(s, Limit)]
+    if limits:
+        prior = PRIORS["CC"]
+        mean, sd = by_precision([(x.mean, x.sd) for x in limits], (prior.mean, prior.sd))
+        return Limit(mean, sd, prior.unit_sd)
+    # an operator's own rule is surer than what it would say of a stranger
+    rules = [min(s.values(), key=lambda r: r.excess_sd_k) for s in says if not isinstance(s, Limit)]
+    return {"": averaged_rule(rules)}
+
+
+def averaged_rule(rules: list[MessageRule]) -> MessageRule:
+    """Share and persistence that most messages speak for; the excess of those who say the same of these."""
+    messages: dict[tuple[float, int], int] = {(PRIOR_RULE.share, PRIOR_RULE.of): 0}
+    for r in rules:
+        messages[r.share, r.of] = messages.get((r.share, r.of), 0) + r.messages
+    share, of = max(messages, key=lambda kind: messages[kind])
+    alike = [(r.excess_k, r.excess_sd_k) for r in rules if (r.share, r.of) == (share, of)]
+    mean, sd = by_precision(alike, (PRIOR_RULE.excess_k, PRIOR_RULE.excess_sd_k))
+    return MessageRule(share, mean, sd, of, sum(r.messages for r in rules))
+
+
+def by_precision(posteriors: list[tuple[float, float]], prior: tuple[float, float]) -> tuple[float, float]:
+    """Mean and sd of many posteriors put together. Each holds the prior: it is taken out of all but one."""
+    own = [sd**-2.0 - prior[1] ** -2.0 for _, sd in posteriors]
+    moved = [mean * sd**-2.0 - prior[0] * prior[1] ** -2.0 for mean, sd in posteriors]
+    # one that is no surer than the prior has nothing to add
+    told = [(p, m) for p, m in zip(own, moved, strict=True) if p > 0.0]
+    precision = prior[1] ** -2.0 + sum(p for p, _ in told)
+    return (prior[0] * prior[1] ** -2.0 + sum(m for _, m in told)) / precision, precision**-0.5
 
 
 def together(said: list[pl.DataFrame]) -> pl.DataFrame:
@@ -80,7 +109,7 @@ def taught(base: Prognosis, parts: dict[str, list[str]], fleet: Frames) -> dict[
 def corrected(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """Judged prognoses of every tail by what others taught the simulated base, by way of learning."""
     fleets, said = tails_of(fleet), {}
-    unmoved = named(base, {c: Fit(PRIORS[c], levels=base.base_levels) for c in PRIORS})
+    unmoved = named(base, {c: Fit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
     for k in range(SIZE.tails):
         teach = {o: tails[:k] + tails[k + 1 :] for o, tails in fleets.items()}
         models = taught(base, teach, fleet)
@@ -104,7 +133,7 @@ def newcomer(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """The same for an operator of which no life was seen."""
     fleets, said = tails_of(fleet), {}
     models = taught(base, fleets, fleet)
-    unmoved = named(base, {c: Fit(PRIORS[c], levels=base.base_levels) for c in PRIORS})
+    unmoved = named(base, {c: Fit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
     for operator, tails in fleets.items():
         others = [m for o, m in models.items() if o != operator]
         every = [t for o, own in fleets.items() if o != operator for t in own]
@@ -195,7 +224,7 @@ def main() -> None:
     asked.add_argument("--write", action="store_true")
     given = asked.parse_args()
     fleets = list(flown(FIRST_SEED, given.fleets, SIZE))
-    base = fit_base()
+    base = shipped_base()
     parts: dict[str, Callable[[Frames], dict[str, list[pl.DataFrame]]]] = {
         "corrected": lambda fleet: corrected(fleet, base),
         "newcomer": lambda fleet: newcomer(fleet, base),

@@ -28,8 +28,9 @@ from hdt_core.prognosis.metrics import (
     prognostic_horizon,
     score_prognoses,
 )
-from hdt_core.prognosis.model import Prognosis, fit_base, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.model import Prognosis, fit_prognosis, out_of_fold, predict_prognosis
 from hdt_core.simulate.design import FleetSettings
+from pipelines.learned import shipped_base
 
 PAGE = Path(__file__).parent.parent / "docs" / "prognosis.md"
 SCORED, TAUGHT = 9000, 6000
@@ -37,6 +38,8 @@ SCORED, TAUGHT = 9000, 6000
 SIZE = FleetSettings(operators=2, tails=5, flights=400, cpl_share=0.0)
 EPISODES = (0, 1, 5, 20)
 PACK = ["tail", "pack"]
+SOON = 300
+"""Flights within which an alert of low margin foretells the message."""
 
 
 def causes(truth: pl.DataFrame) -> pl.DataFrame:
@@ -71,14 +74,16 @@ def tally(fleet: Frames) -> pl.DataFrame:
         .join(about, left_on=[*PACK, "raised_flight_id"], right_on=[*PACK, "flight_id"])
         .with_columns(pl.col("diagnosis").replace_strict(GROUP).alias("group"))
     )
+    alerts = alerts.with_columns(low_margin=low_margin_rightly(alerts, fleet["events"]))
     own = pl.any_horizontal([(pl.col("group") == g) & pl.col(g) for g in ("HX", "CC", "RAM_DOOR", "SENSOR")])
-    fault = pl.any_horizontal("HX", "CC", "RAM_DOOR", "SENSOR", "ice")
+    own |= pl.col("low_margin")
+    fault = pl.any_horizontal("HX", "CC", "RAM_DOOR", "SENSOR", "ice", "low_margin")
     hx = pl.col("group") == "HX"
     told = alerts.select(
         "tail",
         false=(~fault).cast(pl.Float64),
         false_hx=(~fault & hx).cast(pl.Float64),
-        early=(hx & (pl.col("loss") < 0.15)).cast(pl.Float64),
+        early=(hx & (pl.col("loss") < 0.15) & ~pl.col("low_margin")).cast(pl.Float64),
         not_own=(~own).cast(pl.Float64),
         right=pl.when(fault).then(own.cast(pl.Float64)),
     )
@@ -91,6 +96,15 @@ def tally(fleet: Frames) -> pl.DataFrame:
     return pl.concat(parts)
 
 
+def low_margin_rightly(alerts: pl.DataFrame, events: pl.DataFrame) -> pl.Series:
+    """Whether a message followed an alert of low margin within `SOON` flights: it speaks of reserve, not of wear."""
+    ended = events.filter((pl.col("component") == "HX") & pl.col("message_index").is_not_null())
+    ends = {key: own["message_index"].to_numpy() for key, own in ended.group_by(*PACK)}
+    said = alerts.select(*PACK, "index", "diagnosis").iter_rows()
+    right = [d == "HX_LOW_MARGIN" and any(0 < e - at <= SOON for e in ends.get((t, p), ())) for t, p, at, d in said]
+    return pl.Series(right, dtype=pl.Boolean)
+
+
 def _found(events: pl.DataFrame, alerts: pl.DataFrame) -> pl.DataFrame:
     """Lead of each failure [flight, 0 when missed] and whether each fault was found."""
     rows = []
@@ -100,9 +114,11 @@ def _found(events: pl.DataFrame, alerts: pl.DataFrame) -> pl.DataFrame:
             continue
         low = max(e["onset_index"] or 0, e["installed_index"] or 0)
         high = e["message_index"] if wear else (e["removal_index"] or 10**9) + 3
+        # little margin may be seen before wear has set in
+        since = pl.when(pl.col("diagnosis") == "HX_LOW_MARGIN").then(e["installed_index"] or 0).otherwise(low)
         at = alerts.filter(
             pl.col("tail") == e["tail"], pl.col("pack") == e["pack"], pl.col("group") == component,
-            pl.col("index") >= low, pl.col("index") < high,
+            pl.col("index") >= since, pl.col("index") < high,
         )["index"].min()  # fmt: skip
         rows.append((e["tail"], f"found_{component}", float(at is not None)))
         if wear:
@@ -317,7 +333,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="update docs/prognosis.md")
     given = parser.parse_args()
     scored = list(flown(SCORED, given.fleets, SIZE))
-    base = fit_base()
+    base = shipped_base()
     counted = pl.concat([tally(f) for f in scored])
     judged = product(scored, base)
     flights = int(counted.filter(pl.col("what") == "flights")["value"].sum())

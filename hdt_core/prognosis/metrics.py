@@ -126,11 +126,14 @@ def score_prognoses(judged: pl.DataFrame) -> dict[str, float]:
         )
         scores["mae_flights"] = float(np.abs(said - truth).mean())
         scores["interval_score_flights"] = float(interval_score(truth, low, high).mean())
-        scores["interval_skill"] = 1.0 - scores["interval_score_flights"] / constant_interval_score(truth)
-        near = truth <= 100
-        scores["coverage_last_100"] = float(((low <= truth) & (truth <= high))[near].mean())
         scores["coverage"] = float(((low <= truth) & (truth <= high)).mean())
-        scores["alpha_lambda_20"] = alpha_lambda(truth[near], said[near])
+        constant = constant_interval_score(truth)
+        if constant > 0.0:  # where all units outlived, one interval says it all
+            scores["interval_skill"] = 1.0 - scores["interval_score_flights"] / constant
+        near = truth <= 100
+        if near.any():
+            scores["coverage_last_100"] = float(((low <= truth) & (truth <= high))[near].mean())
+            scores["alpha_lambda_20"] = alpha_lambda(truth[near], said[near])
     if 0 < asked["event_50"].sum() < asked.height:
         y, p = asked["event_50"].to_numpy(), asked["p_event_50"].to_numpy()
         scores |= {"brier": float(np.mean((p - y) ** 2)), "brier_skill": brier_skill(y, p), "auc": auc(y, p)}

@@ -13,6 +13,7 @@ from hdt_core.prognosis.metrics import (
     constant_interval_score,
     interval_score,
     prognostic_horizon,
+    score_prognoses,
 )  # fmt: skip
 
 
@@ -54,3 +55,13 @@ def test_bootstrap_draws_whole_tails():
     frame = pl.DataFrame({"tail": ["a"] * 500 + ["b"] * 500, "x": [0.0] * 500 + [1.0] * 500})
     low, high = bootstrap(frame, lambda f: float(f["x"].mean()))
     assert (low, high) == (0.0, 1.0)
+
+
+def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
+    judged = pl.DataFrame(
+        {"left": [320.0, 400.0], "rul_flights": [280.0, 300.0], "rul_low": [150.0, 200.0], "rul_high": [300.0, 300.0]}
+    ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)
+    scores = score_prognoses(judged)
+    assert scores["mae_flights"] == 10.0
+    assert scores["coverage"] == 1.0
+    assert not {"interval_skill", "coverage_last_100", "alpha_lambda_20", "brier_skill"} & scores.keys()
