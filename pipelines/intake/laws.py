@@ -98,7 +98,7 @@ LAWS = (
     Law("what enters the compressor leaves the pack", _flows, 0.75, 1.33),
     Law("the exchanger's inlet is near the compressor's exit", _less("hx_in_k", "cc_out_k"), -10.0, 88.0),
     Law("the exchanger's inlet is bleed air", lambda s: s["hx_in_k"], 293.0, 461.0),
-    Law("the exchanger's exit is near the air outside", _less("hx_out_k", "tat_k"), -30.0, 64.0),
+    Law("the exchanger's exit is near the air outside", _less("hx_out_k", "tat_k"), -30.0, 80.0),
     Law("ram air stays colder than bleed air", _less("hx_in_k", "ram_out_k"), -5.0, 160.0),
     Law("ram air is heated part of the way", _of_the_way, 0.15, 0.85),
     Law("a door is never shut in flight", lambda s: s["ram_door_open"], 0.015, 1.1),
