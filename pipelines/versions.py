@@ -52,7 +52,7 @@ MADE: dict[str, Made] = {
     ),
     "twin_flights": Made(("legs_samples", "calibration_dsm"), code="4"),
     "residuals": Made(("twin_flights",), code="2"),
-    **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="10")),
+    **dict.fromkeys(("twin_health", "twin_chapters"), Made(("twin_flights", "raw_maintenance"), code="11")),
     **dict.fromkeys(("legs_signs", "features_witnesses"), Made(("legs_samples", "calibration_laws"))),
     "features_margin": Made(("legs_samples", "calibration_dsm", "calibration_laws")),
     "legs_admitted": Made(("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),

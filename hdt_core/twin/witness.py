@@ -19,7 +19,8 @@ class Witness(NamedTuple):
     """Where a second sensor speaks.
 
     Columns of its departure, of the ln conductance ratio's derivative by it (empty: they move alike), and of what
-    vouches for it (empty: none); least departure worth a second look, and flights it remembers.
+    vouches for it (empty: none); least departure worth a second look, flights it remembers, and flights in a row that
+    must depart one way before it is believed.
     """
 
     apart: str
@@ -27,6 +28,7 @@ class Witness(NamedTuple):
     least: float
     vouch: str = ""
     memory: float = 40.0
+    confirmed: int = 2
 
 
 LONG = 200.0
@@ -34,7 +36,8 @@ LONG = 200.0
 their level to a third of their flight-to-flight scatter over years."""
 WITNESSES = (
     # a door that reads wrong moves the ratio of cruise, and that of climb and descent by twice as much
-    Witness("door_apart_ln", "", 0.04, "door_apart_ln", LONG),
+    # it vouches for itself alone: a few samples of climb may err for a flight or two, and not for ten one way
+    Witness("door_apart_ln", "", 0.04, "door_apart_ln", LONG, confirmed=10),
     Witness("exit_apart_k", "ratio_per_exit_k", 1.2),
     Witness("flows_apart_ln", "ratio_per_ln_flow", 0.03),
     Witness("tat_apart_k", "ratio_per_tat_k", 0.8, "other_tat_apart_k", LONG),
@@ -109,7 +112,7 @@ def _walk(apart: Array, slope: Array, ratio: Array, vouch: Array, witness: Witne
                 if np.isfinite(vouch[k]):
                     heard = heard + 1 if departed > 1 else 1
                     second += (vouch[k] - beside - second) / min(heard, SHIFT_MEMORY)
-                if not fault and departed >= CONFIRMED:
+                if not fault and departed >= witness.confirmed:
                     if min(met_beside, heard) >= CONFIRMED:
                         fault = _alike(second, level)
                     else:
