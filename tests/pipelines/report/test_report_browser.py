@@ -26,7 +26,8 @@ find.value = 'a9-bac 2'; find.dispatchEvent(new Event('input'));
 seen.found = shown().map((r) => r.cells[2].textContent);
 seen.cards = [...document.querySelectorAll('#tracks article')].filter((r) => !r.hidden).length;
 // the fold of closed alerts; within a card another one holds what was said when it was raised
-const folds = () => [...document.querySelectorAll('details')].filter((d) => d.querySelector('[data-find]')).map((d) => d.open);
+const lists = [...document.querySelectorAll('details')].filter((d) => d.querySelector('[data-find]'));
+const folds = () => lists.map((d) => d.open);
 seen.unfolded = folds();
 find.value = ''; find.dispatchEvent(new Event('input'));
 seen.folded = folds();
