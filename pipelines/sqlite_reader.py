@@ -50,4 +50,8 @@ def _asked(path: Path, how: str, ask: Callable[[sqlite3.Connection], Answer]) ->
 
 def _stamp(path: Path) -> _Stamp:
     told, log = path.stat(), path.with_name(f"{path.name}-wal")
-    return _Stamp(told.st_size, told.st_mtime_ns, log.exists() and log.stat().st_size > 0)
+    try:
+        logged = log.stat().st_size > 0
+    except FileNotFoundError:  # none, or its writer took it away just now
+        logged = False
+    return _Stamp(told.st_size, told.st_mtime_ns, logged)
