@@ -38,7 +38,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick
     for unit, first, end in spells(low, ended):
         if loss[unit, first] > limits.fouling:
             continue  # wear explains it, and says so
-        facts = {name: float(grid.values(name)[unit, first]) for name in FACTS}
+        facts = {name: float(grid.track(name, unit)[first]) for name in FACTS}
         small = np.nonzero(~(soon[unit, : first + 1] > limits.passage))[0]
         began = int(small[-1]) + 1 if small.size else 0
         cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts | {"since": began}))
