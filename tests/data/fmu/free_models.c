@@ -2,16 +2,21 @@
  *
  *   MODEL 1, Van der Pol (1926):       dx0/dt = x1,  dx1/dt = mu (1 - x0^2) x1 - x0
  *   MODEL 2, Dahlquist's test (1963):  dx/dt = -k x
- *   MODEL 3, a ball that bounces:      dh/dt = v,    dv/dt = g,  and v = -e v where h falls through 0
- *   MODEL 4, stairs:                   no state; a count goes up every second
+ *   MODEL 3, a ball that bounces:      dh/dt = v,    dv/dt = g,  and v = -e v where h falls through 0; it lies still
+ *                                      once it bounces at less than SLOWEST
+ *   MODEL 4, stairs:                   no state; a count from 1 goes up every second, and ends it all at 10
  *
- * The last two have events: by an indicator, and by time. Compiled by the tests against the headers of fmpy. */
+ * The last two have events: by an indicator, and by time. Both remember something that is no state: that the ball lies,
+ * and the count. Compiled by the tests against the headers of fmpy. */
+#include <float.h>
 #include <stdlib.h>
 #include "fmi2Functions.h"
 
 enum { FIRST, SECOND, RATE_1, RATE_2, CONSTANT, OTHER, N };
-typedef struct { fmi2Real v[N], time; } Model;
+typedef struct { fmi2Real v[N], time; int count, lies; } Model;
 
+#define SLOWEST 0.1
+#define LAST_COUNT 10
 #if MODEL == 1
 static const fmi2Real START[N] = { 2.0, 0.0, 0.0, 0.0, 1.0, 0.0 };
 #elif MODEL == 2
@@ -19,11 +24,14 @@ static const fmi2Real START[N] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0 };
 #elif MODEL == 3
 static const fmi2Real START[N] = { 1.0, 0.0, 0.0, 0.0, -9.81, 0.7 };
 #else
-static const fmi2Real START[N] = { 1.0 };
+static const fmi2Real START[N] = { 0.0 };
 #endif
 enum { STATES = MODEL == 1 || MODEL == 3 ? 2 : MODEL == 2 ? 1 : 0 };
 
-static void reset(Model *m) { for (int i = 0; i < N; i++) m->v[i] = START[i]; m->time = 0.0; }
+static void reset(Model *m) {
+    for (int i = 0; i < N; i++) m->v[i] = START[i];
+    m->time = 0.0; m->count = 1; m->lies = 0;
+}
 static void solve(Model *m) {
     fmi2Real *v = m->v;
     (void)v;
@@ -34,9 +42,26 @@ static void solve(Model *m) {
     v[RATE_1] = -v[CONSTANT] * v[FIRST];
 #elif MODEL == 3
     v[RATE_1] = v[SECOND];
-    v[RATE_2] = v[CONSTANT];
+    v[RATE_2] = m->lies ? 0.0 : v[CONSTANT];
 #endif
 }
+#if MODEL == 3
+static fmi2Boolean happens(Model *m) {
+    fmi2Real *v = m->v;
+    if (v[FIRST] > 0.0 || v[SECOND] >= 0.0) return fmi2False;
+    v[FIRST] = DBL_MIN; v[SECOND] *= -v[OTHER];
+    if (v[SECOND] < SLOWEST) { v[SECOND] = 0.0; m->lies = 1; }
+    return fmi2True;
+}
+#elif MODEL == 4
+static fmi2Boolean happens(Model *m) {
+    if (m->time < m->count - 1e-9) return fmi2False;
+    m->count++;
+    return fmi2False;
+}
+#else
+static fmi2Boolean happens(Model *m) { return fmi2False; }
+#endif
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
@@ -57,6 +82,10 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     for (size_t i = 0; i < n; i++) value[i] = ((Model *)c)->v[vr[i]];
     return fmi2OK;
 }
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
+    for (size_t i = 0; i < n; i++) value[i] = ((Model *)c)->count;
+    return fmi2OK;
+}
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {
     for (size_t i = 0; i < n; i++) ((Model *)c)->v[FIRST + i] = x[i];
     return fmi2OK;
@@ -71,14 +100,16 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
     return fmi2OK;
 }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
-    info->newDiscreteStatesNeeded = info->terminateSimulation = fmi2False;
-    info->nominalsOfContinuousStatesChanged = info->valuesOfContinuousStatesChanged = fmi2False;
+    Model *m = c;
+    info->valuesOfContinuousStatesChanged = happens(m);
+    info->newDiscreteStatesNeeded = info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->terminateSimulation = MODEL == 4 && m->count >= LAST_COUNT ? fmi2True : fmi2False;
     info->nextEventTimeDefined = MODEL == 4 ? fmi2True : fmi2False;
-    info->nextEventTime = 1.0;
+    info->nextEventTime = m->count;
     return fmi2OK;
 }
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
-    if (n) z[0] = ((Model *)c)->v[FIRST];
+    if (n) z[0] = ((Model *)c)->lies ? 1.0 : ((Model *)c)->v[FIRST];
     return fmi2OK;
 }
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
@@ -102,7 +133,6 @@ fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 
 /* what it does not have */
 #define REFUSED { return fmi2Error; }
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[]) REFUSED
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[]) REFUSED
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String v[]) REFUSED
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer v[]) REFUSED

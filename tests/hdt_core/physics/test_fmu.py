@@ -13,6 +13,7 @@ from pages import walk
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.physics.fmu import fmu_model
+from hdt_core.physics.fmu_events import fmu_over_time
 from hdt_core.physics.model import Param, Signal
 
 SOURCE = Path(__file__).parents[2] / "data" / "fmu"
@@ -142,6 +143,11 @@ def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
     hidden = description.replace("<ModelExchange", "<CoSimulation").replace(' numberOfEventIndicators="0"', "")
     with pytest.raises(ValueError, match=r"FMI 2.0, coSimulation; needs FMI 2.0, modelExchange"):
         fmu_model(packed(tmp_path, hidden, None), **asked)
+
+
+def test_a_run_over_time_takes_no_inputs(fmu):
+    with pytest.raises(ValueError, match=r"has inputs \(air_in_k, inlet\.T, inlet\.flow\)"):
+        fmu_over_time(fmu, outputs=OUTPUTS, params=(UA,), variables=NAMES)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):

@@ -1,4 +1,4 @@
-"""FMUs without inputs: they simulate as fmpy's own solver has it; those with events are refused in words."""
+"""FMUs without inputs, with events and without: they simulate as fmpy has it, and as their closed forms do."""
 
 import shutil
 import subprocess
@@ -11,6 +11,7 @@ import pytest
 from hdt_core.estimation import NonlinearLeastSquares, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.physics.fmu import fmu_model
+from hdt_core.physics.fmu_events import fmu_over_time
 from hdt_core.physics.model import Param, Signal
 
 SOURCE = Path(__file__).parents[2] / "data" / "fmu" / "free_models.c"
@@ -18,6 +19,8 @@ CONTINUOUS = {
     "van_der_pol": (1, ("x0", "x1"), Param("mu", "-", 1.0, (0.1, 5.0), "design")),
     "dahlquist": (2, ("x",), Param("k", "-", 1.0, (0.1, 5.0), "design")),
 }
+GRAVITY, BOUNCE = Param("g", "-", -9.81, (-20.0, -1.0), "design"), Param("e", "-", 0.7, (0.1, 0.95), "design")
+SLOWEST = 0.1  # of free_models.c, below which the ball lies still
 
 
 def description(name: str, states: tuple[str, ...], constants: tuple[str, ...], indicators: int) -> str:
@@ -31,7 +34,8 @@ def description(name: str, states: tuple[str, ...], constants: tuple[str, ...], 
         kind = 'causality="parameter" variability="fixed"'
         variables.append(row.format(constant, 4 + i, kind, f'start="{start[len(states) + i]}"'))
     if not states:
-        variables.append(row.format("count", 0, 'causality="output"', ""))
+        whole = row.replace("Real", "Integer")
+        variables.append(whole.format("count", 0, 'causality="output" variability="discrete"', ""))
     n = len(states)
     outputs = "".join(f'<Unknown index="{i + 1}"/>' for i in range(max(n, 1)))
     rates = "".join(f'<Unknown index="{n + i + 1}"/>' for i in range(n))
@@ -90,11 +94,98 @@ def test_its_parameter_is_estimated(tmp_path):
     assert abs(found.belief.mean[0] - 1.5) < 4.0 * found.belief.sd[0]
 
 
-def test_a_model_with_events_is_refused(tmp_path):
-    ball = description("ball", ("h", "v"), ("g", "e"), 1)
-    height = (Signal("h", "-"),)
-    with pytest.raises(ValueError, match="1 event indicators; a model with events cannot be stepped"):
-        fmu_model(built(tmp_path, "ball", 3, ball), inputs=(), outputs=height, params=())
-    stairs = description("stairs", (), (), 0)
-    with pytest.raises(ValueError, match="event at 1 s; a model with events cannot be stepped"):
-        fmu_model(built(tmp_path, "stairs", 4, stairs), inputs=(), outputs=(Signal("count", "-"),), params=())
+@pytest.fixture(scope="module")
+def ball_fmu(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("ball"), "ball", 3, description("ball", ("h", "v"), ("g", "e"), 1))
+
+
+@pytest.fixture(scope="module")
+def ball(ball_fmu):
+    return fmu_over_time(ball_fmu, outputs=(Signal("h", "-", 0.01), Signal("v", "-")), params=(GRAVITY, BOUNCE))
+
+
+@pytest.fixture(scope="module")
+def stairs_fmu(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("stairs"), "stairs", 4, description("stairs", (), (), 0))
+
+
+def theirs_of(made, end_s, dt_s):
+    import fmpy
+
+    return fmpy.simulate_fmu(
+        str(made),
+        stop_time=end_s,
+        output_interval=dt_s,
+        relative_tolerance=1e-9,
+        fmi_type="ModelExchange",
+        record_events=False,
+    )
+
+
+def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
+    """Height of the ball, let fall from 1: parabola after parabola, the first of them half a one."""
+    start_s, speed, height = 0.0, 0.0, np.zeros(len(time_s))
+    fall_s, lasting_s = np.sqrt(2.0 / g), np.sqrt(2.0 / g)
+    while True:
+        on = (time_s >= start_s) & (time_s <= start_s + lasting_s)
+        since = time_s[on] - start_s
+        height[on] = (1.0 if speed == 0.0 else 0.0) + speed * since - 0.5 * g * since**2
+        start_s, speed = start_s + lasting_s, e * (speed or g * fall_s)
+        if speed < SLOWEST:
+            return height
+        lasting_s = 2.0 * speed / g
+
+
+def test_a_ball_bounces_as_in_closed_form_and_as_fmpy_has_it(ball_fmu, ball):
+    time_s = 0.01 * np.arange(401)
+    seen = ball.predict({}, {"time_s": time_s})
+    np.testing.assert_allclose(seen["h"], bounced(time_s, 9.81, 0.7), atol=1e-6)
+    theirs = theirs_of(ball_fmu, 4.0, 0.01)
+    np.testing.assert_allclose(seen["h"], theirs["h"], atol=1e-6)
+    np.testing.assert_allclose(seen["v"], theirs["v"], atol=1e-5)
+    assert seen["h"][-1] == pytest.approx(0.0, abs=1e-9)  # lies still: a memory that is none of its states
+
+
+def test_stairs_climb_by_the_clock_and_end(stairs_fmu):
+    stairs = fmu_over_time(stairs_fmu, outputs=(Signal("count", "-"),), params=())
+    time_s = 0.25 * np.arange(45)
+    seen = stairs.predict({}, {"time_s": time_s})["count"]
+    np.testing.assert_array_equal(seen, np.where(time_s < 9.0, 1.0 + np.floor(time_s), np.nan))
+    theirs = theirs_of(stairs_fmu, 8.75, 0.25)
+    np.testing.assert_array_equal(seen[:36], theirs["count"])
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
+    made, model = loaded(tmp_path, name)
+    over_time = fmu_over_time(made, outputs=model.outputs, params=model.params)
+    constant = model.params[0].name
+    expected = model.simulate({constant: 1.7}, {}, 0.05, n_samples=101)
+    seen = over_time.predict({constant: 1.7}, {"time_s": 0.05 * np.arange(101)})
+    for output in model.outputs:
+        np.testing.assert_allclose(seen[output.name], expected[output.name], atol=2e-5)
+
+
+def test_instants_come_in_any_order_and_parameters_broadcast(ball):
+    time_s, e = np.array([1.3, 0.2, np.nan, -1.0, 0.2]), np.array([[0.7], [0.5]])
+    seen = ball.predict({"e": e}, {"time_s": time_s})["h"]
+    expected = [[bounced(np.array([t]), 9.81, x)[0] if t > 0.0 else np.nan for t in time_s] for x in (0.7, 0.5)]
+    np.testing.assert_allclose(seen, expected, atol=1e-6)
+
+
+def test_gravity_and_bounce_are_estimated_from_a_record(ball):
+    time_s = 0.02 * np.arange(150)
+    rng = np.random.default_rng(0)
+    measured = {"h": bounced(time_s, 9.5, 0.65) + 0.01 * rng.standard_normal(150)}
+    problem = declared_problem(ball, ["g", "e"], {"time_s": time_s}, measured, prior=unknown(np.array([-9.81, 0.7])))
+    found = NonlinearLeastSquares().estimate(problem)
+    assert found.status == "converged"
+    np.testing.assert_array_less(np.abs(found.belief.mean - [-9.5, 0.65]), 4.0 * found.belief.sd)
+    assert found.belief.sd[1] < 0.005
+
+
+def test_a_model_with_events_is_no_component_of_states(ball_fmu, stairs_fmu):
+    with pytest.raises(ValueError, match="1 event indicators; declare a model with events by fmu_over_time"):
+        fmu_model(ball_fmu, inputs=(), outputs=(Signal("h", "-"),), params=())
+    with pytest.raises(ValueError, match="event at 1 s; declare a model with events by fmu_over_time"):
+        fmu_model(stairs_fmu, inputs=(), outputs=(), params=())
