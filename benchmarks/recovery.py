@@ -34,8 +34,9 @@ from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
 from pipelines import nightly, partitions, runs
 from pipelines.ledger import Ledger
+from pipelines.lineage import LINEAGE
 from pipelines.simulated import write_fleet
-from pipelines.versions import MADE, expected
+from pipelines.versions import expected
 
 PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 AIRCRAFT = [(operator, f"T-{operator}{n:02d}") for operator in ("QAA", "QBB", "QCC", "QDD", "QEE") for n in range(10)]
@@ -77,7 +78,7 @@ def grow(landing: Path, home: Path, flights: int) -> None:
             files.append((name, operator, tail, "acms", 0, path.stat().st_mtime_ns, name))
             held[name] = [flight]
     ledger.register(files, held)
-    for table in MADE:  # parents stand before their children
+    for table in LINEAGE:  # parents stand before their children
         cells = expected(ledger, table)
         ledger.mark(table, cells.filter(pl.col("tail").is_in(["", *(t for _, t in AIRCRAFT)])))
     _fill_store(home, days)

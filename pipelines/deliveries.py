@@ -19,9 +19,9 @@ from pipelines.intake.landing import LandingFile, received
 from pipelines.intake.merge import Merged, merge_deliveries
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
 from pipelines.ledger import Ledger
+from pipelines.lineage import FLIGHT_FILES
 from pipelines.redelivered import ACCOUNT, redelivered
 from pipelines.store import Store
-from pipelines.versions import FLIGHT_FILES
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.snapshots import flights_in
 from pipelines.ledger import Ledger
-from pipelines.versions import FLIGHT_FILES
+from pipelines.lineage import FLIGHT_FILES
 
 APART = timedelta(hours=1)
 REJECTED = "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows go on

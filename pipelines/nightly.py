@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
-from hdt_core.tables import TABLES
 from pipelines import postgres
 from pipelines.landing import scan
 from pipelines.ledger import Ledger
+from pipelines.lineage import STAGES, Stage
+from pipelines.order import Step, steps
 from pipelines.settings import accepted_terms
-from pipelines.steps import STEPS, Step
 from pipelines.store import Store
-from pipelines.versions import CELL, MADE, digest, stale
+from pipelines.versions import CELL, digest, stale
 from pipelines.workers import EngineError, Workers, sends_out, workers
 
 if TYPE_CHECKING:
@@ -122,8 +122,8 @@ def run_night(
             chain.send_out()  # first: what a killed night sent out may still be writing
         Store(home).sweep()
         found = scan(landing, ledger)
-        made_as = digest(repr(MADE), repr(STEPS), *accepted_terms(Path(home)))
-        for step in () if ledger.is_settled(made_as) else STEPS:
+        made_as = digest(repr(STAGES), *accepted_terms(Path(home)))
+        for step in () if ledger.is_settled(made_as) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(made_as)
@@ -162,12 +162,12 @@ class _Chain:
         self.hands.settle()
 
     def step(self, step: Step) -> None:
-        """Bring its nodes up to date; one that is not stale runs only if a node before it does."""
-        cells = [self._wanted(node) for node in step.nodes]
+        """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
+        cells = [self._wanted(stage) for stage in step.stages]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
             return
-        wanted, tables = pl.concat(cells).unique(), [t for node in step.nodes[first:] for t in node]
+        wanted, tables = pl.concat(cells).unique(), [t for stage in step.stages[first:] for t in stage.tables]
         if step.grain != "fleet":
             self.runner.register(wanted)
         if step.grain == "flight":
@@ -179,9 +179,9 @@ class _Chain:
             self.failed |= made.failed
             self.progress.advance(made.block.cells)
 
-    def _wanted(self, node: tuple[str, ...]) -> pl.DataFrame:
-        cells = stale(self.ledger, *node).select(CELL)
-        return cells if self.only is None or TABLES[node[0]].grain == "fleet" else cells.filter(self.only)
+    def _wanted(self, stage: Stage) -> pl.DataFrame:
+        cells = stale(self.ledger, stage).select(CELL)
+        return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(self, tables: list[str], blocks: list[Block], step: Step) -> Iterator[Made]:
         """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""

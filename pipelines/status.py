@@ -6,7 +6,8 @@ from typing import Any
 
 from pipelines.catalog import CATALOG, connect
 from pipelines.ledger import Ledger
-from pipelines.versions import MADE, expected, stale
+from pipelines.lineage import LINEAGE
+from pipelines.versions import expected, undone
 
 
 def status_of(home: Path) -> dict[str, Any]:
@@ -17,8 +18,8 @@ def status_of(home: Path) -> dict[str, Any]:
     """
     ledger = Ledger(home, looks=True)
     assets = {}
-    for table in MADE:
-        cells, waiting = expected(ledger, table).height, stale(ledger, table).height
+    for table in LINEAGE:
+        cells, waiting = expected(ledger, table).height, undone(ledger, table).height
         assets[table] = {"cells": cells, "up_to_date": cells - waiting, "waiting": waiting}
     nights = ledger.nights().rows(named=True)
     good = [n for n in nights if n["failed"] == "{}"]

@@ -18,13 +18,7 @@ from pipelines.resources import Home
 from pipelines.settings import accepted_terms
 
 
-@stage(
-    "calibration_dsm",
-    "calibration_design",
-    "calibration_laws",
-    group="calibration",
-    after=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages"),
-)
+@stage
 def calibration(home: Home) -> Shown:
     """Design parameters and nominal health of fleet, operator and tail, estimated together from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)

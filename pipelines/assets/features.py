@@ -15,7 +15,7 @@ from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
 
 
-@stage("legs_signs", "features_witnesses", group="features")
+@stage
 def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
     norm = Norm.from_json(laws_of(calibration_laws, LEGS))
@@ -23,7 +23,7 @@ def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[p
     return leg_signs(legs_samples, norm), witnesses(legs_samples, laws)
 
 
-@stage("features_margin", group="features")
+@stage
 def features_margin(
     legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame
 ) -> pl.DataFrame:
@@ -32,7 +32,7 @@ def features_margin(
     return margin_flights(legs_samples, model_of(calibration_dsm), laws)
 
 
-@stage("features", group="features")
+@stage
 def features(
     twin_health: pl.DataFrame,
     residuals: pl.DataFrame,
@@ -54,7 +54,7 @@ def features(
     )
 
 
-@stage("features_alerts", group="features")
+@stage
 def features_alerts(features: pl.DataFrame, twin_health: pl.DataFrame, raw_maintenance: pl.DataFrame) -> pl.DataFrame:
     """Cases that want a person: what moved, since when, what else could explain it, what to do."""
     return raise_alerts(features, twin_health, raw_maintenance)

@@ -10,7 +10,7 @@ from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage
 
 
-@stage("legs_samples", "legs_verdicts", group="legs")
+@stage
 def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Each leg judged by its own record alone: phase, completeness, range, steady state.
 
@@ -22,7 +22,7 @@ def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFr
     return samples, verdicts
 
 
-@stage("legs_admitted", group="legs")
+@stage
 def legs_admitted(
     legs_verdicts: pl.DataFrame,
     legs_signs: pl.DataFrame,

@@ -20,14 +20,14 @@ from pipelines.resources import Home
 from pipelines.store import Store
 
 
-@stage("prognosis_base", group="prognosis")
+@stage
 def prognosis_base() -> pl.DataFrame:
     """What simulated lives teach, before any fleet has been seen: learned once and shipped."""
     base = shipped_base()
     return _kept(base, model_card(base))
 
 
-@stage("prognoses", "prognosis_model", group="prognosis", after=("features", "features_margin"))
+@stage
 def prognosis(
     prognosis_base: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> Shown:

@@ -18,7 +18,7 @@ from pipelines.resources import Home
 from pipelines.store import Store
 
 
-@stage("raw_fleet", "raw_files_deliveries", "raw_files_quarantine", group="raw")
+@stage
 def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     """The fleet list, and files that hold no flight at all."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
@@ -33,7 +33,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     )
 
 
-@stage("raw_messages", "raw_maintenance", "raw_records_deliveries", "raw_records_quarantine", group="raw")
+@stage
 def raw_records(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
     """Maintenance messages the aircraft raised and work that was done on them."""
     landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(asked.aircraft or {})
@@ -86,7 +86,7 @@ def _account(file: LandingFile, log: Log) -> pl.DataFrame:
     return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
 
 
-@stage("raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", group="raw")
+@stage
 def raw(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
     """Snapshot reports and continuous logs of each flight, from every file that holds it, whenever it came."""
     landing = Path(home.landing)

@@ -7,7 +7,7 @@ from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
 
 
-@stage("residuals", group="residuals")
+@stage
 def residuals(legs_samples: pl.DataFrame, twin_flights: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
     """Sensor minus model, model minus twin, sensor minus twin, per flight and signal."""
     return compare(legs_samples, twin_flights, model_of(calibration_dsm))

@@ -14,16 +14,14 @@ from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.aside import set_aside
 from pipelines.io import Asked
+from pipelines.lineage import MAKER, STAGE, Stage, followed
 from pipelines.meanings import declared
 from pipelines.panics import panics_as_errors
 from pipelines.resources import Home
-from pipelines.versions import MADE
 
 OWNERS = ["team:health-monitoring"]
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
 CHECK = "honours_table"
-NIGHTLY = {"raw_flights", "legs_verdicts", "twin_flights", "twin_health", "residuals", "features", "prognoses"}
-"""Tables that every flight moves: no news of them is news."""
 FRESH = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
 """A night that brought nothing is a warning, two are a fault."""
 
@@ -46,63 +44,70 @@ class _OfWhatComes(dg.AssetCheckResult):
 Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | Shown
 
 
-def stage(
-    *tables: str, group: str, after: tuple[str, ...] = ()
-) -> Callable[[Callable[..., Frames]], dg.AssetsDefinition]:
-    """Make assets of a function.
+def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
+    """Make assets of a function that bears the name of a stage declared in `pipelines.lineage`.
 
     The function's arguments are named after the tables it reads; `asked` and `home` give it the run's cells and
-    folders, with which it may read a part of the tables named in `after`.
-    It returns one frame a table, in the order of `tables`. Each is checked against its declaration before it is stored:
-    a row that breaks it is set aside in quarantine, and where rows stand or fall together nothing is stored and what
-    depends on it does not run.
+    folders, with which it may read a part of its parents. It returns one frame a table, in the order of the stage's
+    tables. Each is checked against its declaration before it is stored: a row that breaks it is set aside in
+    quarantine, and where rows stand or fall together nothing is stored and what depends on it does not run.
+
+    Raises
+    ------
+    ValueError
+        Where an argument is a table whose changes would not make the stage stale.
     """
+    own = STAGE[fn.__name__]
+    wanted = list(inspect.signature(fn).parameters)
+    first_line = inspect.getdoc(fn) or ""
 
-    def wire(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
-        wanted = list(inspect.signature(fn).parameters)
-        reads = [p for p in wanted if p in TABLES]
-        first_line = inspect.getdoc(fn) or ""
+    @dg.multi_asset(
+        name=own.name,
+        outs={t: _out(t, own, first_line) for t in own.tables},
+        deps=[dg.AssetKey(t) for t in _drawn(own, [p for p in wanted if p in TABLES])],
+        partitions_def=_PARTITIONS[own.grain],
+        check_specs=[dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=_promise(t)) for t in own.tables],
+        backfill_policy=dg.BackfillPolicy.single_run(),
+        description=first_line,
+        op_tags={"hdt/stage": own.group},
+    )
+    def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
+        asked = Asked.of(list(context.partition_keys) if context.has_partition_key_range else None)
+        offered: dict[str, Any] = {"asked": asked, "home": home}
+        began = time.monotonic()
+        with panics_as_errors():
+            frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
+        took = {"seconds": round(time.monotonic() - began, 3)}
+        if not isinstance(frames, Shown):
+            frames = Shown(frames if isinstance(frames, tuple) else (frames,), {})
+        for place, (table, frame) in enumerate(zip(own.tables, frames.frames, strict=True)):
+            shown = took | frames.metadata if place == frames.on else took
+            keep = partial(set_aside, home.store, home.ledger, asked, table)
+            yield from _checked(table, TABLES[table].conform(frame), shown, keep)
 
-        @dg.multi_asset(
-            name=fn.__name__,
-            outs={t: _out(t, group, first_line) for t in tables},
-            deps=[dg.AssetKey(t) for t in (*reads, *after)],
-            partitions_def=_PARTITIONS[TABLES[tables[0]].grain],
-            check_specs=[dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=_promise(t)) for t in tables],
-            backfill_policy=dg.BackfillPolicy.single_run(),
-            description=first_line,
-            op_tags={"hdt/stage": group},
-        )
-        def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
-            asked = Asked.of(list(context.partition_keys) if context.has_partition_key_range else None)
-            offered: dict[str, Any] = {"asked": asked, "home": home}
-            began = time.monotonic()
-            with panics_as_errors():
-                frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
-            took = {"seconds": round(time.monotonic() - began, 3)}
-            if not isinstance(frames, Shown):
-                frames = Shown(frames if isinstance(frames, tuple) else (frames,), {})
-            for place, (table, frame) in enumerate(zip(tables, frames.frames, strict=True)):
-                shown = took | frames.metadata if place == frames.on else took
-                keep = partial(set_aside, home.store, home.ledger, asked, table)
-                yield from _checked(table, TABLES[table].conform(frame), shown, keep)
-
-        return run
-
-    return wire
+    return run
 
 
-def _out(table: str, group: str, description: str) -> dg.AssetOut:
+def _drawn(own: Stage, read: list[str]) -> list[str]:
+    """Tables from which the graph draws an arrow: those read as arguments, and parents read through the home."""
+    lost = set(read) - followed(own)
+    if lost:
+        raise ValueError(f"{own.name} reads {', '.join(sorted(lost))}, of which its lineage follows no change")
+    makers = [MAKER[table].name for table in read]
+    return [*read, *(parent for parent in own.parents if MAKER[parent].name not in makers)]
+
+
+def _out(table: str, own: Stage, description: str) -> dg.AssetOut:
     schema = TABLES[table].schema
     first = (inspect.getdoc(schema) or "").splitlines()[0]
     columns = [dg.TableColumn(n, str(c.dtype), description=declared(c)) for n, c in schema.columns().items()]
     return dg.AssetOut(
-        group_name=group,
+        group_name=own.group,
         owners=OWNERS,
         kinds={"polars", "parquet"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
         description=f"{first}\n\n{description}",
-        code_version=MADE[table].code,
-        freshness_policy=FRESH if table in NIGHTLY else None,
+        code_version=own.tables[table].code,
+        freshness_policy=FRESH if table == own.fresh else None,
         metadata={"dagster/column_schema": dg.TableSchema(columns=columns), "grain": TABLES[table].grain},
     )
 

@@ -9,8 +9,8 @@ from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.track import Tracked, track_on
 from pipelines.assets.stage import stage
 from pipelines.io import Asked
+from pipelines.lineage import LINEAGE
 from pipelines.resources import Home
-from pipelines.versions import MADE
 
 
 def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
@@ -18,13 +18,13 @@ def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
     return Dsm.from_dict(json.loads(calibration_dsm["model"][0]))
 
 
-@stage("twin_flights", group="twin")
+@stage
 def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
     """Health of each pack from one flight alone, by maximum likelihood, all flights of the run at once."""
     return estimate_flights(legs_samples, model_of(calibration_dsm))
 
 
-@stage("twin_health", "twin_chapters", group="twin")
+@stage
 def twin_health(
     asked: Asked, home: Home, twin_flights: pl.DataFrame, raw_maintenance: pl.DataFrame, calibration_dsm: pl.DataFrame
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
@@ -33,4 +33,4 @@ def twin_health(
     It goes on from the last bookmark before what is new; a bookmark says which flights it has seen.
     """
     known = Tracked(*(asked.read(home.store, table) for table in ("twin_health", "twin_chapters")))
-    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, MADE["twin_health"].code)
+    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, LINEAGE["twin_health"].code)

@@ -19,15 +19,13 @@ sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / 
 os.environ["POLARS_MAX_THREADS"] = "1"
 
 import polars  # noqa: E402
-from nights import Silent  # noqa: E402
+from nights import Silent, stages_of  # noqa: E402
 from powercut import Disk  # noqa: E402
 
 import pipelines.definitions  # noqa: E402
 import pipelines.runs  # noqa: E402, F401
 from pipelines import faults, files, nightly  # noqa: E402
 from pipelines.catalog import publish  # noqa: E402
-
-ALL = nightly.STEPS
 
 
 def work(asked: dict) -> None:
@@ -48,7 +46,7 @@ def work(asked: dict) -> None:
         cut_the_power(home, **asked["cut"])
     # the empty flight_id of cells above flights comes before all others
     only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
-    nightly.STEPS = ALL[: asked.get("steps", len(ALL))]
+    nightly.STAGES = stages_of(0, asked.get("steps"))
     with nightly.holding(home):
         night = nightly.run_night(landing, home, Silent(), only)
         publish(home)

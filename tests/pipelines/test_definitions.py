@@ -15,8 +15,8 @@ from pipelines import partitions
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
 from pipelines.ledger import Ledger
+from pipelines.lineage import LINEAGE
 from pipelines.runs import open_instance
-from pipelines.versions import MADE
 from pipelines.workers import EngineError
 
 STAGES = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis"}
@@ -34,7 +34,7 @@ def specs(defs) -> dict[str, dg.AssetSpec]:
 
 
 def test_there_is_an_asset_for_every_declared_table(specs):
-    assert set(specs) == set(TABLES) == set(MADE)
+    assert set(specs) == set(TABLES) == set(LINEAGE)
 
 
 def test_all_seven_stages_are_groups(specs):
@@ -47,7 +47,7 @@ def test_an_asset_says_what_it_is(specs, table):
     assert spec.owners
     assert "parquet" in spec.kinds
     assert len(spec.description or "") > 30
-    assert spec.code_version == MADE[table].code
+    assert spec.code_version == LINEAGE[table].code
     partitions = {"flight": dg.MultiPartitionsDefinition, "aircraft": dg.DynamicPartitionsDefinition}
     expected = partitions.get(TABLES[table].grain)
     assert expected is None if spec.partitions_def is None else isinstance(spec.partitions_def, expected)
@@ -74,10 +74,10 @@ def test_an_account_that_does_not_balance_blocks():
 
 
 def test_what_the_ledger_calls_a_parent_is_a_dependency_in_the_graph(specs):
-    for table, made in MADE.items():
+    for table, recipe in LINEAGE.items():
         upstream = {d.asset_key.path[-1] for d in specs[table].deps}
         stems = {u.split("_")[0] for u in upstream}
-        for parent in made.parents:
+        for parent in recipe.parents:
             assert parent in upstream or parent.split("_")[0] in stems, (table, parent, upstream)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from databases import SERVER
-from nights import Silent, unfolded
+from nights import Silent, stages_of, unfolded
 
 from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
@@ -61,7 +61,7 @@ def alone(tmp_path_factory, landing) -> tuple[dict[str, str], int]:
 def small(patch: pytest.MonkeyPatch) -> None:
     """An aircraft a run; a step of four runs and one for the whole fleet."""
     patch.setattr(blocks, "CELLS_A_RUN", 12)
-    patch.setattr(nightly, "STEPS", unfolded(nightly.STEPS[2:4]))
+    patch.setattr(nightly, "STAGES", unfolded(stages_of(2, 4)))
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
 
 def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypatch):
     monkeypatch.setattr(blocks, "CELLS_A_RUN", 24)  # two aircraft a run
-    monkeypatch.setattr(nightly, "STEPS", nightly.STEPS[:1])
+    monkeypatch.setattr(nightly, "STAGES", stages_of(0, 1, nightly.STAGES))
     operator = sorted(fleet.landing.glob("*/*"))[0]
     in_the_way = Path(fleet.environment("night")["HDT_STORE_URL"], "raw_snapshots", *operator.parts[-2:])
     in_the_way.parent.mkdir(parents=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import dagster as dg
 import pytest
 from databases import SERVER, new_database
-from nights import Silent
+from nights import Silent, stages_of
 
 from hdt_core.simulate.design import FleetSettings
 from pipelines import nightly
@@ -30,13 +30,13 @@ def database() -> Iterator[str]:
 
 def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:
     """Which cells of each asset have been made, by the instance's own account."""
-    tables = [t for step in nightly.STEPS[:5] if step.grain == "flight" for node in step.nodes for t in node]
+    tables = [t for stage in stages_of(0, 5) if stage.grain == "flight" for t in stage.tables]
     return {t: set(instance.get_materialized_partitions(dg.AssetKey(t))) for t in tables}
 
 
 def test_a_night_is_recorded_as_in_the_embedded_default(database: str, tmp_path: Path, monkeypatch) -> None:
     list(write_fleet(tmp_path, 3, FleetSettings(operators=1, tails=2, flights=12)))
-    monkeypatch.setattr(nightly, "STEPS", nightly.STEPS[:5])
+    monkeypatch.setattr(nightly, "STAGES", stages_of(0, 5))
     (tmp_path / "production/dagster").mkdir(parents=True)
     (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.read_text())
     monkeypatch.setenv("HDT_POSTGRES_URL", database)

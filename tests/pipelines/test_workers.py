@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from nights import Silent, unfolded
+from nights import Silent, stages_of, unfolded
 
 from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
@@ -28,7 +28,7 @@ def small_blocks(monkeypatch) -> None:
     """An aircraft a run, shared out however few; up to the twin, whose fleet-wide steps are no different."""
     monkeypatch.setattr(blocks, "CELLS_A_RUN", 12)
     monkeypatch.setattr(workers, "BLOCKS_TO_SHARE", 2)
-    monkeypatch.setattr(nightly, "STEPS", unfolded(nightly.STEPS[:5]))
+    monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
 
 
 def test_two_processes_make_what_one_makes(landing, tmp_path, small_blocks):
@@ -64,7 +64,7 @@ def _night(landing: Path, home: Path) -> None:
         def advance(self, cells: int) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
-    workers.BLOCKS_TO_SHARE, blocks.CELLS_A_RUN, nightly.STEPS = 2, 12, unfolded(nightly.STEPS)
+    workers.BLOCKS_TO_SHARE, blocks.CELLS_A_RUN, nightly.STAGES = 2, 12, unfolded(nightly.STAGES)
     with nightly.holding(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 

@@ -1,12 +1,15 @@
 """A night as the command runs it, without bars."""
 
 import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pipelines.catalog import publish
 from pipelines.ledger import Ledger
+from pipelines.lineage import STAGES, Stage
 from pipelines.nightly import Night, holding, run_night
-from pipelines.steps import Step
+from pipelines.order import steps
 
 
 class Silent:
@@ -25,9 +28,14 @@ def run(landing: Path, home: Path) -> Night:
     return night
 
 
-def unfolded(steps: list[Step]) -> list[Step]:
+def stages_of(first: int, last: int | None = None, stages: Sequence[Stage] = STAGES) -> list[Stage]:
+    """Stages of some of the night's steps."""
+    return [stage for step in steps(stages)[first:last] for stage in step.stages]
+
+
+def unfolded(stages: Sequence[Stage]) -> list[Stage]:
     """The same, each run with as many flights as one that reads files."""
-    return [step._replace(folded=1) for step in steps]
+    return [replace(stage, folded=1) for stage in stages]
 
 
 def keep_base(made: Path, home: Path) -> None:

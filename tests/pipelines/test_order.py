@@ -1,0 +1,44 @@
+"""The order of runs follows from what the stages are made from."""
+
+from itertools import permutations
+
+import pytest
+
+from pipelines.lineage import STAGES, Stage, alike
+from pipelines.order import steps
+
+
+def test_every_stage_is_made_once_and_after_what_it_needs():
+    there: set[str] = set()
+    for step in steps(STAGES):
+        assert len({stage.grain for stage in step.stages}) == 1
+        for stage in step.stages:
+            assert there.issuperset((*stage.parents, *stage.untracked)), stage.name
+            assert there.isdisjoint(stage.tables)
+            there.update(stage.tables)
+    assert there == {table for stage in STAGES for table in stage.tables}
+
+
+def test_a_night_takes_seven_runs():
+    """Fleet, aircraft and flights are taken in; the model; flights, aircraft and fleet are followed with it."""
+    assert [s.grain for s in steps(STAGES)] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
+    assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
+
+
+CHAIN = (
+    Stage("one", "any", alike("raw_flights")),
+    Stage("two", "any", alike("legs_samples", parents=("raw_flights",))),
+    Stage("three", "any", alike("twin_health", parents=("legs_samples",))),
+    Stage("four", "any", alike("calibration_dsm"), untracked=("twin_health",)),
+)
+
+
+@pytest.mark.parametrize("declared", list(permutations(CHAIN)), ids=lambda stages: "-".join(s.name for s in stages))
+def test_it_does_not_matter_in_which_order_a_chain_is_declared(declared):
+    assert [[s.name for s in step.stages] for step in steps(declared)] == [["one", "two"], ["three"], ["four"]]
+
+
+def test_a_circle_is_named():
+    circle = Stage("legs", "any", alike("legs_samples", parents=("residuals",)))
+    with pytest.raises(ValueError, match="circle: legs, residuals"):
+        steps([circle, Stage("residuals", "any", alike("residuals", parents=("legs_samples",)))])
