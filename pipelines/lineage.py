@@ -177,7 +177,7 @@ STAGES = (
     Stage(
         "twin_health",
         "twin",
-        alike("twin_health", "twin_chapters", parents=("twin_flights", "raw_maintenance"), code="11"),
+        alike("twin_health", "twin_chapters", parents=("twin_flights", "raw_maintenance"), code="12"),
         fresh="twin_health",
         label="health, features, alerts",
     ),

@@ -19,13 +19,13 @@ RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 1500, 0.5
 """Chance of a new core on a flight of which the log says nothing yet, and on one it names."""
 LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
 """Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
-that an entry never comes."""
+that an entry never comes where a log is kept."""
 
 
 def after_log(b: Belief, seen: Observation) -> Belief:
     """What an entry in the log does to each history: the core it names is new or washed, unless it already was."""
     due, recent = seen.log_due > 0, b.since <= LATE_FLIGHTS
-    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1)
+    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (seen.log_kept > 0)
     weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():

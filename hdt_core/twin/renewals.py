@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 
-from hdt_core.records.unit_index import first_flights, select_entries
+from hdt_core.records.unit_index import date_entries, first_flights, select_entries
 from hdt_core.twin.crossing import PACK, Array
 
 LOG_WINDOW = pl.duration(days=1)
@@ -26,6 +26,17 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     near = entries.join(rows, on=PACK).filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
     due = first_flights(rows, maintenance, (component,), DONE).filter(~pl.col("begins") | (after < LOG_WINDOW))
     return _flags(near, flights.height), _flags(due, flights.height)
+
+
+def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Array:
+    """Whether the aircraft's log has spoken since its record began, of whatever part: before it has, that it names no
+    new core says nothing, for some operators give no log. (n,) bool"""
+    tail = ["operator", "tail"]
+    begins = flights.group_by(tail).agg(pl.col("departed_at").min().alias("begins"))
+    entries = date_entries(maintenance).join(begins, on=tail).filter(pl.col("counts_from") >= pl.col("begins"))
+    spoke = entries.group_by(tail).agg(pl.col("counts_from").min().alias("spoke"))
+    known = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left")
+    return known.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
 
 
 def _flags(entries: pl.DataFrame, n: int) -> Array:

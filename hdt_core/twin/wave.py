@@ -8,7 +8,7 @@ import polars as pl
 
 from hdt_core.twin.crossing import PACK, Array
 from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.renewals import log_flags
+from hdt_core.twin.renewals import log_flags, log_kept
 from hdt_core.twin.wear import Observation
 from hdt_core.twin.witness import Corrections
 
@@ -23,6 +23,7 @@ class Wave(NamedTuple):
     exposure: Array
     log_open: Array
     log_due: Array
+    log_kept: Array
 
     @property
     def n_rows(self) -> int:
@@ -64,6 +65,7 @@ def side_by_side(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Dat
         spread(exposure, 1.0),
         spread(log_open, 0),
         spread(log_due, 0),
+        spread(log_kept(flights, maintenance), 0),
     )
 
 

@@ -61,10 +61,11 @@ class Settings(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """One flight of n packs: ln ratio (NaN where none), its variance, and the log: renewal possible, renewal due. (n,)
+    """One flight of n packs: ln ratio (NaN where none), its variance, and the log: renewal possible, renewal due,
+    whether one is kept. (n,)
 
     `exposure` is the clean conductance of the flight over that of the reference condition: see `at_reference`.
-    `log_open`, `log_due`: see `hdt_core.twin.renewals.log_flags`.
+    `log_open`, `log_due`, `log_kept`: see `hdt_core.twin.renewals`.
     """
 
     ratio: Array
@@ -72,6 +73,7 @@ class Observation(NamedTuple):
     exposure: Array
     log_open: Array
     log_due: Array
+    log_kept: Array
 
     def of(self, rows: Array) -> "Observation":
         """Observations of the packs at `rows`."""

@@ -51,5 +51,5 @@ def test_a_deposit_in_series_is_brought_to_the_reference(wear):
     film = (np.exp(wear) - 1.0) / 1700.0
     ratio = -np.log1p(film * clean)
     none = np.zeros(3, dtype=int)
-    seen = at_reference(Observation(ratio, np.ones(3), clean / 1700.0, none, none), np.full(3, wear))
+    seen = at_reference(Observation(ratio, np.ones(3), clean / 1700.0, none, none, none), np.full(3, wear))
     np.testing.assert_allclose(seen.ratio, -wear, atol=1e-12)

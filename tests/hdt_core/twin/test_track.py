@@ -101,6 +101,19 @@ def test_an_entry_days_late_ends_where_a_punctual_one_ends(model):
     np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
 
 
+def test_a_new_core_is_believed_where_no_log_is_kept(model):
+    worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
+    silent, kept = [], []
+    for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
+        seen = seen_flights(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
+        elsewhere = entry(seen, 20, "SENSOR", "INSPECTED")
+        for log, off in ((NO_LOG, silent), (elsewhere, kept)):
+            off.append(np.abs(fouling(seen, log, model)["value"].to_numpy()[120:] - new[20:]).mean())
+    assert np.mean(silent) < 0.025
+    # a log that speaks of other work and not of this makes a wash or a fault the likelier story
+    assert np.mean(kept) > np.mean(silent)
+
+
 def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
     loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
     seen = seen_flights(model, loss, offset=-0.04)
