@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks import page
 from benchmarks.scale import SIZES, night
-from pipelines.simulated import write_fleet
+from pipelines.intake.simulated import write_fleet
 
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
 PARTS = {

@@ -14,9 +14,10 @@ from unittest.mock import patch
 
 from dagster._core.execution.plan import compute_generator
 
-from pipelines import runs
-from pipelines.io import Asked, FrameIO
-from pipelines.ledger import Ledger
+from pipelines.io_manager import FrameIO
+from pipelines.orchestration import runs
+from pipelines.partitions import PartitionScope
+from pipelines.storage.ledger import Ledger
 
 
 class Clock:
@@ -67,7 +68,7 @@ def bookkeeping() -> Iterator[Callable[[], float]]:
     """Processor seconds of Dagster's bookkeeping so far, as a function."""
     within, own = Clock(), Clock()
     whole = [(runs.Runner, "_run"), (runs.Runner, "register"), (runs, "open_instance")]
-    ours = [(FrameIO, "_store"), (Asked, "due"), (Ledger, "mark")]
+    ours = [(FrameIO, "_store"), (PartitionScope, "due"), (Ledger, "mark")]
     with ExitStack() as patched:
         for clock, found in ((within, whole), (own, ours)):
             for owner, name in found:

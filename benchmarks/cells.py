@@ -29,10 +29,10 @@ from dagster._core.storage.partition_status_cache import get_and_update_asset_st
 
 from benchmarks import page
 from pipelines import partitions
-from pipelines.blocks import CELLS_A_RUN, Block
-from pipelines.io import FrameIO
-from pipelines.ledger import Ledger
-from pipelines.runs import Runner, open_instance
+from pipelines.io_manager import FrameIO
+from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
+from pipelines.orchestration.runs import Runner, open_instance
+from pipelines.storage.ledger import Ledger
 
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
 FLIGHTS = [
@@ -42,7 +42,7 @@ FLIGHTS = FLIGHTS[:10_000]
 REAL_RUNS = 5
 POSTGRES = """\
 event_log_storage:
-  module: pipelines.eventlog_postgres
+  module: dagster_batched.postgres
   class: BatchedPostgresEventLogStorage
   config: {{postgres_url: "{url}"}}
 run_storage:
@@ -91,11 +91,11 @@ class History:
             self._record(event, self._block())
         self.run_s = [self._timed(lambda: self._run(runner)) for _ in range((cells - self.filled) // CELLS_A_RUN)]
 
-    def _block(self) -> Block:
+    def _block(self) -> PartitionBatch:
         """The next thousand cells."""
         first, at = self.filled % len(FLIGHTS), self.filled // len(FLIGHTS)
         self.filled += CELLS_A_RUN
-        return Block(CELLS_A_RUN, (aircraft(at),), FLIGHTS[first], FLIGHTS[first + CELLS_A_RUN - 1])
+        return PartitionBatch(CELLS_A_RUN, (aircraft(at),), FLIGHTS[first], FLIGHTS[first + CELLS_A_RUN - 1])
 
     def _run(self, runner: Runner) -> None:
         why = runner._run(["empty"], self._block())
@@ -108,14 +108,14 @@ class History:
         made = dg.DagsterEventType.ASSET_MATERIALIZATION
         return next(iter(self.instance.all_logs(run.run_id, of_type=made)))
 
-    def _record(self, event: EventLogEntry, block: Block) -> None:
+    def _record(self, event: EventLogEntry, block: PartitionBatch) -> None:
         """The event, as of a run that made the block."""
         first = FLIGHTS.index(block.first)
         keys = [partitions.cell_key(block.aircraft[0], f) for f in FLIGHTS[first : first + CELLS_A_RUN]]
         made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
         told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
-        log.stands_for(run_id, empty.key, keys)
+        log.represents(run_id, empty.key, keys)
         log.store_event_batch([event._replace(run_id=run_id, dagster_event=told)])
 
     @staticmethod

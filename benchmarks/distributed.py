@@ -22,8 +22,8 @@ from benchmarks import page
 from benchmarks.fingerprint import fingerprint
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
-from pipelines.runs import NIGHT
-from pipelines.simulated import write_fleet
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration.runs import NIGHT
 
 PAGE = Path(__file__).parents[1] / "docs" / "distributed.md"
 SHARED = {"raw_flights", "twin_flights", "features"}

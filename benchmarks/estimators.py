@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.page import write
 from hdt_core.estimation import ParticleSwarm, Problem
 from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
-from pipelines.benchmark import filter_claim, fit_claim, over
-from pipelines.race import Claim, race, table
+from pipelines.benchmark.peers import filter_claim, fit_claim, over
+from pipelines.benchmark.timing import Claim, race, table
 
 
 def main(rounds: int = 15, records: int = 8) -> list[Claim]:

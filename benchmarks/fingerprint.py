@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.store import Store
+from pipelines.storage.store import Store
 
 
 def fingerprint(home: Path, *url: str) -> dict[str, str]:

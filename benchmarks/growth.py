@@ -18,9 +18,9 @@ import polars as pl
 from benchmarks import page
 from benchmarks.scale import SIZES, measured
 from hdt_core.tables import TABLES
-from pipelines.catalog import connect, publish
-from pipelines.simulated import write_fleet
-from pipelines.store import FLEET, Store
+from pipelines.intake.simulated import write_fleet
+from pipelines.storage.catalog import connect, publish
+from pipelines.storage.store import FLEET, Store
 
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
 QUESTIONS = {

@@ -21,8 +21,8 @@ from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_lumped_r
 from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lumped_exchanger, steady_outlets_k
-from pipelines.benchmark import FLIGHTS, NUMPY, POINTS, SCIPY, conductance_claim, first, snapshots
-from pipelines.race import Claim, Contestant, race, table
+from pipelines.benchmark.peers import FLIGHTS, NUMPY, POINTS, SCIPY, conductance_claim, first, snapshots
+from pipelines.benchmark.timing import Candidate, Claim, race, table
 
 FEW_FLIGHTS, PEER_FLIGHTS, SECONDS, MASS_KG = 4000, 40, 3600, 8.0
 NOMINAL_H_W_K = 2500.0
@@ -93,9 +93,9 @@ def resistance_claim(rounds: int) -> Claim:
     samples, _ = snapshots(FLIGHTS, POINTS)
     few = first(samples, FEW_FLIGHTS)
     runs = {
-        "ours, batched, compiled": Contestant(lambda: 1e3 * fit_lumped_resistance(samples, "compiled").mean, FLIGHTS),
-        NUMPY: Contestant(lambda: 1e3 * fit_lumped_resistance(few, "arrays").mean, FEW_FLIGHTS),
-        SCIPY: Contestant(lambda: 1e3 * scipy_lumped(samples, PEER_FLIGHTS), PEER_FLIGHTS),
+        "ours, batched, compiled": Candidate(lambda: 1e3 * fit_lumped_resistance(samples, "compiled").mean, FLIGHTS),
+        NUMPY: Candidate(lambda: 1e3 * fit_lumped_resistance(few, "arrays").mean, FEW_FLIGHTS),
+        SCIPY: Candidate(lambda: 1e3 * scipy_lumped(samples, PEER_FLIGHTS), PEER_FLIGHTS),
     }
     return race("tied H of equations (7)-(8), 30 points a flight", runs, rounds, per_second=1e6)
 
@@ -107,11 +107,11 @@ def log_claim(rounds: int) -> Claim:
     lists, outlet = [*(x.tolist() for x in inputs), [0.0] * SECONDS], np.empty(SECONDS)
     compiled = njit(march)
     runs = {
-        "ours, compiled, derivatives carried along": Contestant(
+        "ours, compiled, derivatives carried along": Candidate(
             lambda: repeated(50, lambda: fit_lumped_log(samples, 1.0, MASS_KG, MASS_KG).mean[0]), 50
         ),
-        MINPACK: Contestant(lambda: repeated(20, lambda: scipy_log(samples, compiled, [*inputs, outlet])), 20),
-        LOOP: Contestant(lambda: repeated(1, lambda: scipy_log(samples, march, lists))),
+        MINPACK: Candidate(lambda: repeated(20, lambda: scipy_log(samples, compiled, [*inputs, outlet])), 20),
+        LOOP: Candidate(lambda: repeated(1, lambda: scipy_log(samples, march, lists))),
     }
     return race("equations (7)-(8) at 1 Hz, 3,600 samples", runs, rounds, goals={MINPACK: 5.0, LOOP: 200.0})
 
@@ -125,8 +125,8 @@ def effectiveness_claim(rounds: int) -> Claim:
         return np.array([ht.effectiveness_from_NTU(n, c, subtype="crossflow") for n, c in pairs])
 
     runs = {
-        "ours, Mason's series, NumPy": Contestant(lambda: crossflow_effectiveness(ntu, ntu * ratio), ntu.size),
-        "ht, quadrature": Contestant(by_ht, 100),
+        "ours, Mason's series, NumPy": Candidate(lambda: crossflow_effectiveness(ntu, ntu * ratio), ntu.size),
+        "ht, quadrature": Candidate(by_ht, 100),
     }
     return race("cross-flow effectiveness", runs, rounds)
 

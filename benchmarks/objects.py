@@ -14,9 +14,9 @@ from pathlib import Path
 
 from benchmarks import object_server, page
 from benchmarks.scale import SIZES, measured, ranking_ms
+from pipelines.intake.simulated import write_fleet
 from pipelines.report import write_report
-from pipelines.simulated import write_fleet
-from pipelines.store import URL, Store
+from pipelines.storage.store import URL, Store
 
 PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
 KINDS = {"GET": "reads", "PUT": "writes", "LIST": "lists", "DELETE": "deletions"}

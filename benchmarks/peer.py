@@ -24,10 +24,10 @@ from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, cruise_samples
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import HUBER, SAMPLE_SD, estimate_flights
-from pipelines import nightly
-from pipelines.race import Claim, Contestant, race
-from pipelines.simulated import write_fleet
-from pipelines.store import Store
+from pipelines.benchmark.timing import Candidate, Claim, race
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration import nightly
+from pipelines.storage.store import Store
 
 PEER_FLIGHTS = 100
 GOAL = 15.0
@@ -108,8 +108,8 @@ def _claim(whole: Path, part: Path, dsm: Dsm, rounds: int) -> Claim:
         return found.to_numpy()
 
     runs = {
-        "ours, Polars and NumPy": Contestant(lambda: ours(whole), _flights(whole)),
-        "pandas and SciPy, a loop": Contestant(lambda: by_loop(part, dsm), _flights(part)),
+        "ours, Polars and NumPy": Candidate(lambda: ours(whole), _flights(whole)),
+        "pandas and SciPy, a loop": Candidate(lambda: by_loop(part, dsm), _flights(part)),
     }
     return race(
         "samples of a flight and pack to its conductance", runs, rounds, goals={"pandas and SciPy, a loop": GOAL}

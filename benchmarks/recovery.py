@@ -32,10 +32,11 @@ from benchmarks import page
 from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
-from pipelines import nightly, partitions, runs
-from pipelines.ledger import Ledger
+from pipelines import partitions
+from pipelines.intake.simulated import write_fleet
 from pipelines.lineage import LINEAGE
-from pipelines.simulated import write_fleet
+from pipelines.orchestration import nightly, runs
+from pipelines.storage.ledger import Ledger
 from pipelines.versions import expected
 
 PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
@@ -135,7 +136,11 @@ def reopen(landing: Path, home: Path) -> Spent:
     """Seconds of each part, up to the first block."""
     spent: Spent = {part: [0.0, 0.0] for part in PARTS}
     places: list[tuple[str, Any, str]] = [("sweep", nightly.Store, "sweep"), ("scan", nightly, "scan")]
-    places += [("ready", runs, "open_instance"), ("ready", runs.Runner, "bury"), ("stale", nightly, "stale")]
+    places += [
+        ("ready", runs, "open_instance"),
+        ("ready", runs.Runner, "fail_orphaned_runs"),
+        ("stale", nightly, "stale"),
+    ]
     for part, owner, name in places:
         setattr(owner, name, _timed(getattr(owner, name), part, spent))
     try:

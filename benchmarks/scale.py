@@ -30,13 +30,15 @@ import polars as pl
 from benchmarks import page
 from benchmarks.bookkeeping import bookkeeping
 from hdt_core.simulate.design import FleetSettings
-from pipelines import nightly, partitions, runs
-from pipelines.blocks import Block, Known, Made, by_aircraft
-from pipelines.catalog import connect, publish
-from pipelines.io import Asked, FrameIO
-from pipelines.ledger import Ledger
-from pipelines.simulated import write_fleet
-from pipelines.workers import cores
+from pipelines import partitions
+from pipelines.intake.simulated import write_fleet
+from pipelines.io_manager import FrameIO
+from pipelines.orchestration import nightly, runs
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft
+from pipelines.orchestration.local_executor import cores
+from pipelines.partitions import PartitionScope
+from pipelines.storage.catalog import connect, publish
+from pipelines.storage.ledger import Ledger
 
 SIZES = {
     "S": FleetSettings(operators=2, tails=2, flights=250),
@@ -65,7 +67,7 @@ class Bare:
     def __init__(self, defs: dg.Definitions, instance: object, ledger: Ledger) -> None:
         self.defs, self.ledger, self.keys = defs, ledger, {"aircraft": [], "flight": []}
 
-    def bury(self) -> None:
+    def fail_orphaned_runs(self) -> None:
         """Nothing was recorded."""
 
     def register(self, cells: pl.DataFrame) -> None:
@@ -75,15 +77,15 @@ class Bare:
         self.keys["aircraft"] = sorted(aircraft | set(self.keys["aircraft"]))
         self.keys["flight"] = sorted(flights | set(self.keys["flight"]))
 
-    def known(self) -> Known:
+    def known(self) -> PartitionIndex:
         """Partitions as they are now, and who flew which."""
-        return Known(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flight_files()))
+        return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flight_files()))
 
-    def make(self, tables: list[str], block: Block, label: str) -> Made:
+    def make(self, tables: list[str], block: PartitionBatch, label: str) -> BatchResult:
         """Make the tables, store them, mark them."""
         within = [f for f in self.keys["flight"] if block.first <= f <= block.last] if block.first else []
         cells = [f"{a}|{f}" for a in block.aircraft for f in within] or list(block.aircraft) or None
-        home, asked = self.defs.resources["home"], Asked.of(cells)
+        home, asked = self.defs.resources["home"], PartitionScope.of(cells)
         keeper = FrameIO(home.store, home.ledger)
         context = SimpleNamespace(has_partition_key_range=cells is not None, partition_keys=cells)
         for node in _nodes(self.defs, tables):
@@ -91,7 +93,7 @@ class Bare:
                 if isinstance(made, dg.Output):
                     keeper._store(made.output_name, asked, made.value)
                     home.ledger.mark(made.output_name, asked.due(home.ledger, made.output_name))
-        return Made(block, 1, {})
+        return BatchResult(block, 1, {})
 
 
 def night(landing: Path, home: Path, shared: bool = True) -> None:

@@ -23,8 +23,8 @@ from dagster import DagsterInstance
 from dagster._daemon.controller import all_daemons_live
 
 from benchmarks.addresses import BRIDGE_IP, namespaces
-from pipelines.ledger import NAMES
-from pipelines.runs import open_instance
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.ledger import NAMES
 
 BIN = Path(sys.executable).parent
 SETTINGS = Path(__file__).parents[1] / "deploy/celery.yaml"

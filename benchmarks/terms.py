@@ -17,10 +17,10 @@ from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.twin.crossing import IN_ORDER, PACK
 from hdt_core.twin.dsm import Dsm
-from pipelines import nightly
-from pipelines.simulated import write_fleet
-from pipelines.store import Store
-from pipelines.terms import accept, proposals
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration import nightly
+from pipelines.orchestration.terms import accept, proposals
+from pipelines.storage.store import Store
 
 KEY = ["operator", "tail", "flight_id", "pack"]
 

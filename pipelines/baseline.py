@@ -3,9 +3,9 @@
 import polars as pl
 
 from hdt_core.twin.calibrate import baseline_flights
-from pipelines.ledger import Ledger
-from pipelines.settings import accepted_terms
-from pipelines.store import Store
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accepted_terms
+from pipelines.storage.store import Store
 
 
 def baseline_cells(ledger: Ledger) -> pl.DataFrame:

@@ -8,7 +8,7 @@ import os
 
 from dagster_celery.tasks import create_execute_job_task
 
-from pipelines.broker import WatchedCeleryRunLauncher
+from dagster_batched.celery import WatchedCeleryRunLauncher
 
 app = WatchedCeleryRunLauncher(default_queue="dagster", broker=os.environ["HDT_BROKER_URL"]).celery
 execute_job = create_execute_job_task(app)

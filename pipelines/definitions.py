@@ -6,30 +6,14 @@ from typing import Any
 
 import dagster as dg
 
-from pipelines.assets import calibration, features, legs, prognosis, raw, residuals, twin
-from pipelines.eventlog import batch_events
-from pipelines.resources import Home, frame_io
-from pipelines.schedules import every_night, landing_zone, nightly
-
-STAGES = (raw, legs, calibration, twin, residuals, features, prognosis)
+from dagster_batched.sqlite import batch_events
+from pipelines.assets.location import asset_definitions
+from pipelines.orchestration.jobs import every_night, landing_zone, nightly
 
 
 def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg.Definitions:
     """The whole location over one landing zone and one home; `overrides` replace resources by name."""
-    assets = dg.load_assets_from_modules(STAGES)
-    resources = {
-        "home": Home(landing=str(landing), home=str(home)),
-        "io_manager": frame_io.configured({"home": str(home)}),
-        **overrides,
-    }
-    return dg.Definitions(
-        assets=assets,
-        resources=resources,
-        jobs=[nightly],
-        schedules=[every_night],
-        sensors=[landing_zone],
-        executor=dg.in_process_executor,
-    )
+    return asset_definitions(landing, home, overrides, jobs=[nightly], schedules=[every_night], sensors=[landing_zone])
 
 
 def from_environment() -> dg.Definitions:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hdt_core.tables import TABLES
-from pipelines.catalog import connect, ordered, publish, views
-from pipelines.meanings import declared, meaning, read_header
+from pipelines.storage.catalog import connect, ordered, publish, views
+from pipelines.storage.headers import declared, meaning, read_header
 
 _TITLE = """# Data dictionary
 

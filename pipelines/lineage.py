@@ -1,8 +1,8 @@
 """Every stage of the chain, declared once: what it makes, from what, by which version of the code.
 
-The order of runs (`pipelines.order`), what is stale (`pipelines.versions`) and Dagster's graph (`pipelines.assets`)
-follow from these declarations. The functions stand in `pipelines/assets/`, each under its stage's name. Nothing here
-needs Dagster, so a night with nothing new stays quick.
+The order of runs (`pipelines.orchestration.order`), what is stale (`pipelines.versions`) and Dagster's graph
+(`pipelines.assets`) follow from these declarations. The functions stand in `pipelines/assets/`, each under its stage's
+name. Nothing here needs Dagster, so a night with nothing new stays quick.
 """
 
 from collections.abc import Mapping

@@ -5,9 +5,9 @@ from pathlib import Path
 import dagster as dg
 from pydantic import Field
 
-from pipelines.io import FrameIO
-from pipelines.ledger import Ledger
-from pipelines.store import Store
+from pipelines.io_manager import FrameIO
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
 
 
 class Home(dg.ConfigurableResource):

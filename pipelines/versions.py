@@ -5,22 +5,16 @@ cell is stale when the ledger's version of what is stored differs from the one e
 clock, so late, repeated and out-of-order deliveries end where a clean delivery ends.
 """
 
-import hashlib
-
 import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines.baseline import baseline_inputs
-from pipelines.ledger import Ledger
 from pipelines.lineage import LINEAGE, Recipe, Stage
+from pipelines.storage.hashes import digest
+from pipelines.storage.ledger import Ledger
 
 CELL = ("operator", "tail", "flight_id")
 _DEPTH = {"flight": 3, "aircraft": 2, "fleet": 0}
-
-
-def digest(*parts: str) -> str:
-    """Short stable hash of some strings."""
-    return hashlib.blake2b("\x1f".join(parts).encode(), digest_size=10).hexdigest()
 
 
 def expected(ledger: Ledger, table: str) -> pl.DataFrame:

@@ -16,8 +16,8 @@ import pytest
 import typer
 
 import hdt_core
-from pipelines.catalog import connect
 from pipelines.cli import app
+from pipelines.storage.catalog import connect
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

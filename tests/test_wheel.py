@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[1]
 DEMO = """
 import sys
 sys.modules["numba"] = None  # importing it fails, as where it is not installed
-import hdt_core, pipelines, sql
-assert all(m.__file__.startswith(sys.argv[1]) for m in (hdt_core, pipelines, sql))
+import dagster_batched, hdt_core, pipelines, sql
+assert all(m.__file__.startswith(sys.argv[1]) for m in (hdt_core, pipelines, dagster_batched, sql))
 from pipelines.cli import app
 for words in (
     "simulate --out fleet --operators 1 --tails 1 --flights 15",
@@ -31,7 +31,7 @@ for words in (
 def wheel(tmp_path_factory) -> Path:
     """Built from a copy, so that nothing is left in the repository."""
     source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    for name in ("hdt_core", "pipelines", "sql"):
+    for name in ("hdt_core", "pipelines", "dagster_batched", "sql"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -44,7 +44,12 @@ def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
     said = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert wheel.name.startswith(f"hybrid_digital_twin-{said['version']}-")
     held = set(zipfile.ZipFile(wheel).namelist())
-    beside = [p for name in ("hdt_core", "pipelines", "sql") for p in (ROOT / name).rglob("*") if p.is_file()]
+    beside = [
+        p
+        for name in ("hdt_core", "pipelines", "dagster_batched", "sql")
+        for p in (ROOT / name).rglob("*")
+        if p.is_file()
+    ]
     wanted = {p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".typed"}}
     assert len(wanted) > 30
     assert wanted <= held

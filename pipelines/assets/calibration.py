@@ -11,15 +11,15 @@ from hdt_core.health.controller import learn_laws
 from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.parameters import design_parameters
-from pipelines.assets.stage import Shown, stage
+from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
-from pipelines.plots import calibration_metadata
+from pipelines.report.plots import calibration_metadata
 from pipelines.resources import Home
-from pipelines.settings import accepted_terms
+from pipelines.storage.settings import accepted_terms
 
 
 @stage
-def calibration(home: Home) -> Shown:
+def calibration(home: Home) -> StageResult:
     """Design parameters and nominal health of fleet, operator and tail, estimated together from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)
     within = pl.col("flight_id").is_in(cells["flight_id"].implode())
@@ -32,7 +32,7 @@ def calibration(home: Home) -> Shown:
     shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
     laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_laws(samples).to_dict())}
     held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
-    return Shown((pl.DataFrame(model), design_parameters(dsm), held), shown)
+    return StageResult((pl.DataFrame(model), design_parameters(dsm), held), shown)
 
 
 LEGS, CONTROLLERS = "legs", "controllers"

@@ -13,11 +13,11 @@ from hdt_core.prognosis.record import Heard, Record
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
 from hdt_core.records.unit_index import PACK
-from pipelines.assets.stage import Shown, stage
+from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import TRUSTED, shipped_base
-from pipelines.pictures import DRAWN, night_pictures
+from pipelines.report.pictures import DRAWN, night_pictures
 from pipelines.resources import Home
-from pipelines.store import Store
+from pipelines.storage.store import Store
 
 
 @stage
@@ -30,7 +30,7 @@ def prognosis_base() -> pl.DataFrame:
 @stage
 def prognosis(
     prognosis_base: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
-) -> Shown:
+) -> StageResult:
     """Time to the failure message: the base corrected by the fleet's own lives, each tail judged by the others'.
 
     A base that does worse than the one in service is not promoted.
@@ -41,7 +41,7 @@ def prognosis(
     features = features.join(asks, on=[*PACK, "flight_id"], how="left").collect()
     served = serve(loaded(prognosis_base), _last(home.store), Record(features, raw_messages, raw_maintenance))
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
-    return Shown((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)
+    return StageResult((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)
 
 
 READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))

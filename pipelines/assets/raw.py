@@ -8,14 +8,14 @@ import polars as pl
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawFleet
 from pipelines.assets.stage import stage
-from pipelines.deliveries import flights_of, landing_files, take_in
+from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.logs import Log, read_fleet, read_maintenance, read_messages
+from pipelines.intake.scan import REJECTED
 from pipelines.intake.snapshots import read_snapshots
-from pipelines.io import Asked
-from pipelines.landing import REJECTED
+from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
-from pipelines.store import Store
+from pipelines.storage.store import Store
 
 
 @stage
@@ -34,23 +34,23 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
 
 
 @stage
-def raw_records(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
+def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Maintenance messages the aircraft raised and work that was done on them."""
-    landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(asked.aircraft or {})
+    landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(scope.aircraft or {})
     listed = home.ledger.files(list(RECORDS)).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
     here = landing_files(landing, listed)
     fleet = home.store.read("raw_fleet")
     read = [(f, RECORDS[f.kind][1](f, now, fleet)) for f in here]
-    tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], asked, home.store) for kind in RECORDS]
+    tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS]
     deliveries = [_account(f, x).with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
     quarantine = [x.quarantine.with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
     paths = [f.path for f in here]
     return (
         *tables,
         pl.concat(
-            [_left("raw_records_deliveries", paths, asked, home.store), *deliveries], how="diagonal"
+            [_left("raw_records_deliveries", paths, scope, home.store), *deliveries], how="diagonal"
         ).with_columns(_COUNTED),
-        pl.concat([_left("raw_records_quarantine", paths, asked, home.store), *quarantine], how="diagonal"),
+        pl.concat([_left("raw_records_quarantine", paths, scope, home.store), *quarantine], how="diagonal"),
     )
 
 
@@ -62,17 +62,17 @@ def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
     return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
-def _records(kind: str, read: list[tuple[LandingFile, Log]], asked: Asked, store: Store) -> pl.DataFrame:
+def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
     table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
-    stored = asked.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
+    stored = scope.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
     rows = pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
     return date_entries(rows) if kind == "maintenance" else rows
 
 
-def _left(table: str, present: list[str], asked: Asked, store: Store) -> pl.DataFrame:
+def _left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """What is stored of files that have left the landing zone."""
-    return asked.read(store, table).filter(~pl.col("file").is_in(present))
+    return scope.read(store, table).filter(~pl.col("file").is_in(present))
 
 
 def _account(file: LandingFile, log: Log) -> pl.DataFrame:
@@ -87,10 +87,11 @@ def _account(file: LandingFile, log: Log) -> pl.DataFrame:
 
 
 @stage
-def raw(asked: Asked, home: Home) -> tuple[pl.DataFrame, ...]:
+def raw(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Snapshot reports and continuous logs of each flight, from every file that holds it, whenever it came."""
     landing = Path(home.landing)
-    taken = [take_in(landing, home.store, home.ledger, a, flights) for a, flights in (asked.aircraft or {}).items()]
+    aircraft = (scope.aircraft or {}).items()
+    taken = [ingest_flights(landing, home.store, home.ledger, a, flights) for a, flights in aircraft]
     rows = pl.concat([t.rows for t in taken])
     return (
         rows.filter(pl.col("source") == "acms"),

@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 import dagster as dg
 import polars as pl
 
+from dagster_batched.checks import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.aside import set_aside
-from pipelines.io import Asked
+from pipelines.intake.set_aside import set_aside
 from pipelines.lineage import MAKER, STAGE, Stage, followed
-from pipelines.meanings import declared
-from pipelines.panics import panics_as_errors
+from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
+from pipelines.storage.headers import declared
+from pipelines.storage.panics import panics_as_errors
 
 OWNERS = ["team:health-monitoring"]
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
@@ -26,7 +27,7 @@ FRESH = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_win
 """A night that brought nothing is a warning, two are a fault."""
 
 
-class Shown(NamedTuple):
+class StageResult(NamedTuple):
     """Frames, with what one table's materialization shows beside its counts: the first's, or that `on` says."""
 
     frames: tuple[pl.DataFrame, ...]
@@ -34,20 +35,13 @@ class Shown(NamedTuple):
     on: int = 0
 
 
-class _OfWhatComes(dg.AssetCheckResult):
-    """A check of what is about to be stored. Dagster would look up, table by table, what was stored before."""
-
-    def _get_target_materialization_data(self, *_: Any) -> None:
-        return None
-
-
-Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | Shown
+Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | StageResult
 
 
 def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
     """Make assets of a function that bears the name of a stage declared in `pipelines.lineage`.
 
-    The function's arguments are named after the tables it reads; `asked` and `home` give it the run's cells and
+    The function's arguments are named after the tables it reads; `scope` and `home` give it the run's cells and
     folders, with which it may read a part of its parents. It returns one frame a table, in the order of the stage's
     tables. Each is checked against its declaration before it is stored: a row that breaks it is set aside in
     quarantine, and where rows stand or fall together nothing is stored and what depends on it does not run.
@@ -72,17 +66,17 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         op_tags={"hdt/stage": own.group},
     )
     def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
-        asked = Asked.of(list(context.partition_keys) if context.has_partition_key_range else None)
-        offered: dict[str, Any] = {"asked": asked, "home": home}
+        scope = PartitionScope.of(list(context.partition_keys) if context.has_partition_key_range else None)
+        offered: dict[str, Any] = {"scope": scope, "home": home}
         began = time.monotonic()
         with panics_as_errors():
-            frames = fn(**{p: offered[p] if p in offered else asked.read(home.store, p) for p in wanted})
+            frames = fn(**{p: offered[p] if p in offered else scope.read(home.store, p) for p in wanted})
         took = {"seconds": round(time.monotonic() - began, 3)}
-        if not isinstance(frames, Shown):
-            frames = Shown(frames if isinstance(frames, tuple) else (frames,), {})
+        if not isinstance(frames, StageResult):
+            frames = StageResult(frames if isinstance(frames, tuple) else (frames,), {})
         for place, (table, frame) in enumerate(zip(own.tables, frames.frames, strict=True)):
             shown = took | frames.metadata if place == frames.on else took
-            keep = partial(set_aside, home.store, home.ledger, asked, table)
+            keep = partial(set_aside, home.store, home.ledger, scope, table)
             yield from _checked(table, TABLES[table].conform(frame), shown, keep)
 
     return run
@@ -125,7 +119,7 @@ def _checked(
     refused = bool(faults) and (TABLES[table].whole or (TABLES[table].grain == "fleet" and not sound.height))
     says = "; ".join(faults) or f"{frame.height} rows, each as declared"
     told = "not stored: " if refused else "set aside in quarantine: " if faults else ""
-    yield _OfWhatComes(
+    yield CheckBeforeStorage(
         check_name=CHECK,
         asset_key=table,
         passed=not faults,

@@ -8,8 +8,8 @@ from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.track import Tracked, track_on
 from pipelines.assets.stage import stage
-from pipelines.io import Asked
 from pipelines.lineage import LINEAGE
+from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
 
 
@@ -26,11 +26,15 @@ def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame) -> p
 
 @stage
 def twin_health(
-    asked: Asked, home: Home, twin_flights: pl.DataFrame, raw_maintenance: pl.DataFrame, calibration_dsm: pl.DataFrame
+    scope: PartitionScope,
+    home: Home,
+    twin_flights: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    calibration_dsm: pl.DataFrame,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """The Operational Digital Twin: health after each flight, from that flight and all before it.
 
     It goes on from the last bookmark before what is new; a bookmark says which flights it has seen.
     """
-    known = Tracked(*(asked.read(home.store, table) for table in ("twin_health", "twin_chapters")))
+    known = Tracked(*(scope.read(home.store, table) for table in ("twin_health", "twin_chapters")))
     return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, LINEAGE["twin_health"].code)

@@ -5,7 +5,7 @@ import sys
 
 from pipelines.cli import look, make, night, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
-from pipelines.stops import StoppedError, ends_in_order
+from pipelines.orchestration.stops import StoppedError, ends_in_order
 
 __all__ = ["app", "look", "main", "make", "night", "share"]
 
@@ -36,9 +36,9 @@ def main() -> None:
 
 def _of_a_night(error: Exception) -> str:
     """What a night can't do, in its own words; any other error goes on its way."""
-    from pipelines.nightly import BusyError
-    from pipelines.postgres import DatabaseError
-    from pipelines.workers import EngineError
+    from pipelines.orchestration.local_executor import EngineError
+    from pipelines.orchestration.nightly import BusyError
+    from pipelines.storage.postgres import DatabaseError
 
     return str(error) if isinstance(error, BusyError | DatabaseError | EngineError) else _of_the_disk(error)
 

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, home_folder, landing_folder, out, say_error
-from pipelines.stops import ends_at_once
+from pipelines.orchestration.stops import ends_at_once
 
 
 @app.command()
@@ -18,7 +18,7 @@ def status(home: HomeDir = None, as_json: AsJson = False) -> None:
 
     With the last good run, the catalog's age and the quarantine.
     """
-    from pipelines.status import status_of
+    from pipelines.orchestration.status import status_of
 
     told = status_of(home_folder(home))
     if as_json:
@@ -54,7 +54,7 @@ def query(sql: Annotated[str, typer.Argument(help="A select over the catalog's v
     """Ask the catalog, read only."""
     import duckdb
 
-    from pipelines.catalog import ask, connect
+    from pipelines.storage.catalog import ask, connect
 
     with ends_at_once(lambda: say_error("stopped")), connect(home_folder(home)) as con:
         try:
@@ -77,7 +77,7 @@ def explain(
 
     What moved, by how much, since when, which witnesses speak for or against it, what else it could be, what to do.
     """
-    from pipelines.explain import explain as told_of
+    from pipelines.report.explain import explain as told_of
 
     where, named = home_folder(home), " ".join(asked)
     try:
@@ -110,7 +110,7 @@ def ui(
     """
     where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
     try:
-        from pipelines.ui import listening, serve
+        from pipelines.web.page import listening, serve
     except ImportError:
         raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
     try:
@@ -140,10 +140,10 @@ def terms(
     """
     from hdt_core.physics.terms import TERMS
     from hdt_core.twin.dsm import Dsm
-    from pipelines.settings import accepted_terms
-    from pipelines.store import Store
-    from pipelines.terms import accept as write
-    from pipelines.terms import proposals
+    from pipelines.orchestration.terms import accept as write
+    from pipelines.orchestration.terms import proposals
+    from pipelines.storage.settings import accepted_terms
+    from pipelines.storage.store import Store
 
     where = home_folder(home)
     unknown = sorted({*(accept or ()), *(drop or ())} - set(TERMS))

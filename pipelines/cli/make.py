@@ -26,7 +26,7 @@ def simulate(
     from rich.progress import track
 
     from hdt_core.simulate.design import FleetSettings
-    from pipelines.simulated import write_fleet
+    from pipelines.intake.simulated import write_fleet
 
     if (target / "landing").exists():
         raise StopError(f"{target / 'landing'} exists; give --out a new folder")
@@ -42,7 +42,7 @@ def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = F
 
     The folders are looked at where they are given. Each check says what it found; exit code 1 if one is a fault.
     """
-    from pipelines.doctor import examine
+    from pipelines.cli.doctor import examine
 
     checks = list(examine(landing, home))
     if as_json:
@@ -56,15 +56,15 @@ def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = F
 
 @app.command()
 def benchmark(
-    rounds: Annotated[int, typer.Option(min=1, help="Every contestant has this many turns.")] = 5,
+    rounds: Annotated[int, typer.Option(min=1, help="Every candidate has this many turns.")] = 5,
     as_json: AsJson = False,
 ) -> None:
     """Race this installation against SciPy and filterpy.
 
     The same work for all, in turns, on one core: about ten seconds.
     """
-    from pipelines.benchmark import PACKAGES, installed
-    from pipelines.race import clock, machine, times
+    from pipelines.benchmark.peers import PACKAGES, installed
+    from pipelines.benchmark.timing import clock, machine, times
 
     claims = installed(rounds)
     if as_json:

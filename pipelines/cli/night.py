@@ -24,8 +24,8 @@ from pipelines.cli.base import (
     out,
     say_error,
 )
-from pipelines.stops import ends_at_once
-from pipelines.workers import cores
+from pipelines.orchestration.local_executor import cores
+from pipelines.orchestration.stops import ends_at_once
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]
@@ -121,9 +121,9 @@ def tidy(
     Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
     materialized on Dagster's page.
     """
-    from pipelines.history import forget
-    from pipelines.nightly import holding
-    from pipelines.runs import open_instance
+    from dagster_batched.history import forget
+    from pipelines.orchestration.nightly import holding
+    from pipelines.orchestration.runs import open_instance
 
     where = home_folder(home)
     with holding(where), open_instance(where) as instance:
@@ -132,8 +132,8 @@ def tidy(
 
 
 def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
-    from pipelines.landing import unseen
-    from pipelines.ledger import Ledger
+    from pipelines.intake.scan import unseen
+    from pipelines.storage.ledger import Ledger
 
     files, new = unseen(landing, Ledger(home, looks=True))
     if as_json:
@@ -145,8 +145,8 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.catalog import fault_of, publish
-    from pipelines.nightly import holding, run_night
+    from pipelines.orchestration.nightly import holding, run_night
+    from pipelines.storage.catalog import fault_of, publish
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
 
@@ -188,8 +188,8 @@ def _say(home: Path, night: Any, seconds: float) -> None:
 
 def _ranking(home: Path) -> None:
     """The packs most in need of attention, as the engineer reads them; in the words and the order of the report."""
-    from pipelines.catalog import connect
     from pipelines.report import words
+    from pipelines.storage.catalog import connect
 
     with connect(home) as con:
         rows = con.sql("select * from fleet_ranking order by place limit 10").pl().to_dicts()

@@ -36,9 +36,9 @@ def export(
 
     To be given away, or read elsewhere.
     """
-    from pipelines.catalog import views
-    from pipelines.export import export as write
-    from pipelines.isolate import sight_of
+    from pipelines.sharing.export import export as write
+    from pipelines.sharing.redaction import access_scope
+    from pipelines.storage.catalog import views
 
     where, known = home_folder(home), views()
     if strange := [v for v in view or () if v not in known]:
@@ -48,7 +48,7 @@ def export(
     if key_file and not pseudonymise:
         raise StopError("a key is for --pseudonymise; give both or neither")
     try:
-        rows = write(where, target, sight_of(where, operator, _key(key_file) if pseudonymise else None), form, view)
+        rows = write(where, target, access_scope(where, operator, _key(key_file) if pseudonymise else None), form, view)
     except (ValueError, FileExistsError) as error:
         raise StopError(str(error)) from None
     out.print(f"{sum(rows.values())} rows of {len(rows)} views: {target}", soft_wrap=True)

@@ -8,11 +8,11 @@ from datetime import date, datetime
 import polars as pl
 
 from pipelines.intake.header import judge_header
-from pipelines.intake.judge import PACKS
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.opening import read_bytes
+from pipelines.intake.row_validation import PACKS
 from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_day, to_utc, zone_note
 

@@ -12,7 +12,7 @@ from pipelines.intake.columns import CORE_NAMES, KEYS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import judge_header
 from pipelines.intake.ledger import Fault
 from pipelines.intake.text import number_faults
-from pipelines.panics import first_line, panics_as_errors
+from pipelines.storage.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000
 MAX_BYTES = 1 << 30

@@ -9,16 +9,16 @@ import polars as pl
 
 from pipelines.intake.columns import CORE_NAMES, KEYS, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import Header, judge_header
-from pipelines.intake.judge import Judged, about_files, judge
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine, shortened
 from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
+from pipelines.intake.row_validation import Judged, about_files, judge
 from pipelines.intake.text import PLACE, Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
-from pipelines.panics import first_line, panics_as_errors
+from pipelines.storage.panics import first_line, panics_as_errors
 
 ROW_COLUMNS = ("operator", "tail", "flight_id", "pack", "time_utc", "source", *WORDS, *SI_NAMES, "file", "row_in_file")
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from pipelines.files import replacing
 from pipelines.report.facts import read_facts
 from pipelines.report.page import page
+from pipelines.storage.files import replacing
 
 
 def write_report(home: Path, target: Path) -> None:

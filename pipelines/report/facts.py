@@ -9,7 +9,7 @@ import duckdb
 import polars as pl
 
 from hdt_core.twin.dsm import Dsm
-from pipelines.catalog import connect
+from pipelines.storage.catalog import connect
 
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",

@@ -4,10 +4,10 @@ from typing import Any
 
 import polars as pl
 
-from pipelines.plots import outlet_residuals
 from pipelines.report import svg, words
 from pipelines.report.facts import Facts
 from pipelines.report.html import Html, join, tag
+from pipelines.report.plots import outlet_residuals
 from pipelines.report.replacement import FLIGHTS_BEFORE, around_replacement
 
 POINTS = 700

@@ -17,7 +17,7 @@ from soundness import faults
 from zones import drop_fleet, simulated
 
 from benchmarks.fingerprint import fingerprint
-from pipelines.store import Store
+from pipelines.storage.store import Store
 
 
 @dataclass

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
 from zones import drop_fleet, simulated
 
-from pipelines.catalog import connect
-from pipelines.store import Store
+from pipelines.storage.catalog import connect
+from pipelines.storage.store import Store
 
 EXAMPLES = int(os.environ.get("HDT_SOAK_KILLS", "0")) // 20 or 3
 ZONE = simulated(16, 4, operator="QQX", tail="Z9")

@@ -14,10 +14,11 @@ from soundness import faults
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.fingerprint import fingerprint
-from pipelines import cli, files, nightly
-from pipelines import faults as places
-from pipelines.ledger import Ledger
-from pipelines.runs import open_instance
+from pipelines import cli
+from pipelines.orchestration import nightly
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage import fault_points, files
+from pipelines.storage.ledger import Ledger
 
 FULL = 2
 """SQLite's `synchronous`: every commit waits until it is on the disk."""
@@ -153,5 +154,5 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
 
 
 def test_every_fault_point_is_in_the_code():
-    sources = "".join(p.read_text() for p in Path(files.__file__).parent.glob("*.py") if p.name != "faults.py")
-    assert [p for p in (*places.POINTS, *places.OF_OBJECTS) if f'fault_point("{p}")' not in sources] == []
+    sources = "".join(p.read_text() for p in Path(files.__file__).parent.glob("*.py") if p.name != "fault_points.py")
+    assert [p for p in (*fault_points.POINTS, *fault_points.OF_OBJECTS) if f'fault_point("{p}")' not in sources] == []

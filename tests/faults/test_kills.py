@@ -14,8 +14,8 @@ import pytest
 from soundness import faults
 
 from benchmarks.fingerprint import fingerprint
-from pipelines.faults import POINTS
-from pipelines.runs import open_instance
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.fault_points import POINTS
 
 KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
 """Kills at random moments, beside those at the named places."""

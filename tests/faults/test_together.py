@@ -5,8 +5,8 @@ import threading
 import duckdb
 import pytest
 
-from pipelines.catalog import connect
-from pipelines.nightly import BusyError, holding
+from pipelines.orchestration.nightly import BusyError, holding
+from pipelines.storage.catalog import connect
 
 
 def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_path):

@@ -23,9 +23,10 @@ from nights import Silent, stages_of  # noqa: E402
 from powercut import Disk  # noqa: E402
 
 import pipelines.definitions  # noqa: E402
-import pipelines.runs  # noqa: E402, F401
-from pipelines import faults, files, nightly  # noqa: E402
-from pipelines.catalog import publish  # noqa: E402
+import pipelines.orchestration.runs  # noqa: E402, F401
+from pipelines.orchestration import nightly  # noqa: E402
+from pipelines.storage import fault_points, files  # noqa: E402
+from pipelines.storage.catalog import publish  # noqa: E402
 
 
 def work(asked: dict) -> None:
@@ -62,7 +63,7 @@ def cut_the_power(home: Path, lose_history: bool = False, sync: bool = True) -> 
         disk.cut(lose_history)
         os.kill(os.getpid(), signal.SIGKILL)
 
-    faults._strike = strike
+    fault_points._strike = strike
     if not sync:
         files._sync = lambda path: None
 

@@ -21,7 +21,7 @@ from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.track import track_on
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.twin import model_of
-from pipelines.store import Store
+from pipelines.storage.store import Store
 
 NO_WORK, NO_MESSAGES = RawMaintenance.create_empty(), RawMessages.create_empty()
 ODD = st.sampled_from([None, 0.0, -0.0, -1.0, 1.0, 1e-300, -1e-300, 5e-324, 1e300, -1e300, 1.7e308, 1e6, 250.0])

@@ -4,7 +4,7 @@ import dagster as dg
 import pytest
 from dagster._core.launcher import WorkerStatus
 
-from pipelines import broker
+from dagster_batched import celery
 
 AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
 
@@ -12,7 +12,7 @@ AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
 @pytest.fixture
 def asked(monkeypatch):
     """A launcher, what its workers answer, and the time."""
-    launcher = broker.WatchedCeleryRunLauncher(default_queue="dagster", broker="memory://", grace_s=60)
+    launcher = celery.WatchedCeleryRunLauncher(default_queue="dagster", broker="memory://", grace_s=60)
     told = {"answer": AT_WORK, "now": 1000.0}
 
     class Inspect:
@@ -24,7 +24,7 @@ def asked(monkeypatch):
             return told["answer"]
 
     monkeypatch.setattr(launcher.celery.control, "inspect", Inspect)
-    monkeypatch.setattr(broker.time, "monotonic", lambda: told["now"])
+    monkeypatch.setattr(celery.time, "monotonic", lambda: told["now"])
     return launcher, told
 
 
@@ -53,7 +53,7 @@ def test_a_run_that_nobody_is_at_is_lost_after_a_while(asked):
     assert found.msg == "no worker has been at it for 61 s"
 
 
-@pytest.mark.parametrize("silence", [None, broker.OperationalError("refused"), ConnectionResetError()])
+@pytest.mark.parametrize("silence", [None, celery.OperationalError("refused"), ConnectionResetError()])
 def test_while_nobody_answers_nothing_is_lost_and_the_while_begins_anew(asked, silence):
     launcher, told = asked
     run = run_of("task-2")

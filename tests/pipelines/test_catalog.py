@@ -9,8 +9,8 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipelines.catalog import CATALOG, connect, fault_of, ordered, publish, views
-from pipelines.objects import StoreError
+from pipelines.storage.catalog import CATALOG, connect, fault_of, ordered, publish, views
+from pipelines.storage.objects import StoreError
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
 

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.fingerprint import fingerprint
 from pipelines.cli import main
-from pipelines.ledger import Ledger
+from pipelines.storage.ledger import Ledger
 
 COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 
@@ -144,7 +144,7 @@ def test_an_idle_night_mends_the_catalog(own_home):
 
 
 def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
-    from pipelines.nightly import holding
+    from pipelines.orchestration.nightly import holding
 
     landing, home = own_home
     with holding(home):
@@ -176,8 +176,8 @@ def test_status_counts_what_waits(own_home):
     assert all(a["waiting"] == 0 and a["cells"] == a["up_to_date"] for a in told["assets"].values())
     assert told["last_good_run"] == told["last_run"] is not None
     assert told["last_run_failed"] is None
-    from pipelines.landing import scan
-    from pipelines.ledger import Ledger
+    from pipelines.intake.scan import scan
+    from pipelines.storage.ledger import Ledger
 
     changed = landing / "AQX" / "LX-AAB" / "maintenance.csv"
     changed.write_text(changed.read_text() + "2024-06-30,1,HX,INSPECTED,,WO1\n")
@@ -188,8 +188,8 @@ def test_status_counts_what_waits(own_home):
 
 
 def test_an_alert_is_explained_with_its_evidence_and_what_to_do(sample_home):
-    from pipelines.catalog import connect
     from pipelines.report.words import finding, tidy
+    from pipelines.storage.catalog import connect
 
     columns = "alert_id, evidence, evidence_now, recommended_action"
     with connect(sample_home) as con:
@@ -238,7 +238,7 @@ def test_a_backfill_by_date_takes_in_those_flights_and_no_other(sample_landing, 
     done = hdt("backfill", *where, "--tail", "LX-AAB", "--since", "2024-03-10", "--until", "2024-03-12", "--json")
     assert done.returncode == 0, done.stderr + done.stdout
     asked = "select distinct tail, substr(flight_id, 8, 8) as day from flights order by day"
-    from pipelines.catalog import connect
+    from pipelines.storage.catalog import connect
 
     with connect(home) as con:
         found = con.execute(asked).fetchall()

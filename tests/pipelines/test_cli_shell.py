@@ -6,7 +6,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from pipelines.benchmark import installed
+from pipelines.benchmark.peers import installed
 from pipelines.cli.base import ORDER, app, out
 
 
@@ -53,7 +53,7 @@ def test_contestants_of_the_benchmark_give_the_same_answers():
 
 
 def test_the_benchmark_prints_json(monkeypatch):
-    monkeypatch.setattr("pipelines.benchmark.installed", lambda rounds: installed(rounds, 1, 200))
+    monkeypatch.setattr("pipelines.benchmark.peers.installed", lambda rounds: installed(rounds, 1, 200))
     with out.capture() as printed:
         hdt("benchmark", "--rounds", "1", "--json")
     told = json.loads(printed.get())

@@ -14,10 +14,10 @@ from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
-from pipelines.ledger import Ledger
 from pipelines.lineage import LINEAGE
-from pipelines.runs import open_instance
-from pipelines.workers import EngineError
+from pipelines.orchestration.local_executor import EngineError
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.ledger import Ledger
 
 STAGES = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis"}
 
@@ -90,19 +90,19 @@ def test_schedule_and_sensor_are_there_and_off(defs):
 
 
 def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):
-    from pipelines import schedules
+    from pipelines.orchestration import jobs
     from pipelines.resources import Home
 
     home = Home(landing=str(sample_landing), home=str(tmp_path / "home"))
 
     def look():
         with dg.build_sensor_context(resources={"home": home}) as context:
-            return list(schedules.landing_zone(context))
+            return list(jobs.landing_zone(context))
 
-    monkeypatch.setattr(schedules, "QUIET_S", 10**12)
+    monkeypatch.setattr(jobs, "QUIET_S", 10**12)
     (fresh,) = look()
     assert "waiting" in fresh.skip_message
-    monkeypatch.setattr(schedules, "QUIET_S", -1)
+    monkeypatch.setattr(jobs, "QUIET_S", -1)
     first, second = look(), look()
     assert first[0].run_key == second[0].run_key
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import dagster as dg
 import pytest
 import sqlalchemy
-from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
 from databases import SERVER, new_database
+
+from dagster_batched import report_partitions
 
 KEPT_IN = {
     "sqlite": ("base_dir: {base}/history", "sqlite:///{base}/history/index.db"),
@@ -24,8 +25,8 @@ STOCK, OURS = (
         "postgresql": ("dagster_postgres.event_log", "PostgresEventLogStorage"),
     },
     {
-        "sqlite": ("pipelines.eventlog", "BatchedSqliteEventLogStorage"),
-        "postgresql": ("pipelines.eventlog_postgres", "BatchedPostgresEventLogStorage"),
+        "sqlite": ("dagster_batched.sqlite", "BatchedSqliteEventLogStorage"),
+        "postgresql": ("dagster_batched.postgres", "BatchedPostgresEventLogStorage"),
     },
 )
 TABLES = ("event_logs", "asset_keys", "asset_event_tags", "asset_check_executions", "dynamic_partitions")
@@ -51,11 +52,7 @@ class OneStandsForAll(dg.IOManager):
     """Reports one cell for all where the log can, as the pipeline's own IO manager does."""
 
     def handle_output(self, context, obj) -> None:
-        log = context.step_context.instance.event_log_storage
-        if hasattr(log, "stands_for"):
-            keys = list(context.asset_partition_keys)
-            log.stands_for(context.run_id, context.asset_key, keys)
-            context._asset_partitions_subset = DefaultPartitionsSubset({keys[0]})
+        report_partitions(context, list(context.asset_partition_keys))
 
     def load_input(self, context) -> None:
         """Nothing is stored."""
@@ -194,7 +191,7 @@ def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
             done = dg.materialize([sound, broken], instance=instance, tags=tags, raise_on_error=False)
             log = instance.event_log_storage
             if who is OURS:
-                log.planned_in_vain(done.run_id, cells)
+                log.mark_failed_partitions(done.run_id, cells)
             in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
             found.append(
                 {

@@ -11,8 +11,8 @@ from nights import keep_base, run
 from polars.testing import assert_series_equal
 from zones import simulated
 
-from pipelines.catalog import connect
 from pipelines.report import write_report
+from pipelines.storage.catalog import connect
 
 CONTRACT = (Path(__file__).parents[2] / "docs" / "raw-data.md").read_text()
 MARKUP = '<b onmouseover="alert(1)">HOT</b> & "HIGH"; äöü €, 100 %'

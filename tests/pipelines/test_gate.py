@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.gate import HEADER, LOCAL, Gate, only_asks, token_of
-from pipelines.runs import open_instance
+from pipelines.orchestration.runs import open_instance
+from pipelines.web.gate import HEADER, LOCAL, Gate, only_asks, token_of
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 TOKEN = "the-token-of-the-home"

@@ -16,8 +16,9 @@ import polars as pl
 import pytest
 from databases import SERVER, new_database
 
-from pipelines import nightly, postgres
-from pipelines.ledger import Ledger
+from pipelines.orchestration import nightly
+from pipelines.storage import postgres
+from pipelines.storage.ledger import Ledger
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
@@ -93,7 +94,7 @@ def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
     def fail(name: str) -> None:
         raise OSError(name)
 
-    monkeypatch.setattr("pipelines.ledger.fault_point", fail)
+    monkeypatch.setattr("pipelines.storage.ledger.fault_point", fail)
     with pytest.raises(OSError, match="before_mark"):
         ledger.mark("raw_flights", _cells((*A, "f1", "v1")))
     assert ledger.done("raw_flights").is_empty()

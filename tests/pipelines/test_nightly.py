@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 from nights import keep_base, run
 
-from pipelines.catalog import connect
-from pipelines.runs import open_instance
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.catalog import connect
 
 COMPARED = (
     "raw_snapshots",
@@ -43,7 +43,7 @@ def last_time(home) -> float:
 
 
 def tables(home) -> dict[str, pl.DataFrame]:
-    from pipelines.store import Store
+    from pipelines.storage.store import Store
 
     frames = {t: Store(home).read(t) for t in COMPARED}
     return {t: f.sort([c for c in f.columns if f[c].dtype != pl.Binary]) for t, f in frames.items()}
@@ -136,7 +136,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, newest, monk
     import pipelines.assets.raw as raw_assets
 
     landing, home = own_home
-    real = raw_assets.take_in
+    real = raw_assets.ingest_flights
     added = []
     for name in ("AQX/LX-AAB", "BZR/A9-BAC"):
         last = max((landing / name / "acms").glob("*.csv"))
@@ -149,7 +149,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, newest, monk
             raise RuntimeError("disk on fire")
         return real(landing, store, ledger, aircraft, flights)
 
-    monkeypatch.setattr(raw_assets, "take_in", sick)
+    monkeypatch.setattr(raw_assets, "ingest_flights", sick)
     night = run(landing, home)
     assert list(night.failed) == ["flights and legs: AQX:LX-AAB"]
     assert "disk on fire" in next(iter(night.failed.values()))

@@ -15,17 +15,17 @@ from nights import run
 from soundness import faults
 
 from benchmarks.fingerprint import fingerprint
-from pipelines.catalog import connect, publish, views
-from pipelines.export import export
-from pipelines.faults import OF_OBJECTS
-from pipelines.isolate import sight_of
-from pipelines.ledger import Ledger
-from pipelines.objects import Objects, StoreError, objects
 from pipelines.report import write_report
-from pipelines.store import FLEET, URL, Store
+from pipelines.sharing.export import export
+from pipelines.sharing.redaction import access_scope
+from pipelines.storage.catalog import connect, publish, views
+from pipelines.storage.fault_points import OF_OBJECTS
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.objects import Objects, StoreError, objects
+from pipelines.storage.store import FLEET, URL, Store
 
 TABLE = "prognosis_model"
-WRITE = "import sys, polars as pl; from pathlib import Path; from pipelines.store import FLEET, Store;" + (
+WRITE = "import sys, polars as pl; from pathlib import Path; from pipelines.storage.store import FLEET, Store;" + (
     f" Store(Path(sys.argv[1])).replace({TABLE!r}, FLEET, pl.read_json(sys.argv[2].encode()))"
 )
 
@@ -129,7 +129,7 @@ def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_
     assert faults(home, sample_landing) == []
     on_objects = fingerprint(home)
     write_report(home, tmp_path / "report.html")
-    rows = export(home, tmp_path / "out", sight_of(home, None, None), "parquet")
+    rows = export(home, tmp_path / "out", access_scope(home, None, None), "parquet")
     assert run(sample_landing, home).idle
     monkeypatch.delenv(URL)
     assert on_objects == fingerprint(sample_home)

@@ -10,7 +10,7 @@ from soundness import faults
 from zones import drop_fleet, simulated
 
 import pipelines.assets.twin as twin_assets
-from pipelines.catalog import connect
+from pipelines.storage.catalog import connect
 
 FLIGHTS, BROKEN = 7, "breaks_declaration"
 

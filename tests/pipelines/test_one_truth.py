@@ -8,14 +8,14 @@ import polars as pl
 import pytest
 from typer.testing import CliRunner
 
-from pipelines.catalog import connect, publish
 from pipelines.cli import app
 from pipelines.cli.night import _ranking
-from pipelines.explain import explain
+from pipelines.report.explain import explain
 from pipelines.report.facts import read_facts
 from pipelines.report.page import page
 from pipelines.report.words import URGENCY
-from pipelines.store import FLEET, Store
+from pipelines.storage.catalog import connect, publish
+from pipelines.storage.store import FLEET, Store
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 THEN, NOW = 10, 40

@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 
 from pipelines.lineage import STAGES, Stage, alike
-from pipelines.order import steps
+from pipelines.orchestration.order import steps
 
 
 def test_every_stage_is_made_once_and_after_what_it_needs():

@@ -8,7 +8,7 @@ from made import made_fleet
 
 from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.flights import estimate_flights
-from pipelines.plots import calibration_metadata, outlet_residuals
+from pipelines.report.plots import calibration_metadata, outlet_residuals
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from databases import SERVER, new_database
 from nights import Silent, stages_of
 
 from hdt_core.simulate.design import FleetSettings
-from pipelines import nightly
-from pipelines.runs import open_instance
-from pipelines.simulated import write_fleet
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration import nightly
+from pipelines.orchestration.runs import open_instance
 
 pytestmark = pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
 

@@ -16,13 +16,13 @@ from nights import run
 
 from pipelines.assets import features
 from pipelines.definitions import build_defs
-from pipelines.files import replacing
-from pipelines.ledger import Ledger
-from pipelines.nightly import holding
-from pipelines.runs import open_instance
-from pipelines.stops import StoppedError, deaf, ends_in_order
+from pipelines.orchestration.nightly import holding
+from pipelines.orchestration.runs import open_instance
+from pipelines.orchestration.stops import StoppedError, deaf, ends_in_order
+from pipelines.storage.files import replacing
+from pipelines.storage.ledger import Ledger
 
-SMALL = "from pipelines import blocks; blocks.CELLS_A_RUN = 60; from pipelines.cli import main; main()"
+SMALL = "from pipelines.orchestration import batches; batches.CELLS_A_RUN = 60; from pipelines.cli import main; main()"
 LINE = "hdt: stopped; the next run goes on from here\n"
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 QUICK_S = 2.0

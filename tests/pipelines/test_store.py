@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.files import replacing
-from pipelines.objects import StoreError
-from pipelines.store import FLEET, Store
+from pipelines.storage.files import replacing
+from pipelines.storage.objects import StoreError
+from pipelines.storage.store import FLEET, Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
 MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"

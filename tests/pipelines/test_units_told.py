@@ -5,8 +5,8 @@ from nights import keep_base, run
 from soundness import faults
 from zones import drop_fleet, simulated
 
-from pipelines.catalog import connect
-from pipelines.doctor import examine
+from pipelines.cli.doctor import examine
+from pipelines.storage.catalog import connect
 
 
 def check(home):

@@ -8,9 +8,9 @@ import pytest
 from hdt_core.tables import TABLES
 from pipelines.assets.stage import stage
 from pipelines.definitions import build_defs
-from pipelines.ledger import Ledger
 from pipelines.lineage import LINEAGE, MAKER, STAGES, Recipe, followed
-from pipelines.store import Store
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
 from pipelines.versions import CELL, expected, undone
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")

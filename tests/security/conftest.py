@@ -13,7 +13,7 @@ from hostile import CANARY, plant
 from nights import keep_base
 from zones import drop_fleet, simulated
 
-from pipelines.catalog import connect
+from pipelines.storage.catalog import connect
 
 
 @dataclass(frozen=True)

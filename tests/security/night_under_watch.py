@@ -27,7 +27,7 @@ def main(landing: Path, home: Path, told: Path) -> None:
     from nights import run
 
     import pipelines.definitions
-    import pipelines.runs  # noqa: F401
+    import pipelines.orchestration.runs  # noqa: F401
     from pipelines.report import write_report
 
     sys.addaudithook(watch)

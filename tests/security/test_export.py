@@ -18,14 +18,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hdt_core.tables import TABLES
-from pipelines.catalog import CATALOG, connect, publish, tables_read, views
-from pipelines.export import FORMATS, MANIFEST, export, safe
-from pipelines.isolate import Sight, sight_of
-from pipelines.store import FLEET, Store
+from pipelines.sharing.export import FORMATS, MANIFEST, export, safe
+from pipelines.sharing.redaction import AccessScope, access_scope
+from pipelines.storage.catalog import CATALOG, connect, publish, tables_read, views
+from pipelines.storage.store import FLEET, Store
 
 KEY = b"canary-key-5e0d-tell-nobody"
 OWN, OTHER = ("AQX", "LX-AAB"), ("BZR", "A9-BAC")
-EVERYTHING = Sight(None, None, frozenset(), frozenset(), frozenset())
+EVERYTHING = AccessScope(None, None, frozenset(), frozenset(), frozenset())
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 
@@ -106,7 +106,7 @@ def given_away(home, tmp_path_factory):
     def give(operator: str | None, key: bytes | None, form: str) -> Given:
         if (operator, key, form) not in made:
             folder = tmp_path_factory.mktemp("given") / "out"
-            made[operator, key, form] = Given(folder, export(home, folder, sight_of(home, operator, key), form))
+            made[operator, key, form] = Given(folder, export(home, folder, access_scope(home, operator, key), form))
         return made[operator, key, form]
 
     return give
@@ -156,8 +156,8 @@ def test_pseudonyms_change_names_and_nothing_else(given_away):
 
 
 def test_a_name_depends_on_the_key_alone(home):
-    one, two = (sight_of(home, o, KEY).pseudonym("LX-AAB") for o in (None, "AQX"))
-    assert one == two != sight_of(home, None, KEY[::-1]).pseudonym("LX-AAB")
+    one, two = (access_scope(home, o, KEY).pseudonym("LX-AAB") for o in (None, "AQX"))
+    assert one == two != access_scope(home, None, KEY[::-1]).pseudonym("LX-AAB")
 
 
 def test_parquet_csv_and_duckdb_say_the_same(given_away):

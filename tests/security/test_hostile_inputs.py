@@ -14,9 +14,9 @@ from skops.io.exceptions import UntrustedTypesFoundException
 
 from pipelines import cli
 from pipelines.assets.prognosis import TRUSTED
-from pipelines.catalog import ask, connect
-from pipelines.runs import open_instance
-from pipelines.store import Store
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.catalog import ask, connect
+from pipelines.storage.store import Store
 
 ROOT = Path(__file__).parents[2]
 

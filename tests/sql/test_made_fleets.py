@@ -9,7 +9,7 @@ from answers import CHECKS, rows
 
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from hdt_core.tables import TABLES
-from pipelines.catalog import ordered, views
+from pipelines.storage.catalog import ordered, views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}

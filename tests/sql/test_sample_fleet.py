@@ -10,9 +10,9 @@ import pytest
 from answers import CHECKS, rows
 
 from hdt_core.tables import TABLES
-from pipelines.catalog import CATALOG, views
 from pipelines.dictionary import dictionary, view_columns
-from pipelines.meanings import read_header
+from pipelines.storage.catalog import CATALOG, views
+from pipelines.storage.headers import read_header
 
 ROOT = Path(__file__).parents[2]
 

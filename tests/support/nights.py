@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pipelines.catalog import publish
-from pipelines.ledger import Ledger
 from pipelines.lineage import STAGES, Stage
-from pipelines.nightly import Night, holding, run_night
-from pipelines.order import steps
+from pipelines.orchestration.nightly import Night, holding, run_night
+from pipelines.orchestration.order import steps
+from pipelines.storage.catalog import publish
+from pipelines.storage.ledger import Ledger
 
 
 class Silent:

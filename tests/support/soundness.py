@@ -4,8 +4,8 @@ import re
 from importlib import resources
 from pathlib import Path
 
-from pipelines.catalog import connect
-from pipelines.store import Store
+from pipelines.storage.catalog import connect
+from pipelines.storage.store import Store
 
 PROMISED = {
     "flights": "operator tail flight_id departed_at landed_at source n_snapshots cruise_minutes",

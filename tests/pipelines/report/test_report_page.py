@@ -7,11 +7,11 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.catalog import publish
 from pipelines.report import write_report
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page
 from pipelines.report.words import pack_name
+from pipelines.storage.catalog import publish
 
 PARTS = {"tonight", "ranking", "alerts", "tracks", "gaps", "quarantine", "yield", "design", "figures", "card"}
 

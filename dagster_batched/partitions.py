@@ -1,0 +1,116 @@
+"""Partitions along several dimensions of which a run takes a range of ten thousand cells."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache, wraps
+from itertools import product
+from typing import Any
+
+import dagster as dg
+from dagster._core.definitions.partitions.context import partition_loading_context
+from dagster._core.definitions.partitions.subset import PartitionsSubset
+from dagster._core.definitions.partitions.utils.multi import PartitionDimensionKey
+from dagster._core.execution.context.data_version_cache import DataVersionCache
+
+_cached: list[dict[dg.PartitionKeyRange, Sequence[str]]] = []
+
+
+@contextmanager
+def cached_ranges() -> Iterator[None]:
+    """While a run is planned and made its range stays as it is, whatever partitions are added elsewhere.
+
+    Dagster asks for the cells of a run's range some fifteen times an asset: within the block they are made once.
+    """
+    _cached.append({})
+    try:
+        yield
+    finally:
+        _cached.pop()
+
+
+class RangePartitions(dg.MultiPartitionsDefinition):
+    """Partitions along several dimensions, ranges of which stand for a run's length."""
+
+    def get_partition_keys_in_range(
+        self,
+        partition_key_range: dg.PartitionKeyRange,
+        dynamic_partitions_store: dg.DagsterInstance | None = None,
+    ) -> Sequence[str]:
+        """All cells between two, in every dimension."""
+        known = _cached[-1] if _cached else {}
+        if partition_key_range not in known:
+            known[partition_key_range] = self._between(partition_key_range, dynamic_partitions_store)
+        return known[partition_key_range]
+
+    def _between(
+        self, partition_key_range: dg.PartitionKeyRange, dynamic_partitions_store: dg.DagsterInstance | None
+    ) -> Sequence[str]:
+        first, last = (self.get_partition_key_from_str(key) for key in partition_key_range)
+        with partition_loading_context(dynamic_partitions_store=dynamic_partitions_store):
+            ranges = [
+                dg.PartitionKeyRange(first.keys_by_dimension[d.name], last.keys_by_dimension[d.name])
+                for d in self.partitions_defs
+            ]
+            along = (
+                tuple(d.partitions_def.get_partition_keys_in_range(r))
+                for d, r in zip(self.partitions_defs, ranges, strict=True)
+            )
+            return list(_product(tuple(d.name for d in self.partitions_defs), *along))
+
+    def subset_with_partition_keys(self, partition_keys: Iterable[str]) -> PartitionsSubset:
+        """The same for all assets of a run."""
+        return _subset(self, tuple(partition_keys))
+
+
+@lru_cache(maxsize=2)
+def _product(dimensions: tuple[str, ...], *along: tuple[str, ...]) -> tuple[dg.MultiPartitionKey, ...]:
+    return tuple(multi_key(dimensions, keys) for keys in product(*along))
+
+
+@lru_cache(maxsize=1)
+def _subset(definition: RangePartitions, keys: tuple[str, ...]) -> PartitionsSubset:
+    return definition.empty_subset().with_partition_keys(keys)
+
+
+def multi_key(dimensions: tuple[str, ...], keys: tuple[str, ...]) -> dg.MultiPartitionKey:
+    """Partition key of a key in each dimension; dimensions in order of their names.
+
+    Dagster's own way to make one checks and sorts, and a run's range is ten thousand of them.
+    """
+    key = str.__new__(dg.MultiPartitionKey, "|".join(keys))
+    key.dimension_keys = list(map(_along, dimensions, keys))
+    return key
+
+
+_along = lru_cache(maxsize=100_000)(PartitionDimensionKey)
+
+
+class _Unpartitioned:
+    """A step's context to which what it reads has no partitions."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def has_asset_partitions_for_input(self, _: str) -> bool:
+        """Of no asset."""
+        return False
+
+
+def skip_input_versions() -> None:
+    """Let Dagster look up the version of what a step reads without a list of its cells.
+
+    It would make all cells of those aircraft, a hundred thousand keys, for every asset, and then leave it, for there
+    are more than a hundred. There is no public way to say so beforehand.
+    """
+    stock = DataVersionCache.__init__
+    if hasattr(stock, "__wrapped__"):
+        return
+
+    @wraps(stock)
+    def unlisted(self: DataVersionCache, context: Any) -> None:
+        stock(self, _Unpartitioned(context))
+
+    DataVersionCache.__init__ = unlisted

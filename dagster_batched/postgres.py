@@ -1,0 +1,73 @@
+"""Dagster's PostgreSQL event log, with one event standing for those that differ in nothing but the partition.
+
+Stock plans a run with an event and two transactions for every cell, 25 ms each, and writes what it made cell by cell.
+Schema is unchanged, so stock reads what this class wrote; a test compares the tables with stock's. It leans on private
+API as `dagster_batched.sqlite` does. Needs the extra `postgres`.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Self
+
+from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
+from dagster._serdes import ConfigurableClassData
+from dagster_postgres.event_log import PostgresEventLogStorage
+from dagster_postgres.utils import get_token_provider_from_config, pg_url_from_config
+from sqlalchemy import Connection, text
+
+from dagster_batched.event_log import CoalescingEventLog, EventGroup
+
+_ALIKE = text(
+    "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
+    " select run_id, o.event, dagster_event_type, timestamp, step_key, asset_key, o.partition"
+    " from event_logs, unnest(cast(:events as text[]), cast(:partitions as text[])) as o (event, partition)"
+    " where id = :first returning id, partition"
+)
+_ALIKE_TAGS = text(
+    "insert into asset_event_tags (event_id, asset_key, key, value, event_timestamp)"
+    " select o.id, asset_key, key, o.value, event_timestamp from asset_event_tags"
+    " join unnest(cast(:ids as bigint[]), cast(:keys as text[]), cast(:values as text[])) as o (id, key, value)"
+    " using (key) where event_id = :first"
+)
+
+
+class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage):
+    """For a fleet whose history is in PostgreSQL: same tables as stock."""
+
+    @classmethod
+    def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:
+        """Built from `dagster.yaml`; stock names its own class here."""
+        own = {k: v for k, v in config_value.items() if k == "should_autocreate_tables"}
+        return cls(
+            pg_url_from_config(config_value),
+            inst_data=inst_data,
+            token_provider=get_token_provider_from_config(config_value),
+            **own,
+        )
+
+    def _store(self, groups: Sequence[EventGroup]) -> None:
+        """All in the one table that stock has for them."""
+        self._mirror(groups)
+
+    @contextmanager
+    def _index(self) -> Iterator[Connection]:
+        """Stock's engine commits every statement on its own."""
+        with self._engine.connect() as conn, conn.execution_options(isolation_level="READ COMMITTED").begin():
+            yield conn
+
+    def _written(self, conn: Connection, one: EventGroup) -> int:
+        """Id of the group's last row."""
+        into = SqlEventLogStorageTable.insert().values(one.row).returning(SqlEventLogStorageTable.c.id)
+        first = int(conn.execute(into).scalar_one())
+        self._store_asset_event_tags(conn, [one.event], [first])
+        others = list(one.others())
+        if not others:
+            return first
+        partitions, events, tags = zip(*others, strict=True)
+        made = conn.execute(_ALIKE, {"events": list(events), "partitions": list(partitions), "first": first})
+        ids = {partition: int(event_id) for event_id, partition in made}
+        rows = [(ids[p], key, value) for p, own in zip(partitions, tags, strict=True) for key, value in own.items()]
+        if rows:
+            of, keys, values = (list(column) for column in zip(*rows, strict=True))
+            conn.execute(_ALIKE_TAGS, {"ids": of, "keys": keys, "values": values, "first": first})
+        return max(ids.values())

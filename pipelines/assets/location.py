@@ -1,0 +1,23 @@
+"""The stages as one Dagster location over a landing zone and a home."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import dagster as dg
+
+from pipelines import assets
+from pipelines.resources import Home, frame_io
+
+
+def asset_definitions(
+    landing: str | Path, home: str | Path, overrides: Mapping[str, Any] | None = None, **parts: Any
+) -> dg.Definitions:
+    """All assets with their resources; `overrides` replace resources by name, `parts` are jobs and the like."""
+    resources = {
+        "home": Home(landing=str(landing), home=str(home)),
+        "io_manager": frame_io.configured({"home": str(home)}),
+        **(overrides or {}),
+    }
+    stages = dg.load_assets_from_package_module(assets)
+    return dg.Definitions(assets=stages, resources=resources, executor=dg.in_process_executor, **parts)

@@ -1,0 +1,1 @@
+"""What `hdt benchmark` measures: this installation against named peers."""

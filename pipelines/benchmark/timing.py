@@ -1,0 +1,136 @@
+"""Candidates that do the same work in turn, and the table that comes of it."""
+
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from os import cpu_count
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One way to do `count` pieces of the work; `run` gives its answers."""
+
+    run: Callable[[], np.ndarray]
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Median processor seconds a piece of `work`, ours first; the answers' distance from ours; goals.
+
+    Parameters
+    ----------
+    seconds : dict of candidate to float
+    apart : dict of candidate to float
+        Largest difference from our answers.
+    goals : dict of candidate to float
+        How many times longer a peer should take.
+    per_second : float, optional
+        How many pieces we should do in a second on one core.
+    """
+
+    work: str
+    seconds: dict[str, float]
+    apart: dict[str, float]
+    goals: dict[str, float] = field(default_factory=dict)
+    per_second: float | None = None
+
+    @property
+    def ours_s(self) -> float:
+        """Our own time."""
+        return next(iter(self.seconds.values()))
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """How many times longer each peer takes."""
+        return {peer: taken / self.ours_s for peer, taken in list(self.seconds.items())[1:]}
+
+    def rows(self) -> list[str]:
+        """Lines of the table."""
+        lines = []
+        for place, (name, taken) in enumerate(self.seconds.items()):
+            ratio = times(self.ratios[name]) if place else "-"
+            goal = f"{self.goals[name]:g} x" if name in self.goals else "-"
+            if not place and self.per_second is not None:
+                goal = f"{self.per_second:,.0f} /s"
+            apart = f"{self.apart[name]:.0e}" if name in self.apart else "-"
+            cells = ("" if place else self.work, name, clock(taken), f"{1.0 / taken:,.0f}", ratio, goal, apart)
+            lines.append("| " + " | ".join(cells) + " |")
+        return lines
+
+
+def race(
+    work: str,
+    candidates: Mapping[str, Candidate],
+    rounds: int,
+    *,
+    goals: Mapping[str, float] | None = None,
+    per_second: float | None = None,
+) -> Claim:
+    """Everyone once a round, ours first, `rounds` times after one to compile and warm up; medians over the rounds."""
+    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    answers: dict[str, np.ndarray] = {}
+    with threadpool_limits(1):
+        for turn in range(rounds + 1):
+            for name, candidate in candidates.items():
+                started = time.process_time()
+                answers[name] = np.asarray(candidate.run())
+                if turn > 0:
+                    taken[name].append((time.process_time() - started) / candidate.count)
+    ours = next(iter(answers.values()))
+    apart = {name: _apart(ours, other) for name, other in list(answers.items())[1:]}
+    medians = {name: float(np.median(seconds)) for name, seconds in taken.items()}
+    return Claim(work, medians, apart, dict(goals or {}), per_second)
+
+
+def table(claims: Sequence[Claim], packages: Sequence[str]) -> str:
+    """Markdown of all claims, and under it the machine and the peers' versions."""
+    columns = ("work", "who", "time", "per second", "ratio", "goal", "answers apart")
+    head = ["| " + " | ".join(columns) + " |", "| --- | --- |" + " ---: |" * (len(columns) - 2)]
+    return "\n".join([*head, *(row for claim in claims for row in claim.rows()), "", machine(packages)])
+
+
+def machine(packages: Sequence[str]) -> str:
+    """What it ran on, in a line."""
+    versions = ", ".join(f"{name} {_version(name)}" for name in packages)
+    return f"{_processor()}, {cpu_count()} cores, one used; Python {platform.python_version()}, {versions}."
+
+
+def _apart(ours: np.ndarray, other: np.ndarray) -> float:
+    """Of as many answers as the other has: a slow peer does the first few pieces only."""
+    return float(np.abs(ours[: len(other)] - other[: len(ours)]).max())
+
+
+def times(ratio: float) -> str:
+    """How many times, as it is read."""
+    return f"{ratio:,.0f} x" if ratio >= 10.0 else f"{ratio:.1f} x"
+
+
+def clock(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    size, unit = next((u for u in UNITS if seconds >= u[0]), UNITS[-1])
+    return f"{seconds / size:.3g} {unit}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.machine()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "(not installed)"

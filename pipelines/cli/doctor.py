@@ -1,0 +1,109 @@
+"""Is everything in place? Each check says what it looked at and what it found."""
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import sqlite3
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipelines.intake.landing import list_landing
+from pipelines.storage import sqlite_reader
+from pipelines.storage.catalog import CATALOG, connect, views
+from pipelines.storage.objects import StoreError
+from pipelines.zone import fault_of
+
+_NEEDED_GB = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One question, whether the answer is well, and the answer in words."""
+
+    name: str
+    well: bool
+    says: str
+
+
+def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
+    """The installation, and the folders that are given."""
+    yield Check("python", sys.version_info >= (3, 11), f"{platform.python_version()}, {os.cpu_count()} cores")
+    yield from _packages()
+    if landing is not None:
+        yield _landing(landing)
+    if home is not None:
+        yield from _home(home)
+
+
+def _packages() -> Iterator[Check]:
+    for name in ("dagster", "polars", "duckdb", "scipy", "filterpy", "pyarrow", "scikit-learn"):
+        try:
+            yield Check(name, True, importlib.metadata.version(name))
+        except importlib.metadata.PackageNotFoundError:
+            yield Check(name, False, "missing; install the project again")
+    try:
+        yield Check("numba (optional)", True, importlib.metadata.version("numba"))
+    except importlib.metadata.PackageNotFoundError:
+        yield Check("numba (optional)", True, "absent, so fits take the slower NumPy path; pip install '.[speed]'")
+
+
+def _landing(landing: Path) -> Check:
+    if fault := fault_of(landing):
+        return Check("landing zone", False, fault)
+    listing = list_landing(landing)
+    files, refused = len(listing.files), listing.quarantine.height
+    said = f"{files} files to take in, {refused} that are none of the contract's"
+    return Check("landing zone", files > 0, said if files else f"{said}; see docs/raw-data.md for the layout")
+
+
+def _home(home: Path) -> Iterator[Check]:
+    near = next(p for p in (home, *home.resolve().parents) if p.exists())
+    yield Check(
+        "home", os.access(near, os.W_OK), f"{home} can{'' if os.access(near, os.W_OK) else 'not'} be written to"
+    )
+    free_gb = shutil.disk_usage(near).free / 1e9
+    yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
+    if (home / "ledger.sqlite").exists():
+        said = _ledger(home / "ledger.sqlite")
+        yield Check("ledger", said == "ok", said)
+    if (home / CATALOG).exists():
+        catalog = _catalog(home)
+        yield catalog
+        if catalog.well:
+            yield _feed(home)
+
+
+def _catalog(home: Path) -> Check:
+    try:
+        with connect(home) as con:
+            there = con.execute("select view_name from duckdb_views() where not internal").fetchall()
+    except StoreError as error:
+        return Check("catalog", False, str(error))
+    missing = sorted(set(views()) - {name for (name,) in there})
+    return Check("catalog", not missing, f"lacks {', '.join(missing)}" if missing else f"all {len(views())} views")
+
+
+_MISWRITTEN = """
+select file || ': ' || string_agg(distinct coalesce(column_name || ' ', '') || replace(reason, '_', ' '), '; ')
+from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin', 'unit_kpa', 'unit_kg_s',
+    'implausible_pressure', 'tail_of_two_operators') group by file order by max(received_at) desc, file
+"""
+
+
+def _feed(home: Path) -> Check:
+    """Whether files came in other units or wired otherwise than agreed."""
+    with connect(home) as con:
+        odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+    more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
+    said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
+    return Check("units and wiring", not odd, said)
+
+
+def _ledger(path: Path) -> str:
+    try:
+        return str(sqlite_reader.read(path, lambda con: con.execute("pragma integrity_check").fetchone()[0]))
+    except sqlite3.DatabaseError as error:
+        return str(error)

@@ -1,0 +1,76 @@
+"""What is new in the landing zone, noted in the ledger by content so that a touched file is not a new one."""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.snapshots import flights_in
+from pipelines.lineage import FLIGHT_FILES
+from pipelines.storage.ledger import Ledger
+
+APART = timedelta(hours=1)
+REJECTED = "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows go on
+REFUSED = "refused"  # kind of what lies in the landing zone and is no file of the contract
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What a look at the landing zone found."""
+
+    files: int
+    new: int
+
+
+def scan(landing: Path, ledger: Ledger) -> Scan:
+    """Register new and changed files of the landing zone, with the flights each holds."""
+    listing = list_landing(landing)
+    known = ledger.known_files()
+    new = _new(listing.files, ledger)
+    held = {f.path: flights_in(f) for f in new if f.kind in FLIGHT_FILES}
+    rows = [(f.path, f.operator, f.tail, _kind(f, held), f.size, f.mtime_ns, _digest(f)) for f in new]
+    refused = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
+    rows += [r for r in refused if r[0] not in known]
+    if rows:
+        ledger.register(rows, held)
+    return Scan(len(listing.files), len(new))
+
+
+def unseen(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:
+    """How many files lie there, and those that are new or changed, which are only listed."""
+    files = list_landing(landing).files
+    return len(files), _new(files, ledger)
+
+
+def _new(files: Iterable[LandingFile], ledger: Ledger) -> list[LandingFile]:
+    """Files that are not known as they are; of those touched since the last night the content is compared too."""
+    known, digests, since = ledger.known_files(), ledger.digests(), _last_look_ns(ledger)
+    return [f for f in files if known.get(f.path) != (f.size, f.mtime_ns) or _changed(f, since, digests)]
+
+
+def _changed(file: LandingFile, since_ns: int, digests: Mapping[str, str]) -> bool:
+    """Whether a file of the same size and time is another: an editor or a copy can keep both."""
+    return file.touched_ns > since_ns and _digest(file) != digests[file.path]
+
+
+def _last_look_ns(ledger: Ledger) -> int:
+    """When the last night began, less what clocks of two machines may be apart; 0 where there was none."""
+    nights = ledger.nights()
+    if nights.is_empty():
+        return 0
+    return int((datetime.fromisoformat(nights["began_at"][-1]) - APART).timestamp() * 1e9)
+
+
+def _kind(file: LandingFile, held: dict[str, list[str]]) -> str:
+    return REJECTED if file.kind in FLIGHT_FILES and not held[file.path] else file.kind
+
+
+def _digest(file: LandingFile) -> str:
+    """Hash of the content; empty where it cannot be read, which taking it in will tell."""
+    try:
+        with open(file.full_path, "rb") as stream:
+            return hashlib.file_digest(stream, "blake2b").hexdigest()[:32]
+    except OSError:
+        return ""

@@ -1,0 +1,50 @@
+"""A simulated fleet as its ground station would drop it, with the truth in a folder apart."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import polars as pl
+
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.simulate.fleet import Aircraft, by_month, design_truth, simulate_fleet
+from pipelines.storage.files import replacing
+
+_TIME = "%Y-%m-%dT%H:%M:%SZ"
+
+
+def write_fleet(folder: Path, seed: int, size: FleetSettings) -> Iterator[str]:
+    """Write `folder/landing` and `folder/truth`; yields each aircraft's name when its files are there.
+
+    History is one Parquet file a month, as an operator hands over its past; the truth is one row a flight and pack
+    (`health`), a life or fault (`events`), a design value (`design`).
+    """
+    landing, truth = folder / "landing", folder / "truth"
+    _parquet(design_truth(seed), truth / "design.parquet")
+    made = []
+    for aircraft in simulate_fleet(seed, size):
+        _deliver(aircraft, landing / aircraft.operator / aircraft.tail)
+        made.append((aircraft.fleet, aircraft.health, aircraft.events))
+        yield f"{aircraft.operator} {aircraft.tail}"
+    fleets, healths, events = zip(*made, strict=True)
+    _csv(pl.concat(fleets), landing / "fleet.csv")
+    _parquet(pl.concat(healths), truth / "health.parquet")
+    _parquet(pl.concat(events), truth / "events.parquet")
+
+
+def _deliver(aircraft: Aircraft, folder: Path) -> None:
+    for month, rows in by_month(aircraft.snapshots).items():
+        _parquet(rows, folder / "acms" / f"history_{month}.parquet")
+    for flight, rows in aircraft.cpl.items():
+        _parquet(rows, folder / "cpl" / f"{flight}.parquet")
+    _csv(aircraft.messages, folder / "messages.csv")
+    _csv(aircraft.maintenance, folder / "maintenance.csv")
+
+
+def _parquet(frame: pl.DataFrame, path: Path) -> None:
+    with replacing(path) as temporary:
+        frame.write_parquet(temporary, compression="zstd")
+
+
+def _csv(frame: pl.DataFrame, path: Path) -> None:
+    with replacing(path) as temporary:
+        frame.write_csv(temporary, datetime_format=_TIME)

@@ -1,0 +1,57 @@
+"""Between Dagster and the store: what an asset returns is written, marked as done, reported for the cells it filled."""
+
+import time
+
+import dagster as dg
+import polars as pl
+
+from dagster_batched import report_partitions
+from hdt_core.tables import TABLES
+from pipelines import partitions
+from pipelines.partitions import PartitionScope
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import FLEET, Store
+from pipelines.versions import CELL
+
+
+class FrameIO(dg.IOManager):
+    """Writes frames to the store of one home."""
+
+    def __init__(self, store: Store, ledger: Ledger) -> None:
+        self.store, self.ledger = store, ledger
+
+    def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
+        """Store, then mark as done, then report the cells that were filled and no others."""
+        table, began = context.asset_key.path[-1], time.monotonic()
+        keys = list(context.asset_partition_keys) if context.has_asset_partitions else None
+        scope = PartitionScope.of(keys)
+        self._store(table, scope, frame)
+        cells = scope.due(self.ledger, table)
+        self.ledger.mark(table, cells)
+        if TABLES[table].grain == "flight":
+            self._report(context, frame, cells)
+        n = {"rows": frame.height, "cells": cells.height, "seconds_to_store": round(time.monotonic() - began, 3)}
+        context.add_output_metadata(n)
+
+    def _store(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> None:
+        grain = TABLES[table].grain
+        if grain == "fleet":
+            self.store.replace(table, FLEET, frame)
+            return
+        for (operator, tail), flights in (scope.aircraft or {}).items():
+            own = frame.filter(pl.col("operator") == operator, pl.col("tail") == tail)
+            if grain == "flight":
+                self.store.merge(table, (operator, tail), flights, own)
+            else:
+                self.store.replace(table, (operator, tail), own.sort(TABLES[table].key))
+
+    @staticmethod
+    def _report(context: dg.OutputContext, frame: pl.DataFrame, cells: pl.DataFrame) -> None:
+        """Report the cells that hold rows, or that were asked for where none does: most aircraft fly some days only."""
+        filled = set((frame if frame.height else cells).select(CELL).unique().rows())
+        asked = partitions.cells_of(tuple(context.asset_partition_keys))
+        report_partitions(context, [key for cell, key in asked.items() if cell in filled])
+
+    def load_input(self, context: dg.InputContext) -> pl.DataFrame:
+        """Whole table, for a notebook or `dg`; assets read what they need through their stage."""
+        return self.store.read(context.asset_key.path[-1])

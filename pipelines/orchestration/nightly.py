@@ -1,0 +1,205 @@
+"""One night, or all of history: from what lies in the landing zone to a published catalog."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import polars as pl
+
+from pipelines.intake.scan import scan
+from pipelines.lineage import STAGES, Stage
+from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
+from pipelines.orchestration.order import Step, steps
+from pipelines.storage import postgres
+from pipelines.storage.hashes import digest
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accepted_terms
+from pipelines.storage.store import Store
+from pipelines.versions import CELL, stale
+
+if TYPE_CHECKING:
+    from dagster import DagsterInstance
+
+    from pipelines.orchestration.batches import BatchResult, PartitionBatch
+    from pipelines.orchestration.remote_executor import RemoteExecutor
+    from pipelines.orchestration.runs import Runner
+
+MANY_FLIGHTS = 3_000
+
+
+class BusyError(Exception):
+    """Another run holds this home."""
+
+
+class Progress(Protocol):
+    """Where a long run says how far it is."""
+
+    def start(self, label: str, total: int) -> None:
+        """A step of `total` cells begins."""
+
+    def advance(self, cells: int) -> None:
+        """So many cells more are made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """What a night did."""
+
+    files: int
+    new_files: int
+    runs: int
+    cells: int
+    failed: dict[str, str]
+
+    @property
+    def idle(self) -> bool:
+        """Whether there was nothing to do."""
+        return self.runs == 0 and not self.failed
+
+
+@contextmanager
+def holding(home: Path) -> Iterator[None]:
+    """Be the only writer of `home` and, where the fleet's ledger is a database, of the fleet.
+
+    The lock goes with the process, however it ends.
+    """
+    home.mkdir(parents=True, exist_ok=True)
+    with open(home / ".lock", "a+") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            raise BusyError(_busy(f"process {lock.read().strip() or 'unknown'}", str(home))) from None
+        lock.truncate(0)
+        lock.write(str(os.getpid()))
+        lock.flush()
+        url = Ledger(home).url
+        with postgres.locked(url) if url else nullcontext() as other:
+            if other:
+                raise BusyError(_busy(other, "this fleet"))
+            yield
+
+
+def _busy(who: str, what: str) -> str:
+    return f"another run ({who}) is writing {what}; wait for it to end"
+
+
+def run_night(
+    landing: Path,
+    home: Path,
+    progress: Progress,
+    only: pl.Expr | None = None,
+    instance: DagsterInstance | None = None,
+    jobs: int = 1,
+) -> Night:
+    """Take in what is new and bring everything that depends on it up to date.
+
+    Parameters
+    ----------
+    landing, home : Path
+        Folders.
+    progress : Progress
+        Told what is being done.
+    only : Expr, optional
+        Which cells (operator, tail, flight_id; empty above flights) are wanted in this run; all by default.
+    instance : DagsterInstance, optional
+        Where runs are recorded; the home's own by default.
+    jobs : int
+        Processes that may work side by side, where there is enough to do; 1 with an `instance` of the caller's.
+    """
+    ledger, began = Ledger(home), _now()
+    with workers(landing, home, 1 if instance else jobs) as hands:
+        chain = _Chain(landing, home, ledger, progress, only, instance, hands)
+        if sends_out(home):
+            chain.send_out()  # first: what a killed night sent out may still be writing
+        Store(home).sweep()
+        found = scan(landing, ledger)
+        made_as = digest(repr(STAGES), *accepted_terms(Path(home)))
+        for step in () if ledger.is_settled(made_as) else steps(STAGES):
+            chain.step(step)
+    if only is None and not chain.failed:
+        ledger.settle(made_as)
+    night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
+    ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
+    return night
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@dataclass
+class _Chain:
+    """The steps of one night; Dagster is loaded only when there is something to run."""
+
+    landing: Path
+    home: Path
+    ledger: Ledger
+    progress: Progress
+    only: pl.Expr | None
+    instance: DagsterInstance | None
+    hands: LocalExecutor | RemoteExecutor
+    runs: int = 0
+    cells: int = 0
+    flights: int = 0
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def send_out(self) -> None:
+        """Let other machines make the blocks, once what a killed night had sent them is done."""
+        from pipelines.orchestration.remote_executor import RemoteExecutor
+
+        if self.instance:
+            raise EngineError("a night that is itself a run would wait for a worker that waits behind it; use cron")
+        self.hands = RemoteExecutor(self.runner)
+        self.hands.settle()
+
+    def step(self, step: Step) -> None:
+        """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
+        cells = [self._wanted(stage) for stage in step.stages]
+        first = next((i for i, c in enumerate(cells) if c.height), None)
+        if first is None:
+            return
+        wanted, tables = pl.concat(cells).unique(), [t for stage in step.stages[first:] for t in stage.tables]
+        if step.grain != "fleet":
+            self.runner.register(wanted)
+        if step.grain == "flight":
+            self.flights = max(self.flights, wanted.height)
+        self.progress.start(step.label, wanted.height)
+        blocks = self.runner.known().blocks(step.grain, wanted, step.folded if self.hands.folded else 1)
+        for made in self._make(tables, list(blocks), step):
+            self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
+            self.failed |= made.failed
+            self.progress.advance(made.block.cells)
+
+    def _wanted(self, stage: Stage) -> pl.DataFrame:
+        cells = stale(self.ledger, stage).select(CELL)
+        return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
+
+    def _make(self, tables: list[str], blocks: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:
+        """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""
+        few = step.grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
+        if self.hands.worth(blocks, few):
+            return self.hands.make(tables, blocks, step.label)
+        self.hands.stop()
+        return (self.runner.make(tables, block, step.label) for block in blocks)
+
+    @cached_property
+    def runner(self) -> Runner:
+        """Who runs what is not shared out."""
+        from pipelines.assets.location import asset_definitions
+        from pipelines.orchestration.runs import Runner, open_instance
+
+        defs = asset_definitions(self.landing.resolve(), self.home.resolve())
+        runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
+        if not sends_out(self.home):
+            runner.fail_orphaned_runs()
+        return runner

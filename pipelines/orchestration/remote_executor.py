@@ -1,0 +1,85 @@
+"""Blocks made on other machines: each is a Dagster run that the instance's own launcher sends out.
+
+Which engine that is, `<home>/dagster/dagster.yaml` says (docs/distributed.md). Dagster's daemon hands the runs out,
+finds the lost ones and starts them again; here they are submitted and waited for and, where a run of several aircraft
+failed, its aircraft are sent out again one by one.
+"""
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+
+import dagster as dg
+
+from dagster_batched import remote
+from dagster_batched.runs import failure_of
+from pipelines.orchestration.batches import BatchResult, PartitionBatch
+from pipelines.orchestration.local_executor import EngineError
+from pipelines.orchestration.runs import NIGHT, Runner
+
+LOOK_S = 0.5
+AHEAD = 500  # runs that are sent before those before them are done: Dagster looks at its whole queue each time
+LOCATION = "pipelines.definitions"
+
+
+class RemoteExecutor:
+    """Hands on other machines; the same to a night as `LocalExecutor`."""
+
+    folded = False  # several machines want several runs
+
+    def __init__(self, runner: Runner) -> None:
+        self.runner, self.instance = runner, runner.instance
+
+    def settle(self) -> None:
+        """Wait for what a killed night had sent out: it goes on without its night, and none of it is made twice."""
+        if not remote.daemon_answers(self.instance):
+            raise EngineError(f"no Dagster daemon answers; start one: `dagster-daemon run --module-name {LOCATION}`")
+        for run in self.instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.NOT_STARTED], tags=NIGHT)):
+            self.instance.report_run_canceled(run, "its night was stopped before it was sent out")
+        while remote.under_way(self.instance, NIGHT):
+            time.sleep(LOOK_S)
+
+    def worth(self, blocks: list[PartitionBatch], few: bool) -> bool:
+        """Whether the blocks are sent out: always, for the night's own machine may be a small one."""
+        return bool(blocks)
+
+    def make(self, tables: list[str], blocks: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
+        """Make the blocks in any order and say of each when it is done.
+
+        A run that Dagster starts again is followed; one of several aircraft that failed for good makes room for a run
+        of each.
+        """
+        job, unsent = self.runner.job(tables), deque(blocks)
+        waiting: dict[str, PartitionBatch] = {}
+        while unsent or waiting:
+            while unsent and len(waiting) < AHEAD:
+                block = unsent.popleft()
+                waiting[self._send(job, block)] = block
+            for run in remote.ended(self.instance, waiting):
+                block = waiting.pop(run.run_id)
+                if again := remote.successor(run):
+                    waiting[again] = block
+                    continue
+                why = None if run.is_success else self._why(run, block)
+                if why and len(block.aircraft) > 1:  # their cells count once: as their block's
+                    unsent.extend(replace(one, cells=0) for one in block.apart())
+                    why = None
+                where = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
+                yield BatchResult(block, 1, {where: why} if why else {})
+            time.sleep(LOOK_S)
+
+    def stop(self) -> None:
+        """They are not ours to stop."""
+
+    def _send(self, job: dg.JobDefinition, block: PartitionBatch) -> str:
+        """Submit one run; its id."""
+        run = self.runner.create(job, block, **remote.origins(job, LOCATION))
+        remote.submit(self.instance, run)
+        return run.run_id
+
+    def _why(self, run: dg.DagsterRun, block: PartitionBatch) -> str:
+        self.runner.show_failed(run.run_id, block)
+        kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
+        events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]
+        return failure_of(events) or next((e.message for e in reversed(events) if e.message), run.status.value)

@@ -1,0 +1,41 @@
+"""Physical terms that an engineer has accepted, by name: `terms.txt` of a home, which the calibration reads."""
+
+from pathlib import Path
+
+import polars as pl
+
+from hdt_core.physics.terms import TERMS
+from hdt_core.twin.calibrate import nominal_baseline
+from hdt_core.twin.dsm import Dsm
+from hdt_core.twin.flights import estimate_flights
+from hdt_core.twin.missing import propose
+from pipelines.baseline import baseline_cells
+from pipelines.storage.files import replacing
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accepted_terms, terms_file
+from pipelines.storage.store import Store
+
+
+def accept(home: Path, names: list[str]) -> None:
+    """Write which terms the model has from the next night on.
+
+    Raises
+    ------
+    KeyError
+        A name that the library does not have.
+    """
+    for name in names:
+        TERMS[name]
+    with replacing(terms_file(home)) as temporary:
+        temporary.write_text("".join(f"{name}\n" for name in sorted(set(names))), encoding="utf-8")
+
+
+def proposals(home: Path, dsm: Dsm) -> pl.DataFrame:
+    """Evidence of each term that the model in service lacks, from the nominal legs of its own baseline."""
+    store, cells = Store(home), baseline_cells(Ledger(home))
+    within = pl.col("flight_id").is_in(cells["flight_id"].implode())
+    samples, legs = (store.scan(t).filter(within).collect() for t in ("legs_samples", "legs_admitted"))
+    return propose(estimate_flights(nominal_baseline(samples, legs), dsm), dsm)
+
+
+__all__ = ["accept", "accepted_terms", "proposals"]

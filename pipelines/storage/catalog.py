@@ -1,0 +1,222 @@
+"""The analysts' window: views over the Parquet files, built under another name and renamed into place.
+
+The views name files by `tables.folder()`, which finds the tables beside the opened catalog: a home may be moved, copied
+or mounted elsewhere and its catalog goes along unchanged.
+"""
+
+import atexit
+import re
+import shutil
+import tempfile
+from functools import cache
+from graphlib import TopologicalSorter
+from importlib import resources
+from pathlib import Path
+
+import duckdb
+
+from hdt_core.tables import TABLES
+from pipelines.storage.files import replacing
+from pipelines.storage.hashes import digest
+from pipelines.storage.headers import Header, declared, meaning, read_header
+from pipelines.storage.objects import StoreError
+from pipelines.storage.store import URL, Store
+
+CATALOG = "catalog.duckdb"
+# DuckDB tells no expression where a database lies, but keeps its own temporary files beside the file it was opened
+# with. Attached to another database, or where that setting was changed, the catalog is taken to be where it was made.
+_BESIDE = f"""
+case
+    when getvariable('tables_folder') is not null then getvariable('tables_folder')
+    when ends_with(current_setting('temp_directory'), '{CATALOG}.tmp')
+    then left(current_setting('temp_directory'), -{len(CATALOG) + 4}) || 'tables/'
+    else {{made}}
+end"""
+_ELSEWHERE = "coalesce(getvariable('tables_folder'), {made})"
+
+
+def publish(home: Path) -> Path:
+    """Build `<home>/catalog.duckdb` anew. A reader of the old one keeps it; nobody ever meets a lock."""
+    store, path = Store(home.resolve()), home.resolve() / CATALOG
+    for table in TABLES:
+        store.declare(table)
+    with replacing(path) as temporary:
+        con = duckdb.connect(str(temporary))
+        try:
+            store.open_to(con)
+            con.begin()  # a commit for every comment would take longer than all the rest
+            con.execute("create schema tables")
+            con.execute(f"create macro tables.folder() as {_folder(store)}")
+            con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
+            for table, sources in store.snapshot().items():
+                _base_view(con, table, sources)
+            add_views(con)
+            con.commit()
+        finally:
+            con.close()
+    return path
+
+
+def fault_of(home: Path) -> str | None:
+    """Why the catalog must be made anew; None where it is whole, of this version and reads this home's tables."""
+    if not (home / CATALOG).exists():
+        return "it was missing"
+    try:
+        with _opened(home) as con:
+            ((made_as,),) = con.execute("select tables.made_as()").fetchall()
+            there = {v for (v,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
+    except duckdb.Error as error:
+        return f"it could not be read ({_first_line(error)})"
+    if made_as != _made_as(Store(home.resolve())):
+        return "it was made for another place or by another version"
+    return "it lacked views" if {*views(), *TABLES} - there else None
+
+
+def _made_as(store: Store) -> str:
+    """Of what a catalog is made."""
+    said = [f"{name}.{c} {declared(k)}" for name, t in TABLES.items() for c, k in t.schema.columns().items()]
+    return digest(_folder(store), *(sql for _, sql in sorted(views().items())), *said)
+
+
+def _folder(store: Store) -> str:
+    """Where the tables are, as an expression: objects stay, files are beside the catalog or where a variable says."""
+    made = _quoted(f"{store.root}/")
+    return made if store.remote else (_ELSEWHERE if store.url else _BESIDE).format(made=made)
+
+
+def add_views(con: duckdb.DuckDBPyConnection) -> None:
+    """Every view, over the schema `tables`, with its question and the meaning of its columns as comments."""
+    known = {name: read_header(sql) for name, sql in views().items()}
+    for name, sql in ordered(views()):
+        con.execute(sql)
+        _comment(con, name, known)
+
+
+def views() -> dict[str, str]:
+    """SQL of every view, by name: the file's name is the view's."""
+    folder = resources.files("sql") / "views"
+    return {f.name.removesuffix(".sql"): f.read_text() for f in folder.iterdir() if f.name.endswith(".sql")}
+
+
+def ordered(sql: dict[str, str]) -> list[tuple[str, str]]:
+    """Views in an order in which each finds what it reads; the header's `Reads:` says what that is."""
+    reads = {name: set(read_header(text).reads) & set(sql) for name, text in sql.items()}
+    return [(name, sql[name]) for name in TopologicalSorter(reads).static_order()]
+
+
+def tables_read() -> list[str]:
+    """Tables that some view reads: what a catalog needs to answer every question."""
+    read = {t for sql in views().values() for t in re.findall(r"\btables\.(\w+)", sql)}
+    return [t for t in TABLES if t in read]
+
+
+def _base_view(con: duckdb.DuckDBPyConnection, table: str, sources: list[str]) -> None:
+    """`tables.<table>` over the table's objects, or over its files below `tables.folder()`."""
+    named = ", ".join(_quoted(s) if "://" in s else f"tables.folder() || {_quoted(s)}" for s in sources)
+    con.execute(f"create view tables.{table} as select * from read_parquet([{named}], union_by_name = true)")
+    add_meanings(con, table)
+
+
+def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
+    """What each declared column of `tables.<table>` means, as its comment."""
+    for column, kind in TABLES[table].schema.columns().items():
+        con.execute(f"comment on column tables.{table}.{column} is {_quoted(declared(kind))}")
+
+
+def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]) -> None:
+    """The question on the view, the meaning on each of its columns."""
+    con.execute(f"comment on view {name} is {_quoted(known[name].question)}")
+    for column, *_ in con.execute(f"describe {name}").fetchall():
+        con.execute(f'comment on column {name}."{column}" is {_quoted(meaning(name, column, known))}')
+
+
+def connect(home: Path) -> duckdb.DuckDBPyConnection:
+    """The published catalog, read only: nothing in the home is written, not even what a large sort spills.
+
+    Through it nothing but the tables' own files or objects can be reached: no other file, no other place in the
+    network, no extension; and no statement can change that.
+
+    Raises
+    ------
+    FileNotFoundError
+        Nothing has been published yet.
+    StoreError
+        It is damaged or of another version, or reads another store than HDT_STORE_URL names.
+    """
+    if not (home / CATALOG).exists():
+        raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
+    try:
+        con = _opened(home)
+        ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
+    except duckdb.Error as error:
+        raise StoreError(
+            f"the catalog in {home} can't be read ({_first_line(error)}); `hdt nightly` makes it anew"
+        ) from None
+    # connections of one process share one database, and who came first has locked it; each has variables of its own
+    folder = _held(con) if locked else _lock(con, Store(home.resolve()), made)
+    con.execute(f"set variable tables_folder = {_quoted(folder)}")
+    return con
+
+
+def _opened(home: Path) -> duckdb.DuckDBPyConnection:
+    return duckdb.connect(str(home / CATALOG), read_only=True)
+
+
+def _lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
+    """Leave open the store's place and nothing else; that place."""
+    if store.remote != made.startswith("s3://") or (store.remote and made != f"{store.root}/"):
+        con.close()
+        raise StoreError(f"the catalog in {store.home} reads another store than {store.root}; set {URL} as it was")
+    folder = f"{store.root}/" if store.url else made
+    store.open_to(con)
+    con.execute(f"set allowed_directories = [{_quoted(folder)}]")
+    con.execute(f"set temp_directory = {_quoted(_scratch())}")
+    for setting in _LOCKS:
+        con.execute(f"set {setting}")
+    return folder
+
+
+def _held(con: duckdb.DuckDBPyConnection) -> str:
+    """The place that `_lock` left open; DuckDB adds that of its temporary files."""
+    open_to = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
+    return next(place for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
+
+
+@cache
+def _scratch() -> str:
+    """This process's own folder for what does not fit into memory; gone when it ends."""
+    folder = tempfile.mkdtemp(prefix="hdt-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]
+
+
+_LOCKS = (
+    "TimeZone = 'UTC'",
+    "autoload_known_extensions = false",
+    "autoinstall_known_extensions = false",
+    "enable_external_access = false",
+    "lock_configuration = true",
+)
+
+
+def ask(con: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyRelation | None:
+    """The answer to one select.
+
+    Raises
+    ------
+    ValueError
+        `sql` is anything else: a read-only DuckDB would still run `copy ... to` and write a file among the tables.
+    """
+    asked = con.extract_statements(sql)
+    kinds = [str(s.type).rpartition(".")[2] for s in asked]
+    if kinds != ["SELECT"]:
+        raise ValueError(f"a single select is answered, and this is {' and '.join(kinds) or 'nothing'}")
+    return con.sql(sql)
+
+
+def _quoted(value: Path | str) -> str:
+    return "'" + str(value).replace("'", "''") + "'"

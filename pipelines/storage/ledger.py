@@ -1,0 +1,202 @@
+"""What was delivered and what was made of it: small tables in `<home>/ledger.sqlite`.
+
+Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
+`files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
+cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
+moment costs work, never truth. `nights` says when the chain last ran, and what failed; `settled`, until something is
+noted, that nothing was stale after it: an idle night need not look at every cell.
+"""
+
+import os
+import re
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipelines.storage import postgres, sqlite_reader
+from pipelines.storage.fault_points import fault_point
+
+_SCHEMA = """
+create table if not exists files (
+    path text primary key, operator text not null, tail text not null, kind text not null,
+    size bigint not null, mtime_ns bigint not null, digest text not null
+) without rowid;
+create table if not exists file_flights (
+    path text not null, operator text not null, tail text not null, flight_id text not null,
+    primary key (operator, tail, flight_id, path)
+) without rowid;
+create table if not exists done (
+    asset text not null, operator text not null, tail text not null, flight_id text not null, version text not null,
+    primary key (asset, operator, tail, flight_id)
+) without rowid;
+create table if not exists nights (
+    began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
+    runs integer not null, cells integer not null, failed text not null
+);
+create table if not exists settled (made_as text not null);
+"""
+NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
+_COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
+_SET_FILE = (
+    "insert into files values (?, ?, ?, ?, ?, ?, ?) on conflict (path) do update set operator = excluded.operator,"
+    " tail = excluded.tail, kind = excluded.kind, size = excluded.size, mtime_ns = excluded.mtime_ns,"
+    " digest = excluded.digest"
+)
+_SET_VERSION = (
+    "insert into done values (?, ?, ?, ?, ?)"
+    " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
+)
+_UNSETTLE = "delete from settled"
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The ledger of one home, or what it says `only` of some aircraft and of the fleet as a whole.
+
+    Who only `looks` writes nothing, not even an empty ledger or SQLite's files beside it.
+    """
+
+    home: Path
+    only: tuple[tuple[str, str], ...] | None = None
+    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+    looks: bool = False
+
+    def of(self, aircraft: Iterable[tuple[str, str]]) -> "Ledger":
+        """What it says of these aircraft and of the fleet: a run must not read the history of all the others."""
+        return replace(self, only=(("", ""), *aircraft))
+
+    @contextmanager
+    def _open(self) -> Iterator[Any]:
+        """A transaction."""
+        with postgres.session(self.url, _SCHEMA.replace(" without rowid", "")) if self.url else self._file() as con:
+            yield con
+
+    @contextmanager
+    def _file(self) -> Iterator[sqlite3.Connection]:
+        self.home.mkdir(parents=True, exist_ok=True)
+        con = sqlite3.connect(self.home / "ledger.sqlite", timeout=60)
+        try:
+            con.execute("pragma journal_mode=wal")
+            con.execute("pragma synchronous=full")
+            con.executescript(_SCHEMA)
+            with con:
+                yield con
+        finally:
+            con.close()
+
+    def _ask(self, ask: Callable[[Any], Any]) -> Any:
+        """What `ask` finds through a connection."""
+        path = self.home / "ledger.sqlite"
+        if self.url or not self.looks:
+            with self._open() as con:
+                return ask(con)
+        found = sqlite_reader.read(path, lambda con: (ask(con),) if _is_made(con) else ()) if path.exists() else ()
+        if found:
+            return found[0]
+        with closing(sqlite3.connect(":memory:")) as con:
+            con.executescript(_SCHEMA)
+            return ask(con)
+
+    def known_files(self) -> dict[str, tuple[int, int]]:
+        """Size and modification time of every file seen, by path."""
+        rows = self._ask(lambda con: con.execute("select path, size, mtime_ns from files").fetchall())
+        return {path: (size, mtime_ns) for path, size, mtime_ns in rows}
+
+    def digests(self) -> dict[str, str]:
+        """Content hash of every file seen, by path."""
+        return dict(self._ask(lambda con: con.execute("select path, digest from files").fetchall()))
+
+    def register(
+        self, files: Iterable[tuple[str, str, str, str, int, int, str]], flights: dict[str, list[str]]
+    ) -> None:
+        """Note new or changed files (path, operator, tail, kind, size, mtime_ns, digest) and the flights each holds.
+
+        A flight that a replaced file no longer holds stays with it: what was stored of it is kept, and accounted for
+        even where a killed night had stored its rows and no more.
+        """
+        rows = list(files)
+        with self._open() as con:
+            con.execute(_UNSETTLE)
+            con.executemany(_SET_FILE, rows)
+            held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
+            con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
+            fault_point("before_register")
+        fault_point("after_register")
+
+    def files(self, kinds: Iterable[str]) -> pl.DataFrame:
+        """Files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
+        kinds = list(kinds)
+        marks = ",".join("?" * len(kinds))
+        return self._cells(f"select {_COLUMNS} from files where kind in ({marks})", "files", kinds)
+
+    def flight_files(self) -> pl.DataFrame:
+        """Which file holds which flight: operator, tail, flight_id, path, digest, kind, size, mtime_ns."""
+        columns = "l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
+        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
+
+    def holdings(self) -> pl.DataFrame:
+        """What each flight is made of, a row a file that holds it: operator, tail, flight_id, line (path=digest)."""
+        columns = "l.operator, l.tail, l.flight_id, l.path || '=' || f.digest as line"
+        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
+
+    def done(self, asset: str) -> pl.DataFrame:
+        """Stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
+        return self._cells("select operator, tail, flight_id, version from done where asset = ?", "done", [asset])
+
+    def mark(self, asset: str, cells: pl.DataFrame) -> None:
+        """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
+        wanted = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version")
+        rows = sorted(wanted.rows(), key=lambda row: row[:4])  # in one order, or two who mark the same cells deadlock
+        with self._open() as con:
+            con.execute(_UNSETTLE)
+            con.executemany(_SET_VERSION, rows)
+            fault_point("before_mark")
+        fault_point("after_mark")
+
+    def settle(self, made_as: str) -> None:
+        """Note that nothing is stale where cells are made in this way."""
+        with self._open() as con:
+            con.execute(_UNSETTLE)
+            con.execute("insert into settled values (?)", (made_as,))
+
+    def is_settled(self, made_as: str) -> bool:
+        """Whether nothing was stale when something was last noted."""
+        return bool(self._ask(lambda con: con.execute("select made_as from settled").fetchall()) == [(made_as,)])
+
+    def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
+        """Note that a night ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""
+        with self._open() as con:
+            con.execute("insert into nights values (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def nights(self) -> pl.DataFrame:
+        """All nights, oldest first, counts as text."""
+        return self._frame(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])
+
+    def _cells(self, sql: str, table: str, arguments: Iterable[str] = ()) -> pl.DataFrame:
+        """Rows of a query that ends in a condition, of the aircraft that it is about."""
+        if self.only is None:
+            return self._frame(sql, [*arguments])
+        pairs = ",".join(["(?, ?)"] * len(self.only))
+        within = f"{sql} and ({table}.operator, {table}.tail) in (values {pairs})"
+        return self._frame(within, [*arguments, *chain.from_iterable(self.only)])
+
+    def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
+        return self._ask(lambda con: _as_frame(con.execute(sql, arguments)))
+
+
+def _is_made(con: sqlite3.Connection) -> bool:
+    """Whether the tables are there: who makes the file is not done at once."""
+    return bool(con.execute("select name from sqlite_master where name = ?", (NAMES[-1],)).fetchall())
+
+
+def _as_frame(cursor: Any) -> pl.DataFrame:
+    """All rows of a cursor, counts as text."""
+    names = [c[0] for c in cursor.description]
+    types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
+    return pl.DataFrame(cursor.fetchall(), schema=types, orient="row")

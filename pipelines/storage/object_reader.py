@@ -1,0 +1,83 @@
+"""The window through which DuckDB reads a store's objects: read only, and nothing beside the tables."""
+
+import io
+import re
+from datetime import UTC, datetime
+from typing import Any, Protocol
+
+import fsspec
+import obstore
+
+WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
+KEPT_BYTES = 64 << 20  # of what came is held in memory: DuckDB opens an object for its columns, and again for its rows
+_KEY = re.compile(r"data/(\w+)(/[\w-]+)*/[\w.-]+\.parquet")
+
+
+class Source(Protocol):
+    """A store of objects."""
+
+    @property
+    def url(self) -> str:
+        """What the place of every object begins with."""
+
+    @property
+    def store(self) -> Any:
+        """The client."""
+
+    def get(self, key: str) -> bytes:
+        """One object."""
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Bytes of the objects below a prefix."""
+
+
+class Window(fsspec.AbstractFileSystem):
+    """The objects below `data/` of one store; that they never change is what lets DuckDB open one twice."""
+
+    protocol = "s3"
+    cachable = False
+
+    def __init__(self, objects: Source) -> None:
+        super().__init__()
+        self._objects = objects
+        self._root = objects.url.removeprefix("s3://") + "/"
+        self._sizes: dict[str, int] = {}
+        self._kept: dict[str, bytes] = {}
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        """Name and size."""
+        return {"name": path, "size": self._size(self._key(path)), "type": "file"}
+
+    def modified(self, path: str) -> datetime:
+        """The same for all: an object never changes."""
+        return datetime.fromtimestamp(0, UTC)
+
+    def _open(self, path: str, mode: str = "rb", **_: Any) -> Any:
+        if mode != "rb":
+            raise PermissionError(f"{path} is read only")
+        key = self._key(path)
+        if self._size(key) > WHOLE_BYTES:
+            return obstore.open_reader(self._objects.store, key, size=self._size(key))
+        return io.BytesIO(self._whole(key))
+
+    def _whole(self, key: str) -> bytes:
+        kept = self._kept.get(key)
+        if kept is None:
+            if sum(len(other) for other in list(self._kept.values())) > KEPT_BYTES:
+                self._kept = {}
+            kept = self._kept[key] = self._objects.get(key)
+        return kept
+
+    def _key(self, path: str) -> str:
+        key = self._strip_protocol(path).removeprefix(self._root)
+        if not _KEY.fullmatch(key):
+            raise PermissionError(f"{path} is no object of the tables")
+        return key
+
+    def _size(self, key: str) -> int:
+        """Bytes of an object, known by one listing of its table."""
+        if key not in self._sizes:
+            self._sizes |= self._objects.sizes("/".join(key.split("/")[:2]))
+        if key not in self._sizes:
+            raise FileNotFoundError(f"{key} is not in the store")
+        return self._sizes[key]

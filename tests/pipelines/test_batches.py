@@ -1,0 +1,61 @@
+"""How cells are shared out to runs."""
+
+import polars as pl
+import pytest
+
+from pipelines.orchestration import batches
+
+KEYS = ["AAA:T1", "AAA:T2", "AAA:T3", "BBB:T4"]
+FLIGHTS = [f"2026010{day}_01" for day in range(1, 6)]
+
+
+@pytest.fixture(autouse=True)
+def room_for_ten(monkeypatch):
+    """Ten flights a run."""
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 10)
+
+
+def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:
+    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
+    rows = [(*k.split(":"), "") for k in wanted]
+    cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+    return [block.aircraft for block in known.blocks("aircraft", cells)]
+
+
+@pytest.mark.parametrize(
+    ("each", "found"),
+    [
+        (5, [("AAA:T1", "AAA:T2"), ("AAA:T3", "BBB:T4")]),
+        (6, [("AAA:T1",), ("AAA:T2",), ("AAA:T3",), ("BBB:T4",)]),
+        (99, [("AAA:T1",), ("AAA:T2",), ("AAA:T3",), ("BBB:T4",)]),
+        (1, [tuple(KEYS)]),
+    ],
+)
+def test_aircraft_share_a_run_up_to_a_number_of_flights(each, found):
+    assert shared(dict.fromkeys(KEYS, each), KEYS) == found
+
+
+def test_an_aircraft_that_is_not_wanted_parts_the_range():
+    assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
+
+
+def test_blocks_of_flights_hold_the_wanted_cells_and_no_other():
+    flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
+    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    wanted = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
+    cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+    asked = [cell for block in known.blocks("flight", cells) for cell in known.cells(block)]
+    assert sorted(asked) == sorted(f"{a}|{f}" for a, f in wanted)
+
+
+def test_a_long_history_takes_several_runs(monkeypatch):
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
+    known = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
+    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
+    found = list(known.blocks("flight", cells))
+    assert [(b.first, b.last, b.cells) for b in found] == [
+        (FLIGHTS[0], FLIGHTS[1], 2),
+        (FLIGHTS[2], FLIGHTS[3], 2),
+        (FLIGHTS[4], FLIGHTS[4], 1),
+    ]

@@ -1,0 +1,228 @@
+"""A flight that comes again, with other values, fewer rows, at the same size and time: what is stored, what told."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+import pytest
+from spoils import Spoil, column, field, fields_of, joined
+
+from pipelines.intake.ingest import ingest_flights
+from pipelines.intake.scan import scan, unseen
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
+
+GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
+AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240525_04"
+CSV, COPY = (f"AQX/LX-AAA/acms/{name}.csv" for name in (FLIGHT, "copy"))
+N = 42  # rows of the good flight
+
+
+class Zone:
+    """A landing zone and what was stored of its one flight."""
+
+    def __init__(self, root: Path) -> None:
+        self.landing, self.store, self.ledger = root / "landing", Store(root / "home"), Ledger(root / "home")
+
+    def deliver(self, path: str, spoil: Spoil = lambda content: content) -> None:
+        """Put the good flight, changed, where it belongs."""
+        (self.landing / path).parent.mkdir(parents=True, exist_ok=True)
+        (self.landing / path).write_bytes(spoil(GOOD.read_bytes()))
+
+    def night(self) -> pl.DataFrame:
+        """Take in what lies there; the stored rows. Accounts balance, and hold what is stored and set aside."""
+        scan(self.landing, self.ledger)
+        taken = ingest_flights(self.landing, self.store, self.ledger, AIRCRAFT, [FLIGHT])
+        for table, frame in (
+            ("raw_snapshots", taken.rows),
+            ("raw_deliveries", taken.deliveries),
+            ("raw_quarantine", taken.quarantine),
+        ):
+            self.store.merge(table, AIRCRAFT, [FLIGHT], frame)
+        account, quarantine = self.store.read("raw_deliveries"), self.quarantine
+        assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
+        assert account.select(pl.col("duplicate").min()).item() >= 0
+        assert account["loaded"].sum() == taken.rows.height
+        aside = quarantine.group_by("file").agg(pl.col("n_rows").sum()).filter(pl.col("n_rows") > 0)
+        told = account.filter(pl.col("quarantined") > 0).select("file", "quarantined")
+        assert aside.sort("file").rows() == told.sort("file").rows()
+        assert quarantine["received_at"].null_count() == 0
+        return self.store.read("raw_snapshots")
+
+    @property
+    def quarantine(self) -> pl.DataFrame:
+        """What is told."""
+        return self.store.read("raw_quarantine")
+
+    def reasons(self) -> list[str]:
+        """Reasons told, each once."""
+        return sorted(set(self.quarantine["reason"]))
+
+
+@pytest.fixture
+def zone(tmp_path) -> Zone:
+    return Zone(tmp_path)
+
+
+def head(n: int) -> Spoil:
+    """The first rows alone."""
+    return lambda content: joined(fields_of(content)[: n + 1])
+
+
+def warmer(content: bytes) -> bytes:
+    """Another calibration of one sensor, in every row."""
+    return column("hx_out_degc", lambda v: v + 2.0)(content)
+
+
+def both(*spoils: Spoil) -> Spoil:
+    """One after the other."""
+
+    def spoil(content: bytes) -> bytes:
+        for one in spoils:
+            content = one(content)
+        return content
+
+    return spoil
+
+
+def of_one_file(rows: pl.DataFrame) -> str:
+    """The one file all stored rows are of."""
+    (file,) = rows["file"].unique()
+    return file
+
+
+@pytest.mark.parametrize("first", [CSV, COPY])
+def test_of_two_deliveries_that_contradict_each_other_one_wins_as_a_whole(zone, first):
+    """Every second value differs in turn up and down: sorted row by row it was a patchwork of both."""
+    zigzag = column("hx_out_degc", iter_zigzag())
+    for path in (first, COPY if first == CSV else CSV):
+        zone.deliver(path, zigzag if path == COPY else lambda c: c)
+        zone.night()
+    rows = zone.night()
+    assert (rows.height, of_one_file(rows)) == (N, CSV)
+    aside = zone.quarantine.filter(reason="conflicting_delivery")
+    assert set(aside["file"]) == {COPY}
+    assert aside.height == aside["n_rows"].sum() == N
+    assert aside["detail"].str.contains(CSV, literal=True).all()
+    assert aside["content"].str.contains("hx_out_k").all()
+
+
+def iter_zigzag() -> Callable[[float], float]:
+    """Adds and takes 2 K in turn."""
+    turn = [2.0]
+
+    def change(value: float) -> float:
+        turn[0] = -turn[0]
+        return value + turn[0]
+
+    return change
+
+
+def test_the_delivery_with_more_rows_wins_whatever_its_name(zone):
+    zone.deliver(CSV, head(20))
+    zone.deliver(COPY, warmer)
+    rows = zone.night()
+    assert (rows.height, of_one_file(rows)) == (N, COPY)
+    assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [CSV] * 20
+
+
+def test_rows_of_a_contradicting_delivery_that_the_winner_lacks_are_kept_aside(zone):
+    zone.deliver(CSV, head(30))
+    zone.deliver(COPY, both(warmer, lambda c: joined([fields_of(c)[0], *fields_of(c)[-25:]])))
+    assert of_one_file(zone.night()) == CSV
+    aside = zone.quarantine.filter(reason="conflicting_delivery")
+    assert (aside.height, set(aside["file"])) == (25, {COPY})
+    assert aside.filter(pl.col("detail").str.contains("does not hold this row")).height == N - 30
+
+
+def test_deliveries_that_agree_complete_each_other(zone):
+    zone.deliver(CSV, head(30))
+    zone.deliver(COPY, lambda c: joined([fields_of(c)[0], *fields_of(c)[-25:]]))
+    assert zone.night().height == N
+    assert zone.reasons() == ["flight_id_from_column"]
+
+
+def test_a_winner_that_left_the_landing_zone_still_wins(zone):
+    zone.deliver(CSV)
+    zone.night()
+    (zone.landing / CSV).unlink()
+    zone.deliver(COPY, both(warmer, head(40)))
+    assert of_one_file(zone.night()) == CSV
+    assert of_one_file(zone.night()) == CSV
+
+
+def test_a_loser_that_left_the_landing_zone_is_still_told(zone):
+    zone.deliver(CSV, head(20))
+    zone.night()
+    (zone.landing / CSV).unlink()
+    zone.deliver(COPY, warmer)
+    for _ in range(2):
+        assert of_one_file(zone.night()) == COPY
+        assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [CSV] * 20
+
+
+def test_a_file_that_comes_again_with_fewer_rows_loses_none_and_says_so(zone):
+    zone.deliver(CSV)
+    whole = zone.night()
+    zone.deliver(CSV, head(20))
+    for _ in range(2):  # also when the flight is made again later
+        assert zone.night().equals(whole)
+        (note,) = zone.quarantine.rows(named=True)
+        assert (note["reason"], note["scope"], note["file"]) == ("fewer_rows", "note", CSV)
+        assert "42" in note["detail"]
+        assert "20" in note["detail"]
+    zone.deliver(CSV)
+    assert zone.night().equals(whole)
+    assert zone.reasons() == []
+
+
+def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_aside(zone):
+    zone.deliver(CSV)
+    zone.night()
+    zone.deliver(CSV, both(warmer, head(20)))
+    for _ in range(2):
+        assert zone.night().height == 20
+        assert zone.reasons() == ["fewer_rows", "replaced_row"]
+        assert zone.quarantine.filter(reason="replaced_row")["n_rows"].sum() == N - 20
+    zone.deliver(CSV, warmer)
+    assert zone.night().height == N
+    assert zone.reasons() == []
+
+
+def test_a_correction_under_the_same_name_replaces_what_it_said(zone):
+    zone.deliver(CSV)
+    before = zone.night()
+    zone.deliver(CSV, warmer)
+    after = zone.night()
+    assert (after["hx_out_k"] - before["hx_out_k"]).round(3).unique().to_list() == [2.0]
+    assert zone.reasons() == []
+
+
+def test_a_row_that_is_refused_now_is_no_row_less(zone):
+    zone.deliver(CSV)
+    zone.night()
+    zone.deliver(CSV, field(3, "pack", b"9"))
+    assert zone.night().height == N - 1
+    assert zone.reasons() == ["bad_pack"]
+
+
+def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone):
+    zone.deliver(CSV)
+    before = zone.night()
+    zone.ledger.note_night(("2026-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
+    stat = (zone.landing / CSV).stat()
+    zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
+    assert (zone.landing / CSV).stat().st_size == stat.st_size
+    os.utime(zone.landing / CSV, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert [f.path for f in unseen(zone.landing, zone.ledger)[1]] == [CSV]
+    assert zone.night()["phase_code"].to_list() != before["phase_code"].to_list()
+    assert unseen(zone.landing, zone.ledger)[1] == []
+
+
+def test_files_untouched_since_the_last_night_are_not_read(zone, monkeypatch):
+    zone.deliver(CSV)
+    zone.night()
+    zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
+    monkeypatch.setattr("pipelines.intake.scan._digest", None)
+    assert unseen(zone.landing, zone.ledger)[1] == []

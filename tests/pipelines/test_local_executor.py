@@ -1,0 +1,93 @@
+"""Blocks made side by side end as blocks made one after the other; no worker outlives its night."""
+
+import multiprocessing
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from nights import Silent, stages_of, unfolded
+
+from benchmarks.fingerprint import fingerprint
+from hdt_core.simulate.design import FleetSettings
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration import batches, local_executor, nightly
+
+
+@pytest.fixture(scope="module")
+def landing(tmp_path_factory) -> Path:
+    """Four aircraft."""
+    folder = tmp_path_factory.mktemp("fleet")
+    list(write_fleet(folder, 3, FleetSettings(operators=2, tails=2, flights=12)))
+    return folder / "landing"
+
+
+@pytest.fixture
+def small_blocks(monkeypatch) -> None:
+    """An aircraft a run, shared out however few; up to the twin, whose fleet-wide steps are no different."""
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 12)
+    monkeypatch.setattr(local_executor, "BLOCKS_TO_SHARE", 2)
+    monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
+
+
+def test_two_processes_make_what_one_makes(landing, tmp_path, small_blocks):
+    told = {}
+    for jobs in (1, 2):
+        with nightly.holding(tmp_path / f"{jobs}"):
+            night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
+        told[jobs] = (night.runs, night.cells, night.failed)
+    assert told[2] == told[1]
+    assert not told[1][2]
+    assert fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
+
+
+def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path, small_blocks):
+    class Killer(Silent):
+        """Kills a worker at the first block that is done."""
+
+        def advance(self, cells: int) -> None:
+            for child in multiprocessing.active_children():
+                child.kill()
+
+    with nightly.holding(tmp_path):
+        night = nightly.run_night(landing, tmp_path, Killer(), jobs=2)
+    assert "a worker process died" in next(iter(night.failed.values()))
+    with nightly.holding(tmp_path):
+        assert not nightly.run_night(landing, tmp_path, Silent()).failed
+
+
+def _night(landing: Path, home: Path) -> None:
+    """A night in a process that will be killed; prints who works for it."""
+
+    class Teller(Silent):
+        def advance(self, cells: int) -> None:
+            (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
+
+    local_executor.BLOCKS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 2, 12, unfolded(nightly.STAGES)
+    with nightly.holding(home):
+        nightly.run_night(landing, home, Teller(), jobs=2)
+
+
+def test_workers_die_with_a_killed_night(landing, tmp_path):
+    night = multiprocessing.get_context("spawn").Process(target=_night, args=(landing, tmp_path))
+    night.start()
+    told = tmp_path / "workers"
+    while not (told.exists() and told.read_text()):
+        assert night.is_alive()
+        time.sleep(0.05)
+    os.kill(night.pid, signal.SIGKILL)
+    night.join()
+    pids = [int(pid) for pid in told.read_text().split()]
+    assert len(pids) == 2
+    deadline = time.monotonic() + 10.0
+    while any(_lives(pid) for pid in pids):
+        assert time.monotonic() < deadline, "a worker outlived its night"
+        time.sleep(0.05)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

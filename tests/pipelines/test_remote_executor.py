@@ -1,0 +1,172 @@
+"""Two workers with homes of their own make what one process makes, whoever dies, and no run is doubled.
+
+Runs where HDT_TEST_POSTGRES and HDT_TEST_BROKER name a PostgreSQL server and a RabbitMQ that `rabbitmqctl` reaches. The
+same on a larger fleet, through all steps and over addresses: benchmarks/distributed.py.
+"""
+
+import multiprocessing
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from databases import SERVER
+from nights import Silent, stages_of, unfolded
+
+from benchmarks.fingerprint import fingerprint
+from hdt_core.simulate.design import FleetSettings
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration import batches, nightly
+from pipelines.orchestration.local_executor import EngineError
+
+BROKER = os.environ.get("HDT_TEST_BROKER", "")
+pytestmark = pytest.mark.skipif(
+    not (SERVER and BROKER and shutil.which("rabbitmqctl")),
+    reason="HDT_TEST_POSTGRES and HDT_TEST_BROKER name no PostgreSQL and RabbitMQ of this machine",
+)
+
+
+@pytest.fixture(scope="module")
+def landing(tmp_path_factory) -> Path:
+    """Four aircraft."""
+    folder = tmp_path_factory.mktemp("fleet")
+    list(write_fleet(folder, 3, FleetSettings(operators=2, tails=2, flights=12)))
+    return folder / "landing"
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory, landing) -> Iterator:
+    """Daemon and two workers."""
+    from benchmarks.site import site
+
+    with site(tmp_path_factory.mktemp("site"), landing, SERVER, BROKER) as made:
+        made.daemon()
+        for name in ("one", "two"):
+            made.worker(name)
+        yield made
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory, landing) -> tuple[dict[str, str], int]:
+    """Tables and number of runs of a night in one process, its ledger and its history below its home."""
+    home = tmp_path_factory.mktemp("alone")
+    with pytest.MonkeyPatch.context() as patch:
+        small(patch)
+        done = nightly.run_night(landing, home, Silent())
+    assert not done.failed
+    return fingerprint(home), done.runs
+
+
+def small(patch: pytest.MonkeyPatch) -> None:
+    """An aircraft a run; a step of four runs and one for the whole fleet."""
+    patch.setattr(batches, "CELLS_A_RUN", 12)
+    patch.setattr(nightly, "STAGES", unfolded(stages_of(2, 4)))
+
+
+@pytest.fixture
+def fleet(alone, elsewhere, monkeypatch):
+    """The site, of which nothing is known yet; this process is its night's machine."""
+    elsewhere.forget()
+    for name, value in elsewhere.environment("night").items():
+        monkeypatch.setenv(name, value)
+    small(monkeypatch)
+    for name in {"one", "two"} - set(elsewhere.processes):
+        elsewhere.worker(name)
+    return elsewhere
+
+
+class AtFirstBlock(Silent):
+    """Does something once, when the first block of flights is made and others are under way."""
+
+    def __init__(self, what) -> None:
+        self.what, self.label = what, ""
+
+    def start(self, label: str, total: int) -> None:
+        self.label = label
+
+    def advance(self, cells: int) -> None:
+        if self.label == "flights and legs" and self.what:
+            what, self.what = self.what, None
+            what()
+
+
+def night_over(fleet, progress=None) -> nightly.Night:
+    home = fleet.home("night")
+    with nightly.holding(home):
+        return nightly.run_night(fleet.landing, home, progress or Silent())
+
+
+def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone):
+    began = fleet.now()
+    done = night_over(fleet)
+    assert (done.failed, done.runs) == ({}, alone[1])
+    assert fingerprint(fleet.home("night")) == alone[0]
+    assert fleet.made_twice(began) == []
+    assert all("execute_job" in fleet.said(name).split(" ready.")[-1] for name in ("one", "two"))
+    assert not (fleet.home("night") / "ledger.sqlite").exists()
+
+
+def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
+    from benchmarks.site import restart_broker
+
+    def strike() -> None:
+        fleet.kill("one")
+        restart_broker()
+
+    done = night_over(fleet, AtFirstBlock(strike))
+    assert done.failed == {}
+    assert fingerprint(fleet.home("night")) == alone[0]
+    assert "no worker has been at it" in fleet.said("daemon")
+
+
+def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypatch):
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 24)  # two aircraft a run
+    monkeypatch.setattr(nightly, "STAGES", stages_of(0, 1, nightly.STAGES))
+    operator = sorted(fleet.landing.glob("*/*"))[0]
+    in_the_way = Path(fleet.environment("night")["HDT_STORE_URL"], "raw_snapshots", *operator.parts[-2:])
+    in_the_way.parent.mkdir(parents=True)
+    in_the_way.touch()
+    done = night_over(fleet)
+    (where, why), *others = done.failed.items()
+    assert others == []
+    assert where == f"flights and legs: {':'.join(operator.parts[-2:])}"
+    assert "Not a directory" in why or "exists" in why
+    assert fleet.rows("select count(distinct tail) from done where asset = 'legs_samples'") == [(3,)]
+
+
+def _night(landing: Path, home: Path) -> None:
+    """A night in a process that will be killed."""
+    with pytest.MonkeyPatch.context() as patch:
+        small(patch)
+        with nightly.holding(home):
+            nightly.run_night(landing, home, Silent())
+
+
+def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_nothing(fleet, alone):
+    from benchmarks.site import wait
+
+    began, other = fleet.now(), fleet.home("other")
+    first = multiprocessing.get_context("spawn").Process(target=_night, args=(fleet.landing, other))
+    first.start()
+    made = "select count(distinct tail) from done where asset = 'raw_flights'"
+    wait(lambda: fleet.rows(made) >= [(1,)] or not first.is_alive(), 60, "the first night does not begin")
+    with pytest.raises(nightly.BusyError, match=rf"process {first.pid}\b"):
+        night_over(fleet)
+    first.kill()
+    first.join()
+    done = night_over(fleet)
+    assert done.failed == {}
+    assert fingerprint(fleet.home("night")) == alone[0]
+    assert fleet.made_twice(began) == []
+
+
+def test_without_a_daemon_it_is_said(fleet):
+    fleet.kill("daemon")
+    fleet.rows("delete from daemon_heartbeats")
+    with pytest.raises(EngineError, match="no Dagster daemon answers; start one"):
+        night_over(fleet)
+
+
+def test_the_processes_said_no_password(elsewhere):
+    assert "guest:guest" not in "".join(elsewhere.said(name) for name in ("one", "two", "daemon"))
