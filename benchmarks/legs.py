@@ -22,7 +22,7 @@ import polars as pl
 from scipy.stats import chi2
 
 from hdt_core.flight.admission import admit
-from hdt_core.flight.cross_checks import CHECKS, TOLERANCE, check_sensors, learn_outlet_law
+from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.norm import Norm, leg_signs
@@ -103,9 +103,9 @@ def classical(fleet: Fleet) -> pl.DataFrame:
     """The peer: rules, then mean and covariance of the same leg quantities, and a chi-square limit."""
     numbered = number_flights(fleet.legs.drop("flight_number"))
     signs = leg_signs(fleet.samples, Norm(learn_manifold(fleet.samples, numbered), learn_outlet_law(fleet.samples)))
-    columns = ["index_level", "index_unrest", *(f"{c}_off" for c in TOLERANCE)]
+    columns = ["index_level", "index_unrest", *(f"{c}_off" for c in TOLERANCE if c in LEG_CHECKS)]
     vector = fleet.legs.join(signs, on=LEG_KEY, how="left", maintain_order="left").join(
-        check_sensors(signs.select(*LEG_KEY, *CHECKS), numbered), on=LEG_KEY, how="left", maintain_order="left"
+        check_sensors(signs.select(*LEG_KEY, *LEG_CHECKS), numbered), on=LEG_KEY, how="left", maintain_order="left"
     )
     x = vector.select(pl.col(c).fill_null(pl.col(c).median()).fill_nan(0.0) for c in columns).to_numpy()
     off = x - x.mean(axis=0)

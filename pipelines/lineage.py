@@ -151,7 +151,7 @@ STAGES = (
             "calibration_laws",
             parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages"),
             baseline=True,
-            code="9",
+            code="10",
         ),
         label="digital system model",
     ),
@@ -184,7 +184,11 @@ STAGES = (
     Stage(
         "legs_admitted",
         "legs",
-        alike("legs_admitted", parents=("twin_health", "legs_signs", "raw_messages", "raw_maintenance"), code="4"),
+        alike(
+            "legs_admitted",
+            parents=("twin_health", "twin_flights", "legs_signs", "raw_messages", "raw_maintenance"),
+            code="5",
+        ),
     ),
     Stage(
         "features",

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import polars as pl
 
-from hdt_core.flight.cross_checks import CHECKS, check_sensors, learn_outlet_law
+from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, learn_outlet_law
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
 from hdt_core.flight.norm import Norm, leg_signs
@@ -80,9 +80,13 @@ def admit_by(
     maintenance: pl.DataFrame,
     messages: pl.DataFrame,
     health_parameters: pl.DataFrame | None = None,
+    twin_flights: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """`admit` by a norm learned before; `signs` of `leg_signs`, all flights of each tail. No tail sways another."""
+    """`admit` by a norm learned before; `signs` of `leg_signs`, all flights of each tail, `twin_flights` of the twin
+    with its witnesses (`TWIN_CHECKS`). No tail sways another."""
     numbered = number_flights(legs.drop("flight_number", strict=False))
+    if twin_flights is not None:
+        signs = signs.join(twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left")
     known = _judged(numbered, signs, maintenance, messages, norm, health_parameters)
     return _without_outliers(known, norm.scatter).select(legs.columns)
 
@@ -98,15 +102,16 @@ def _judged(
     """Every rule but the last."""
     levels = numbered.join(signs.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left")
     known = flag_windows(numbered, maintenance, messages)
-    checked = check_sensors(signs.select(*LEG_KEY, *CHECKS), numbered)
+    checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in signs.columns)
+    checked = check_sensors(signs.select(*LEG_KEY, *checks), numbered)
     for part in (checked, judge_conductance(levels, maintenance, norm.level), _wear(health_parameters)):
         known = known.join(part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left")
     return _give_reasons(known)
 
 
 def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
-    """The twin's word on each leg: `wear`, a reason code or null."""
-    schema = {**dict.fromkeys(LEG_KEY, pl.String), "pack": pl.Int32, "wear": pl.String}
+    """The twin's word on each leg: `wear`, a reason code or null, and whether it has `seen` the exchanger."""
+    schema = {**dict.fromkeys(LEG_KEY, pl.String), "pack": pl.Int32, "wear": pl.String, "seen": pl.Boolean}
     if health_parameters is None or health_parameters.is_empty():
         return pl.DataFrame(schema=schema)
     limits = pl.DataFrame(
@@ -115,7 +120,7 @@ def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
     judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter")
     over = pl.col("value") + UPPER_SD * pl.col("sd").fill_null(0.0) > pl.col("limit")
     worst = pl.col("code").filter(over).max()  # the exchanger speaks first
-    return judged.group_by(LEG_KEY).agg(worst.alias("wear"))
+    return judged.group_by(LEG_KEY).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("seen"))
 
 
 def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
@@ -127,7 +132,8 @@ def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
         "SENSOR_SHIFT": pl.col("sensor_shift"),
         "UNREST": pl.col("unrest"),
         "STRAY": pl.col("stray"),
-        "HX_WORN": pl.col("worn"),
+        # the index takes a unit's best flights for its clean state and knows new units by the log alone
+        "HX_WORN": pl.col("worn") & ~pl.col("seen").fill_null(False),
     }
     broken = [pl.when(rule.fill_null(False)).then(pl.lit(code)) for code, rule in rules.items()]
     return known.with_columns(pl.coalesce(own, *broken, "wear", pl.lit("")).alias("reason"))

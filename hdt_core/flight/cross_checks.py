@@ -1,6 +1,6 @@
 """Sensors checked against each other, leg by leg, with hindsight: what physics ties together must not come apart.
 
-None of the checks needs a model of the exchanger and none is moved by its wear.
+None of the checks is moved by the exchanger's wear, and none needs a model of it but the twin's own witnesses.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ from hdt_core.flight.phases import LEG_KEY
 DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
 RUNNING_KG_S = 0.1
 SMOOTHED_FLIGHTS = 7
-FAULT_SD = 4.0  # of the smoothed check's own scatter on the tail
+FAULT_SD = 4.0  # of the smoothed check's noise on the pack
+MEDIAN_SD = 1.2533  # sd of a median over that of a mean
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
 
@@ -25,9 +26,15 @@ TOLERANCE = {
     "inlet_over_total_pressure_ln": 0.015,
     "pack_over_compressor_flow_ln": 0.030,
     "pack_flow_between_packs_ln": 0.045,
+    "inlet_apart_k": 2.5,  # a blockage of 15 % moves it by 1.5 K
+    "door_apart_ln": 0.06,
 }
+TWIN_CHECKS = ("inlet_apart_k", "door_apart_ln")
+"""Of the twin's flights (`hdt_core.twin.witness`); not known before there is a twin."""
 BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}
-CHECKS = (*TOLERANCE, *BETWEEN_PACKS.values())
+LEG_CHECKS = (*(c for c in TOLERANCE if c not in TWIN_CHECKS), *BETWEEN_PACKS.values())
+CHECKS = (*LEG_CHECKS, *TWIN_CHECKS)
+USUAL_SHARE = 0.25  # of the tolerance: nearer to its level than this a check has not left it, however steady it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +69,7 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     Parameters
     ----------
     values : DataFrame
-        Of `leg_checks`, all flights of each tail.
+        Of `leg_checks`, all flights of each tail, with `TWIN_CHECKS`; a check that is missing is not made.
     legs : DataFrame
         `LEG_KEY` and `flight_number`.
 
@@ -76,45 +83,69 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     -----
     Each check is the leg's mean of a difference that is constant for sound sensors, less its median over the tail's
     flights: sensor faults are repaired, so most flights are sound. It has shifted where its running median over seven
-    flights leaves zero by more than a tolerance and by four of its own standard deviations, or one flight by far
+    flights leaves zero by more than a tolerance and by four standard deviations of its noise, or one flight by far
     more. A check between packs accuses both; the pack is cleared whose own reading is the nearer to the fleet's law.
+    A drift began before it was large enough to be sure of: with hindsight all flights of the spell have shifted, from
+    where the running median left its usual scatter until it came back.
     """
-    numbered = values.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    absent = (pl.lit(None, pl.Float64).alias(c) for c in CHECKS if c not in values.columns)
+    numbered = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
     tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
     off = numbered.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
     smooth = off.with_columns(
         pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(unit).alias(f"{c}_smooth")
         for c in CHECKS
     )
-    scores = smooth.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
-    cleared = scores.with_columns(
-        pl.when(_nearer(own, [*tail, "flight_id"])).then(0.0).otherwise(pl.col(f"{c}_score")).alias(f"{c}_score")
-        for c, own in BETWEEN_PACKS.items()
+    flight = [*tail, "flight_id"]
+    known = smooth.with_columns(
+        e for c in TOLERANCE for e in (_spell(c, unit), _shift(c, unit), _other_pack(c, flight))
     )
+    scores = known.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
     worst = pl.max_horizontal(pl.col(f"{c}_score") for c in TOLERANCE).fill_null(0.0)
     named = pl.coalesce(pl.when((pl.col(f"{c}_score") == worst) & (worst > 1.0)).then(pl.lit(c)) for c in TOLERANCE)
     alone = [pl.col(c).fill_null(0.0).alias(f"{c}_off") for c in TOLERANCE]
-    return cleared.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), named.alias("sensor_check"), *alone)
+    return scores.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), named.alias("sensor_check"), *alone)
+
+
+def _spell(check: str, unit: list[str]) -> pl.Expr:
+    """On which side the smoothed check has left its level, 0 where it has not."""
+    smooth = pl.col(f"{check}_smooth").forward_fill().over(unit)
+    usual = 1.4826 * pl.col(f"{check}_smooth").abs().median().over(unit)
+    left = smooth.abs() > pl.max_horizontal(usual, pl.lit(USUAL_SHARE * TOLERANCE[check]))
+    return pl.when(left).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
+
+
+def _shift(check: str, unit: list[str]) -> pl.Expr:
+    """Smoothed check over what is allowed; its noise is that of steps from flight to flight: a drift must not pass for
+    scatter."""
+    step = 1.4826 * pl.col(check).diff().abs().median().over(unit)
+    noise = MEDIAN_SD * step / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
+    allowed = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
+    return (pl.col(f"{check}_smooth").abs() / allowed).alias(f"{check}_shift")
+
+
+def _other_pack(check: str, flight: list[str]) -> pl.Expr:
+    """Whether the other pack is to blame: this one's own reading is clearly the less displaced of the two."""
+    name = f"{check}_other"
+    if check not in BETWEEN_PACKS:
+        return pl.lit(False).alias(name)
+    displaced = pl.col(f"{BETWEEN_PACKS[check]}_smooth").abs()
+    return (displaced < 0.5 * displaced.max().over(flight)).fill_null(False).alias(name)
 
 
 def _score(check: str, unit: list[str]) -> pl.Expr:
-    """Shift over what is allowed; above 1 it is a fault."""
-    smooth = pl.col(f"{check}_smooth").abs()
-    spread = 1.4826 * smooth.median().over(unit)
-    allowed = pl.max_horizontal(spread * FAULT_SD, pl.lit(TOLERANCE[check]))
+    """Shift over what is allowed, of the flight alone or the largest of its spell; above 1 it is a fault."""
+    side, shift, other = (pl.col(f"{check}_{part}") for part in ("side", "shift", "other"))
+    spell = pl.struct(*unit, side).rle_id()
+    lasting = pl.when(side != 0.0).then(shift.max().over(spell)).otherwise(shift)
+    whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(spell)).otherwise(other)
     alone = 1.4826 * pl.col(check).abs().median().over(unit) * FAULT_SD
-    single = pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
-    return pl.max_horizontal(smooth / allowed, pl.col(check).abs() / single)
-
-
-def _nearer(own: str, flight: list[str]) -> pl.Expr:
-    """Whether the pack's own reading is clearly the less displaced of the two."""
-    displaced = pl.col(f"{own}_smooth").abs()
-    return (displaced < 0.5 * displaced.max().over(flight)).fill_null(False)
+    single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
+    return pl.max_horizontal(pl.when(~whose).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
 
 
 def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
-    """Mean of each check over the leg: `LEG_KEY`, `CHECKS`.
+    """Mean of each check over the leg: `LEG_KEY`, `LEG_CHECKS`.
 
     Parameters
     ----------

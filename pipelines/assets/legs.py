@@ -29,8 +29,9 @@ def legs_admitted(
     raw_maintenance: pl.DataFrame,
     raw_messages: pl.DataFrame,
     twin_health: pl.DataFrame,
+    twin_flights: pl.DataFrame,
     calibration_laws: pl.DataFrame,
 ) -> pl.DataFrame:
     """The final verdict, with hindsight: what logs, cross checks and the twin say of each leg."""
     norm = Norm.from_json(laws_of(calibration_laws, LEGS))
-    return admit_by(norm, legs_verdicts, legs_signs, raw_maintenance, raw_messages, twin_health)
+    return admit_by(norm, legs_verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)

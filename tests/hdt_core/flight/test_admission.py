@@ -78,6 +78,39 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
 
 
+def test_twin_that_finds_the_exchanger_sound_is_believed_over_the_index(fleet, level_one, admitted):
+    worn = admitted.filter(pl.col("reason") == "HX_WORN")
+    said = worn.select(*LEG_KEY).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
+    again = admit(*level_one, fleet.maintenance, fleet.messages, said)
+    assert worn.height > 20
+    assert set(again.join(worn.select(LEG_KEY), on=LEG_KEY, how="semi")["reason"]) <= {"", "OUTLIER"}
+
+
+def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.DataFrame:
+    """Twin's flights whose witness drifts from flight 100 to 140 and is repaired then."""
+    rng = np.random.default_rng(5)
+    noise = {c: sd * rng.normal(size=legs.height) for c, sd in (("inlet_apart_k", 0.7), ("door_apart_ln", 0.018))}
+    drift = pl.when(mine & pl.col("flight_number").is_between(100, 140)).then(pl.col("flight_number") - 100.0)
+    seen = legs.select(*LEG_KEY, "flight_number").with_columns(pl.Series(c, v) for c, v in noise.items())
+    return seen.with_columns(pl.col(column) + slope * drift.otherwise(0.0)).drop("flight_number")
+
+
+@pytest.mark.parametrize(("column", "slope"), [("inlet_apart_k", 0.15), ("door_apart_ln", 0.004)])
+def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(fleet, level_one, column, slope):
+    legs, samples = level_one
+    mine = (pl.col("tail") == legs["tail"][0]) & (pl.col("pack") == 1)
+    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
+    signs = leg_signs(samples, norm)
+    known = fleet.maintenance, fleet.messages
+    before, after = (
+        admit_by(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
+    )
+    sound = before.with_columns(legs["flight_number"]).filter("admitted")
+    hit = after.join(sound.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    assert (hit.filter(mine & pl.col("flight_number").is_between(110, 140))["reason"] == "SENSOR_SHIFT").all()
+    assert hit.filter(~mine | ~pl.col("flight_number").is_between(90, 145))["admitted"].mean() > 0.99
+
+
 @pytest.mark.parametrize("ice_k", [4.0])
 def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
     legs, samples = level_one
