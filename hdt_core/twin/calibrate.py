@@ -79,17 +79,15 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
     """
     model = _calibrated(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
     for _ in range(TERM_ROUNDS if terms else 0):
-        seen = estimate_flights(nominal_baseline(samples, legs), model)
+        seen = estimate_flights(baseline_samples(samples), model)
         found = coefficients(seen, model, terms)
         model = _calibrated(samples, legs, maintenance, {n: within(n, model.terms[n] + found[n]) for n in terms})
     return model
 
 
-def nominal_baseline(samples: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
-    """Samples of the admitted legs among the baseline's flights."""
-    everything = flights_of(samples)
-    base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
-    return samples.join(_admitted(base, legs).select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+def baseline_samples(samples: pl.DataFrame) -> pl.DataFrame:
+    """Samples of the baseline's flights, of worn packs too: what changes from flight to flight is not their wear."""
+    return samples.filter(pl.col("flight_id").is_in(baseline_flights(flights_of(samples))))
 
 
 def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:

@@ -5,7 +5,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.physics.terms import TERMS
-from hdt_core.twin.calibrate import nominal_baseline
+from hdt_core.twin.calibrate import baseline_samples
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.missing import propose
@@ -31,11 +31,10 @@ def accept(home: Path, names: list[str]) -> None:
 
 
 def proposals(home: Path, dsm: Dsm) -> pl.DataFrame:
-    """Evidence of each term that the model in service lacks, from the nominal legs of its own baseline."""
-    store, cells = Store(home), baseline_cells(Ledger(home))
-    within = pl.col("flight_id").is_in(cells["flight_id"].implode())
-    samples, legs = (store.scan(t).filter(within).collect() for t in ("legs_samples", "legs_admitted"))
-    return propose(estimate_flights(nominal_baseline(samples, legs), dsm), dsm)
+    """Evidence of each term that the model in service lacks, from the flights of its own baseline."""
+    flights = baseline_cells(Ledger(home))["flight_id"]
+    samples = Store(home).scan("legs_samples").filter(pl.col("flight_id").is_in(flights.implode())).collect()
+    return propose(estimate_flights(baseline_samples(samples), dsm), dsm)
 
 
 __all__ = ["accept", "accepted_terms", "proposals"]

@@ -18,13 +18,22 @@ from hdt_core.twin.missing import propose
 SPRAY = 0.3
 
 
+def lacking_term(fleet, name, value):
+    """The fleet as its sensors record it where the exchanger meets what the term says."""
+    met, signal = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}, TERMS[name].signal
+    seen = pl.Series(signal, recorded(met, {name: value})[signal])
+    return replace(fleet, samples=fleet.samples.with_columns(seen))
+
+
 @pytest.fixture(scope="module")
-def sprayed():
-    """The fleet of `made` with water sprayed at the ram inlet: the exchanger meets cooler air than the probe reads."""
-    fleet = made_fleet(4, 120)
-    met = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}
-    tat_k = pl.Series("tat_k", recorded(met, {"water_spray": SPRAY})["tat_k"])
-    return replace(fleet, samples=fleet.samples.with_columns(tat_k))
+def plain():
+    return made_fleet(4, 120)
+
+
+@pytest.fixture(scope="module")
+def sprayed(plain):
+    """Water sprayed at the ram inlet: the exchanger meets cooler air than the probe reads."""
+    return lacking_term(plain, "water_spray", SPRAY)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +72,30 @@ def test_accepting_it_mends_residual_and_coefficient(sprayed, lacking, mended):
     assert scatter(after) < 0.7 * scatter(before)
     assert not propose(after, mended)["proposed"].any()
     assert Dsm.from_dict(mended.to_dict()) == mended
+
+
+@pytest.mark.parametrize(("name", "value"), [("water_spray", SPRAY), ("flow_leak", 0.2)])
+def test_on_an_aircraft_never_seen_the_accepted_term_leaves_noise_alone(plain, name, value):
+    """Aircraft 3 is left out of every calibration; where nothing is missing, its residual is what no model explains."""
+    learned, other = ("T-00", "T-01", "T-02"), "T-03"
+    fleet = lacking_term(plain, name, value)
+    taught = fleet.only(*learned)
+    found = calibrate(taught.samples, taught.legs, taught.maintenance, (name,))
+    assert found.terms[name] == pytest.approx(value, rel=0.3)
+    noise_model = calibrate(plain.only(*learned).samples, taught.legs, taught.maintenance)
+    noise = scatter(estimate_flights(plain.only(other).samples, noise_model))
+    before, after = (
+        scatter(estimate_flights(fleet.only(other).samples, model))
+        for model in (calibrate(taught.samples, taught.legs, taught.maintenance), found)
+    )
+    assert after < 0.7 * before
+    assert after < 1.1 * noise
+
+
+def test_worn_packs_speak_too(sprayed, lacking):
+    """Wear moves slowly: the left packs, half of their conductance gone, tell as much of the weather's doing."""
+    worn = estimate_flights(sprayed.samples, lacking).filter(pack=1)
+    assert propose(worn, lacking).filter("proposed")["term"].to_list() == ["water_spray"]
 
 
 def test_too_few_flights_say_so(sprayed, lacking):
