@@ -221,8 +221,8 @@ def conclude(
         status = "not_identifiable"
     doubt = NO_DOUBT
     plain = variance == 1.0 and determinant > APART and problem.n_values > MANY * theta.size
-    if status == "converged" and not own_objective and not plain:
-        doubt = _questioned(problem, at, own, variance)
+    if status == "converged" and not own_objective:
+        doubt = _narrowed(problem, own, variance) if plain else _questioned(problem, at, own, variance)
         status = doubt.status
     if status in ("converged", "approximate") and not inside:
         status = "at_bound" if _rests_on_bound(problem.bounds, theta, own, held=False) else status
@@ -265,8 +265,7 @@ def _questioned(problem: Problem, at: Point, cov: Array, variance: float) -> _Do
             return _Doubt("local_optimum", spent, better=better.theta)
     spent += 2 * at.theta.size
     if not is_bent(problem, at, variance):
-        weak = _hardly_narrowed(problem, cov, variance)
-        return _Doubt("weakly_identifiable" if weak else "converged", spent, weak=weak)
+        return _narrowed(problem, cov, variance, spent)
     profile = profiled(problem, at, cov, variance)
     status: Status = "weakly_identifiable" if profile.unlimited else "converged"
     if profile.better is not None:
@@ -274,12 +273,13 @@ def _questioned(problem: Problem, at: Point, cov: Array, variance: float) -> _Do
     return _Doubt(status, spent + profile.n_evals, profile, profile.better, profile.unlimited)
 
 
-def _hardly_narrowed(problem: Problem, cov: Array, variance: float) -> tuple[str, ...]:
-    """Parameters without a prior that keep most of their declared range."""
+def _narrowed(problem: Problem, cov: Array, variance: float, spent: int = 0) -> _Doubt:
+    """Whether parameters without a prior keep most of their declared range."""
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
     asked = (width > 0.0) & np.isfinite(width) & np.isinf(problem.prior.sd)
     wide = asked & (WIDE * np.sqrt(np.maximum(cov.diagonal(), 0.0) * variance) > width)
-    return tuple(name for name, kept in zip(problem.names, wide.tolist(), strict=True) if kept)
+    weak = tuple(name for name, kept in zip(problem.names, wide.tolist(), strict=True) if kept)
+    return _Doubt("weakly_identifiable" if weak else "converged", spent, weak=weak)
 
 
 def _spread(bounds: Array, total: Array) -> tuple[Array, bool]:

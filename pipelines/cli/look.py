@@ -134,7 +134,7 @@ def terms(
     drop: Annotated[list[str] | None, typer.Option(help="Take it from the model again.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Physical terms that nominal flights ask for.
+    """Physical terms that residuals from flight to flight ask for.
 
     What the model has is a term a line in `terms.txt` of the home.
     """

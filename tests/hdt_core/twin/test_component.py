@@ -12,6 +12,7 @@ from pages import walk
 from hdt_core.estimation import ExtendedKalman
 from hdt_core.health.residuals import component_residuals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.twin.component import calibrate_component, track_component
 from hdt_core.twin.sequential import flight_by_flight
 
@@ -111,6 +112,44 @@ def test_a_design_that_nominal_samples_leave_open_is_named():
     assert found.status == "weakly_identifiable"
     assert {"hx_exponent_hot", "hx_hot_share"} & set(found.weak)
     assert "Left open by the data" in found.summary()
+
+
+def chiller_water_k(flow_kg_s, water_in_k, boiling_k, ua_w_k, flow_exponent, fouling):
+    """Water cooled by a refrigerant that boils at one temperature; its film goes as a power of the water's flow."""
+    ua = ua_w_k * (1.0 - fouling) * (flow_kg_s / 10.0) ** flow_exponent
+    return boiling_k + (water_in_k - boiling_k) * np.exp(-ua / (flow_kg_s * 4186.0))
+
+
+CHILLER = PhysicsModel(
+    name="chiller",
+    inputs=(Signal("flow_kg_s", "kg/s"), Signal("water_in_k", "K"), Signal("boiling_k", "K")),
+    outputs=(Signal("water_out_k", "K", sigma=0.1),),
+    params=(
+        Param("ua_w_k", "W/K", 50e3, (10e3, 200e3), "design"),
+        Param("flow_exponent", "-", 0.6, (0.2, 1.2), "design"),
+        Param("fouling", "-", 0.0, (-0.1, 0.9), "health", drift=0.01),
+    ),
+    equations=chiller_water_k,
+)
+
+
+@pytest.mark.parametrize(("flow_spread", "said"), [(0.01, ("flow_exponent",)), (0.2, ())])
+def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread, said):
+    """An exponent of 0.8 +- 0.26 is an optimum, and no ground for a loss at other flows."""
+    rng, n = np.random.default_rng(4), 300
+    nominal = pl.DataFrame(
+        {
+            "flow_kg_s": 10.0 * np.exp(flow_spread * rng.standard_normal(n)),
+            "water_in_k": rng.uniform(284.0, 287.0, n),
+            "boiling_k": rng.uniform(277.0, 279.0, n),
+        }
+    )
+    seen = chiller_water_k(*nominal, 60e3, 0.8, 0.0).to_numpy() + 0.1 * rng.standard_normal(n)
+    _, found = calibrate_component(CHILLER, nominal.with_columns(water_out_k=seen))
+    assert found.weak == said
+    assert found.status == ("weakly_identifiable" if said else "converged")
+    assert (found.belief.sd[1] > 0.2) == bool(said)
+    assert abs(found.belief.mean[1] - 0.8) < 4.0 * found.belief.sd[1]
 
 
 def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
