@@ -151,7 +151,7 @@ STAGES = (
             "calibration_laws",
             parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages"),
             baseline=True,
-            code="10",
+            code="11",
         ),
         label="digital system model",
     ),
