@@ -3,11 +3,11 @@
 import sqlite3
 import sys
 
-from pipelines.cli import look, make, night, share
+from pipelines.cli import look, make, night, recorder, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.orchestration.stops import StoppedError, ends_in_order
 
-__all__ = ["app", "look", "main", "make", "night", "share"]
+__all__ = ["app", "look", "main", "make", "night", "recorder", "share"]
 
 
 def main() -> None:

@@ -20,6 +20,7 @@ ORDER = (
     "query",
     "terms",
     "export",
+    "recorder",
     "ui",
     "simulate",
     "doctor",

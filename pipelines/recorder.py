@@ -1,0 +1,118 @@
+"""Recordings and parameter maps as files: opened, decoded, written as Parquet."""
+
+import zipfile
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hdt_core.recorder.decode import Series
+from hdt_core.recorder.fit import decode, recognise
+from hdt_core.recorder.frames_767 import Recording767
+from hdt_core.recorder.layout import MapError, Parameter, ParameterMap
+from hdt_core.recorder.plain_map import read_csv, read_toml
+from hdt_core.recorder.timeline_717 import Recording717
+from hdt_core.recorder.vec_map import read_vec
+from hdt_core.recorder.xml_map import read_xml
+from pipelines.files import replacing
+
+SCHEMA = pa.schema(
+    {
+        "parameter": pa.dictionary(pa.int32(), pa.string()),
+        "t_s": pa.float64(),
+        "value": pa.float64(),
+        "text": pa.dictionary(pa.int32(), pa.string()),
+    }
+)
+ROWS_OF_A_GROUP = 1 << 20
+MOST_UNPACKED = 4 << 30
+"""Bytes that a member of an archive may have; a ten-hour recording of 2,048 words a second has 150 million."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What was written: parameters, rows, and rows that have neither value nor text."""
+
+    parameters: int
+    rows: int
+    nulls: int
+
+
+def read_map(path: Path) -> ParameterMap:
+    """A map: `.vec` archive, ARINC 647A XML, or our own TOML or CSV. Raises `MapError`, which names the file."""
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                names = [n for n in archive.namelist() if n.lower().endswith((".par", ".fra", ".frd"))]
+                return read_vec({n: _member(archive, n) for n in names})
+        data = path.read_bytes()
+        if data.lstrip()[:1] == b"<" or path.suffix.lower() == ".xml":
+            return read_xml(data)
+        return (read_csv if path.suffix.lower() == ".csv" else read_toml)(data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise MapError(f"{path.name}: neither an archive, nor XML, nor text in UTF-8") from None
+    except (MapError, zipfile.BadZipFile) as error:
+        raise MapError(f"{path.name}: {error}") from None
+
+
+def read_recording(path: Path) -> npt.NDArray[np.uint8]:
+    """The bytes of a recording; of an archive, those of its largest member."""
+    if not zipfile.is_zipfile(path):
+        return np.fromfile(path, np.uint8)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            largest = max(archive.infolist(), key=lambda i: i.file_size)
+            return np.frombuffer(_member(archive, largest.filename), np.uint8)
+    except (zipfile.BadZipFile, zlib.error, ValueError) as error:
+        raise MapError(f"{path.name}: {error}") from None
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    if archive.getinfo(name).file_size > MOST_UNPACKED:
+        raise MapError(f"{name} would have {archive.getinfo(name).file_size:,} bytes; {MOST_UNPACKED:,} are allowed")
+    return archive.read(name)
+
+
+def open_recording(file: Path, map_file: Path) -> tuple[Recording717 | Recording767, ParameterMap]:
+    """A recording and the map that fits it. Raises `MapError`, which says what disagrees."""
+    layout = read_map(map_file)
+    try:
+        return recognise(read_recording(file), layout), layout
+    except MapError as error:
+        raise MapError(f"{map_file.name} does not fit {file.name}: {error}") from None
+
+
+def write_decoded(recording: Recording717 | Recording767, parameters: Iterable[Parameter], target: Path) -> Decoded:
+    """Write `parameter, t_s, value, text`, parameter by parameter, in order of time."""
+    count = rows = nulls = 0
+    held: list[pa.Table] = []
+    with (
+        replacing(target) as temporary,
+        pq.ParquetWriter(temporary, SCHEMA, compression="zstd", store_schema=False) as writer,
+    ):
+        for series in decode(recording, parameters):
+            held.append(_table(series))
+            count, rows, nulls = count + 1, rows + series.t_s.size, nulls + int((~series.known).sum())
+            if sum(t.num_rows for t in held) >= ROWS_OF_A_GROUP:
+                writer.write_table(pa.concat_tables(held).unify_dictionaries())
+                held = []
+        if held:
+            writer.write_table(pa.concat_tables(held).unify_dictionaries())
+    return Decoded(count, rows, nulls)
+
+
+def _table(series: Series) -> pa.Table:
+    n, lost = series.t_s.size, ~series.known
+    name = pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), [series.parameter.name])
+    value = pa.nulls(n, pa.float64()) if series.value is None else pa.array(series.value, mask=lost)
+    text = pa.nulls(n, SCHEMA.field("text").type)
+    if series.text is not None:
+        said = np.array([name is not None for name in series.text.names])
+        codes = pa.array(series.text.codes, mask=lost | ~said[series.text.codes])
+        text = pa.DictionaryArray.from_arrays(codes, pa.array([name or "" for name in series.text.names]))
+    return pa.Table.from_arrays([name, pa.array(series.t_s), value, text], schema=SCHEMA)

@@ -1,0 +1,99 @@
+"""Real recordings, held against what an independent decoder reads, sample by sample.
+
+The files are not ours to ship: the tests look for them where `HDT_REFERENCE` says, or beside the project, and skip
+where they are not.
+"""
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.recorder.fit import decode, recognise
+from hdt_core.recorder.vec_map import read_vec
+
+ROOT = Path(__file__).parents[3]
+REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
+pytestmark = pytest.mark.skipif(not REFERENCE.is_dir(), reason=f"no real recordings in {REFERENCE}: set HDT_REFERENCE")
+
+LISTED_TWICE = {"CMC_FAIL"}
+"""The map lists it for every frame and in a superframe; we keep the two apart, the independent decoder does not."""
+
+
+def members(name: str) -> dict[str, bytes]:
+    with zipfile.ZipFile(REFERENCE / name) as held:
+        return {n: held.read(n) for n in held.namelist()}
+
+
+def read(map_file: str, archive: str) -> dict:
+    layout = read_vec(members(map_file))
+    data = max(members(archive).values(), key=len)
+    recording = recognise(np.frombuffer(data, np.uint8), layout)
+    assert (recording.damage.damaged, recording.damage.missing, recording.damage.skipped_bytes) == (0, 0, 0)
+    return {s.parameter.name: s for s in decode(recording, layout.parameters.values())}
+
+
+@pytest.fixture(scope="module")
+def a330() -> dict:
+    return read("a330.vec", "a330_717.wgl.zip")
+
+
+@pytest.fixture(scope="module")
+def b787() -> dict:
+    return read("b787.vec", "b787_767.zip")
+
+
+def theirs(name: str) -> dict[str, pl.DataFrame]:
+    return {str(k[0]): f for k, f in pl.read_parquet(REFERENCE / name).partition_by("parameter", as_dict=True).items()}
+
+
+def disagreements(ours: dict, reference: dict[str, pl.DataFrame]) -> list[str]:
+    found = []
+    for name, frame in reference.items():
+        series = ours[name]
+        if series.t_s.size != frame.height or not np.allclose(series.t_s, frame["t_s"], atol=1e-6):
+            found.append(f"{name}: other times")
+        elif frame["value"].null_count() == frame.height:
+            text = [series.text.names[c] for c in series.text.codes]
+            # a character of a frame that is not in the file is null here, and a zero there
+            known = zip(text, frame["text"], series.known, strict=True)
+            found += [] if all(a == b for a, b, k in known if k) else [f"{name}: text"]
+        elif not (series.known.all() and np.array_equal(series.value, frame["value"])):
+            found.append(f"{name}: values")
+    return found
+
+
+def test_every_arinc_717_parameter_equals_the_independent_decoders(a330):
+    reference = theirs("decoded_717.parquet")
+    assert len(reference) == 426
+    assert disagreements(a330, {n: f for n, f in reference.items() if n not in LISTED_TWICE}) == []
+    for name in LISTED_TWICE:
+        assert set(zip(a330[name].t_s, a330[name].value, strict=True)) <= set(
+            reference[name].select("t_s", "value").rows()
+        )
+
+
+def test_every_arinc_767_parameter_equals_the_independent_decoders(b787):
+    reference = theirs("decoded_767.parquet")
+    assert (len(reference), len(b787)) == (130, 2718)
+    assert disagreements(b787, reference) == []
+
+
+def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a330):
+    """Beside the values as listed: the flight, the airport and the position that the printed reports have too."""
+
+    def texts(name: str) -> set[str]:
+        series = a330[name]
+        return {series.text.names[c] for c in series.text.codes[series.known]}
+
+    assert texts("CITY_FROM_R.whole") == {"ZJHK"}
+    assert {c[:4] for c in texts("FNO_P5678.whole")} == {"765 "}
+    latitude, longitude = a330["LATPGPS.whole"].value, a330["LONGPGPS.whole"].value
+    assert 19.8 < latitude.min() < latitude.max() < 20.4  # north of Haikou
+    assert 110.3 < longitude.min() < longitude.max() < 110.7
+    assert np.abs(np.diff(latitude)).max() < 0.01
+    assert np.abs(a330["LATG.whole"].value).max() < 0.1  # of the lateral acceleration's 4 g as listed
+    assert 300_000 < a330["GW.whole"].value[0] < 340_000
