@@ -28,7 +28,7 @@ def list_parameters(file: Recording, map_file: MapFile, as_json: AsJson = False)
 
     And what was damaged. A map that does not fit the recording is told by what disagrees.
     """
-    from pipelines.recorder import open_recording
+    from pipelines.intake.recordings import open_recording
 
     with _one_line():
         recording, layout = open_recording(file, map_file)
@@ -57,7 +57,7 @@ def decode_parameters(
 
     What a damaged frame held is null, and counted.
     """
-    from pipelines.recorder import open_recording, write_decoded
+    from pipelines.intake.recordings import open_recording, write_decoded
 
     with _one_line():
         recording, layout = open_recording(file, map_file)

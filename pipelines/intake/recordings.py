@@ -19,7 +19,7 @@ from hdt_core.recorder.plain_map import read_csv, read_toml
 from hdt_core.recorder.timeline_717 import Recording717
 from hdt_core.recorder.vec_map import read_vec
 from hdt_core.recorder.xml_map import read_xml
-from pipelines.files import replacing
+from pipelines.storage.files import replacing
 
 SCHEMA = pa.schema(
     {
