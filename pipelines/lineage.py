@@ -9,12 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from hdt_core.components import components
 from hdt_core.tables import TABLES
 
 Grain = Literal["flight", "aircraft", "fleet"]
 FOLDED = {"flight": 4, "aircraft": 20, "fleet": 1}
+PACK, COMPONENT = "pack", "component"
 FLIGHT_FILES = ("acms", "history", "cpl")
 RECORD_FILES = ("messages", "maintenance")
+DECLARED = "1 " + " ".join(c.version for c in components().values())
+"""Of what follows from the components that are declared: a change of one makes its results again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,8 @@ class Stage:
     folded : int, optional
         How many times as many flights a run may take as one that reads files; by grain where it is not given. The
         fewer runs, the less is bookkeeping.
+    road : str
+        `pack`, or `component` for what few aircraft have: a run goes along one of them.
     """
 
     name: str
@@ -69,6 +75,7 @@ class Stage:
     fresh: str = ""
     label: str = ""
     folded: int | None = None
+    road: str = PACK
 
     @property
     def grain(self) -> Grain:
@@ -205,6 +212,41 @@ STAGES = (
         "features",
         alike("features_alerts", parents=("features",), code="9"),
     ),
+    Stage(
+        "raw_components",
+        "raw",
+        alike(
+            "raw_components",
+            "raw_components_deliveries",
+            "raw_components_quarantine",
+            files=("component",),
+            code=DECLARED,
+        ),
+        untracked=("raw_fleet",),
+        label="declared components",
+        road=COMPONENT,
+    ),
+    Stage(
+        "calibration_components",
+        "calibration",
+        alike(
+            "legs_components", "calibration_components", parents=("raw_components", "raw_maintenance"), code=DECLARED
+        ),
+        road=COMPONENT,
+    ),
+    Stage(
+        "twin_components",
+        "twin",
+        alike("twin_components", "residuals_components", parents=("calibration_components",)),
+        road=COMPONENT,
+    ),
+    Stage(
+        "features_components",
+        "features",
+        alike("features_components", "features_component_alerts", parents=("twin_components",)),
+        road=COMPONENT,
+    ),
+    Stage("declared_components", "raw", alike("components", code=DECLARED)),
     Stage("prognosis_base", "prognosis", alike("prognosis_base", code="2"), label="prognosis"),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     Stage(
@@ -217,6 +259,11 @@ STAGES = (
             code="5",
         ),
         fresh="prognoses",
+    ),
+    Stage(
+        "prognoses_components",
+        "prognosis",
+        alike("prognoses_components", parents=("features_components", "raw_messages", "raw_maintenance")),
     ),
 )
 

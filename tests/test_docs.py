@@ -67,7 +67,8 @@ def test_every_command_is_documented():
 
 
 def test_the_queries_of_the_documentation_answer(sample_home):
-    asked = [w[-1] for _, w in SAID if w[0] == "query"]
+    # a component of one's own is not in the sample: tests/pipelines/test_own_component.py asks that page's
+    asked = [w[-1] for p, w in SAID if w[0] == "query" and p.stem != "howto-component"]
     with connect(sample_home) as con:
         assert asked
         assert all(con.sql(sql).fetchall() for sql in asked)

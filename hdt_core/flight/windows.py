@@ -2,10 +2,13 @@
 
 import polars as pl
 
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
+
 TAIL_KEY = ("operator", "tail")
 # flights of the tail before an entry that may be sick, and after it that may still be: entries come up to five
 # flights late
-AROUND_MAINTENANCE = {"HX": (10, 1), "CC": (5, 1), "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
+AROUND_MAINTENANCE = {**{c.code: c.around_work for c in (HX, CC)}, "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
 # messages of the pack's own exchanger and compressor; others (trim air, cabin fans) say nothing about it
 AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
 # looking changes nothing; a wash finds the exchanger it leaves, and how foul that was its own flights show

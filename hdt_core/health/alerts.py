@@ -1,13 +1,14 @@
 """Alerts: all cases of a fleet as rows of the catalog."""
 
 import hashlib
+from collections.abc import Iterable
 from datetime import datetime
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from hdt_core.health.diagnoses import DIAGNOSES
+from hdt_core.health.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.health.doors import door_cases
 from hdt_core.health.episodes import Case, Limits, occupied
 from hdt_core.health.grid import Grid
@@ -47,7 +48,7 @@ def raise_alerts(
     """
     grid = Grid.cut(_with_health(features, health_parameters))
     cases = end_with_the_unit(grid, maintenance, find_cases(grid, maintenance, limits)) if grid.rows.height else []
-    rows = [_row(grid, case) for case in cases]
+    rows = [alert_row(grid, case, DIAGNOSES[case.diagnosis]) for case in cases]
     alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
 
@@ -70,13 +71,15 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     return doors + sensors + exchangers + low + compressors
 
 
-def end_with_the_unit(grid: Grid, maintenance: pl.DataFrame, cases: list[Case]) -> list[Case]:
+def end_with_the_unit(
+    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Iterable[Diagnosis] = tuple(DIAGNOSES.values())
+) -> list[Case]:
     """Close every case where work on its component ends it, whatever is seen of the pack from then on.
 
     The case ends on the first flight that counts as flown after the work (`records.unit_index`), however late the entry
     came; where none has followed yet, at the moment from which the entry counts.
     """
-    for said in DIAGNOSES.values():
+    for said in diagnoses:
         own = [case for case in cases if case.diagnosis == said.code]
         if not own:
             continue
@@ -115,9 +118,9 @@ def _with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.
     return wide
 
 
-def _row(grid: Grid, case: Case) -> tuple[Any, ...]:
+def alert_row(grid: Grid, case: Case, said: Diagnosis) -> tuple[Any, ...]:
+    """A case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
-    said = DIAGNOSES[case.diagnosis]
     flight_id = str(grid.at("flight_id", case.unit, case.raised))
     name = "|".join((tail, str(pack), case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
     flown = int((grid.unit == case.unit).sum())

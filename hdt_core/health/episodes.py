@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from hdt_core.components.exchanger import HX
 from hdt_core.health.detection import Array
 
 REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
 """Actions after which a part is not the part it was."""
 DIAMETER_SD = 0.022
 """Flight-to-flight scatter of the effective diameter of a sound compressor, relative. [-]"""
-FAILS_AT = 0.38
+FAILS_AT = HX.limit.mean
 """Loss of conductance at which packs ran out of ram door in the first fleets seen; used where the margin is unknown."""
 
 

@@ -32,12 +32,15 @@ ASK_SD = 0.03
 """What the quantiles of a window leave out: the map's error and the coarseness of six quantiles. [-]"""
 
 
-def wear_rate(slope: Array, flights: Array) -> tuple[Array, Array]:
-    """Posterior of the wear rate from a least-squares slope over the last flights: mean and sd. (n,) each"""
+def wear_rate(slope: Array, flights: Array, usual: float = RATE, usual_sd: float = RATE_SD) -> tuple[Array, Array]:
+    """Posterior of the wear rate from a least-squares slope over the last flights: mean and sd. (n,) each
+
+    `usual` and `usual_sd` are what is believed of a unit before it has flown. [1/flight]
+    """
     seen = np.clip(flights, 2.0, SLOPE_FLIGHTS)
-    error2 = 12.0 * SLOPE_SD**2 / seen**3 + (0.25 * RATE_SD) ** 2
-    weight = RATE_SD**2 / (RATE_SD**2 + error2)
-    return weight * slope + (1.0 - weight) * RATE, np.sqrt(weight * error2)
+    error2 = 12.0 * SLOPE_SD**2 / seen**3 + (0.25 * usual_sd) ** 2
+    weight = usual_sd**2 / (usual_sd**2 + error2)
+    return weight * slope + (1.0 - weight) * usual, np.sqrt(weight * error2)
 
 
 def passage(ratio: Array, ratio_sd: Array, asked: Array, rate: Array, rate_sd: Array, edges: Array) -> Array:

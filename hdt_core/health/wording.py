@@ -53,14 +53,14 @@ def sensor_named(facts: Facts) -> str:
     return f"; sensor: {str(said['meaning']).partition(' (')[0]} ({facts['sensor']})"
 
 
-def _probability(p: float) -> str:
-    """In words; never a certainty."""
+def stated_probability(p: float) -> str:
+    """A probability in words; never a certainty."""
     return "above 0.99" if p > 0.99 else f"{p:.2f}"
 
 
 def _above(value: float, limit: float, sd: float) -> str:
     """Chance that an estimate above a limit is truly above it, in words."""
-    return _probability(float(ndtr((value - limit) / max(sd, 1e-6))))
+    return stated_probability(float(ndtr((value - limit) / max(sd, 1e-6))))
 
 
 def exchanger(facts: Facts, since: str) -> Evidence:
@@ -147,7 +147,7 @@ def low_margin(facts: Facts, since: str) -> Evidence:
     moved = (
         f"With the ram door full open the outlet would stand {_kelvin(facts['hx_margin_k'])} its level in the hottest "
         f"fifth of the last flight, {_kelvin(facts['hx_margin_hot_day_k'])} it on a hot day (ISA + 15 K); message "
-        f"21-52-HXTEMP within 300 flights with probability {_probability(facts['hx_passage_300'])}, "
+        f"21-52-HXTEMP within 300 flights with probability {stated_probability(facts['hx_passage_300'])}, "
         f"believed since {since}"
     )
     parts = {
@@ -240,6 +240,6 @@ def sensor(facts: Facts, since: str) -> Evidence:
         f"{name} left what physics ties it to: {facts['channel']} moved by {facts['moved']:.3g} "
         f"({facts['sigma']:.1f} sigma of the mean) since {since}"
     )
-    fits = f"the pattern over all cross checks fits this sensor with probability {_probability(facts['p'])}"
+    fits = f"the pattern over all cross checks fits this sensor with probability {stated_probability(facts['p'])}"
     witness = Witness(SUPPORTS, fits)
     return Evidence(moved, (witness,), "another sensor of the same checks; wear leaves them alone", WITHOUT)

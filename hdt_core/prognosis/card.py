@@ -3,8 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hdt_core.components import Limit
 from hdt_core.health.margin import MessageRule
-from hdt_core.prognosis.limits import Limit
 from hdt_core.prognosis.model import Fit, Fits, Fold, Prognosis
 from hdt_core.prognosis.recalibrate import Correction
 from hdt_core.prognosis.rows import Says

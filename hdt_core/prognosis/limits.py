@@ -1,34 +1,16 @@
 """At which loss the aircraft speaks: learned from the few messages there are, held by a prior where there are none."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from hdt_core.components import Limit
+from hdt_core.components.compressor import CC
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """Loss at which the failure message comes.
-
-    Attributes
-    ----------
-    mean, sd : float
-        Fleet mean and its uncertainty. [-]
-    unit_sd : float
-        Spread over units about the fleet mean. [-]
-    """
-
-    mean: float
-    sd: float
-    unit_sd: float
-
-
-PRIORS = {
-    # flow can no longer be held; more varied, since a speed margin hides it
-    "CC": Limit(0.25, 0.06, 0.05),
-}
+PRIORS = {CC.code: CC.limit}
+"""Of what fails at a loss; the exchanger's message is foretold by its margin."""
 
 
 def learn_limit(levels: Array, prior: Limit) -> Limit:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 from hdt_core.records.unit_index import PACK, first_flights
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
@@ -18,7 +20,8 @@ class Failure:
     message_code: str
 
 
-FAILURES = (Failure("HX", "21-52-HXTEMP"), Failure("CC", "21-51-CCFLOW"))
+FAILURES = tuple(Failure(c.code, c.message_code) for c in (HX, CC) if c.message_code)
+"""Of the parts of the pack."""
 
 
 def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
@@ -42,7 +45,7 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
         given no message of any kind, so that its lives end unheard).
     """
     flights = flight_rows(features)
-    parts = [_component_lives(flights, messages, maintenance, failure) for failure in FAILURES]
+    parts = [_lives(flights, messages, maintenance, failure) for failure in FAILURES]
     heard = pl.col("operator").is_in(messages["operator"].unique().implode())
     return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=~heard)
 
@@ -61,9 +64,14 @@ def installations(flights: pl.DataFrame, maintenance: pl.DataFrame, component: s
     return found.select(*PACK, first_row="row").unique()
 
 
-def _component_lives(
-    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+def component_lives(
+    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
 ) -> pl.DataFrame:
+    """Lives of one component, as of `episodes`."""
+    return _lives(flight_rows(features), messages, maintenance, failure)
+
+
+def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure) -> pl.DataFrame:
     installed = installations(flights, maintenance, failure.component)
     entered = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))

@@ -6,11 +6,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from hdt_core.components import Limit
 from hdt_core.health.asks import CRITICAL, EXCESS_K, SHARES
 from hdt_core.health.conditions import repeated
 from hdt_core.health.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
-from hdt_core.prognosis.limits import PRIORS, Limit, learn_limit
+from hdt_core.prognosis.limits import PRIORS, learn_limit
 from hdt_core.prognosis.lives import flight_rows
 from hdt_core.prognosis.message_rule import learn_rules
 from hdt_core.records.unit_index import PACK

@@ -41,9 +41,13 @@ def select_entries(maintenance: pl.DataFrame, components: Sequence[str], actions
 
 
 def number_units(
-    flights: pl.DataFrame, maintenance: pl.DataFrame, component: str = "HX", name: str = "unit"
+    flights: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    component: str = "HX",
+    name: str = "unit",
+    actions: Sequence[str] = NEW_UNIT,
 ) -> pl.DataFrame:
-    """Add `name`: how often the component was replaced before the flight, by the log.
+    """Add `name`: how often the component was replaced (or what `actions` say) before the flight, by the log.
 
     Parameters
     ----------
@@ -52,7 +56,7 @@ def number_units(
     maintenance : DataFrame
         `PACK`, `component`, `action`, and what `date_entries` reads.
     """
-    renewed = select_entries(maintenance, (component,), NEW_UNIT).rename({"counts_from": "departed_at"})
+    renewed = select_entries(maintenance, (component,), actions).rename({"counts_from": "departed_at"})
     counted = renewed.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
     placed = flights.sort("departed_at", maintain_order=True).join_asof(
         counted, on="departed_at", by=PACK, check_sortedness=False

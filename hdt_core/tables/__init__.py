@@ -8,7 +8,7 @@ from typing import Literal
 
 import polars as pl
 
-from hdt_core.tables import calibration, features, legs, prognosis, raw, residuals, twin
+from hdt_core.tables import calibration, components, features, legs, prognosis, raw, residuals, twin
 from hdt_core.tables.base import Table
 
 _MONTH = pl.concat_str(pl.col("flight_id").str.slice(-11, 4), pl.lit("-"), pl.col("flight_id").str.slice(-7, 2))
@@ -55,6 +55,7 @@ class Entry:
 
 _SAMPLE = ("flight_id", "pack", "time_utc")
 _FLIGHT_PACK = ("flight_id", "pack")
+_COMPONENT = ("component", *_FLIGHT_PACK)
 
 TABLES: dict[str, Entry] = {
     "raw_snapshots": Entry(raw.RawSnapshots, "flight", _SAMPLE, "month"),
@@ -92,4 +93,17 @@ TABLES: dict[str, Entry] = {
     "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognoses": Entry(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
+    "components": Entry(components.ComponentsDeclared, "fleet", ("component",)),
+    "raw_components": Entry(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
+    "raw_components_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
+    "raw_components_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
+    "legs_components": Entry(components.LegsComponents, "aircraft", _COMPONENT),
+    "calibration_components": Entry(
+        components.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
+    ),
+    "twin_components": Entry(components.TwinComponents, "aircraft", (*_COMPONENT, "parameter")),
+    "residuals_components": Entry(components.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
+    "features_components": Entry(components.FeaturesComponents, "aircraft", _COMPONENT),
+    "features_component_alerts": Entry(components.FeaturesComponentAlerts, "aircraft", ("raised_at", "alert_id")),
+    "prognoses_components": Entry(components.PrognosesComponents, "fleet", ("operator", "tail", *_COMPONENT)),
 }

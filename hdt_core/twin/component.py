@@ -17,6 +17,10 @@ from hdt_core.twin.sequential import recorded_outputs, samples_problem
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
 LEAST_STEPS = 20
 """Steps between flights from which their scatter can be told."""
+STRAY_SD = 5.0
+"""Standard deviations, of scatter and drift, from which one flight alone is not believed to be a step."""
+FIRST = 5
+"""Flights that are believed as they come."""
 SAYS_NOTHING = ("diverged", "not_identifiable")
 
 
@@ -56,7 +60,8 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
     Parameters
     ----------
     flights : DataFrame
-        Of `flight_by_flight` with the health parameters free.
+        Of `flight_by_flight` with the health parameters free. Where it has a column `life`, each life of a pack is
+        filtered by itself.
     model : PhysicsModel
         Its declared drift is how far a parameter may move from one flight to the next.
     component : str
@@ -66,7 +71,8 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
     -------
     DataFrame
         Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as flights
-        scatter; nothing is taken from later ones.
+        scatter; nothing is taken from later ones. One that departs by more than `STRAY_SD` is `unconfirmed`, and not
+        believed until the next agrees with it.
 
     Raises
     ------
@@ -75,20 +81,23 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
     """
     if flights.is_empty():
         raise ValueError(f"{model.name}: no flight to follow")
-    packs = flights.sort(IN_ORDER).partition_by(PACK, maintain_order=True)
+    life = [*PACK, *(c for c in ("life",) if c in flights.columns)]
+    packs = flights.sort(IN_ORDER).partition_by(life, maintain_order=True)
     return pl.concat([_filtered(pack, p, component) for pack in packs for p in model.free("health")])
 
 
 def _filtered(pack: pl.DataFrame, param: Param, component: str) -> pl.DataFrame:
     """One parameter of one pack: a random walk of the declared drift, seen once a flight."""
     said = ~pl.col("status").is_in(SAYS_NOTHING)
-    seen = pack.select(pl.when(said).then(param.name)).to_series().to_numpy().astype(float)
+    told = pack.select(pl.when(said).then(param.name)).to_series().to_numpy().astype(float)
+    sigma = _scatter(told, pack[f"{param.name}_sd"].to_numpy())
+    seen = _confirmed(told, STRAY_SD * float(np.hypot(sigma, param.drift)))
     walk = Problem(
         names=(param.name,),
         bounds=np.array([param.bounds]),
         prior=unknown(np.array([param.nominal])),
         measured=seen[:, None],
-        sigma=np.array([_scatter(seen, pack[f"{param.name}_sd"].to_numpy())]),
+        sigma=np.array([sigma]),
         observe=lambda _states, theta, _sample: theta,
         drift=np.array([param.drift]),
     )
@@ -101,9 +110,29 @@ def _filtered(pack: pl.DataFrame, param: Param, component: str) -> pl.DataFrame:
         pl.Series("value", path[:, 0]).fill_nan(None),
         pl.Series("sd", path_sd[:, 0]).fill_nan(None),
         pl.lit(param.unit).alias("unit"),
-        pl.when(said).then(pl.lit("ok")).otherwise(pl.lit("predicted")).alias("status"),
+        pl.when(pl.Series(np.isfinite(seen)))
+        .then(pl.lit("ok"))
+        .when(said)
+        .then(pl.lit("unconfirmed"))
+        .otherwise(pl.lit("predicted"))
+        .alias("status"),
         pl.lit("kalman_filtered").alias("estimator"),
     )
+
+
+def _confirmed(seen: Array, jump: float) -> Array:
+    """`seen` without strays: a flight that lies further off than `jump` counts once the next one agrees with it.
+
+    The first few flights all count: there is nothing yet that one could depart from.
+    """
+    believed, doubted = np.nan, np.nan
+    out = np.full(len(seen), np.nan)
+    for n, k in enumerate(np.flatnonzero(np.isfinite(seen))):
+        if n < FIRST or min(abs(seen[k] - believed), np.nan_to_num(abs(seen[k] - doubted), nan=np.inf)) <= jump:
+            out[k], believed, doubted = seen[k], seen[k], np.nan
+        else:
+            doubted = seen[k]
+    return out
 
 
 def _scatter(seen: Array, sd: Array) -> float:

@@ -3,6 +3,7 @@
 import sqlite3
 import sys
 
+from hdt_core.components import ComponentError
 from pipelines.cli import look, make, night, recorder, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.orchestration.stops import StoppedError, ends_in_order
@@ -36,6 +37,8 @@ def main() -> None:
 
 def _of_a_night(error: Exception) -> str:
     """What a night can't do, in its own words; any other error goes on its way."""
+    if isinstance(error, ComponentError):
+        return f"{error}; mend or uninstall it"
     from pipelines.orchestration.local_executor import EngineError
     from pipelines.orchestration.nightly import BusyError
     from pipelines.storage.postgres import DatabaseError

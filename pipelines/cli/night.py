@@ -193,6 +193,7 @@ def _ranking(home: Path) -> None:
 
     with connect(home) as con:
         rows = con.sql("select * from fleet_ranking order by place limit 10").pl().to_dicts()
+        units = con.sql("select * from component_ranking order by place limit 10").pl().to_dicts()
     table = Table(title="Packs most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
     for name in ("pack", "urgency", "UA lost", "flights left\n(90 %)", "message\nin 50", "open alerts"):
         right = name.startswith(("UA", "message"))
@@ -200,5 +201,23 @@ def _ranking(home: Path) -> None:
     for r in rows:
         name, urgency = f"{r['operator']} {r['tail']} {r['pack']}", words.URGENCY[r["urgency"]]
         outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
+        table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
+    out.print(table)
+    _components(units)
+
+
+def _components(rows: list[dict[str, Any]]) -> None:
+    """The units of other components most in need of attention; nothing where none is declared."""
+    from pipelines.report import words
+
+    if not rows:
+        return
+    table = Table(title="Other components most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
+    for name in ("unit", "urgency", "lost", "flights left\n(90 %)", "failure\nin 50", "open alerts"):
+        table.add_column(name, no_wrap=name not in ("unit", "open alerts"))
+    for r in rows:
+        lost = f"{r['lost']} {words.with_sd(r['loss'], r['loss_sd'])}"
+        outlook = lost, words.flights_left(r), words.chance(r["p_event_50"])
+        name, urgency = f"{r['operator']} {words.unit_name(r)}", words.URGENCY[r["urgency"]]
         table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
     out.print(table)

@@ -54,3 +54,17 @@ SNAPSHOT_COLUMNS = (*KEYS, *WORDS, *SIGNAL_NAMES)
 CORE_NAMES = SIGNAL_NAMES[:8]
 """What nearly every operator records; two of them gone and strangers in their place means renamed columns."""
 SI_NAMES = tuple(c.si_name for c in SIGNAL_COLUMNS)
+
+
+@dataclass(frozen=True, slots=True)
+class Contract:
+    """Names that a file may hold: those it must, those of text, those of numbers, and those nearly every file has."""
+
+    keys: tuple[str, ...]
+    words: tuple[str, ...]
+    numbers: tuple[str, ...]
+    core: tuple[str, ...] = ()
+
+
+PACK_FILES = Contract(KEYS, WORDS, SIGNAL_NAMES, CORE_NAMES)
+"""Files of the pack, as the data contract has them."""

@@ -10,10 +10,11 @@ from typing import Literal, NamedTuple
 
 import polars as pl
 
+from hdt_core.components import recorded_components
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import is_operator, is_tail
 
-Kind = Literal["acms", "history", "cpl", "messages", "maintenance", "fleet"]
+Kind = Literal["acms", "history", "cpl", "component", "messages", "maintenance", "fleet"]
 PART = ".part"
 
 
@@ -46,6 +47,11 @@ class LandingFile:
     def source(self) -> str:
         """Where its rows come from: snapshot reports or a continuous log."""
         return "cpl" if "/cpl/" in self.path else "acms"
+
+    @property
+    def folder(self) -> str:
+        """Folder that holds it."""
+        return self.path.rpartition("/")[0].rpartition("/")[2]
 
     @property
     def full_path(self) -> str:
@@ -154,7 +160,8 @@ def list_landing(landing: Path) -> Landing:
     for operator in walk.folders("", is_operator, "fleet.csv or an airline code"):
         for tail in walk.folders(operator, is_tail, "a registration"):
             aircraft = f"{operator}/{tail}"
-            for folder in walk.folders(aircraft, {"acms", "cpl"}.__contains__, "a file or folder of the contract"):
+            known = {"acms", "cpl", *recorded_components()}
+            for folder in walk.folders(aircraft, known.__contains__, "a file or folder of the contract"):
                 _flights(walk, f"{aircraft}/{folder}", folder)
     frames = [quarantine(path, at, [fault]) for path, fault, at in walk.faults]
     return Landing(walk.files, pl.concat([quarantine("", None, []), *frames]))
@@ -165,18 +172,18 @@ def _flights(walk: _Listing, below: str, folder: str) -> None:
         path = f"{below}/{entry.name}"
         kind = _kind(entry.name, folder)
         if kind is None or _printable(entry.name) != entry.name or entry.is_dir():
-            walk.refuse(
-                path, "unexpected_name", "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet"
-            )
+            walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, "neither .csv nor .parquet"))
         else:
             walk.take(entry, path, kind)
 
 
+_EXPECTED = dict.fromkeys(("acms", "cpl"), "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet")
+_KINDS: dict[str, dict[str, Kind]] = {"acms": {"csv": "acms", "parquet": "history"}, "cpl": {"parquet": "cpl"}}
+_COMPONENT: dict[str, Kind] = {"csv": "component", "parquet": "component"}
+
+
 def _kind(name: str, folder: str) -> Kind | None:
-    suffix = name.rpartition(".")[2].lower()
-    if folder == "cpl":
-        return "cpl" if suffix == "parquet" else None
-    return {"csv": "acms", "parquet": "history"}.get(suffix)  # type: ignore[return-value]
+    return _KINDS.get(folder, _COMPONENT).get(name.rpartition(".")[2].lower())
 
 
 def _join(below: str, name: str) -> str:

@@ -7,6 +7,7 @@ from datetime import date, datetime
 
 import polars as pl
 
+from hdt_core.components import ACTIONS, components
 from pipelines.intake.header import judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
@@ -16,8 +17,7 @@ from pipelines.intake.row_validation import PACKS
 from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_day, to_utc, zone_note
 
-COMPONENTS = ("HX", "CC", "RAM_DOOR", "SENSOR")
-ACTIONS = ("REPLACED", "CLEANED", "INSPECTED", "ADJUSTED")
+COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 MAX_PACKS = 4
 

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipelines.intake.columns import CORE_NAMES, KEYS, SIGNAL_NAMES, WORDS
+from pipelines.intake.columns import PACK_FILES, Contract
 from pipelines.intake.header import judge_header
 from pipelines.intake.ledger import Fault
 from pipelines.intake.text import number_faults
@@ -20,13 +20,15 @@ MAX_BYTES = 1 << 30
 MAX_WORD = 200
 """Longest text in a column, in bytes: one long word repeated by a dictionary unpacks to gigabytes."""
 
-_WORDS = ("flight_id", *WORDS)
+_FLIGHT = "flight_id"
 _TIME = "report_time"
 _CALENDAR_S = (-62_135_596_800, 253_402_300_799)
 """First and last second of the years 1 to 9999, counted from 1970."""
 
 
-def open_parquet(content: bytes, only: Collection[str] | None = None) -> tuple[pl.DataFrame, int, list[Fault]]:
+def open_parquet(
+    content: bytes, only: Collection[str] | None = None, contract: Contract = PACK_FILES
+) -> tuple[pl.DataFrame, int, list[Fault]]:
     """Contract columns of a Parquet file (or `only` some) with `row` from 1, the number of rows delivered, faults.
 
     Arrow and not Polars reads, because a damaged page can make Polars panic, and a panic is no exception one can catch.
@@ -43,22 +45,24 @@ def open_parquet(content: bytes, only: Collection[str] | None = None) -> tuple[p
         return pl.DataFrame(), 0, [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {unpacked} bytes.")]
     try:
         with panics_as_errors():
-            frame, faults = _read(parquet, meta.num_rows, only)
+            frame, faults = _read(parquet, meta.num_rows, only, contract)
     except Exception as error:
         return pl.DataFrame(), meta.num_rows, [_damaged(error, meta.num_rows)]
     return frame, meta.num_rows, faults
 
 
-def _read(parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None) -> tuple[pl.DataFrame, list[Fault]]:
+def _read(
+    parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None, contract: Contract
+) -> tuple[pl.DataFrame, list[Fault]]:
     found = parquet.schema_arrow.names
-    header = judge_header(found, KEYS, (*WORDS, *SIGNAL_NAMES), CORE_NAMES)
+    header = judge_header(found, contract.keys, (*contract.words, *contract.numbers), contract.core)
     if header.fault is not None:
         fault = header.fault
         return pl.DataFrame(), [Fault(fault.reason, None, fault.column_name, fault.detail, n_rows)]
     if n_rows == 0:
         return pl.DataFrame(), [*header.notes, Fault("no_rows")]
     wanted = [(f, n) for f, n in zip(found, header.names, strict=True) if n and n in (only or (n,))]
-    if odd := [n for f, n in wanted if not _fits(parquet.schema_arrow.field(f).type, n)]:
+    if odd := [n for f, n in wanted if not _fits(parquet.schema_arrow.field(f).type, n, contract)]:
         return pl.DataFrame(), [Fault("wrong_type", None, ", ".join(odd), n_rows=n_rows)]
     table = parquet.read(columns=[f for f, _ in wanted], use_threads=False)
     table.validate(full=True)
@@ -67,17 +71,17 @@ def _read(parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None) ->
     columns, notes = _plain(table, [n for _, n in wanted])
     bare = pa.Table.from_arrays(columns, names=[n for _, n in wanted])  # metadata of fields may make Polars panic
     frame = pl.DataFrame(pl.from_arrow(bare))
-    frame, faults = _typed(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)))
+    frame, faults = _typed(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)), contract)
     return frame, [*header.notes, *notes, *faults]
 
 
-def _fits(kind: pa.DataType, name: str) -> bool:
+def _fits(kind: pa.DataType, name: str, contract: Contract) -> bool:
     """Whether a column of this type can hold what `name` stands for, without loss."""
     if pa.types.is_dictionary(kind):
-        return _fits(kind.value_type, name)
+        return _fits(kind.value_type, name, contract)
     if pa.types.is_null(kind):
-        return name not in KEYS
-    if name in _WORDS or _is_text(kind):
+        return name not in contract.keys
+    if name in (_FLIGHT, *contract.words) or _is_text(kind):
         return _is_text(kind)
     if name == _TIME:
         return pa.types.is_timestamp(kind)
@@ -98,15 +102,16 @@ def _longest(column: pa.ChunkedArray) -> int:
     )
 
 
-def _typed(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[Fault]]:
+def _typed(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, list[Fault]]:
     """Words as String, times as Datetime or String, all else as Float64."""
     faults: list[Fault] = []
+    texts = (_FLIGHT, *contract.words)
     for name, dtype in frame.schema.items():
         if name == "row":
             continue
-        if dtype in (pl.Categorical, pl.Enum, pl.Null) and (name in _WORDS or name == _TIME or dtype != pl.Null):
+        if dtype in (pl.Categorical, pl.Enum, pl.Null) and (name in texts or name == _TIME or dtype != pl.Null):
             frame = frame.with_columns(pl.col(name).cast(pl.String))
-        if name in _WORDS or name == _TIME:
+        if name in texts or name == _TIME:
             continue
         if frame.schema[name] == pl.String:
             frame, bad = number_faults(frame, name)

@@ -63,6 +63,11 @@ REASONS: dict[str, Reason] = {
     "cut_short": Reason("row", "The file ends inside this row or number.", "Deliver it again, whole."),
     "repeated_header": Reason("row", "The header stands again among the rows.", "Files were glued together; harmless."),
     "bad_flight_id": Reason("row", "flight_id is not <TAIL>_<YYYYMMDD>_<LEG>.", "Correct the identifier."),
+    "bad_cycle_id": Reason(
+        "row",
+        "flight_id of a component's record is empty, longer than 40 signs, or holds others than letters, digits, _ . -",
+        "Correct the identifier.",
+    ),
     "flight_id_contradicts_path": Reason(
         "row",
         "flight_id disagrees with the tail of the folder or the name of the file.",

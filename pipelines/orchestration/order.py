@@ -34,7 +34,7 @@ def steps(stages: Iterable[Stage]) -> list[Step]:
     """Few runs in which every stage comes after what it is made from.
 
     From the end backwards: of the stages that nothing left depends on the last declared is taken, and with it all of
-    its grain, so each is made as late as it can be.
+    its grain and road, so each is made as late as it can be.
 
     Raises
     ------
@@ -50,9 +50,9 @@ def steps(stages: Iterable[Stage]) -> list[Step]:
 
 
 def _last_run(stages: Sequence[Stage]) -> list[Stage]:
-    """Stages of one grain, in order, that may all be made after the others."""
+    """Stages of one grain and road, in order, that may all be made after the others."""
     left, taken = list(stages), list[Stage]()
-    while free := [s for s in _leaves(left) if not taken or s.grain == taken[0].grain]:
+    while free := [s for s in _leaves(left) if not taken or (s.grain, s.road) == (taken[0].grain, taken[0].road)]:
         left.remove(free[-1])
         taken.insert(0, free[-1])
     if not taken:

@@ -29,8 +29,10 @@ def explain(home: Path, asked: str) -> str | None:
         More than one alert begins with it.
     """
     with connect(home) as con:
-        if packs := _packs(con, asked):
-            return _pack_told(con, packs[0], packs[1:])
+        packs, units = (_ranked(con, asked, view) for view in ("fleet_ranking", "component_ranking"))
+        if packs or units:
+            told = [_pack_told(con, packs[0], packs[1:])] if packs else []
+            return "\n\n".join([*told, *(_unit_told(con, unit) for unit in units)])
         named = asked.strip().lower()
         alerts = _rows(con, "select * from alert_states where $1 <> '' and starts_with(alert_id, $1)", named)
     if len(alerts) > 1:
@@ -44,18 +46,33 @@ def _rows(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> list[Row]:
     return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
 
-def _packs(con: duckdb.DuckDBPyConnection, asked: str) -> list[Row]:
-    """Ranked packs that `asked` names, the most urgent first."""
+def _ranked(con: duckdb.DuckDBPyConnection, asked: str, view: str) -> list[Row]:
+    """Packs, or units of other components, that `asked` names, the most urgent first."""
     named = _PACK.fullmatch(asked.strip())
     if named is None:
         return []
     operator, tail, pack = (named[name] and named[name].upper() for name in ("operator", "tail", "pack"))
     wanted = "tail = $1 and operator = coalesce($2, operator) and pack = coalesce($3, pack)"
-    return _rows(con, f"select * from fleet_ranking where {wanted} order by place", tail, operator, pack and int(pack))
+    return _rows(con, f"select * from {view} where {wanted} order by place", tail, operator, pack and int(pack))
+
+
+def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
+    """A unit of another component and its open alerts."""
+    sql = "select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component = $4"
+    alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"], row["component"])
+    head = (
+        f"{row['operator']} {words.unit_name(row)}: {words.URGENCY[row['urgency']]}. "
+        f"{row['lost']} {words.with_sd(row['loss'], row['loss_sd'])}, flights left {words.flights_left(row)}, chance "
+        f"of a failure within 50 flights {words.chance(row['p_event_50'])}; after {row['last_flight_id']}, "
+        f"{words.clock(row['last_departed_at'])}."
+    )
+    opened = [a for a in alerts if a["closed_at"] is None]
+    return "\n".join([head, *(line for a in opened for line in ("", *_alert_told(a)))])
 
 
 def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
-    sql = "select * from alert_states where operator = $1 and tail = $2 and pack = $3"
+    others = "select component from tables.components where recorded"
+    sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({others})"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"])
     opened = [a for a in alerts if a["closed_at"] is None]
     lines = [_head(row), *(line for a in opened for line in ("", *_alert_told(a)))]

@@ -13,6 +13,10 @@ from pipelines.storage.catalog import connect
 
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",
+    "components": "select * from component_ranking order by place",
+    "component_losses": """
+        select operator, tail, pack, component, flight_id, departed_at, loss, loss_sd from component_features
+        where loss is not null order by departed_at, flight_id""",
     "flights": "select operator, tail, flight_id, departed_at, source from flights order by departed_at, flight_id",
     "health": """
         select operator, tail, pack, flight_id, departed_at, parameter, value, sd from health_parameters

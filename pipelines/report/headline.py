@@ -13,17 +13,36 @@ def headline(facts: Facts) -> Html:
     if not rows:
         return join(
             tag("p", _heard(facts), class_="lead"),
-            tag("p", "There is no health estimate yet: no flight with steady cruise has arrived."),
+            tag("p", "There is no health estimate of a pack yet: no flight with steady cruise has arrived."),
+            _components(facts),
         )
     act, plan, unknown = ([r for r in rows if r["urgency"] == u] for u in ("act", "plan", "unknown"))
     return join(
         tag("p", _summary(act, plan, len(rows)), class_="lead"),
         tag("ol", *(_item(facts, r) for r in act)) if act else None,
         join(tag("h3", "To plan"), tag("ul", *(_item(facts, r) for r in plan))) if plan else None,
+        _components(facts),
         _not_known(unknown),
         _silent(facts["gaps"].filter(gap="silent_now").to_dicts()),
         tag("p", _heard(facts), class_="small"),
     )
+
+
+def _components(facts: Facts) -> Html | None:
+    """Units of other components that want work."""
+    wanted = [r for r in facts["components"].to_dicts() if r["urgency"] in ("act", "plan")]
+    if not wanted:
+        return None
+    said = (
+        tag(
+            "li",
+            tag("b", tag("a", words.unit_name(r), href=f"#{anchor('unit', r['component'], *words.unit_key(r))}")),
+            f": {words.URGENCY[r['urgency']].lower()}. {r['lost']} {words.with_sd(r['loss'], r['loss_sd'])}, "
+            f"flights left {words.flights_left(r)}.",
+        )
+        for r in wanted
+    )
+    return join(tag("h3", "Other components"), tag("ul", *said))
 
 
 def _not_known(rows: list[dict[str, Any]]) -> Html | None:

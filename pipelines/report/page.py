@@ -2,7 +2,7 @@
 
 from importlib import resources
 
-from pipelines.report import attention, intake, model
+from pipelines.report import attention, components, intake, model
 from pipelines.report.facts import Facts
 from pipelines.report.figures import figures
 from pipelines.report.headline import headline
@@ -14,6 +14,7 @@ _PARTS = (
     ("ranking", "Fleet ranking", attention.ranking),
     ("alerts", "Alerts", attention.alerts),
     ("tracks", "Health of each pack", tracks),
+    ("components", "Other components", components.components),
     ("gaps", "Data gaps", intake.gaps),
     ("quarantine", "Quarantine", intake.quarantine),
     ("yield", "Filter yield", intake.filter_yield),
@@ -37,13 +38,14 @@ def page(facts: Facts) -> str:
         tag("title", title),
         tag("style", Html(_asset("page.css"))),
     )
-    links = (tag("a", name, href=f"#{key}") for key, name, _ in _PARTS)
+    shown = [(key, name, drawn) for key, name, draw in _PARTS if (drawn := draw(facts)) is not None]
+    links = (tag("a", name, href=f"#{key}") for key, name, _ in shown)
     search = Html(
         '<label class="search">Find '
         '<input id="find" type="search" placeholder="tail, operator, diagnosis" autocomplete="off">'
         '<output id="found"></output></label>'
     )
-    parts = (tag("section", tag("h2", name), draw(facts), id=key) for key, name, draw in _PARTS)
+    parts = (tag("section", tag("h2", name), drawn, id=key) for key, name, drawn in shown)
     body = join(
         tag("header", tag("h1", title), search, tag("nav", *links, aria_label="Parts of the page")), tag("main", *parts)
     )

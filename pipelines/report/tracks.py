@@ -58,11 +58,12 @@ def _card(facts: Facts, row: dict[str, Any]) -> Html:
     )
 
 
-def _seconds(column: pl.Series) -> list[float]:
+def seconds(column: pl.Series) -> list[float]:
+    """Moments as seconds from 1970."""
     return (column.dt.epoch("ms") / 1000.0).to_list()
 
 
-def _thin(rows: pl.DataFrame) -> pl.DataFrame:
+def thin(rows: pl.DataFrame) -> pl.DataFrame:
     """The last flight of each of `POINTS` stretches: values as they were said, and no more than can be seen."""
     if rows.height <= POINTS:
         return rows
@@ -78,7 +79,7 @@ def _chart(facts: Facts, row: dict[str, Any], parts: dict[str, pl.DataFrame]) ->
     hx = parts["health"].filter(parameter="hx_fouling")
     if not parts["health"].height:
         return tag("p", "No estimate yet: no flight with steady cruise.", class_="empty")
-    when = _seconds(parts["health"]["departed_at"])
+    when = seconds(parts["health"]["departed_at"])
     start, now = min(when), max(when)
     ahead = max(0.22 * (now - start), 5 * DAY_S)
     top = max([45.0, *(100 * hx["value"] + 5).to_list()])
@@ -91,20 +92,20 @@ def _chart(facts: Facts, row: dict[str, Any], parts: dict[str, pl.DataFrame]) ->
 
 
 def _lines(chart: svg.Chart, hx: pl.DataFrame, cc: pl.DataFrame) -> None:
-    thin = _thin(hx)
-    when = _seconds(thin["departed_at"])
-    low = (100 * (thin["value"] - Z_90 * thin["sd"].fill_null(0.0))).to_list()
-    high = (100 * (thin["value"] + Z_90 * thin["sd"].fill_null(0.0))).to_list()
+    worn = thin(hx)
+    when = seconds(worn["departed_at"])
+    low = (100 * (worn["value"] - Z_90 * worn["sd"].fill_null(0.0))).to_list()
+    high = (100 * (worn["value"] + Z_90 * worn["sd"].fill_null(0.0))).to_list()
     chart.band(list(zip(when, low, high, strict=True)), svg.BLUE)
-    thin_cc = _thin(cc)
+    worn_cc = thin(cc)
     chart.line(
-        list(zip(_seconds(thin_cc["departed_at"]), (100 * thin_cc["value"]).to_list(), strict=True)),
+        list(zip(seconds(worn_cc["departed_at"]), (100 * worn_cc["value"]).to_list(), strict=True)),
         svg.ORANGE,
         dash="5 2",
     )
-    chart.line(list(zip(when, (100 * thin["value"]).to_list(), strict=True)), svg.BLUE)
+    chart.line(list(zip(when, (100 * worn["value"]).to_list(), strict=True)), svg.BLUE)
     if len(when) == 1:
-        chart.dots([(when[0], 100 * thin["value"][0])], svg.BLUE, size=6, opacity=1)
+        chart.dots([(when[0], 100 * worn["value"][0])], svg.BLUE, size=6, opacity=1)
 
 
 def _midnight(day: Any) -> float:
@@ -143,7 +144,7 @@ def _expected(chart: svg.Chart, facts: Facts, row: dict[str, Any], now: float, h
     if None in (low, mid, high, p) or p < 0.05:
         return
     own = facts["flights"].filter(operator=row["operator"], tail=row["tail"]).tail(31)
-    pace_s = max((own["departed_at"][-1] - own["departed_at"][0]).total_seconds() / max(own.height - 1, 1), 3600.0)
+    pace_s = max((own["departed_at"][-1] - own["departed_at"][0]).totalseconds() / max(own.height - 1, 1), 3600.0)
     chart.line([(now + low * pace_s, height), (now + high * pace_s, height)], svg.VERMILLION, width=3)
     chart.dots([(now + mid * pace_s, height)], svg.VERMILLION, size=8, opacity=1)
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from hdt_core.components import components
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.health.diagnoses import DIAGNOSES
@@ -11,16 +12,28 @@ from hdt_core.prognosis.model import HORIZON
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
-PARTS = {"HX": "heat exchanger", "CC": "compressor", "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
+PARTS = {**{c.code: c.name for c in components().values()}, "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 SIDES = {1: "left", 2: "right"}
-WEARS = {"HX": ("UA lost", 0), "CC": ("Efficiency lost", 1)}
+WEARS = {c.code: (c.lost, int(c.warn_loss < 0.1)) for c in components().values()}
 """Components that wear: what they lose, and the digits that its percentage is told with."""
+NAMES = {**{c.diagnosis: f"{c.name} worn" for c in components().values()}, **{c: d.name for c, d in DIAGNOSES.items()}}
+"""Diagnoses as the night shift says them."""
 
 
 def pack_name(row: Row) -> str:
     """`LX-AAC pack 2 (right)`."""
     side = SIDES.get(row["pack"])
     return f"{row['tail']} pack {row['pack']}" + (f" ({side})" if side else "")
+
+
+def unit_name(row: Row) -> str:
+    """`LX-AAC hydraulic oil cooler 2`."""
+    return f"{row['tail']} {row['name']} {row['pack']}"
+
+
+def unit_key(row: Row) -> tuple[Any, ...]:
+    """Operator, tail and pack."""
+    return row["operator"], row["tail"], row["pack"]
 
 
 def found_by(row: Row, diagnoses: str | None) -> str:
@@ -87,7 +100,7 @@ def flights_left(row: Row) -> str:
 
 def diagnosis(code: str) -> str:
     """A diagnosis code, or several with commas between, in words."""
-    return ", ".join(DIAGNOSES[c].name if c in DIAGNOSES else c for c in map(str.strip, code.split(",")))
+    return ", ".join(NAMES.get(c, c) for c in map(str.strip, code.split(",")))
 
 
 def day(value: Any) -> str:

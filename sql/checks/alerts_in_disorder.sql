@@ -1,6 +1,6 @@
 -- Does every alert hang together?
 -- A fault: an alert raised on a flight that is not there or at another time, closed before it was raised, or without a
--- known diagnosis, evidence or action. Reads: alerts, flights.
+-- known diagnosis, evidence or action. Reads: alerts, flights, tables.components.
 select
     a.alert_id,
     a.operator,
@@ -15,8 +15,14 @@ where
     f.flight_id is null
     or a.raised_at <> f.departed_at
     or a.closed_at < a.raised_at
-    or a.diagnosis not in (
-        'HX_FOULING', 'HX_SUDDEN_CLOG', 'HX_LOW_MARGIN', 'CC_DEGRADED', 'RAM_DOOR_FAULT', 'SENSOR_FAULT'
+    or (
+        a.diagnosis not in (
+            'HX_FOULING', 'HX_SUDDEN_CLOG', 'HX_LOW_MARGIN', 'CC_DEGRADED', 'RAM_DOOR_FAULT', 'SENSOR_FAULT'
+        )
+        and a.diagnosis not in (
+            select c.diagnosis from tables.components as c
+            where c.recorded
+        )
     )
     or a.severity not in ('low', 'medium', 'high')
     or coalesce(a.evidence, '') = ''

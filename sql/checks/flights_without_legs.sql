@@ -1,5 +1,6 @@
 -- Has every flight been judged, and is there a flight to every verdict?
--- A fault: a flight with snapshots or seconds and no leg, or a leg of no flight. Reads: flights, legs.
+-- A fault: a flight with snapshots or seconds and no leg, or a leg of no flight. Reads: flights, legs,
+-- component_legs.
 select
     f.operator,
     f.tail,
@@ -7,6 +8,7 @@ select
     'no leg' as fault
 from flights as f
 anti join legs as l on f.operator = l.operator and f.flight_id = l.flight_id
+anti join component_legs as c on f.operator = c.operator and f.flight_id = c.flight_id
 union all
 select distinct
     l.operator,

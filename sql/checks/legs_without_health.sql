@@ -1,7 +1,22 @@
 -- Does the chain go through: of every leg a health estimate, features and a prognosis?
--- A fault: a leg that a later stage has not, or a row of a later stage of no leg. Reads: legs, health_parameters,
--- features, prognoses, residuals, quarantine (legs of which a row was set aside).
-with later as (
+-- A fault: a leg of a pack that a later stage has not, or a row of a later stage of no leg. Declared components may
+-- fly on some of the legs. Reads: legs, component_legs, health_parameters, features, prognoses, residuals,
+-- quarantine (legs of which a row was set aside).
+with every_leg as (
+    select
+        operator,
+        flight_id,
+        pack
+    from legs
+    union
+    select
+        operator,
+        flight_id,
+        pack
+    from component_legs
+),
+
+later as (
     select distinct
         operator,
         flight_id,
@@ -61,7 +76,7 @@ select
     d.stage,
     'of no leg' as fault
 from later as d
-anti join legs as l on d.operator = l.operator and d.flight_id = l.flight_id and d.pack = l.pack
+anti join every_leg as l on d.operator = l.operator and d.flight_id = l.flight_id and d.pack = l.pack
 union all
 select distinct
     r.operator,
@@ -70,4 +85,4 @@ select distinct
     'residuals' as stage,
     'of no leg' as fault
 from residuals as r
-anti join legs as l on r.operator = l.operator and r.flight_id = l.flight_id and r.pack = l.pack;
+anti join every_leg as l on r.operator = l.operator and r.flight_id = l.flight_id and r.pack = l.pack;

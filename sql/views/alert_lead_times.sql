@@ -6,7 +6,7 @@
 -- lead_flights: flights from the alert to the message, that of the message included
 -- lead_days: time from the alert to the message [days]
 -- Grain: operator, tail, pack, component, message_time. Reads: alerts, flights, tables.raw_messages,
--- tables.raw_maintenance.
+-- tables.raw_maintenance, tables.components.
 create or replace view alert_lead_times as
 with messages as (
     select
@@ -15,8 +15,9 @@ with messages as (
         m.pack,
         m.message_time,
         m.code,
-        case when m.code like '21-52%' then 'HX' when m.code like '21-51%' then 'CC' end as component
+        c.component
     from tables.raw_messages as m
+    inner join tables.components as c on m.code = c.message_code
     where m.pack is not null
 ),
 
@@ -38,7 +39,6 @@ placed as (
             and m.component = w.component
             and w.action = 'REPLACED'
             and m.message_time >= w.counts_from
-    where m.component is not null
     group by m.operator, m.tail, m.pack, m.component, m.code, m.message_time
 ),
 

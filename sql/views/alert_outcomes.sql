@@ -4,7 +4,7 @@
 -- aircraft raised its own, no work is logged yet); replaced (without a finding); no_fault_found; nothing
 -- n_messages: messages of the component while the alert was open
 -- work_orders: references of the work that counts
--- Grain: alert. Reads: alerts, tables.raw_maintenance, tables.raw_messages.
+-- Grain: alert. Reads: alerts, tables.raw_maintenance, tables.raw_messages, tables.components.
 create or replace view alert_outcomes as
 with work as (
     select
@@ -30,6 +30,7 @@ messages as (
         a.alert_id,
         count(*) as n_messages
     from alerts as a
+    inner join tables.components as c on a.component = c.component
     inner join tables.raw_messages as m
         on
             a.operator = m.operator
@@ -37,7 +38,7 @@ messages as (
             and a.pack = m.pack
             and a.raised_at <= m.message_time
             and coalesce(a.closed_at, now()) >= m.message_time
-            and a.component = case when m.code like '21-52%' then 'HX' when m.code like '21-51%' then 'CC' end
+            and c.message_code = m.code
     group by a.alert_id
 )
 

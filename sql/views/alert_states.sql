@@ -1,6 +1,6 @@
 -- What was true of each alert when it was raised, and what is true now?
--- Now is the pack's last flight or, of a closed alert, the last while it was open. Loss: of the heat exchanger's
--- conductance or of the compressor's efficiency, as the alert's component is; NULL for doors and sensors.
+-- Now is the pack's last flight or, of a closed alert, the last while it was open. Loss: the one that ends the life of
+-- the alert's component (exchanger: conductance, compressor: efficiency); NULL for doors and sensors.
 -- urgency: act (open, and of high severity now or a message of its component within 50 flights more likely than not),
 -- plan (open), none (closed)
 -- now_departed_at: departure of now_flight_id
@@ -17,12 +17,12 @@
 -- now_rul_high: upper end [flights]
 -- now_p_event_50: probability of an event within 50 flights now [-]
 -- place_in_pack: 1 is the pack's most urgent alert; then the most severe, then the oldest
--- Grain: alert. Reads: alerts, flights, health_parameters, prognoses.
+-- Grain: alert. Reads: alerts, flights, health_parameters, prognoses, tables.components.
 create or replace view alert_states as
 with losses as (
-    select *
-    from health_parameters
-    where parameter in ('hx_fouling', 'cc_efficiency_loss')
+    select h.*
+    from health_parameters as h
+    inner join tables.components as c on h.component = c.component and h.parameter = c.loss
 ),
 
 joined as (

@@ -1,6 +1,7 @@
 -- Which packs are most in need of attention tonight?
 -- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
+-- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none. Units of
+-- other declared components stand in component_ranking.
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first
@@ -12,9 +13,17 @@
 -- cc_rul_flights: flights left of the compressor [flights]
 -- cc_p_event_50: probability of a compressor event within the next 50 flights [-]
 -- place: 1 is the most urgent
--- Grain: pack. Reads: health_parameters, prognoses, alert_states.
+-- Grain: pack. Reads: health_parameters, prognoses, alert_states, tables.components.
 create or replace view fleet_ranking as
-with latest as (
+with packs as (
+    select component
+    from tables.components
+    where not recorded
+    union all
+    select unnest(['RAM_DOOR', 'SENSOR']) as component
+),
+
+latest as (
     select
         operator,
         tail,
@@ -26,6 +35,7 @@ with latest as (
         arg_max(value, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss,
         arg_max(sd, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss_sd
     from health_parameters
+    where component in (select p.component from packs as p)
     group by operator, tail, pack
 ),
 
@@ -54,7 +64,7 @@ diagnosed as (
         min(raised_at) as raised_at,
         bool_or(urgency = 'act') as any_act
     from alert_states
-    where closed_at is null
+    where closed_at is null and component in (select p.component from packs as p)
     group by operator, tail, pack, diagnosis
 ),
 

@@ -1,6 +1,7 @@
 -- Which flights arrived, and what of them?
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
--- Grain: flight. Reads: tables.raw_flights, tables.legs_verdicts.
+-- source: acms, cpl or both; component where only a declared component has a record of the flight
+-- Grain: flight. Reads: tables.raw_flights, tables.legs_verdicts, tables.raw_components.
 create or replace view flights as
 with verdicts as (
     select
@@ -9,6 +10,18 @@ with verdicts as (
         max(cruise_minutes) as cruise_minutes
     from tables.legs_verdicts
     group by operator, flight_id
+),
+
+others as (
+    select
+        c.operator,
+        c.tail,
+        c.flight_id,
+        min(c.time_utc) as departed_at,
+        max(c.time_utc) as landed_at
+    from tables.raw_components as c
+    anti join tables.raw_flights as f on c.operator = f.operator and c.flight_id = f.flight_id
+    group by c.operator, c.tail, c.flight_id
 )
 
 select
@@ -25,4 +38,19 @@ select
     f.destination,
     (f.departed_at at time zone 'UTC')::date as departed_on
 from tables.raw_flights as f
-left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id;
+left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id
+union all
+select
+    operator,
+    tail,
+    flight_id,
+    departed_at,
+    landed_at,
+    'component' as source,
+    0 as n_snapshots,
+    0 as cruise_minutes,
+    0 as n_seconds,
+    null as origin,
+    null as destination,
+    (departed_at at time zone 'UTC')::date as departed_on
+from others;

@@ -2,9 +2,15 @@
 -- A row uses its flight and those before it. One parameter does not: hx_fouling_smoothed also knows the 50 to 100
 -- flights after, changes while they come in, and is for looking back; decide by hx_fouling.
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
--- Grain: flight, pack, parameter. Reads: tables.twin_health.
+-- Grain: flight, pack, parameter. Reads: tables.twin_health, tables.twin_components.
 create or replace view health_parameters as
+with known as (
+    select * from tables.twin_health
+    union all by name
+    select * from tables.twin_components
+)
+
 select
     *,
     (departed_at at time zone 'UTC')::date as departed_on
-from tables.twin_health;
+from known;

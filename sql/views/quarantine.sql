@@ -1,6 +1,7 @@
 -- What was rejected, and why?
 -- Grain: rejected file, row or value; computed row; tail that flies for two operators on the same days.
--- Reads: tables.raw_quarantine, tables.raw_records_quarantine, tables.raw_files_quarantine, tables.raw_flights.
+-- Reads: tables.raw_quarantine, tables.raw_records_quarantine, tables.raw_files_quarantine, tables.raw_flights,
+-- tables.raw_components_quarantine.
 create or replace view quarantine as
 with spans as (
     select
@@ -34,5 +35,7 @@ union all by name
 select * from tables.raw_records_quarantine
 union all by name
 select * from tables.raw_files_quarantine
+union all by name
+select * from tables.raw_components_quarantine
 union all by name
 select * from shared;

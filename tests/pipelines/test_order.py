@@ -4,7 +4,7 @@ from itertools import permutations
 
 import pytest
 
-from pipelines.lineage import STAGES, Stage, alike
+from pipelines.lineage import COMPONENT, PACK, STAGES, Stage, alike
 from pipelines.orchestration.order import steps
 
 
@@ -21,7 +21,17 @@ def test_every_stage_is_made_once_and_after_what_it_needs():
 
 def test_a_night_takes_seven_runs():
     """Fleet, aircraft and flights are taken in; the model; flights, aircraft and fleet are followed with it."""
-    assert [s.grain for s in steps(STAGES)] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
+    packs = [step for step in steps(STAGES) if step.stages[0].road == PACK]
+    assert [s.grain for s in packs] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
+
+
+def test_declared_components_take_one_run_of_their_own():
+    (own,) = [step for step in steps(STAGES) if step.stages[0].road == COMPONENT]
+    assert own.grain == "aircraft"
+    assert {stage.group for stage in own.stages} == {"raw", "calibration", "twin", "features"}
+
+
+def test_every_run_has_a_name():
     assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
 
 

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 from answers import CHECKS, rows
 
+from hdt_core.components import component_rows
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import ordered, views
@@ -19,6 +20,7 @@ def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
     """The views over tables made of these rows; what is not named is null, tables not named are empty."""
     con = duckdb.connect()
     con.execute("create schema tables")
+    tables = {"components": component_rows()} | tables
     for name, entry in TABLES.items():
         given = pl.DataFrame(tables.get(name, []), infer_schema_length=None)
         frame = entry.schema.conform(given) if given.height else entry.schema.create_empty()

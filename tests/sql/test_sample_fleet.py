@@ -219,10 +219,13 @@ def copied(sample) -> Iterator[duckdb.DuckDBPyConnection]:
     """One aircraft's catalog as tables that can be spoilt."""
     con = duckdb.connect()
     for view in (*("flights", "legs", "health_parameters", "residuals", "features", "prognoses", "alerts"),
-                 *("deliveries", "quarantine", "design_parameters")):  # fmt: skip
+                 *("component_legs", "deliveries", "quarantine", "design_parameters")):  # fmt: skip
         tail = "" if view in {"deliveries", "quarantine", "design_parameters"} else " where tail = 'A9-BAC'"
-        frame = sample.sql(f"select * from {view}{tail}").to_arrow_table()  # noqa: F841
+        frame = sample.sql(f"select * from {view}{tail}").to_arrow_table()
         con.execute(f"create table {view} as select * from frame")
+    frame = sample.sql("select * from tables.components").to_arrow_table()  # noqa: F841
+    con.execute("create schema tables")
+    con.execute("create table tables.components as select * from frame")
     yield con
     con.close()
 

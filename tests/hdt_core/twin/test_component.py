@@ -79,7 +79,8 @@ def test_a_flight_without_an_answer_is_predicted(flights):
         pl.when(pl.col("flight_id") == "T-00_050").then(pl.lit("diverged")).otherwise("status").alias("status")
     )
     track = track_component(blind, BUILT, "HX")
-    assert track["status"].to_list() == ["predicted" if k == 50 else "ok" for k in range(120)]
+    steps = dict.fromkeys((30, 60, 90), "unconfirmed")  # believed once the next flight agrees
+    assert track["status"].to_list() == [(steps | {50: "predicted"}).get(k, "ok") for k in range(120)]
     assert track["value"][50] == pytest.approx(track["value"][49], abs=1e-12)
     assert track["sd"][50] > track["sd"][49]
 
@@ -159,12 +160,33 @@ def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
         track_component(flights.clear(), BUILT, "HX")
 
 
+def test_one_stray_flight_moves_nothing_and_a_step_counts_from_its_second_flight(flights):
+    stray = pl.when(pl.col("flight_id") == "T-00_045").then(pl.col("hx_fouling") - 0.3).otherwise("hx_fouling")
+    clean, struck = (
+        track_component(f, BUILT, "HX") for f in (flights, flights.with_columns(stray.alias("hx_fouling")))
+    )
+    assert struck["status"][45] == "unconfirmed"
+    moved = (struck["value"] - clean["value"]).abs()
+    assert moved[45:].max() < 2.0 * clean["sd"][45]
+    late = np.abs(clean["value"].to_numpy() - LOSS)
+    assert late[[30, 60, 90]].min() > 0.08
+    assert late[[33, 63, 93]].max() < 0.05
+
+
+def test_each_life_is_filtered_by_itself(flights):
+    """After a replacement nothing of the old unit's loss is left."""
+    lives = flights.with_columns(life=(pl.col("flight_id") >= "T-00_060").cast(pl.Int64))
+    whole = track_component(lives, BUILT, "HX")
+    alone = track_component(flights.filter(pl.col("flight_id") >= "T-00_060"), BUILT, "HX")
+    np.testing.assert_allclose(whole["value"][60:], alone["value"], atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def rig() -> dict[str, Any]:
     """Names that the how-to leaves, its printed numbers checked on the way."""
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(Path(__file__).parents[3])
-        return walk("howto-component.md")
+        return walk("hydraulic-cooler.md")
 
 
 def test_every_cycle_of_the_rig_has_an_answer(rig):

@@ -1,0 +1,71 @@
+"""The components that the chain knows: those of the air-conditioning pack, and every one that a package brings.
+
+A package brings one by an entry point of the group `hdt.components` that names a `Component`.
+"""
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+from hdt_core.components.compressor import CC
+from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Record
+from hdt_core.components.exchanger import HX
+
+__all__ = [
+    "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Record", "component_rows", "components",
+    "recorded_components",
+]  # fmt: skip
+
+GROUP = "hdt.components"
+
+
+@cache
+def components() -> dict[str, Component]:
+    """Every component by its code: the pack's own, then those of other packages by name.
+
+    Raises
+    ------
+    ComponentError
+        A package can't be loaded, names something else than a `Component`, or one of a code that is taken.
+    """
+    known = {c.code: c for c in (HX, CC)}
+    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+        found = _loaded(point)
+        if found.code in known:
+            raise ComponentError(f"{_named(point)}: there is a component {found.code} already")
+        known[found.code] = found
+    return known
+
+
+class ComponentError(Exception):
+    """What a package brings is no component."""
+
+
+def _loaded(point: EntryPoint) -> Component:
+    try:
+        found = point.load()
+    except Exception as error:
+        raise ComponentError(f"{_named(point)} can't be loaded: {type(error).__name__}: {error}") from error
+    if not isinstance(found, Component):
+        raise ComponentError(f"{_named(point)} is no Component")
+    return found
+
+
+def _named(point: EntryPoint) -> str:
+    return f"the component {point.name} ({point.value}, of the package {point.dist.name if point.dist else '?'})"
+
+
+def component_rows() -> list[dict[str, object]]:
+    """Every component as a row of the table `components`."""
+    return [
+        {
+            "component": c.code, "name": c.name, "loss": c.loss, "lost": c.lost, "message_code": c.message_code,
+            "diagnosis": c.diagnosis, "limit_loss": c.limit.mean, "recorded": c.record is not None,
+            "version": c.version,
+        }
+        for c in components().values()
+    ]  # fmt: skip
+
+
+def recorded_components() -> dict[str, Component]:
+    """Those that files of their own describe, by the name of their folder."""
+    return {c.folder: c for c in components().values() if c.record is not None}

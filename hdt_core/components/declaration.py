@@ -1,0 +1,184 @@
+"""How a component is declared: physics, record, codes, what failing means, what to do about it.
+
+One declaration makes it a part of the whole chain: intake, legs, calibration, twin, residuals, features, alerts,
+remaining life, catalog and report.
+"""
+
+import hashlib
+import inspect
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import polars as pl
+
+from hdt_core.physics.model import PhysicsModel
+
+CODE = r"[A-Z]{2,8}"
+"""What the code of a component looks like."""
+REPLACED, CLEANED, INSPECTED, ADJUSTED = ACTIONS = ("REPLACED", "CLEANED", "INSPECTED", "ADJUSTED")
+"""Actions of the maintenance log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Loss at which the failure message comes.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Fleet mean and its uncertainty. [-]
+    unit_sd : float
+        Spread over units about the fleet mean. [-]
+    """
+
+    mean: float
+    sd: float
+    unit_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A column of the component's files and the signal it becomes: signal = column * scale + offset.
+
+    Attributes
+    ----------
+    column : str
+        Name in the file, in small letters, its unit at the end.
+    signal : str
+        Name in SI.
+    unit, meaning : str
+        Of the signal.
+    low, high : float
+        Span of what the quantity can physically be; a value outside becomes null and is told. [signal's unit]
+    harmful_per_s : float, optional
+        Drift from which a flight counts as unsteady; none is looked for where not given. [signal's unit / s]
+    """
+
+    column: str
+    signal: str
+    unit: str
+    meaning: str
+    scale: float = 1.0
+    offset: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    harmful_per_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What the component's own files hold: `<OPERATOR>/<TAIL>/<code>/*.csv` or `.parquet`.
+
+    Attributes
+    ----------
+    channels : tuple of Channel
+        Columns beside `flight_id`, `report_time` and `pack` (1 where the file has none).
+    derive : callable, optional
+        Given samples with the channels as columns, and `operator, tail, flight_id, pack, time_utc`, adds those of the
+        model's signals that follow from them.
+    nominal : Expr, optional
+        Samples that the model speaks of; all where not given.
+    """
+
+    channels: tuple[Channel, ...]
+    derive: Callable[[pl.DataFrame], pl.DataFrame] | None = None
+    nominal: pl.Expr | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """A part that wears, from its physics to the words of its alert.
+
+    Attributes
+    ----------
+    code : str
+        As in the maintenance log; small, the name of its folder and the beginning of its parameters' names.
+    name, lost : str
+        What the night shift calls it; what it loses when it wears ("UA lost").
+    model : PhysicsModel
+        Its equations, design and health parameters.
+    loss : str
+        The health parameter whose growth ends a unit's life.
+    limit : Limit
+        Loss at which it fails, before any failure was seen.
+    life_flights : float
+        Flights from new to `limit`, by experience: the prior of the wear rate, one standard deviation as large.
+    action : str
+        What to do about a worn one.
+    message_code : str, optional
+        The aircraft's own message when it fails.
+    warn_loss : float
+        Loss that raises an alert once it is exceeded with a probability of 0.7.
+    ended_by : tuple of str
+        Actions after which it is as built.
+    around_work : tuple of int
+        Flights of the tail before and after an entry of the log that calibration leaves out.
+    otherwise, waiting : str
+        What else could explain the loss; what waiting costs.
+    record : Record, optional
+        Where its signals come from; none for the pack's parts, which the default record holds.
+    """
+
+    code: str
+    name: str
+    lost: str
+    model: PhysicsModel
+    loss: str
+    limit: Limit
+    life_flights: float
+    action: str
+    message_code: str | None = None
+    warn_loss: float = 0.15
+    ended_by: tuple[str, ...] = (REPLACED, CLEANED)
+    around_work: tuple[int, int] = (10, 1)
+    otherwise: str = "a drifting sensor of the same record"
+    waiting: str = "Waiting costs what the loss costs, and in the end a failure in service"
+    record: Record | None = None
+
+    def __post_init__(self) -> None:
+        for fault in self._faults():
+            raise ValueError(f"component {self.code}: {fault}")
+
+    @property
+    def folder(self) -> str:
+        """Folder of an aircraft that holds its files."""
+        return self.code.lower()
+
+    @property
+    def diagnosis(self) -> str:
+        """Code of the alert that calls it worn."""
+        return f"{self.code}_DEGRADED"
+
+    @property
+    def version(self) -> str:
+        """Digest of the declaration, the source of its functions included: what a change of it makes stale."""
+        return hashlib.blake2b(_told(self).encode(), digest_size=6).hexdigest()
+
+    def _faults(self) -> list[str]:
+        health = {p.name for p in self.model.free("health")}
+        given = {c.signal for c in self.record.channels} if self.record else set()
+        told = [] if re.fullmatch(CODE, self.code) else ["the code is two to eight capital letters"]
+        if self.loss not in health:
+            told.append(f"{self.loss} is no health parameter of {self.model.name}")
+        if odd := sorted(n for n in health if not n.startswith(f"{self.folder}_")):
+            told.append(f"names of its health parameters begin with {self.folder}_, not {', '.join(odd)}")
+        if set(self.ended_by) - set(ACTIONS):
+            told.append(f"ended_by takes {', '.join(ACTIONS)}")
+        if self.record and self.record.derive is None and (missing := [s.name for s in self.model.inputs
+                                                                       if s.name not in given]):  # fmt: skip
+            told.append(f"no channel and no derivation gives {', '.join(missing)}")
+        return told
+
+
+def _told(thing: Any) -> str:
+    """A value as text that is the same in every process: functions by their source, expressions by their form."""
+    if is_dataclass(thing) and not isinstance(thing, type):
+        return f"{type(thing).__name__}({', '.join(_told(getattr(thing, f.name)) for f in fields(thing))})"
+    if isinstance(thing, tuple):
+        return f"({', '.join(map(_told, thing))})"
+    if inspect.isfunction(thing):
+        return inspect.getsource(thing)
+    return str(thing)

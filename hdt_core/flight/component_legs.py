@@ -1,0 +1,69 @@
+"""Legs of a declared component: from the signals on record to samples of its model, and which flights speak of it."""
+
+import polars as pl
+
+from hdt_core.components import Component
+from hdt_core.flight.steady import drift_free
+
+LEG = ["operator", "tail", "flight_id", "pack"]
+MIN_SAMPLES = 5
+"""Samples below which a flight says nothing of a component."""
+REASONS = {
+    "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
+    "UNSTEADY": "a signal drifted through the flight, so the component was not in steady state",
+    "STRAY": "the flight stands apart from the others the component was calibrated on",
+    "NOT_COMMISSIONED": "too few steady flights of the component as built to know it by",
+}
+
+
+def component_samples(signals: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """Samples as the model wants them: one row a time, one column a signal.
+
+    Parameters
+    ----------
+    signals : DataFrame
+        Long form: `LEG`, component, time_utc, signal, value.
+
+    Returns
+    -------
+    DataFrame
+        `LEG`, `time_utc`, every channel of the record (null where not recorded), what its `derive` adds, and `nominal`:
+        whether the model speaks of the sample.
+    """
+    if component.record is None:
+        raise ValueError(f"component {component.code} has no record of its own")
+    own = signals.filter(pl.col("component") == component.code)
+    names = [c.signal for c in component.record.channels]
+    values = [pl.col("value").filter(pl.col("signal") == name).first().alias(name) for name in names]
+    wide = own.group_by(*LEG, "time_utc").agg(values).sort(*LEG, "time_utc")
+    wide = component.record.derive(wide) if component.record.derive else wide
+    speaks = pl.lit(True) if component.record.nominal is None else component.record.nominal
+    inputs = [s.name for s in component.model.inputs]
+    complete = pl.all_horizontal(pl.col(c).is_finite() for c in inputs)
+    return wide.with_columns((speaks & complete).fill_null(False).alias("nominal"))
+
+
+def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """First level: which flights are long and steady enough to say something of the component, sick or not.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight and pack: `LEG`, `component`, `departed_at`, `n_samples`, `n_nominal`, `reason` (a key of
+        `REASONS`; empty where steady).
+    """
+    channels = component.record.channels if component.record else ()
+    second = pl.col("time_utc").dt.epoch("ms") / 1e3
+    steady = [drift_free(second, c.signal, c.harmful_per_s) for c in channels if c.harmful_per_s is not None]
+    few = pl.col("n_nominal") < MIN_SAMPLES
+    legs = samples.group_by(LEG).agg(
+        pl.col("time_utc").min().alias("departed_at"),
+        pl.len().cast(pl.Int64).alias("n_samples"),
+        pl.col("nominal").sum().cast(pl.Int64).alias("n_nominal"),
+        (pl.all_horizontal(steady) if steady else pl.lit(True)).alias("steady"),
+    )
+    reason = (
+        pl.when(few).then(pl.lit("FEW_SAMPLES")).when(~pl.col("steady")).then(pl.lit("UNSTEADY")).otherwise(pl.lit(""))
+    )
+    told = legs.with_columns(reason.alias("reason"), pl.lit(component.code).alias("component")).drop("steady")
+    return told.sort("operator", "tail", "departed_at", "flight_id", "pack")

@@ -1,0 +1,113 @@
+"""What is stored of declared components: the tables of every stage, with the component as part of the key."""
+
+from typing import Any
+
+import dataframely as dy
+
+from hdt_core.tables.base import Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.calibration import CalibrationDesign
+from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.prognosis import Prognoses
+from hdt_core.tables.residuals import Residuals
+from hdt_core.tables.twin import TwinHealth
+
+COMPONENT_FLIGHT_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
+"""A flight, cycle or mission as the component's own record numbers them."""
+
+
+def _flight() -> dy.String:
+    return text(
+        "flight, or cycle, as the component's own record names it", nullable=False, primary_key=True,
+        regex=COMPONENT_FLIGHT_ID,
+    )  # fmt: skip
+
+
+def _component(**kw: Any) -> dy.String:
+    return text("code of the component", nullable=False, primary_key=kw.pop("primary_key", True), **kw)
+
+
+class _Leg(Table):
+    """A flight and pack of a component."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = _flight()
+    pack = pack_key()
+    component = _component()
+
+
+class ComponentsDeclared(Table):
+    """One component that the chain knows."""
+
+    component = _component()
+    name = text("what the night shift calls it", nullable=False)
+    loss = text("health parameter whose growth ends its life", nullable=False)
+    lost = text("what it loses", nullable=False)
+    message_code = text("the aircraft's own message when it fails")
+    diagnosis = text("alert that calls it worn", nullable=False)
+    limit_loss = number("loss at which it fails, before any failure was seen")
+    recorded = flag("it has files of its own; else it is part of the pack")
+    version = text("digest of its declaration", nullable=False)
+
+
+class RawComponents(_Leg):
+    """One recorded value of a component: flight, pack, time, signal."""
+
+    time_utc = moment("time of the sample", primary_key=True)
+    signal = text("signal, its unit at the end of the name", nullable=False, primary_key=True)
+    value = number("value in SI")
+    file = text("file that delivered it, below the landing zone", nullable=False)
+
+
+class LegsComponents(_Leg):
+    """One leg of a component: flight, pack."""
+
+    departed_at = moment("first recorded time")
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples on record")
+    n_nominal = count("of these, samples that the model speaks of")
+
+
+class CalibrationComponents(CalibrationDesign):
+    """One design parameter of a declared component, by pack."""
+
+
+class TwinComponents(TwinHealth):
+    """One health parameter of a declared component after a flight: flight, pack, parameter."""
+
+    flight_id = _flight()
+    component = text("code of the component", nullable=False)
+
+
+class ResidualsComponents(Residuals):
+    """One signal's residual of a declared component over a flight: flight, pack, signal, kind."""
+
+    flight_id = _flight()
+    component = text("code of the component", nullable=False)
+
+
+class FeaturesComponents(_Leg):
+    """What the loss of a declared component shows after a flight: flight, pack, component."""
+
+    departed_at = moment("first recorded time")
+    flight_index = dy.Int64(nullable=False, metadata={"unit": "", "meaning": "the tail's flights, from 0"})
+    flights_seen_of_unit = dy.Int64(nullable=True, metadata={"unit": "", "meaning": "flights of the unit before this"})
+    loss = number("loss after this flight, from no later one; 0 as built, larger is worse")
+    loss_sd = number("standard deviation of it", low=0)
+    loss_slope_10_per_flight = number("trend of ten flights", "1/flight")
+    loss_slope_30_per_flight = number("trend of thirty flights", "1/flight")
+    loss_slope_100_per_flight = number("trend of a hundred flights", "1/flight")
+    loss_jump_10 = number("gain over ten flights")
+    loss_step_3 = number("gain of three flights over the twelve before, less the trend")
+
+
+class FeaturesComponentAlerts(FeaturesAlerts):
+    """One case of a declared component that wants a person."""
+
+
+class PrognosesComponents(Prognoses):
+    """What is said after a flight of a declared component's life left: flight, pack, component."""
+
+    flight_id = _flight()
+    component = _component()

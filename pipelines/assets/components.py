@@ -1,0 +1,140 @@
+"""Declared components along the same chain: from files of their own to legs, twin, alerts and remaining life."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from hdt_core.components import Component, component_rows, recorded_components
+from hdt_core.flight.component_legs import LEG, component_samples
+from hdt_core.health.component_cases import component_features, raise_component_alerts
+from hdt_core.health.residuals import component_residuals
+from hdt_core.prognosis.component_life import component_prognoses
+from hdt_core.records.unit_index import PACK
+from hdt_core.tables import TABLES
+from hdt_core.twin.component_units import calibrated_model, commission, unit_health
+from pipelines.assets.stage import stage
+from pipelines.intake.components import Delivered, read_components
+from pipelines.intake.ingest import landing_files
+from pipelines.partitions import PartitionScope
+from pipelines.resources import Home
+
+SAMPLE = [*LEG, "component", "time_utc", "signal"]
+
+
+@stage
+def declared_components() -> pl.DataFrame:
+    """The components that the chain knows: those of the pack, and those that packages declare."""
+    return pl.DataFrame(component_rows())
+
+
+@stage
+def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
+    """What the components' own files recorded; of files that have left the landing zone what is stored stays."""
+    listed = home.ledger.of(scope.aircraft or {}).files(["component"])
+    wanted = pl.struct("operator", "tail").is_in([{"operator": o, "tail": t} for o, t in scope.aircraft or {}])
+    files = [f for f in landing_files(Path(home.landing), listed.filter(wanted)) if f.folder in recorded_components()]
+    fleet = home.store.read("raw_fleet").drop_nulls("packs").select("operator", "tail", "packs").rows()
+    read = read_components(files, datetime.now(UTC), {(o, t): packs for o, t, packs in fleet})
+    here = [f.path for f in files]
+
+    def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
+        left = scope.read(home.store, table).filter(~pl.col("file").is_in(here))
+        return pl.concat([left, *frames], how="diagonal_relaxed")
+
+    rows = with_stored("raw_components", [d.rows for d in read])
+    return (
+        rows.unique(SAMPLE, keep="last", maintain_order=True),
+        with_stored("raw_components_deliveries", [_account(f.path, f, d) for f, d in zip(files, read, strict=True)]),
+        with_stored("raw_components_quarantine", [_of(f, d.quarantine) for f, d in zip(files, read, strict=True)]),
+    )
+
+
+def _of(file: Any, frame: pl.DataFrame) -> pl.DataFrame:
+    return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
+
+
+def _account(path: str, file: Any, read: Delivered) -> pl.DataFrame:
+    quarantined = int(read.quarantine["n_rows"].sum())
+    counts = {
+        "delivered": read.n_delivered,
+        "loaded": read.n_loaded,
+        "quarantined": quarantined,
+        "duplicate": read.n_duplicate,
+    }
+    return _of(file, pl.DataFrame({"file": [path]} | {k: [v] for k, v in counts.items()}))
+
+
+@stage
+def calibration_components(
+    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Which flights of a component are steady, and how each pack's first unit was built."""
+    told = [commission(raw_components, raw_maintenance, c) for c in recorded_components().values()]
+    legs, design = _all("legs_components", [x for x, _ in told]), _all("calibration_components", [d for _, d in told])
+    return legs, design.with_columns(pl.lit("tail").alias("scope"))
+
+
+@stage
+def twin_components(
+    raw_components: pl.DataFrame,
+    legs_components: pl.DataFrame,
+    calibration_components: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Health of each component after each flight, and how far sensor, model and twin are apart."""
+    health, residuals = [], []
+    for component in recorded_components().values():
+        legs = legs_components.filter(component=component.code)
+        samples = component_samples(raw_components, component)
+        flights, tracked = unit_health(samples, legs, calibration_components, raw_maintenance, component)
+        health.append(tracked)
+        residuals += _residuals(samples, flights, calibration_components, component)
+    return _all("twin_components", health), _all("residuals_components", residuals)
+
+
+def _residuals(
+    samples: pl.DataFrame, flights: pl.DataFrame, design: pl.DataFrame, component: Component
+) -> list[pl.DataFrame]:
+    """Of each pack against its own model."""
+    known = samples.filter("nominal").join(flights, on=LEG, how="semi")
+    packs = design.filter(component=component.code).group_by(PACK, maintain_order=True)
+    return [
+        component_residuals(own, flights, calibrated_model(rows, component), component.code)
+        for key, rows in packs
+        if (own := known.filter(*(pl.col(c) == v for c, v in zip(PACK, key, strict=True)))).height
+    ]
+
+
+@stage
+def features_components(
+    twin_components: pl.DataFrame,
+    residuals_components: pl.DataFrame,
+    legs_components: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """What the loss of each component shows, and the cases that want a person."""
+    declared = recorded_components().values()
+    known = (twin_components, residuals_components, legs_components, raw_maintenance)
+    described = _all("features_components", [component_features(*known, c) for c in declared])
+    alerts = [raise_component_alerts(described, raw_maintenance, c) for c in declared]
+    return described, _all("features_component_alerts", alerts)
+
+
+@stage
+def prognoses_components(
+    features_components: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame
+) -> pl.DataFrame:
+    """How long each component has left: its trend until the loss at which others failed, or that it declares."""
+    told = [
+        component_prognoses(features_components, raw_messages, raw_maintenance, c)
+        for c in recorded_components().values()
+    ]
+    return _all("prognoses_components", told)
+
+
+def _all(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
+    """Frames of all components in the declared columns of a table."""
+    schema = TABLES[table].schema
+    return pl.concat([schema.create_empty(), *(schema.conform(f) for f in frames)])

@@ -1,0 +1,96 @@
+-- Which units of declared components are most in need of attention tonight?
+-- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
+-- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
+-- name: what the night shift calls the component
+-- lost: what it loses
+-- last_flight_id: its last flight
+-- last_departed_at: departure of that
+-- diagnoses: diagnoses of its open alerts
+-- place: 1 is the most urgent
+-- Grain: operator, tail, pack, component. Reads: component_features, prognoses, alert_states, tables.components.
+create or replace view component_ranking as
+with latest as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        arg_max(flight_id, departed_at) as last_flight_id,
+        max(departed_at) as last_departed_at,
+        arg_max(loss, departed_at) as loss,
+        arg_max(loss_sd, departed_at) as loss_sd
+    from component_features
+    group by operator, tail, pack, component
+),
+
+outlook as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        arg_max(rul_flights, departed_at) as rul_flights,
+        arg_max(rul_low, departed_at) as rul_low,
+        arg_max(rul_high, departed_at) as rul_high,
+        arg_max(p_event_50, departed_at) as p_event_50
+    from prognoses
+    group by operator, tail, pack, component
+),
+
+alerted as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        string_agg(distinct diagnosis, ', ') as diagnoses,
+        bool_or(urgency = 'act') as any_act
+    from alert_states
+    where closed_at is null
+    group by operator, tail, pack, component
+),
+
+judged as (
+    select
+        l.operator,
+        l.tail,
+        l.pack,
+        l.component,
+        c.name,
+        c.lost,
+        l.loss,
+        l.loss_sd,
+        o.rul_flights,
+        o.rul_low,
+        o.rul_high,
+        o.p_event_50,
+        a.diagnoses,
+        l.last_flight_id,
+        l.last_departed_at,
+        case
+            when coalesce(a.any_act, false) or o.p_event_50 >= 0.5 then 'act'
+            when a.diagnoses is not null or o.p_event_50 >= 0.1 then 'plan'
+            when l.loss is null then 'unknown'
+            else 'none'
+        end as urgency
+    from latest as l
+    left join tables.components as c on l.component = c.component
+    left join outlook as o
+        on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack and l.component = o.component
+    left join alerted as a
+        on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack and l.component = a.component
+)
+
+select
+    *,
+    row_number() over (
+        order by
+            list_position(['act', 'plan', 'unknown', 'none'], urgency) asc,
+            p_event_50 desc nulls last,
+            loss desc nulls last,
+            operator asc,
+            tail asc,
+            pack asc,
+            component asc
+    ) as place
+from judged;

@@ -1,0 +1,76 @@
+"""What a package may declare, and how a bad declaration is refused."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hdt_core.components import Channel, Record, components
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
+from hdt_core.physics.model import Signal
+
+ROOT = Path(__file__).parents[2]
+
+
+def bring(folder: Path, module: str, code: str, entry: str) -> dict[str, str]:
+    """Environment in which a package with this entry point is installed."""
+    told = folder / f"{module}-1.0.dist-info"
+    told.mkdir(parents=True)
+    (folder / f"{module}.py").write_text(code)
+    (told / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+    (told / "entry_points.txt").write_text(f"[hdt.components]\n{entry}\n")
+    return os.environ | {"PYTHONPATH": f"{ROOT}:{folder}"}
+
+
+def test_the_pack_has_its_two():
+    assert {c: k.message_code for c, k in components().items()} == {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW"}
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "says"),
+    [
+        ("broken", "raise RuntimeError('no licence')", "can't be loaded: RuntimeError: no licence"),
+        ("other", "X = 1", "is no Component"),
+        ("twice", "from hdt_core.components.exchanger import HX as X", "there is a component HX already"),
+        ("absent", "", "can't be loaded: AttributeError"),
+    ],
+)
+def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code, says):
+    env = bring(tmp_path, module, code, f"mine = {module}:X")
+    command = [str(Path(sys.executable).parent / "hdt"), "nightly", "--landing", str(ROOT / "data_samples")]
+    done = subprocess.run(
+        [*command, "--home", str(tmp_path / "h")], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert says in done.stderr.replace("\n", " ")
+    assert f"mine ({module}:X, of the package {module})" in done.stderr.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"code": "hx"}, "two to eight capital letters"),
+        ({"loss": "hx_ua_reference_w_k"}, "no health parameter of heat_exchanger"),
+        ({"code": "QQ"}, "begin with qq_, not hx_fouling"),
+        ({"ended_by": ("POLISHED",)}, "ended_by takes REPLACED, CLEANED"),
+        ({"record": Record((Channel("a", "hot_in_k", "K", "a"),))}, "no channel and no derivation gives hot_flow_kg_s"),
+    ],
+)
+def test_a_declaration_that_contradicts_itself_is_refused(change, says):
+    with pytest.raises(ValueError, match=says):
+        replace(HX, **change)
+
+
+def test_its_version_follows_all_that_it_says_and_nothing_else():
+    assert replace(CC).version == CC.version
+    assert replace(CC, warn_loss=0.06).version != CC.version
+    told = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
+    assert replace(CC, model=told).version != CC.version
+    script = "from hdt_core.components import components; print(components()['HX'].version)"
+    other = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == HX.version
