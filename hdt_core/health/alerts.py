@@ -13,7 +13,7 @@ from hdt_core.health.doors import door_cases
 from hdt_core.health.episodes import Case, Limits, occupied
 from hdt_core.health.grid import Grid
 from hdt_core.health.low_margin import low_margin_cases
-from hdt_core.health.sensors import outlet_doubtful, sensor_cases
+from hdt_core.health.sensors import feigns_wear, outlet_doubtful, sensor_cases
 from hdt_core.health.wear import cc_cases, hx_cases
 from hdt_core.records.unit_index import PACK, select_entries
 
@@ -63,10 +63,14 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     door_on = occupied(grid.shape, doors)
     jammed = occupied(grid.shape, [c for c in doors if c.facts["kind"] == "jam"])
     sensors = sensor_cases(grid, maintenance, limits, door_on, jammed)
-    biased = occupied(grid.shape, [c for c in sensors if c.facts.get("biased")])
-    sick = door_on | biased | outlet_doubtful(grid)
+    biased = [c for c in sensors if c.facts.get("biased")]
+    # outlets that differ leave no doubt once it is known whose sensor or door is why
+    named = door_on | occupied(grid.shape, [c for c in biased if c.facts["sensor"] == "hx_out_k"])
+    unclear = door_on | (outlet_doubtful(grid) & ~named & ~grid.across(named))
     compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, sensors))
-    low = low_margin_cases(grid, maintenance, limits, sick)
+    feigned = occupied(grid.shape, [c for c in biased if feigns_wear(c)])
+    low = low_margin_cases(grid, maintenance, limits, unclear | feigned)
+    sick = unclear | occupied(grid.shape, biased)
     exchangers = hx_cases(grid, maintenance, limits, sick, occupied(grid.shape, low))
     return doors + sensors + exchangers + low + compressors
 

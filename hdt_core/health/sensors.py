@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.detection import Array, Cusum, persistent, watch
-from hdt_core.health.diagnosis import CHANNELS, SHARED
+from hdt_core.health.diagnosis import CHANNELS, HX_STEP, SHARED
 from hdt_core.health.episodes import REPAIR, Case, Limits, spells
 from hdt_core.health.grid import Grid
 from hdt_core.health.naming import Evidence
@@ -30,6 +30,14 @@ def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on:
     mute = {sensor: _mute(grid, sensor, limits) for sensor in SENSORS}
     silent = [c for sensor in SENSORS for c in _silent(grid, sensor, mute[sensor], ended, limits)]
     return silent + [c for c in _shifted(grid, maintenance, (door_on, jammed), mute) if not _echo(c, silent)]
+
+
+def feigns_wear(case: Case) -> bool:
+    """Whether a sensor that has shifted may make the exchanger look worn; one that flatters it hides wear and excuses
+    none."""
+    check = next(c for c in CHANNELS if c.name == case.facts["channel"])
+    by_sensor = check.moves.get(case.facts["sensor"], 0.0) * HX_STEP.moves.get(case.facts["sensor"], 0.0)
+    return bool(by_sensor * case.facts["moved"] >= 0.0)
 
 
 def outlet_doubtful(grid: Grid) -> Array:
@@ -93,7 +101,7 @@ def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], 
                 flight, facts = named
                 case = Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
                 cases += [case, *_shared(evidence, case)]
-    return _one_each(cases, evidence.partner)
+    return _one_each(cases, evidence)
 
 
 def _shared(evidence: Evidence, case: Case) -> list[Case]:
@@ -110,15 +118,15 @@ def _shared(evidence: Evidence, case: Case) -> list[Case]:
     return [replace(case, unit=other, raised=raised, closed=closed, facts=case.facts | {"since": max(since, 0)})]
 
 
-def _one_each(cases: list[Case], partner: Array) -> list[Case]:
+def _one_each(cases: list[Case], evidence: Evidence) -> list[Case]:
     """One case for one fault: several checks may find it, and a left-minus-right one finds it twice.
 
     Two sensors of a pack hardly ever fail within a few flights: the second name is the first fault's, seen by another
-    check. Long after, the other pack may be accused of the same: then the first word was wrong.
+    check. Long after, the other pack may be accused of the same: then the first word was wrong, and its case ends.
     """
     kept: list[Case] = []
     for case in sorted(cases, key=lambda c: (c.raised, -c.facts["p"])):
-        sensor, other = case.facts["sensor"], int(partner[case.unit])
+        sensor, other = case.facts["sensor"], int(evidence.partner[case.unit])
         mine = [c for c in kept if c.unit == case.unit]
         known = [
             c for c in mine if c.facts["sensor"] == sensor and (c.closed is None or case.raised <= c.closed + ECHO)
@@ -127,6 +135,9 @@ def _one_each(cases: list[Case], partner: Array) -> list[Case]:
         echoes = [c for c in mine + theirs if case.raised <= c.raised + ECHO]
         if not known and not echoes:
             kept.append(case)
+            for wrong in theirs:
+                now = max(evidence.same_time(case.unit, case.raised, other), wrong.raised + 1)
+                wrong.closed = now if wrong.closed is None else min(wrong.closed, now)
         elif known and known[0].closed is not None:
             known[0].closed = None if case.closed is None else max(known[0].closed, case.closed)
     return kept

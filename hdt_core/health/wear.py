@@ -19,8 +19,9 @@ FAULT_ALLOWANCE = 0.12
 """Loss that a faulty door or outlet sensor (4 K) may feign: beyond it an exchanger is called worn all the same."""
 FEIGNED = 90
 """Flights that a faulty sensor may feign a better exchanger before its repair brings the loss back at once."""
-TEN, RISE_MARGIN = 10, 0.02
-"""Flights taken together, and what the lowest of many tens lies below the truth by chance alone (scatter 0.005). [-]"""
+TEN, RISE_MARGIN = 10, 0.03
+"""Flights taken together, and what the lowest of many tens lies below a later one by chance alone: scatter of the ten
+0.005, and 0.005 of the model's slow error (`twin.wear.MAP_SD`). [-]"""
 BEYOND_DOUBT = 0.05
 """Loss beyond its limit at which a worn exchanger that has a case of little margin gets one of wear: two sigma. [-]"""
 SAME_CLOG = 40

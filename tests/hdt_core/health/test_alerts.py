@@ -8,9 +8,10 @@ import polars as pl
 import pytest
 
 from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.episodes import Limits
+from hdt_core.health.episodes import Case, Limits
 from hdt_core.health.features import features
 from hdt_core.health.residuals import SCHEMA as RESIDUALS
+from hdt_core.health.sensors import feigns_wear
 from hdt_core.health.witnesses import witnesses
 from hdt_core.tables.features import FeaturesAlerts
 
@@ -160,6 +161,33 @@ def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: flo
     assert signal in out["recommended_action"][0]
     assert says_everything(out)
     assert when(samples, 50) <= out["raised_at"][0] <= when(samples, 50 + within)
+
+
+def test_the_other_packs_outlet_sensor_is_no_doubt_about_this_one(samples, nothing_done) -> None:
+    hit = fault(samples, 2, 40)
+    moved = samples.with_columns(pl.when(hit).then(pl.col("hx_out_k") - 4.0).otherwise("hx_out_k").alias("hx_out_k"))
+    worn = np.clip(0.01 * (np.arange(FLIGHTS) - 45), 0.0, 0.2)
+    out = alerts_of(moved, track(moved, {1: worn}), nothing_done)
+    assert out.select("pack", "diagnosis").rows() == [(2, "SENSOR_FAULT"), (1, "HX_FOULING")]
+    past = 45 + int(100 * Limits().fouling)
+    assert when(samples, past) <= out["raised_at"][1] <= when(samples, past + 6)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "channel", "moved", "feigned"),
+    [
+        ("hx_out_k", "hx_out_minus_target_k", 4.0, True),
+        ("hx_out_k", "hx_out_between_packs_k", -4.0, False),
+        ("hx_in_k", "hx_in_over_discharge_k", 3.0, False),
+        ("tat_k", "inlet_minus_tat_k", -2.0, False),
+        ("tat_k", "inlet_minus_tat_k", 2.0, True),
+        ("pack_flow_kg_s", "pack_over_compressor_flow_ln", -0.07, True),
+    ],
+)
+def test_a_sensor_that_flatters_the_exchanger_excuses_no_wear(sensor, channel, moved, feigned) -> None:
+    # by heat balance: an outlet that reads cold, an inlet, TAT or flow that reads high show too good a core
+    facts = {"sensor": sensor, "channel": channel, "moved": moved, "biased": True}
+    assert feigns_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
 
 
 @pytest.mark.parametrize("kind", ["frozen", "empty", "nulled"])
