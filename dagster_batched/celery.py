@@ -45,7 +45,8 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
     def config_type(cls) -> Mapping[str, Any]:
         """Stock's settings and `grace_s`."""
         says = "Seconds a run may be missed; a worker that lost the broker is back in half a minute, its run goes on."
-        return {**super().config_type(), "grace_s": Field(IntSource, default_value=60, description=says)}
+        stock: Any = super().config_type()
+        return {**stock, "grace_s": Field(IntSource, default_value=60, description=says)}
 
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData, config_value: Mapping[str, Any]) -> Self:

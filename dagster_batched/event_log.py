@@ -81,8 +81,11 @@ def _bare(event: str) -> str:
     return json.dumps(said)
 
 
-def _what(event: EventLogEntry) -> tuple[str, AssetKey | None]:
-    return event.run_id, event.get_dagster_event().asset_key
+def _what(event: EventLogEntry) -> tuple[str, AssetKey]:
+    """Run and asset of an asset's event."""
+    key = event.get_dagster_event().asset_key
+    assert key is not None
+    return event.run_id, key
 
 
 def _dimensions(partition: str | None) -> dict[str, str]:
@@ -102,9 +105,9 @@ class CoalescingEventLog(SqlEventLogStorage):
     supports_partition_subset_in_asset_materialization_planned_events = True
 
     def __init__(self, *args: Any, **settings: Any) -> None:
-        self._alike: dict[tuple[str, AssetKey | None], Sequence[MultiPartitionKey]] = {}
+        self._alike: dict[tuple[str, AssetKey], Sequence[str]] = {}
         self._waiting: list[EventLogEntry] = []
-        super().__init__(*args, **settings)
+        super().__init__(*args, **settings)  # type: ignore[no-untyped-call]
 
     @abstractmethod
     def _store(self, groups: Sequence[EventGroup]) -> None:
@@ -118,7 +121,7 @@ class CoalescingEventLog(SqlEventLogStorage):
     def _written(self, conn: Connection, one: EventGroup) -> int:
         """Id of the group's last row, once it is in the index."""
 
-    def represents(self, run_id: str, asset_key: AssetKey, partitions: Sequence[MultiPartitionKey]) -> None:
+    def represents(self, run_id: str, asset_key: AssetKey, partitions: Sequence[str]) -> None:
         """Let the run's next materialisation of the asset, that of the first partition, count for all of these."""
         self._alike[run_id, asset_key] = partitions
 

@@ -11,8 +11,9 @@ from dagster._core.definitions.partitions.context import partition_loading_conte
 from dagster._core.definitions.partitions.subset import PartitionsSubset
 from dagster._core.definitions.partitions.utils.multi import PartitionDimensionKey
 from dagster._core.execution.context.data_version_cache import DataVersionCache
+from dagster._core.instance import DynamicPartitionsStore
 
-_cached: list[dict[dg.PartitionKeyRange, Sequence[str]]] = []
+_cached: list[dict[dg.PartitionKeyRange, Sequence[dg.MultiPartitionKey]]] = []
 
 
 @contextmanager
@@ -34,8 +35,8 @@ class RangePartitions(dg.MultiPartitionsDefinition):
     def get_partition_keys_in_range(
         self,
         partition_key_range: dg.PartitionKeyRange,
-        dynamic_partitions_store: dg.DagsterInstance | None = None,
-    ) -> Sequence[str]:
+        dynamic_partitions_store: DynamicPartitionsStore | None = None,
+    ) -> Sequence[dg.MultiPartitionKey]:
         """All cells between two, in every dimension."""
         known = _cached[-1] if _cached else {}
         if partition_key_range not in known:
@@ -43,8 +44,8 @@ class RangePartitions(dg.MultiPartitionsDefinition):
         return known[partition_key_range]
 
     def _between(
-        self, partition_key_range: dg.PartitionKeyRange, dynamic_partitions_store: dg.DagsterInstance | None
-    ) -> Sequence[str]:
+        self, partition_key_range: dg.PartitionKeyRange, dynamic_partitions_store: DynamicPartitionsStore | None
+    ) -> Sequence[dg.MultiPartitionKey]:
         first, last = (self.get_partition_key_from_str(key) for key in partition_key_range)
         with partition_loading_context(dynamic_partitions_store=dynamic_partitions_store):
             ranges = [
@@ -111,6 +112,6 @@ def skip_input_versions() -> None:
 
     @wraps(stock)
     def unlisted(self: DataVersionCache, context: Any) -> None:
-        stock(self, _Unpartitioned(context))
+        stock(self, _Unpartitioned(context))  # type: ignore[arg-type]
 
-    DataVersionCache.__init__ = unlisted
+    DataVersionCache.__init__ = unlisted  # type: ignore[method-assign]

@@ -17,7 +17,7 @@ def range_tags(first: str, last: str) -> dict[str, str]:
     return {ASSET_PARTITION_RANGE_START_TAG: first, ASSET_PARTITION_RANGE_END_TAG: last}
 
 
-def execute(job: dg.JobDefinition, run: dg.DagsterRun, instance: dg.DagsterInstance) -> dg.ExecuteInProcessResult:
+def execute(job: dg.JobDefinition, run: dg.DagsterRun, instance: dg.DagsterInstance) -> dg.JobExecutionResult:
     """Make a run that was created, here and now; what fails is told by the result."""
     return execute_run(InMemoryJob(job), run, instance, raise_on_error=False)
 

@@ -18,7 +18,8 @@ from typing import Any, Self
 
 from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
 from dagster._core.storage.event_log.sqlite import SqliteEventLogStorage
-from dagster._core.storage.event_log.sqlite.sqlite_event_log import INDEX_SHARD_NAME, SQLITE_BUSY_TIMEOUT_SECONDS
+from dagster._core.storage.event_log.sqlite.sqlite_event_log import INDEX_SHARD_NAME
+from dagster._core.storage.sqlite import SQLITE_BUSY_TIMEOUT_SECONDS
 from dagster._serdes import ConfigurableClassData
 from sqlalchemy import Connection, Engine, create_engine
 
@@ -135,7 +136,9 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
 
     def _written(self, conn: Connection, one: EventGroup) -> int:
         """Id of the group's last row; ids follow each other, for the first insert holds the shard's only write lock."""
-        first = int(conn.execute(SqlEventLogStorageTable.insert(), one.row).inserted_primary_key[0])
+        key = conn.execute(SqlEventLogStorageTable.insert(), one.row).inserted_primary_key
+        assert key is not None
+        first = int(key[0])
         self._store_asset_event_tags(conn, [one.event], [first])
         others = list(one.others())
         if others:

@@ -10,7 +10,7 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
 
-class Home(dg.ConfigurableResource):
+class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
     """The landing zone and the home of one fleet."""
 
     landing: str = Field(description="Folder the ground station drops files into (HDT_LANDING).")

@@ -1,11 +1,18 @@
 """The house: imports point one way, and the science can be used without the pipeline."""
 
+import ast
 import pkgutil
+import re
 import subprocess
 import sys
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 
 import hdt_core
+import pipelines
 
+OURS = ("hdt_core", "pipelines", "dagster_batched")
 MODULES = sorted(m.name for m in pkgutil.walk_packages(hdt_core.__path__, "hdt_core."))
 
 
@@ -23,11 +30,10 @@ def test_no_science_module_loads_dagster_or_duckdb():
 
 
 def test_the_top_level_is_as_agreed():
-    from pathlib import Path
-
     root = Path(__file__).parents[1]
     for name in (
         "pipelines",
+        "dagster_batched",
         "hdt_core",
         "sql",
         "data_samples",
@@ -37,3 +43,57 @@ def test_the_top_level_is_as_agreed():
         "requirements.lock",
     ):
         assert (root / name).exists(), name
+
+
+def imported(module: str, path: Path, modules: Mapping[str, Path]) -> set[str]:
+    """Modules of ours that a module imports, at whatever depth; not what only a type checker is shown."""
+    found, left = set(), list[ast.AST]([ast.parse(path.read_text(encoding="utf-8"))])
+    while left:
+        node = left.pop()
+        left += (
+            () if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) else ast.iter_child_nodes(node)
+        )
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{module} imports relatively"
+            found.update({f"{node.module}.{a.name}" for a in node.names} & set(modules) or {str(node.module)})
+    return found & set(modules) - {module}
+
+
+def circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """Modules that import each other in a circle, the first again at the end; empty where none do."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """An import inside a function counts too: it may wait, not hide a circle."""
+    root = Path(__file__).parents[1]
+    files = {p: p.relative_to(root).with_suffix("") for name in OURS for p in (root / name).rglob("*.py")}
+    modules = {".".join(p.parts).removesuffix(".__init__"): file for file, p in files.items()}
+    assert len(modules) > 200
+    assert circle({name: imported(name, path, modules) for name, path in modules.items()}) == []
+
+
+def test_a_circle_would_be_found(tmp_path):
+    paths = {name: tmp_path / f"{name}.py" for name in ("a", "b", "c")}
+    paths["a"].write_text("import b\n")
+    paths["b"].write_text("def late():\n    from c import thing\n")
+    paths["c"].write_text("import a\n")
+    found = circle({name: imported(name, path, paths) for name, path in paths.items()})
+    assert set(found) == {"a", "b", "c"}
+
+
+def test_the_private_api_of_dagster_is_used_in_one_place():
+    root = Path(__file__).parents[1]
+    sources = [p for name in ("hdt_core", "pipelines") for p in (root / name).rglob("*.py")]
+    private = re.compile(r"^\s*(from|import) dagster\w*\._", re.MULTILINE)
+    assert [p.name for p in sources if private.search(p.read_text(encoding="utf-8"))] == []
+
+
+def test_the_root_of_pipelines_is_a_short_page():
+    assert len(list(Path(pipelines.__file__).parent.glob("*.py"))) <= 15

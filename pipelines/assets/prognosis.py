@@ -35,10 +35,10 @@ def prognosis(
 
     A base that does worse than the one in service is not promoted.
     """
-    features = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False))
+    described = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False))
     asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
     # what a flight asked is kept beside the features, of which it would be a fifth
-    features = features.join(asks, on=[*PACK, "flight_id"], how="left").collect()
+    features = described.join(asks, on=[*PACK, "flight_id"], how="left").collect()
     served = serve(loaded(prognosis_base), _last(home.store), Record(features, raw_messages, raw_maintenance))
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
     return StageResult((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)

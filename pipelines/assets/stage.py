@@ -70,16 +70,21 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         offered: dict[str, Any] = {"scope": scope, "home": home}
         began = time.monotonic()
         with panics_as_errors():
-            frames = fn(**{p: offered[p] if p in offered else scope.read(home.store, p) for p in wanted})
+            made = fn(**{p: offered[p] if p in offered else scope.read(home.store, p) for p in wanted})
         took = {"seconds": round(time.monotonic() - began, 3)}
-        if not isinstance(frames, StageResult):
-            frames = StageResult(frames if isinstance(frames, tuple) else (frames,), {})
-        for place, (table, frame) in enumerate(zip(own.tables, frames.frames, strict=True)):
-            shown = took | frames.metadata if place == frames.on else took
+        result = _as_result(made)
+        for place, (table, frame) in enumerate(zip(own.tables, result.frames, strict=True)):
+            shown = took | result.metadata if place == result.on else took
             keep = partial(set_aside, home.store, home.ledger, scope, table)
             yield from _checked(table, TABLES[table].conform(frame), shown, keep)
 
     return run
+
+
+def _as_result(made: Frames) -> StageResult:
+    if isinstance(made, StageResult):
+        return made
+    return StageResult((made,) if isinstance(made, pl.DataFrame) else made, {})
 
 
 def _drawn(own: Stage, read: list[str]) -> list[str]:

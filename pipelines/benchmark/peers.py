@@ -5,6 +5,7 @@ filterpy stepped in a Python loop, SciPy's Levenberg-Marquardt a flight a call.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -90,7 +91,7 @@ def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray
 
     hot, ram = spread(0.9, 0.06, 0.01), np.maximum(spread(1.6, 0.2, 0.05), 0.4)
     hot_in, cold_in = spread(390.0, 0.01, 0.004), spread(250.0, 0.01, 0.002)
-    design = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}
+    design: dict[str, Any] = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}
     clean = clean_conductance_w_k(hot, ram, **design)
     loss = np.repeat(np.linspace(0.0, 0.4, n_flights), points)
     hot_out = outlets_k(hot, ram, hot_in, cold_in, (1.0 - loss) * clean)[0] + 0.5 * rng.normal(size=n)
@@ -101,7 +102,8 @@ def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray
 def first(samples: ExchangerSamples, n_flights: int) -> ExchangerSamples:
     """The first flights of a batch."""
     end = samples.starts[n_flights]
-    return ExchangerSamples(*(column[:end] for column in samples.columns()), samples.starts[: n_flights + 1])
+    hot, ram, hot_in, hot_out, cold_in, weight = (column[:end] for column in samples.columns())
+    return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, weight, samples.starts[: n_flights + 1])
 
 
 def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.ndarray:
@@ -142,6 +144,14 @@ def _filterpy(problem: Problem) -> np.ndarray:
     return np.asarray(peer.x[2:])
 
 
+def _misses_k(
+    theta: np.ndarray, clean_ntu: np.ndarray, ratio: np.ndarray, span_k: np.ndarray, cooled_k: np.ndarray
+) -> np.ndarray:
+    """Twice what the model cools too much at each sample, theta being ln UA over clean UA."""
+    ntu = np.exp(theta[0]) * clean_ntu
+    return np.asarray(2.0 * (span_k * crossflow_effectiveness(ntu, ntu * ratio) - cooled_k))
+
+
 def _scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: int) -> np.ndarray:
     """ln UA over clean UA, a flight at a time, MINPACK's Levenberg-Marquardt over the vectorised model."""
     found = []
@@ -149,10 +159,6 @@ def _scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: 
         at = slice(samples.starts[f], samples.starts[f + 1])
         hot_flow, ram_flow, hot_in, hot_out, cold_in, _ = (column[at] for column in samples.columns())
         rate, ratio = capacity_rates(hot_flow, ram_flow, hot_in, hot_out, cold_in)
-
-        def residuals(theta, ntu=clean[at] / rate, ratio=ratio, span=hot_in - cold_in, cooled=hot_in - hot_out):
-            ntu = np.exp(theta[0]) * ntu
-            return 2.0 * (span * crossflow_effectiveness(ntu, ntu * ratio) - cooled)
-
-        found.append(least_squares(residuals, [0.0], method="lm", xtol=1e-10, ftol=1e-12).x[0])
+        told = clean[at] / rate, ratio, hot_in - cold_in, hot_in - hot_out
+        found.append(least_squares(_misses_k, [0.0], args=told, method="lm", xtol=1e-10, ftol=1e-12).x[0])
     return np.array(found)

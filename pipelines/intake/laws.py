@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
@@ -35,7 +36,7 @@ class Law:
         with np.errstate(all="ignore"):
             return self.value(signals)
 
-    def broken(self, value: Array) -> Array:
+    def broken(self, value: Array) -> NDArray[np.bool_]:
         """Of each row whether what it says breaks the law."""
         return (value < self.low) | (value > self.high)
 

@@ -22,8 +22,9 @@ FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 MAX_PACKS = 4
 
 _UTC = pl.Datetime("us", "UTC")
-_KEYS = {"operator": pl.String, "tail": pl.String}
-MESSAGES = {
+Schema = dict[str, pl.DataType | type[pl.DataType]]
+_KEYS: Schema = {"operator": pl.String, "tail": pl.String}
+MESSAGES: Schema = {
     **_KEYS,
     "message_time": _UTC,
     "flight_id": pl.String,
@@ -31,9 +32,9 @@ MESSAGES = {
     "code": pl.String,
     "text": pl.String,
 }
-MAINTENANCE = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
+MAINTENANCE: Schema = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
                "finding": pl.String, "reference": pl.String, "done_at": _UTC}  # fmt: skip
-FLEET = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32}
+FLEET: Schema = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32}
 
 Row = tuple[object, ...]
 Words = dict[str, str]
@@ -147,7 +148,7 @@ def read_fleet(file: LandingFile, now: datetime) -> Log:
 def _read(
     file: LandingFile,
     judge: Callable[[Words, datetime | None], Row | Fault],
-    schema: dict[str, object],
+    schema: Schema,
     required: tuple[str, ...],
     optional: tuple[str, ...],
     *,

@@ -66,7 +66,8 @@ def _settled(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     ranks = _ranked(own)
     ranked = own.join(ranks, on=(*FLIGHT, "file"))
     accepted = ranked.filter(pl.col("rank") == 1)
-    for rank in range(2, (ranks["rank"].max() or 1) + 1):  # type: ignore[operator]
+    most = ranks.select(pl.col("rank").max()).item() or 1
+    for rank in range(2, most + 1):
         late = ranked.filter(pl.col("rank") == rank)
         odd = contradictions(late, accepted).select(FLIGHT).unique()
         accepted = pl.concat([accepted, late.join(odd, on=FLIGHT, how="anti")])

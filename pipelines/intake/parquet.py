@@ -84,12 +84,12 @@ def _fits(kind: pa.DataType, name: str, contract: Contract) -> bool:
     if name in (_FLIGHT, *contract.words) or _is_text(kind):
         return _is_text(kind)
     if name == _TIME:
-        return pa.types.is_timestamp(kind)
-    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+        return bool(pa.types.is_timestamp(kind))
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
 
 
 def _is_text(kind: pa.DataType) -> bool:
-    return pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind))
 
 
 def _longest(column: pa.ChunkedArray) -> int:

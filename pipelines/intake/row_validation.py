@@ -127,7 +127,8 @@ def _flights(pairs: pl.DataFrame, about: pl.DataFrame) -> pl.DataFrame:
         elif day < EARLIEST:
             wrong = "too_early"
         rows.append((i, flight, wrong, day and datetime.combine(day, time(), UTC), packs[i]))
-    schema = {**pairs.schema, "wrong_id": pl.String, "day": pl.Datetime("us", "UTC"), "packs": pl.Int64}
+    added = {"wrong_id": pl.String(), "day": pl.Datetime("us", "UTC"), "packs": pl.Int64()}
+    schema = pl.Schema({**pairs.schema, **added})
     return pl.DataFrame(rows, schema=schema, orient="row")
 
 

@@ -153,14 +153,14 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
 
 
 def _texts(opened: Sequence[_Opened]) -> pl.DataFrame:
-    places = [i for i, o in enumerate(opened) if o.text is not None]
-    frame, faults = to_columns([o.text for o in opened if o.text is not None], _NUMBERS)
-    for i, found in zip(places, faults, strict=True):
+    texts = {i: o.text for i, o in enumerate(opened) if o.text is not None}
+    frame, faults = to_columns(list(texts.values()), _NUMBERS)
+    for (i, text), found in zip(texts.items(), faults, strict=True):
         opened[i].faults.extend(found)
-        opened[i].n_rows = opened[i].text.n_rows
+        opened[i].n_rows = text.n_rows
     if frame.is_empty():
         return frame
-    index = pl.Series("file_index", places, dtype=pl.Int32).gather(frame[PLACE])
+    index = pl.Series("file_index", list(texts), dtype=pl.Int32).gather(frame[PLACE])
     return frame.with_columns(index).drop(PLACE)
 
 
@@ -219,7 +219,7 @@ def _in_si(rows: pl.DataFrame, about: pl.DataFrame) -> pl.DataFrame:
 
 
 def _no_rows() -> pl.DataFrame:
-    types = {
+    types: dict[str, pl.DataType | type[pl.DataType]] = {
         "pack": pl.Int32,
         "time_utc": pl.Datetime("us", "UTC"),
         "row_in_file": pl.Int64,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from hdt_core.physics.model import Array
 from pipelines.intake.columns import POUND_KG, PSI_PA, SIGNAL_COLUMNS, SIGNAL_NAMES, ZERO_CELSIUS_K
@@ -24,6 +25,8 @@ ENOUGH = 5
 """Rows that must say something of a law, and readings a column must have, not all the same."""
 
 Columns = Mapping[str, Array]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 """Recorded name: values in the recorded unit, NaN where missing."""
 
 
@@ -133,12 +136,12 @@ class _Look(NamedTuple):
     spread: Array
 
 
-def _look(columns: Columns, units: Array) -> _Look:
+def _look(columns: Columns, units: Index) -> _Look:
     signals = {c.si_name: columns[c.name] * c.scale + c.offset for c in SIGNAL_COLUMNS}
     return _Look(*np.stack([_under(law, signals, units) for law in LAWS], axis=1))
 
 
-def _under(law: Law, signals: Columns, units: Array) -> tuple[Array, Array]:
+def _under(law: Law, signals: Columns, units: Index) -> tuple[Array, Array]:
     """Share of rows that break one law, and the standard deviation of its value, in each unit."""
     value = law.read(signals)
     known = np.isfinite(value)
@@ -151,11 +154,11 @@ def _under(law: Law, signals: Columns, units: Array) -> tuple[Array, Array]:
     return share, np.sqrt(away2)
 
 
-def _numbered(raw: pl.DataFrame, key: tuple[str, ...]) -> Array:
+def _numbered(raw: pl.DataFrame, key: tuple[str, ...]) -> Index:
     return raw.select(pl.struct(key).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
 
 
-def _cured(change: Change, columns: Columns, units: Array, flight_of: Array) -> Array:
+def _cured(change: Change, columns: Columns, units: Index, flight_of: Index) -> Mask:
     """Of each row whether its unit, the rows of a pack, breaks a law as written and none after the change.
 
     One sensor that reads too much all along can be brought back within the spans by many a change of zero and scale.
@@ -165,7 +168,7 @@ def _cured(change: Change, columns: Columns, units: Array, flight_of: Array) -> 
     if all(np.isnan(columns[name]).all() for name in change.made):
         return np.zeros(len(units), bool)
     before, after = _look(columns, units), _look(change.of(columns), units)
-    cured = (before.share.max(axis=0) >= MOST) & (after.share.max(axis=0) <= FEW)
+    cured: Mask = (before.share.max(axis=0) >= MOST) & (after.share.max(axis=0) <= FEW)
     if change.shifts and _WITH_PARTNER.issuperset(change.made):
         cured &= ((before.share < MOST) | (after.spread < before.spread)).all(axis=0)
     elif change.shifts:
@@ -175,23 +178,24 @@ def _cured(change: Change, columns: Columns, units: Array, flight_of: Array) -> 
     return cured[units]
 
 
-def _in_all_packs(cured: Array, flight_of: Array) -> Array:
+def _in_all_packs(cured: Mask, flight_of: Index) -> Mask:
     """Of each unit whether all packs of its flight, two or more, are cured."""
     packs = np.bincount(flight_of)
     sick = np.bincount(flight_of[: len(cured)][cured], minlength=len(packs))
-    return ((sick == packs) & (packs > 1))[flight_of[: len(cured)]]
+    whole: Mask = (sick == packs) & (packs > 1)
+    return whole[flight_of[: len(cured)]]
 
 
-def _lively(values: Array, units: Array, n_units: int) -> Array:
+def _lively(values: Array, units: Index, n_units: int) -> Mask:
     """Of each unit whether a column reads more than two values or none: a sensor that stands still tells no unit."""
     read = pl.DataFrame({"unit": units, "value": values}).filter(pl.col("value").is_not_nan())
     counts = read.group_by("unit").agg(pl.col("value").n_unique())
-    lively = np.ones(n_units, bool)
+    lively: Mask = np.ones(n_units, bool)
     lively[counts.filter(pl.col("value") <= 2)["unit"].to_numpy()] = False
     return lively
 
 
-def _told(change: Change, columns: Columns, here: Array, cured: Array) -> pl.DataFrame:
+def _told(change: Change, columns: Columns, here: Index, cured: Mask) -> pl.DataFrame:
     recorded = np.any([~np.isnan(columns[name]) for name in change.made], axis=0)
     index = pl.Series("index", here[cured & recorded], dtype=pl.UInt32)
     words = {"reason": change.reason, "column_name": ", ".join(change.made), "told": change.says}

@@ -88,7 +88,7 @@ class PartitionIndex:
     def _of_aircraft(self, asked: dict[str, set[str]], most: int) -> Iterator[PartitionBatch]:
         """Neighbours that are all wanted, as many as share a run without holding too many flights at once."""
         for stretch in _stretches(self.aircraft, asked, most):
-            held, shared = 0, []
+            held, shared = 0, list[str]()
             for aircraft in stretch:
                 held += len(self.flown.get(aircraft, ()))
                 if shared and held > most:

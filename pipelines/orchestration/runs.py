@@ -104,12 +104,12 @@ class Runner:
         """
         left, runs, told = [(block, why)], 0, list[str]()
         while left:
-            one, why = left.pop()
+            one, said = left.pop()
             halves = self.known().halves(one) if len(told) < MOST_PINNED else []
             if not halves:
-                told.append(self._named(one, why))
+                told.append(self._named(one, said))
             runs += len(halves)
-            left += [(half, why) for half in reversed(halves) if (why := self._run(tables, half))]
+            left += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half))]
         return runs, "; ".join(told)
 
     def _named(self, block: PartitionBatch, why: str) -> str:

@@ -93,7 +93,7 @@ def outlet_temperature(facts: Facts) -> Html:
     lower.dots(list(zip(at, rest, strict=True)), svg.BLUE, size=3, opacity=0.9)
     marks = svg.number_ticks(*upper.x)
     first = found.row(0, named=True)
-    kind = "continuous log, averaged" if (found["n_averaged"].max() or 1) > 1 else "snapshots"
+    kind = "continuous log, averaged" if (found["n_averaged"] > 1).any() else "snapshots"
     says = (
         f"Flight {first['flight_id']}, pack {first['pack']}, steady cruise ({kind}). Dots: sensor, known bias left in. "
         f"Blue: twin with this flight's conductance; orange dashes: model as built. Below: sensor minus twin, "

@@ -103,8 +103,8 @@ def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) 
     """
     alone = cruise.with_columns(sample=pl.format("{}", pl.int_range(pl.len())))
     flights = alone.select("sample").join(twin_flight, how="cross")
-    renamed = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
-    found = residuals(*renamed, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
+    samples, twins = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
+    found = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
     if not found.height:
         return alone.clear()
     wide = alone.join(found.rename({"flight_id": "sample"}), on="sample")

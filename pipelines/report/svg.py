@@ -143,7 +143,8 @@ class Chart:
             grid.append(f"M{_n(a)} {bottom}v4")
             names.append(tag("text", name, x=_n(a), y=bottom + 15, text_anchor="middle"))
         names.append(tag("text", y_label, x=2, y=10))
-        names.append(tag("text", x_label, x=right, y=self.height - 4, text_anchor="end") if x_label else None)
+        if x_label:
+            names.append(tag("text", x_label, x=right, y=self.height - 4, text_anchor="end"))
         box = tag("path", d=f"M{LEFT} {TOP}V{bottom}H{right}", class_="axis")
         return join(tag("path", d="".join(grid), class_="grid"), box, *names)
 
@@ -155,7 +156,8 @@ class Chart:
 
 def _decimals(marks: Sequence[float]) -> int:
     step = abs(marks[1] - marks[0]) if len(marks) > 1 else 1.0
-    return max(0, -math.floor(math.log10(step) + 1e-9)) + (round(step / 10 ** math.floor(math.log10(step)), 6) == 2.5)
+    quarters = round(step / 10.0 ** math.floor(math.log10(step)), 6) == 2.5
+    return max(0, -math.floor(math.log10(step) + 1e-9)) + quarters
 
 
 def number_ticks(low: float, high: float, show: Callable[[float], str] = "{:g}".format) -> list[tuple[float, str]]:

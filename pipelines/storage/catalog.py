@@ -179,7 +179,7 @@ def _lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
 def _held(con: duckdb.DuckDBPyConnection) -> str:
     """The place that `_lock` left open; DuckDB adds that of its temporary files."""
     open_to = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
-    return next(place for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
+    return next(str(place) for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
 
 
 @cache

@@ -133,9 +133,10 @@ class Files:
             return sorted((self.root / table).glob("**/[!.]*.parquet"))
         return sorted(f for folder in folders for f in (self.root / folder).glob("[!.]*.parquet"))
 
-    def scan(self, sources: list[Path]) -> pl.LazyFrame:
-        """Files as one lazy frame."""
-        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore")
+    def scan(self, table: str, folders: Iterable[str] | None = None) -> pl.LazyFrame | None:
+        """The table, or some folders of it, as one lazy frame; None where nothing is stored."""
+        sources = self.sources(table, folders)
+        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore") if sources else None
 
     def change(self, folder: str, change: Change) -> None:
         """Write shards of a folder, one after the other."""

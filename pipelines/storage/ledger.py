@@ -15,7 +15,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import polars as pl
 
@@ -52,6 +52,7 @@ _SET_VERSION = (
     "insert into done values (?, ?, ?, ?, ?)"
     " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
 )
+Answer = TypeVar("Answer")
 _UNSETTLE = "delete from settled"
 
 
@@ -90,7 +91,7 @@ class Ledger:
         finally:
             con.close()
 
-    def _ask(self, ask: Callable[[Any], Any]) -> Any:
+    def _ask(self, ask: Callable[[Any], Answer]) -> Answer:
         """What `ask` finds through a connection."""
         path = self.home / "ledger.sqlite"
         if self.url or not self.looks:

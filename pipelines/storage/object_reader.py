@@ -31,7 +31,7 @@ class Source(Protocol):
         """Bytes of the objects below a prefix."""
 
 
-class Window(fsspec.AbstractFileSystem):
+class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no types
     """The objects below `data/` of one store; that they never change is what lets DuckDB open one twice."""
 
     protocol = "s3"
@@ -69,7 +69,7 @@ class Window(fsspec.AbstractFileSystem):
         return kept
 
     def _key(self, path: str) -> str:
-        key = self._strip_protocol(path).removeprefix(self._root)
+        key = str(self._strip_protocol(path)).removeprefix(self._root)
         if not _KEY.fullmatch(key):
             raise PermissionError(f"{path} is no object of the tables")
         return key

@@ -74,8 +74,14 @@ class Objects:
         keys = self._list(f"manifests/{table}") if folders is None else [_manifest(f) for f in folders]
         return sorted(f"{self.url}/{key}" for m in self._manifests(keys) for key in m.shards.values())
 
-    def scan(self, sources: list[str]) -> pl.LazyFrame:
-        """Objects as one lazy frame, of which only the columns that are asked for are fetched."""
+    def scan(self, table: str, folders: Iterable[str] | None = None) -> pl.LazyFrame | None:
+        """The table, or some folders of it, as one lazy frame, of which only the columns asked for are fetched.
+
+        None where nothing is stored.
+        """
+        sources = self.sources(table, folders)
+        if not sources:
+            return None
         how = {"aws_allow_http": str(_plain_http()).lower()}
         return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
 

@@ -66,8 +66,8 @@ class Store:
     def scan(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.LazyFrame:
         """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored."""
         folders = None if aircraft is None else [self.folder(table, a) for a in aircraft]
-        sources = self.shelf.sources(table, folders)
-        return self.shelf.scan(sources) if sources else TABLES[table].schema.create_empty().lazy()
+        stored = self.shelf.scan(table, folders)
+        return TABLES[table].schema.create_empty().lazy() if stored is None else stored
 
     def read(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.DataFrame:
         """The table, of the whole fleet or of some aircraft."""
