@@ -71,8 +71,8 @@ def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
 
 
 def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
-    others = "select component from tables.components where recorded"
-    sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({others})"
+    units = "select component from tables.components where recorded"
+    sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({units})"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"])
     opened = [a for a in alerts if a["closed_at"] is None]
     lines = [_head(row), *(line for a in opened for line in ("", *_alert_told(a)))]

@@ -144,7 +144,7 @@ def _expected(chart: svg.Chart, facts: Facts, row: dict[str, Any], now: float, h
     if None in (low, mid, high, p) or p < 0.05:
         return
     own = facts["flights"].filter(operator=row["operator"], tail=row["tail"]).tail(31)
-    pace_s = max((own["departed_at"][-1] - own["departed_at"][0]).totalseconds() / max(own.height - 1, 1), 3600.0)
+    pace_s = max((own["departed_at"][-1] - own["departed_at"][0]).total_seconds() / max(own.height - 1, 1), 3600.0)
     chart.line([(now + low * pace_s, height), (now + high * pace_s, height)], svg.VERMILLION, width=3)
     chart.dots([(now + mid * pace_s, height)], svg.VERMILLION, size=8, opacity=1)
 
