@@ -1,4 +1,4 @@
-"""Commands that read flight recorders: list and decode."""
+"""Commands that read flight recorders: list, decode and reports."""
 
 import difflib
 import json
@@ -69,14 +69,50 @@ def decode_parameters(
     out.print(_damage_line(recording.damage), soft_wrap=True)
 
 
+@recorder.command("reports")
+def read_printed(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Message file or text; of an archive, message.dat.")],
+    layouts: Annotated[Path | None, typer.Option(help="Layouts of reports; else those of the A330.")] = None,
+    target: Annotated[
+        Path | None, typer.Option("--out", help="Parquet file: report, number, line, row, name, value, text.")
+    ] = None,
+) -> None:
+    """Read the printed ACMS reports of a recorder's message file.
+
+    Lines that do not look as their layout has them are told with number and reason.
+    """
+    from hdt_core.recorder.printed import read_layouts, read_reports
+    from hdt_core.recorder.report_layouts import A330
+    from pipelines.intake.recordings import read_recording, report_rows
+    from pipelines.storage.files import replacing
+
+    with _one_line():
+        known = read_layouts(layouts.read_text("utf-8")) if layouts else A330
+        found = read_reports(read_recording(file, "message.dat").tobytes(), known)
+        if target:
+            with replacing(target) as temporary:
+                report_rows(found.lines).write_parquet(temporary)
+    for number in sorted({x.number for x in found.lines}):
+        own = [x for x in found.lines if x.number == number]
+        count = len({x.report for x in own})
+        out.print(f"<{number}> {known[number].title}: {count} reports, {len(own)} lines", markup=False, soft_wrap=True)
+    for title in dict.fromkeys(found.undeclared):
+        out.print(f"no layout: {title}", markup=False, soft_wrap=True)
+    for r in found.rejected:
+        out.print(f"line {r.line}: {r.reason}: {ascii(r.text[:80])[1:-1]}", markup=False, soft_wrap=True)
+
+
 @contextmanager
 def _one_line() -> Iterator[None]:
     from hdt_core.recorder.layout import MapError
+    from hdt_core.recorder.printed import LayoutError
 
     try:
         yield
-    except (MapError, FileExistsError) as error:
+    except (MapError, LayoutError, FileExistsError) as error:
         raise StopError(str(error)) from None
+    except UnicodeDecodeError:
+        raise StopError("the layouts are no text in UTF-8") from None
 
 
 def _chosen(parameters: Mapping[str, "Parameter"], name: str) -> "Parameter":

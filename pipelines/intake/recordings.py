@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -16,6 +17,7 @@ from hdt_core.recorder.fit import decode, recognise
 from hdt_core.recorder.frames_767 import Recording767
 from hdt_core.recorder.layout import MapError, Parameter, ParameterMap
 from hdt_core.recorder.plain_map import read_csv, read_toml
+from hdt_core.recorder.printed import ReportLine
 from hdt_core.recorder.timeline_717 import Recording717
 from hdt_core.recorder.vec_map import read_vec
 from hdt_core.recorder.xml_map import read_xml
@@ -29,6 +31,15 @@ SCHEMA = pa.schema(
         "text": pa.dictionary(pa.int32(), pa.string()),
     }
 )
+REPORT_SCHEMA = {
+    "report": pl.Int32,
+    "number": pl.String,
+    "line": pl.Int32,
+    "row": pl.String,
+    "name": pl.String,
+    "value": pl.Float64,
+    "text": pl.String,
+}
 ROWS_OF_A_GROUP = 1 << 20
 MOST_UNPACKED = 4 << 30
 """Bytes that a member of an archive may have; a ten-hour recording of 2,048 words a second has 150 million."""
@@ -60,14 +71,14 @@ def read_map(path: Path) -> ParameterMap:
         raise MapError(f"{path.name}: {error}") from None
 
 
-def read_recording(path: Path) -> npt.NDArray[np.uint8]:
-    """The bytes of a recording; of an archive, those of its largest member."""
+def read_recording(path: Path, member: str = "") -> npt.NDArray[np.uint8]:
+    """The bytes of a recording; of an archive, those of `member` if it has it, else of its largest."""
     if not zipfile.is_zipfile(path):
         return np.fromfile(path, np.uint8)
     try:
         with zipfile.ZipFile(path) as archive:
-            largest = max(archive.infolist(), key=lambda i: i.file_size)
-            return np.frombuffer(_member(archive, largest.filename), np.uint8)
+            chosen = max(archive.infolist(), key=lambda i: (i.filename == member, i.file_size))
+            return np.frombuffer(_member(archive, chosen.filename), np.uint8)
     except (zipfile.BadZipFile, zlib.error, ValueError) as error:
         raise MapError(f"{path.name}: {error}") from None
 
@@ -85,6 +96,16 @@ def open_recording(file: Path, map_file: Path) -> tuple[Recording717 | Recording
         return recognise(read_recording(file), layout), layout
     except MapError as error:
         raise MapError(f"{map_file.name} does not fit {file.name}: {error}") from None
+
+
+def report_rows(lines: Iterable[ReportLine]) -> pl.DataFrame:
+    """Lines of printed reports as rows: a value each, in `value` or in `text`."""
+    rows = [
+        (x.report, x.number, x.line, x.row, name, *((None, said) if isinstance(said, str) else (said, None)))
+        for x in lines
+        for name, said in x.values.items()
+    ]
+    return pl.DataFrame(rows, schema=REPORT_SCHEMA, orient="row")
 
 
 def write_decoded(recording: Recording717 | Recording767, parameters: Iterable[Parameter], target: Path) -> Decoded:

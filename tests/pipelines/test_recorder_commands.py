@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import polars as pl
 import pytest
-from recordings import DATA, frames_717, frames_767, pack, random_raw
+from recordings import DATA, frames_717, frames_767, message_file, pack, random_raw
 
 from hdt_core.recorder.bitstream import PACKINGS
 from hdt_core.recorder.plain_map import read_toml
@@ -90,6 +90,20 @@ def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
     assert rates["DIGIT"] == ("", 0.25, "bcd")
 
 
+def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypatch, capsys):
+    text = "\n   A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nN1 1.31 OFF\nN2 -.-- ON\nN1 1.3 OFF\n"
+    (tmp_path / "message.dat").write_bytes(message_file(text))
+    (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
+    words = ("--layouts", tmp_path / "own.txt", "--out", tmp_path / "r.parquet")
+    code, told, _ = hdt(monkeypatch, capsys, "recorder", "reports", tmp_path / "message.dat", *words)
+    assert code == 0
+    assert "<91> PACK SURVEY: 1 reports, 2 lines" in told
+    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in told
+    rows = pl.read_parquet(tmp_path / "r.parquet")
+    assert rows.filter(name="flow")["value"].to_list() == [1.31, None]
+    assert rows.filter(name="state")["text"].to_list() == ["OFF", "ON"]
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -104,6 +118,7 @@ def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
         (("list", "{rec}", "--map", "{tmp}/wide.toml"), "the recording has 64 words a second, the map 128"),
         (("list", "{tmp}/empty.dat", "--map", DATA / "demo_717.toml"), "no ARINC 717 frame in 0 bytes"),
         (("list", "{tmp}/broken.zip", "--map", DATA / "demo_717.toml"), "broken.zip"),
+        (("reports", "{rec}", "--layouts", DATA / "demo_717.toml"), "line 1: a report begins with <nn>"),
         (("decode", "{rec}", "--map", DATA / "demo_717.toml"), "--out"),
         (
             ("decode", "{rec}", "--map", DATA / "demo_717.toml", "--parameter", "PTICH", "--out", "{tmp}/x"),

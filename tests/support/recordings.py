@@ -94,6 +94,19 @@ def _raw(coding, rng: np.random.Generator, n: int) -> np.ndarray:
     return number(0, 1 << (coding.bits + (coding.sign is not None)))
 
 
+def message_file(*texts: str) -> bytes:
+    """Printed reports as a recorder keeps them: each told by its length, all cut into blocks."""
+    stream = b""
+    for i, text in enumerate(texts, 1):
+        body = text.replace("\n", "\r\n").encode()
+        stream += (
+            b"\x02\x02" + body + f"{len(body):05}{i:04}0013000".encode() + (b"\x03" if i == len(texts) else b"\x17") * 2
+        )
+    blocks = [stream[i : i + 1000].ljust(1000, b"F") for i in range(0, len(stream), 1000)]
+    heads = (b"".join(n.to_bytes(4, "little") for n in (7, 1022 * i, 2, 1002, 0)) for i in range(1, len(blocks) + 1))
+    return b"".join(head + b"\x11" + block + b"\x12" for head, block in zip(heads, blocks, strict=True)) + b"\r\n"
+
+
 def vec(**files: str) -> bytes:
     """A ground station's archive: each file in UTF-16, `par`, `fra` or `frd` its ending."""
     held = io.BytesIO()

@@ -13,6 +13,8 @@ import polars as pl
 import pytest
 
 from hdt_core.recorder.fit import decode, recognise
+from hdt_core.recorder.printed import read_reports
+from hdt_core.recorder.report_layouts import A330
 from hdt_core.recorder.vec_map import read_vec
 
 ROOT = Path(__file__).parents[3]
@@ -80,6 +82,24 @@ def test_every_arinc_767_parameter_equals_the_independent_decoders(b787):
     reference = theirs("decoded_767.parquet")
     assert (len(reference), len(b787)) == (130, 2718)
     assert disagreements(b787, reference) == []
+
+
+def test_every_line_of_the_seven_printed_reports_is_read(a330):
+    """And they say what the recording says: one flight, one pair of engines."""
+    reports = read_reports(members("a330_717.wgl.zip")["message.dat"], A330)
+    assert reports.rejected == ()
+    assert {line.number for line in reports.lines} == {"08", "10", "13", "15", "18", "37", "50"} == set(A330)
+    assert len(reports.lines) == 224
+    assert len(reports.undeclared) == 5  # doors, taxi, push back
+    heads = [line.values for line in reports.lines if line.row == "C1"]
+    assert {head["flight"] for head in heads} == {"CAA8765"}
+    assert {head["from"] for head in heads} == {"ZJHK", None}
+    engines = {line.values["esn"] for line in reports.lines if "esn" in line.values}
+    assert engines == {"735177", "735125", "000000"}
+    packs = [
+        line.values for line in reports.lines if line.row == "C3" and line.number == "10"
+    ]  # packs off at engine start
+    assert {(p["pack_flow_1"] < 0.1, p["crossfeed"], p["apu"]) for p in packs} == {(True, 1.0, "1")}
 
 
 def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a330):
