@@ -1,6 +1,5 @@
 """Where curvature is a doubtful witness, profiles run by themselves and the status says what the data leave open."""
 
-import time
 
 import numpy as np
 import pytest
@@ -93,7 +92,8 @@ def test_an_end_that_the_data_leave_open_is_named():
         assert estimate.profile.open[0, 1]
 
 
-def test_all_parameters_of_the_exchanger_are_profiled_within_a_second():
+def test_all_parameters_of_the_exchanger_are_profiled_in_few_evaluations():
+    """Some 1,500 evaluations of 600 samples."""
     rng, k = np.random.default_rng(0), 600
     ranges = {"hot_flow_kg_s": (0.5, 1.2), "ram_flow_kg_s": (0.6, 2.4), "hot_in_k": (370, 430), "cold_in_k": (225, 280)}
     inputs = {name: rng.uniform(*limits, k) for name, limits in ranges.items()}
@@ -103,8 +103,7 @@ def test_all_parameters_of_the_exchanger_are_profiled_within_a_second():
     problem = declared_problem(HEAT_EXCHANGER, free, inputs, measured)
     found = NonlinearLeastSquares().estimate(problem)
     at = descend(problem, found.belief.mean)
-    started = time.process_time()
     profile = profiled(problem, at, found.belief.cov)
-    assert time.process_time() - started < 1.0
+    assert profile.n_evals < 2_000
     nominal = np.array([HEAT_EXCHANGER.nominal[name] for name in free])
     assert ((profile.interval[:, 0] < nominal) & (nominal < profile.interval[:, 1])).sum() >= len(free) - 1

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from hashlib import blake2b
 
 import polars as pl
 import pytest
@@ -45,8 +46,10 @@ def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, r
     n = (60 << 20) // len(line)
     files = deliver({CSV: head + line * n})
     began = time.process_time()
+    blake2b(head + line * n)
+    hashed = time.process_time() - began
     intake = read(files)
-    assert time.process_time() - began < 2.0  # a second where the machine is not shared; it was a minute
+    assert time.process_time() - began < 25.0 * hashed  # some three times; it was six hundred
     assert intake.quarantine["reason"].to_list() == [reason]
     assert intake.n_delivered == (0 if line == b"a," else n)
 
