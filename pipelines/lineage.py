@@ -184,7 +184,7 @@ STAGES = (
     Stage(
         "twin_health",
         "twin",
-        alike("twin_health", "twin_chapters", parents=("twin_flights", "raw_maintenance"), code="12"),
+        alike("twin_health", "twin_chapters", parents=("twin_flights", "raw_maintenance"), code="13"),
         fresh="twin_health",
         label="health, features, alerts",
     ),
