@@ -10,6 +10,10 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Words = npt.NDArray[np.uint64]
 Kind = Literal["binary", "bcd", "discrete", "characters", "utc", "float"]
+WORD = 64
+"""Bits that are put together to a number at most."""
+LENGTHS: dict[str, tuple[int, ...]] = {"float": (16, 32, 64), "utc": (17,)}
+MOST_DECIMALS = 15
 Step = Callable[[Floats], Floats]
 
 
@@ -88,6 +92,22 @@ class Coding:
     decimals: int = 0
     base: float = 0.0
     texts: dict[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for bits outside a word of 64, and for lengths that the kind can't have."""
+        signs = () if self.sign is None else ((self.sign, 1),)
+        for low, bits in ((self.low, self.bits), *self.digits, *signs):
+            check_bits(low, bits)
+        if self.bits not in LENGTHS.get(self.kind, (self.bits,)):
+            raise ValueError(f"{self.bits} bits; {self.kind} has {' or '.join(map(str, LENGTHS[self.kind]))}")
+        if not 0 <= self.decimals <= MOST_DECIMALS:
+            raise ValueError(f"{self.decimals} decimals; 0 to {MOST_DECIMALS} are possible")
+
+
+def check_bits(low: int, bits: int) -> None:
+    """Raise `ValueError` for bits that are none of a word of 64."""
+    if bits < 1 or low < 0 or low + bits > WORD:
+        raise ValueError(f"bits {low + 1} to {low + bits} are outside a word of {WORD}")
 
 
 def cut_digits(widths: Sequence[int]) -> tuple[tuple[int, int], ...]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 import numpy as np
+import numpy.typing as npt
 
 from hdt_core.recorder.bitstream import Bytes, Packing
 from hdt_core.recorder.decode import Series, decode_717, decode_767
@@ -22,7 +23,7 @@ RATE_OFF = 0.1
 TINY, HUGE = 1e-12, 1e12
 """A number computed on board that is smaller (and not zero) or larger was cut at the wrong bit."""
 FEW_TESTED = 8
-LOOK_BYTES, LOOK_FRAMES = 1 << 23, 900
+FIRST_BYTES, LOOK_BYTES, LOOK_FRAMES = 1 << 18, 1 << 22, 900
 """Part of a recording that is held against the map."""
 
 
@@ -47,20 +48,30 @@ def decode(recording: Recording717 | Recording767, parameters: Iterable[Paramete
 
 
 def _recognise_717(data: Bytes, layout: Map717) -> Recording717:
-    packing = find_packing(data, layout.words, layout.sync_words)
-    if packing is None:
-        found = find_word_count(data, layout.sync_words)
-        if found is not None:
-            raise MapError(f"the recording has {found:,} words a second, the map {layout.words:,}")
-        if (other := find_frames(data)).number.size > 1:
-            raise MapError(f"the recording is ARINC 767 ({other.number.size:,} frames), the map ARINC 717")
-        raise MapError(
-            f"no ARINC 717 frame in {data.size:,} bytes, neither with the map's words a second nor with any other"
-        )
+    packing = _packing(data, layout)
     _check_counter(data, packing, layout)
     recording = arrange(data, packing, layout)
     _check_values(decode(recording.excerpt(LOOK_FRAMES), layout.parameters.values()))
     return recording
+
+
+def _packing(data: Bytes, layout: Map717) -> Packing:
+    """As found at the beginning, or where that is damaged, further on."""
+    first = data[:FIRST_BYTES]
+    if (packing := find_packing(first, layout.words, layout.sync_words)) is not None:
+        return packing
+    if (words := find_word_count(first, layout.sync_words)) not in {None, layout.words}:
+        raise MapError(f"the recording has {words:,} words a second, the map {layout.words:,}")
+    if (other := find_frames(first)).number.size > 1:
+        raise MapError(f"the recording is ARINC 767 (frames {_some(other.number)}), the map ARINC 717")
+    if (packing := find_packing(data[:LOOK_BYTES], layout.words, layout.sync_words)) is not None:
+        return packing
+    looked = f"no ARINC 717 frame in {min(data.size, LOOK_BYTES):,} bytes"
+    raise MapError(f"{looked}, neither with the map's words a second nor with another number")
+
+
+def _some(numbers: npt.NDArray[np.int64]) -> str:
+    return ", ".join(str(n) for n in np.unique(numbers)[:8])
 
 
 def _check_counter(data: Bytes, packing: Packing, layout: Map717) -> None:
@@ -83,7 +94,7 @@ def _check_counter(data: Bytes, packing: Packing, layout: Map717) -> None:
 def _recognise_767(data: Bytes, layout: Map767) -> Recording767:
     found = find_frames(data)
     if not found.number.size:
-        packed = find_word_count(data)
+        packed = find_word_count(data[:FIRST_BYTES])
         also = f"; it is ARINC 717 with {packed:,} words a second" if packed else ""
         raise MapError(f"no ARINC 767 frame in {data.size:,} bytes{also}")
     _check_lengths(found, layout)
@@ -106,8 +117,8 @@ def _check_lengths(found: Found, layout: Map767) -> None:
     if said:
         raise MapError("; ".join(said))
     if not np.isin(found.number, list(layout.frames)).any():
-        seen = ", ".join(str(n) for n in np.unique(found.number)[:8])
-        raise MapError(f"the recording has frames {seen}; the map has {', '.join(str(n) for n in layout.frames)}")
+        known = ", ".join(str(n) for n in layout.frames)
+        raise MapError(f"the recording has frames {_some(found.number)}; the map has {known}")
 
 
 def _check_rates(found: Found, layout: Map767) -> None:

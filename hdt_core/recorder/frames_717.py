@@ -18,7 +18,6 @@ WORD_COUNTS = tuple(64 << i for i in range(6))
 LOST_AFTER = 3
 """Sync words missing in a row after which the subframes are searched anew; fewer are damage in place."""
 _CHUNK = 1 << 18
-_FIRST_LOOK = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +124,11 @@ def find_packing(data: Bytes, words: int, syncs: tuple[int, ...] = SYNC_WORDS) -
 
     Read in the wrong order of bits a sync word is nearly one still, so that the packing with most subframes is taken.
     """
-    for look in (_FIRST_LOOK, data.size):
-        whole = {p: sum(int(r.whole.sum()) for r in Finder(data[:look], p, words, syncs).runs()) for p in PACKINGS}
-        best = max(PACKINGS, key=lambda p: whole[p])
-        if whole[best]:
-            return best
-        if look >= data.size:
-            break
-    return None
+    whole = {p: sum(int(r.whole.sum()) for r in Finder(data, p, words, syncs).runs()) for p in PACKINGS}
+    best = max(PACKINGS, key=lambda p: whole[p])
+    return best if whole[best] else None
 
 
 def find_word_count(data: Bytes, syncs: tuple[int, ...] = SYNC_WORDS) -> int | None:
     """Words a second that a recording was made with, whatever a map says; None if it is no ARINC 717."""
-    return next((n for n in WORD_COUNTS if find_packing(data[:_FIRST_LOOK], n, syncs) is not None), None)
+    return next((n for n in WORD_COUNTS if find_packing(data, n, syncs) is not None), None)

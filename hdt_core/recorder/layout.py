@@ -3,10 +3,14 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from hdt_core.recorder.coding import Coding
+from hdt_core.recorder.coding import Coding, check_bits
 
 SYNC_WORDS = (0o1107, 0o2670, 0o5107, 0o6670)
 """First word of subframes 1 to 4, ARINC 717."""
+
+
+MOST_WORDS, MOST_SUBFRAMES = 1 << 13, 32
+"""Bounds of a frame: ARINC 717 goes to 4,096 words, ARINC 647A to 32 subframes."""
 
 
 class MapError(ValueError):
@@ -34,6 +38,12 @@ class Piece:
     bits: int
     into: int = 0
     frame: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for what no frame can have."""
+        check_bits(self.into, self.bits)
+        if min(self.word, self.low, self.frame) < 0:
+            raise ValueError(f"word {self.word + 1}, bit {self.low + 1}, frame {self.frame + 1} is counted from 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +104,22 @@ class Map717:
     counter: Counter | None = None
     sync_words: tuple[int, ...] = SYNC_WORDS
     subframe_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Raise `MapError` for a frame that can't be, and for parameters outside it."""
+        if not (1 < self.words <= MOST_WORDS and self.subframe_s > 0.0 and 1 < len(self.sync_words) <= MOST_SUBFRAMES):
+            told = f"{len(self.sync_words)} subframes of {self.words} words and {self.subframe_s} s"
+            raise MapError(f"{told}; there are 2 to {MOST_SUBFRAMES}, of 2 to {MOST_WORDS:,} words")
+        if len(set(self.sync_words)) < len(self.sync_words) or not all(0 <= s < 1 << 12 for s in self.sync_words):
+            raise MapError("sync words differ from each other and have 12 bits")
+        size = self.words * len(self.sync_words)
+        held = ((n, s.pieces) for n, p in self.parameters.items() for s in p.samples)
+        counted = [("the frame counter", (self.counter.piece,))] if self.counter else []
+        for name, pieces in (*counted, *held):
+            if any(p.word >= size or p.low + p.bits > 12 for p in pieces):
+                raise MapError(
+                    f"{name} lies outside the frame of {len(self.sync_words)} subframes of {self.words} words"
+                )
 
 
 @dataclass(frozen=True, slots=True)

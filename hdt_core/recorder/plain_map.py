@@ -22,7 +22,6 @@ from hdt_core.recorder.layout import (
 )
 from hdt_core.recorder.places import Place, sample_at, word_bits
 
-LENGTHS = {"float": (16, 32, 64), "utc": (17,)}
 KINDS = ("binary", "bcd", "discrete", "characters", "utc", "float")
 FRAMES_PER_SUPERFRAME = 16
 PLACE_KEYS = {"subframe", "word", "bits", "superframe", "frame", "size"}
@@ -130,7 +129,7 @@ def _named(entry: dict[str, Any], read: Any) -> Parameter:
 
 
 def _parameter_717(entry: dict[str, Any], layout: Map717, frames: int) -> Parameter:
-    subframes, cycle = len(layout.sync_words), frames if "superframe" in entry else 1
+    subframes, cycle = len(layout.sync_words), max(frames, 1) if "superframe" in entry else 1
     samples = _samples(entry, layout.words, subframes)
     if cycle > 1 and (layout.counter is None or max(p.frame for s in samples for p in s.pieces) >= frames):
         raise ValueError(f"a superframe needs a counter in the head, and frames from 1 to {frames}")
@@ -188,8 +187,6 @@ def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
     )
     if kind in ("bcd", "characters") and (sum(widths) > bits or not widths):
         raise ValueError(f"digits of {sum(widths)} bits in a word of {bits}")
-    if bits not in LENGTHS.get(kind, (bits,)):
-        raise ValueError(f"{bits} bits; {kind} has {' or '.join(map(str, LENGTHS[kind]))}")
     coding = Coding(
         kind,
         bits=bits - signed,

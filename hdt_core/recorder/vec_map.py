@@ -204,6 +204,8 @@ class _Frame:
         if fields[3] not in places:
             raise ValueError(f"no superframe {fields[3]}")
         place, (frame, top, bits, into) = places[fields[3]], (int(f) for f in fields[4:8])
+        if int(fields[2]) < 1:
+            raise ValueError(f"a superframe of {fields[2]} frames")
         piece = self._piece(int(place[1]), int(place[2]), top, bits, into - bits, frame - 1)
         return _Listed(int(fields[1]), (piece,), int(fields[2]))
 

@@ -46,14 +46,19 @@ def read_xml(text: bytes) -> ParameterMap:
         raise MapError("a parameter map declares no document type and no entities")
     try:
         root = ET.fromstring(text)
-    except ET.ParseError as error:
+    except (ET.ParseError, LookupError, ValueError) as error:
         raise MapError(f"no XML: {error}") from None
     for element in root.iter():
         element.tag = element.tag.rsplit("}", 1)[-1]
-    if (frame := root.find("FRED717")) is not None:
-        return _map_717(frame)
-    if (frame := root.find("FRED767")) is not None:
-        return _map_767(frame)
+    try:
+        if (frame := root.find("FRED717")) is not None:
+            return _map_717(frame)
+        if (frame := root.find("FRED767")) is not None:
+            return _map_767(frame)
+    except MapError:
+        raise
+    except (ValueError, ZeroDivisionError) as error:
+        raise MapError(f"the frame: {error}") from None
     raise MapError("neither FRED717 nor FRED767 in the XML")
 
 

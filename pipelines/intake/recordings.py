@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,13 @@ REPORT_SCHEMA = {
     "name": pl.String,
     "value": pl.Float64,
     "text": pl.String,
+}
+HOW: dict[str, Any] = {
+    "compression": "zstd",
+    "compression_level": 1,
+    "use_dictionary": ["parameter", "text", "value"],
+    "column_encoding": {"t_s": "BYTE_STREAM_SPLIT"},  # a quarter of the size, and faster, for numbers that only grow
+    "store_schema": False,
 }
 ROWS_OF_A_GROUP = 1 << 20
 MOST_UNPACKED = 4 << 30
@@ -112,10 +120,7 @@ def write_decoded(recording: Recording717 | Recording767, parameters: Iterable[P
     """Write `parameter, t_s, value, text`, parameter by parameter, in order of time."""
     count = rows = nulls = 0
     held: list[pa.Table] = []
-    with (
-        replacing(target) as temporary,
-        pq.ParquetWriter(temporary, SCHEMA, compression="zstd", store_schema=False) as writer,
-    ):
+    with replacing(target) as temporary, pq.ParquetWriter(temporary, SCHEMA, **HOW) as writer:
         for series in decode(recording, parameters):
             held.append(_table(series))
             count, rows, nulls = count + 1, rows + series.t_s.size, nulls + int((~series.known).sum())

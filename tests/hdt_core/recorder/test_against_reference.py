@@ -13,9 +13,11 @@ import polars as pl
 import pytest
 
 from hdt_core.recorder.fit import decode, recognise
+from hdt_core.recorder.layout import Map717, Map767
 from hdt_core.recorder.printed import read_reports
 from hdt_core.recorder.report_layouts import A330
 from hdt_core.recorder.vec_map import read_vec
+from hdt_core.recorder.xml_map import read_xml
 
 ROOT = Path(__file__).parents[3]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
@@ -100,6 +102,27 @@ def test_every_line_of_the_seven_printed_reports_is_read(a330):
         line.values for line in reports.lines if line.row == "C3" and line.number == "10"
     ]  # packs off at engine start
     assert {(p["pack_flow_1"] < 0.1, p["crossfeed"], p["apu"]) for p in packs} == {(True, 1.0, "1")}
+
+
+def test_the_examples_of_arinc_647a_are_read():
+    """Every kind of element of the standard; what its words leave to a person is told."""
+    examples = {n: read_xml(text) for n, text in members("arinc_647a_1.zip").items() if n.endswith(".xml")}
+    (frame_767,), (frame_717,) = ([m for m in examples.values() if isinstance(m, kind)] for kind in (Map767, Map717))
+    assert frame_717.words == 64
+    assert frame_717.subframe_s == 60 / 61
+    assert set(frame_717.parameters) >= {"Altitude Press-L", "Time UTC-Min", "Rudder Ped Pos", "Radio Altitude"}
+    minutes = frame_717.parameters["Time UTC-Min"]
+    assert (minutes.cycle, [s.pieces[0].frame for s in minutes.samples]) == (16, [1, 9])
+    assert len(frame_717.parameters["Radio Altitude"].samples) == 2
+    assert len(frame_717.parameters["Control Column Position"].samples) == 16
+    told = {n: p.unreadable for n, p in frame_717.parameters.items() if p.unreadable}
+    assert set(told) == {"Rudder Ped Pos", "Lateral Range"}
+    assert [(f.title, f.rate_hz) for f in frame_767.frames.values()] == [
+        ("1 Hz Parameters", 1.0),
+        ("Rudder Exceedance Parameters", None),
+        ("4 Hz Parameters", 4.0),
+    ]
+    assert frame_767.frames[3].size == 12 + 3  # two of 12 bits
 
 
 def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a330):

@@ -143,6 +143,46 @@ def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
     np.testing.assert_allclose(series["SMALL"].value, 0.5 * np.where(raw >= 256, (raw - 256.0) - 4096.0, raw))
 
 
+def test_a_garbled_map_is_read_or_told_of():
+    """Characters lost, doubled or changed: the map is refused with a reason, or decodes into numbers."""
+    xml, csv = XML.decode(), (DATA / "demo_717.csv").read_text()
+    readers = {
+        TOML: read_toml,
+        csv: read_csv,
+        xml: lambda t: read_xml(t.encode()),
+        FRA: lambda t: read_vec({"a.par": PAR.encode("utf-16"), "a.fra": t.encode("utf-16")}),
+        PAR: lambda t: read_vec({"a.par": t.encode("utf-16"), "a.fra": FRA.encode("utf-16")}),
+    }
+    refused = 0
+    for n, (text, reader) in enumerate(readers.items()):
+        for seed in range(60):
+            try:
+                series = read(reader(garble(text, np.random.default_rng([seed, n]))))
+            except MapError:
+                refused += 1
+            else:
+                assert all(s.value is None or np.isfinite(s.value[s.known]).all() for s in series.values())
+    assert 60 < refused < 300
+
+
+def garble(text: str, rng: np.random.Generator) -> str:
+    held = list(text)
+    for _ in range(rng.integers(1, 5)):
+        at, size = int(rng.integers(len(held))), int(rng.integers(1, 8))
+        match rng.integers(5):
+            case 0:
+                del held[at : at + size]
+            case 1:
+                held[at] = chr(rng.integers(32, 127))
+            case 2:
+                held[at:at] = str(rng.integers(-5, 99999))
+            case 3:
+                held[at:at] = held[: 40 * size][-40:]
+            case _:
+                held[int(rng.choice([i for i, c in enumerate(held) if c.isdigit()]))] = str(rng.integers(10))
+    return "".join(held)
+
+
 def test_what_only_a_person_can_convert_is_listed_with_the_reason():
     assert "Teledyne Synchro" in read_xml(XML).parameters["RUDDER"].unreadable
     assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
