@@ -10,4 +10,6 @@ _FENCE = re.compile(r"^```math\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """A page's text with its formulas drawn."""
-    return _FENCE.sub(lambda found: f'<div class="formula">{convert(found[1].strip(), display="block")}</div>', markdown)
+    return _FENCE.sub(
+        lambda found: f'<div class="formula">{convert(found[1].strip(), display="block")}</div>', markdown
+    )

@@ -98,3 +98,9 @@ def test_links_of_the_readme_hold_on_a_forge():
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         links = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
         assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_every_room_of_the_core_has_its_page_of_reference():
+    rooms = {p.name for p in (ROOT / "hdt_core").iterdir() if (p / "__init__.py").exists()}
+    told = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/api").glob("*.md"))
+    assert rooms == set(re.findall(r"^::: hdt_core\.(\w+)$", told, flags=re.MULTILINE))

@@ -1,6 +1,5 @@
 """Where curvature is a doubtful witness, profiles run by themselves and the status says what the data leave open."""
 
-
 import numpy as np
 import pytest
 

@@ -1,0 +1,139 @@
+"""What CONTRIBUTING.md says of adding things, done in a copy of the tree; the suite's own tests judge it.
+
+A component is added by tests/pipelines/test_own_component.py, from outside the tree.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import duckdb
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CODE = ("hdt_core", "pipelines", "dagster_batched", "sql", "tests", "docs", "benchmarks")
+ESTIMATOR = '''"""Least squares that takes more steps."""
+
+from dataclasses import dataclass
+
+from hdt_core.estimation.nls import NonlinearLeastSquares
+
+
+@dataclass(frozen=True, slots=True)
+class PatientLeastSquares(NonlinearLeastSquares):
+    """Nonlinear least squares with five times the steps."""
+
+    name: str = "patient"
+    max_steps: int = 1000
+'''
+STAGE = '''"""How many flights each aircraft has flown."""
+
+import polars as pl
+
+from pipelines.assets.stage import stage
+
+
+@stage
+def flight_counts(raw_flights: pl.DataFrame) -> pl.DataFrame:
+    """Flights of each aircraft on record."""
+    return raw_flights.group_by("operator", "tail").agg(pl.len().cast(pl.Int64).alias("n_flights"))
+'''
+TABLE = '''
+
+class FlightCounts(Table):
+    """One aircraft: how many flights are on record."""
+
+    operator = operator_key()
+    tail = tail_key()
+    n_flights = count("flights on record")
+'''
+VIEW = """-- Which aircraft have flown most?
+-- Grain: operator, tail. Reads: tables.flight_counts.
+create or replace view busiest as
+select *
+from tables.flight_counts;
+"""
+
+
+def replaced(path: Path, before: str, after: str) -> None:
+    text = path.read_text()
+    assert text.count(before) == 1, f"{path.name}: {before}"
+    path.write_text(text.replace(before, after))
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    """A copy with one more estimator, feature, stage and view, by the table of CONTRIBUTING.md."""
+    top = tmp_path_factory.mktemp("tree")
+    for folder in CODE:
+        shutil.copytree(ROOT / folder, top / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for file in ("pyproject.toml", "README.md", "CONTRIBUTING.md"):
+        shutil.copy(ROOT / file, top / file)
+    (top / "data_samples").symlink_to(ROOT / "data_samples")
+    (top / "hdt_core/estimation/patient.py").write_text(ESTIMATOR)
+    methods = top / "hdt_core/estimation/__init__.py"
+    replaced(methods, "    SwarmKalman(),\n)", "    SwarmKalman(),\n    PatientLeastSquares(),\n)")
+    replaced(methods, "from hdt_core.estimation.pinn", "from hdt_core.estimation.patient import PatientLeastSquares\n"
+             "from hdt_core.estimation.pinn")  # fmt: skip
+    replaced(top / "hdt_core/health/features.py", '    if "flight_hours" in given:\n', (
+        '    more.append((pl.col("hx_fouling") ** 2).alias("hx_fouling_squared"))\n    if "flight_hours" in given:\n'
+    ))  # fmt: skip
+    replaced(top / "hdt_core/tables/features.py", '    yield "usage_hours",', (
+        '    yield _number("hx_fouling_squared", "hx_fouling times itself")\n    yield "usage_hours",'
+    ))  # fmt: skip
+    with (top / "hdt_core/tables/raw.py").open("a") as tables:
+        tables.write(TABLE)
+    kept = '    "raw_fleet": Entry('
+    replaced(top / "hdt_core/tables/__init__.py", kept, (
+        '    "flight_counts": Entry(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + kept
+    ))  # fmt: skip
+    replaced(top / "pipelines/lineage.py", '    Stage("prognosis_base",', (
+        '    Stage("flight_counts", "raw", alike("flight_counts", parents=("raw_flights",))),\n'
+        '    Stage("prognosis_base",'
+    ))  # fmt: skip
+    (top / "pipelines/assets/flight_counts.py").write_text(STAGE)
+    (top / "sql/views/busiest.sql").write_text(VIEW)
+    done = python(top, "-m", "pipelines.dictionary", "docs/data-dictionary.md")
+    assert done.returncode == 0, done.stderr
+    return top
+
+
+def python(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    env = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+    env |= {"PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        [sys.executable, *words], cwd=tree, env=env, capture_output=True, text=True, timeout=500, check=False
+    )
+
+
+def test_the_suite_takes_what_was_added(tree):
+    """Contract of estimators, declared features, order of stages, views and their meanings."""
+    relevant = (
+        "tests/hdt_core/estimation/test_estimators.py",
+        "tests/pipelines/test_order.py",
+        "tests/sql/test_sample_fleet.py::test_a_view_is_a_question_with_grain_and_sources",
+        "tests/sql/test_sample_fleet.py::test_every_column_of_every_view_has_a_meaning",
+        "tests/sql/test_sample_fleet.py::test_the_data_dictionary_is_up_to_date",
+    )
+    done = python(tree, "-m", "pytest", "-vv", "-p", "no:cacheprovider", "-k", "patient or not estimator", *relevant)
+    assert done.returncode == 0, done.stdout[-3000:]
+    for added in ("[patient] PASSED", "sources[busiest] PASSED"):
+        assert added in done.stdout
+
+
+def test_a_night_makes_them(tree, tmp_path):
+    landing, aircraft = tmp_path / "landing", "AQX/LX-AAB"
+    acms = ROOT / "data_samples" / aircraft / "acms"
+    (landing / aircraft / "acms").mkdir(parents=True)
+    for file in sorted(acms.glob("*.csv"))[-6:]:
+        shutil.copy(file, landing / aircraft / "acms")
+    lines = (ROOT / "data_samples/fleet.csv").read_text().splitlines()
+    (landing / "fleet.csv").write_text("\n".join([lines[0], *(x for x in lines if ",LX-AAB," in x)]) + "\n")
+    night = "from pipelines.cli import main; main()"
+    done = python(tree, "-c", night, "nightly", "--landing", str(landing), "--home", str(tmp_path / "home"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    with duckdb.connect(str(tmp_path / "home/catalog.duckdb"), read_only=True) as con:
+        assert con.sql("select tail, n_flights from busiest").fetchall() == [("LX-AAB", 6)]
+        assert con.sql("select count(*) from features where hx_fouling_squared = hx_fouling ** 2").fetchall()[0][0] > 0
