@@ -210,7 +210,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="10"),
+        alike("features_alerts", parents=("features",), code="11"),
     ),
     Stage(
         "raw_components",

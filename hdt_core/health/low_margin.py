@@ -11,8 +11,8 @@ from hdt_core.health.detection import Array, persistent, since
 from hdt_core.health.episodes import Case, Limits, spells
 from hdt_core.health.grid import Grid
 
-SETTLED = 5
-"""Flights of a new or washed unit before its margin is believed."""
+SETTLED = 1
+"""Flights of a new or washed unit before its margin is believed; four of five must say so as it is."""
 FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", "overheat_p20_k")
 
 

@@ -77,3 +77,5 @@ def test_it_ends_with_the_unit():
     said = raise_alerts(flights, HEALTH, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
     assert said["closed_at"][0] is not None
     assert said["closed_at"][0].date() > done
+    # the next unit has as little reserve, and its message may come within twenty flights
+    assert said["raised_at"].to_list()[1] - said["closed_at"][0] <= timedelta(hours=8 * 7)
