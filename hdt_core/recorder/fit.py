@@ -9,7 +9,7 @@ from hdt_core.recorder.bitstream import Bytes, Packing
 from hdt_core.recorder.decode import Series, decode_717, decode_767
 from hdt_core.recorder.frames_717 import find_packing, find_word_count
 from hdt_core.recorder.frames_767 import Found, Recording767, arrange_767, find_frames
-from hdt_core.recorder.layout import Map717, Map767, MapError, Parameter, ParameterMap
+from hdt_core.recorder.layout import WHOLE, Map717, Map767, MapError, Parameter, ParameterMap
 from hdt_core.recorder.timeline_717 import Recording717, arrange
 
 COUNTS = 0.5
@@ -148,7 +148,7 @@ def _check_values(series: Iterable[Series]) -> None:
 def _share_impossible(one: Series) -> float | None:
     """Share of undamaged values that can't be; None for a parameter that tells nothing."""
     p, n = one.parameter, int(one.whole.sum())
-    if not n or p.name.endswith(".whole") or p.coding.kind == "discrete":
+    if not n or p.name.endswith(WHOLE) or p.coding.kind == "discrete":
         return None
     wrong = ~one.known
     if one.value is not None:

@@ -12,13 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hdt_core.recorder.bitstream import Bytes
-from hdt_core.recorder.layout import HEAD_767, Damage, Frame767
+from hdt_core.recorder.layout import FILLED_GAP_S, HEAD_767, Damage, Frame767
 
 SYNC_767 = 0xEB90
 HEAD_FRAME = 1
 """Number of the frame that names the recording's configuration."""
-FILLED_GAP_S = 600.0
-"""A shorter gap is damage, and its frames are there as nulls; a longer one is a recorder that stood still."""
 STEADY = 0.5
 """Share of frames at one fraction of their period from which the others' times are damage."""
 Ints = npt.NDArray[np.int64]

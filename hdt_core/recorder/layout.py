@@ -142,6 +142,10 @@ class Map767:
 
 
 ParameterMap = Map717 | Map767
+WHOLE = ".whole"
+"""Ends the name of a parameter as it must be meant, beside as its map lists it: `vec_frames` says when."""
+FILLED_GAP_S = 600.0
+"""A shorter gap is damage, and its frames are there as nulls; a longer one is a recorder that stood still."""
 HEAD_767 = 12
 """Bytes of an ARINC 767 frame beside its data: sync, length, time, number, and the number again."""
 

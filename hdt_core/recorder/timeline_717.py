@@ -10,13 +10,11 @@ import numpy.typing as npt
 
 from hdt_core.recorder.bitstream import Bytes, Packing, Words12
 from hdt_core.recorder.frames_717 import Finder, Run
-from hdt_core.recorder.layout import Damage, Map717
+from hdt_core.recorder.layout import FILLED_GAP_S, Damage, Map717
 
 A = TypeVar("A", bound=np.generic)
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
-FILLED_GAP_S = 600.0
-"""A shorter gap is damage, and its frames are there as nulls; a longer one is a recorder that stood still."""
 
 
 @dataclass(frozen=True, slots=True)

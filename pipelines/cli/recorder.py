@@ -67,6 +67,8 @@ def decode_parameters(
         f"{done.parameters} parameters, {done.rows:,} values, {done.nulls:,} of them null: {target}", soft_wrap=True
     )
     out.print(_damage_line(recording.damage), soft_wrap=True)
+    if not parameter and (skipped := sum(bool(p.unreadable) for p in layout.parameters.values())):
+        out.print(f"{skipped} parameters have no value; `hdt recorder list` says why.", soft_wrap=True)
 
 
 @recorder.command("reports")
