@@ -18,7 +18,7 @@ import duckdb
 from hdt_core.tables import TABLES
 from pipelines.storage.files import replacing
 from pipelines.storage.hashes import digest
-from pipelines.storage.headers import Header, declared, meaning, read_header
+from pipelines.storage.headers import Header, declared_columns, meanings, read_header
 from pipelines.storage.objects import StoreError
 from pipelines.storage.store import URL, Store
 
@@ -74,7 +74,7 @@ def fault_of(home: Path) -> str | None:
 
 def _made_as(store: Store) -> str:
     """Of what a catalog is made."""
-    said = [f"{name}.{c} {declared(k)}" for name, t in TABLES.items() for c, k in t.schema.columns().items()]
+    said = [f"{table}.{c} {means}" for table in TABLES for c, means in declared_columns(table).items()]
     return digest(_folder(store), *(sql for _, sql in sorted(views().items())), *said)
 
 
@@ -119,15 +119,16 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, sources: list[str]) -
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
     """What each declared column of `tables.<table>` means, as its comment."""
-    for column, kind in TABLES[table].schema.columns().items():
-        con.execute(f"comment on column tables.{table}.{column} is {_quoted(declared(kind))}")
+    for column, means in declared_columns(table).items():
+        con.execute(f"comment on column tables.{table}.{column} is {_quoted(means)}")
 
 
 def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]) -> None:
     """The question on the view, the meaning on each of its columns."""
     con.execute(f"comment on view {name} is {_quoted(known[name].question)}")
-    for column, *_ in con.execute(f"describe {name}").fetchall():
-        con.execute(f'comment on column {name}."{column}" is {_quoted(meaning(name, column, known))}')
+    columns = [column for column, *_ in con.execute(f"describe {name}").fetchall()]
+    for column, means in meanings(name, columns, known).items():
+        con.execute(f'comment on column {name}."{column}" is {_quoted(means)}')
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:

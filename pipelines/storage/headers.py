@@ -1,6 +1,7 @@
 """What views and columns mean: headers of the views, declarations of the tables."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import dataframely as dy
@@ -35,6 +36,16 @@ def read_header(sql: str) -> Header:
     text = {k: " ".join(v).strip() for k, v in said.items()}
     reads = tuple(r.strip() for r in text.pop("Reads", "").rstrip(".").split(",") if r.strip())
     return Header(question, text.pop(""), text.pop("Grain", "").rstrip("."), reads, text)
+
+
+def meanings(view: str, columns: Iterable[str], known: dict[str, Header]) -> dict[str, str]:
+    """`meaning` of some columns of a view."""
+    return {column: meaning(view, column, known) for column in columns}
+
+
+def declared_columns(table: str) -> dict[str, str]:
+    """What each declared column of a table means, with its unit."""
+    return {name: declared(column) for name, column in TABLES[table].schema.columns().items()}
 
 
 def meaning(view: str, column: str, known: dict[str, Header]) -> str:
