@@ -43,6 +43,8 @@ _OUR_WORDS = (
     ),
 )
 """Text columns that hold the project's own codes and no name of anything. All others are searched for tails."""
+_OF_NO_AIRCRAFT = {"components"}
+"""Tables that hold declarations and no operator's rows. Any other without an operator is refused."""
 _BATCH_ROWS = 200_000
 KEY_BYTES = 16
 
@@ -148,7 +150,7 @@ def build(con: duckdb.DuckDBPyConnection, home: Path, sight: AccessScope) -> Non
 def _copy(source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, sight: AccessScope) -> None:
     everything = source.sql(f"select * from tables.{table}")
     seen = everything
-    if sight.operator is not None:
+    if sight.operator is not None and table not in _OF_NO_AIRCRAFT:
         own = "operator = $1"
         if "file" in everything.columns:  # files refused before anyone knew whose they are lie in the operator's folder
             own = "operator = $1 or (coalesce(operator, '') = '' and starts_with(file, $1 || '/'))"
