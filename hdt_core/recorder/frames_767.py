@@ -17,8 +17,8 @@ from hdt_core.recorder.layout import FILLED_GAP_S, HEAD_767, Damage, Frame767
 SYNC_767 = 0xEB90
 HEAD_FRAME = 1
 """Number of the frame that names the recording's configuration."""
-STEADY = 0.5
-"""Share of frames at one fraction of their period from which the others' times are damage."""
+STEADY, RARE = 0.5, 0.02
+"""If this share of frames comes at one fraction of the period, a fraction rarer than the second is a damaged time."""
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
@@ -129,12 +129,13 @@ def _between_neighbours(time_ms: Ints) -> Flags:
 
 
 def _on_beat(time_ms: Ints, kind: Frame767) -> Flags:
-    """Whether a frame comes at the same fraction of its period as nearly all others; of a recorder that drifts, all."""
+    """Whether a frame comes at a fraction of its period at which others come; of a recorder without a beat, all do."""
     if not kind.rate_hz or not time_ms.size:
         return np.ones(time_ms.size, bool)
-    phase = time_ms % round(1000.0 / kind.rate_hz)
-    usual, times = np.unique(phase, return_counts=True)
-    return phase == usual[times.argmax()] if times.max() >= STEADY * phase.size else np.ones(phase.size, bool)
+    _, which, times = np.unique(time_ms % round(1000.0 / kind.rate_hz), return_inverse=True, return_counts=True)
+    steady = times.max() >= STEADY * time_ms.size
+    common: Flags = times >= max(2.0, RARE * time_ms.size)
+    return common[which] if steady else np.ones(time_ms.size, bool)
 
 
 def _of_one_kind(data: Bytes, found: Found, at: Ints, kind: Frame767, end_s: float) -> Frames:

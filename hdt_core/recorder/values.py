@@ -41,7 +41,8 @@ class Values:
 
 def read_words(words: Words, coding: Coding) -> Values:
     """Values of the raw words of one parameter, (n,) uint64."""
-    return _READERS[coding.kind](words, coding)
+    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is not finite, and not known
+        return _READERS[coding.kind](words, coding)
 
 
 def cut(words: Words, low: int, bits: int) -> Words:
@@ -103,10 +104,9 @@ def _label(numbers: npt.NDArray[Any], write: Callable[[Any], str]) -> Labels:
 def _float(words: Words, coding: Coding) -> Values:
     kind = {16: np.float16, 32: np.float32, 64: np.float64}[coding.bits]
     bits = cut(words, coding.low, coding.bits).astype(f"uint{coding.bits}")
-    with np.errstate(invalid="ignore", over="ignore"):
-        value = bits.view(kind).astype(np.float64)
-        for step in coding.steps:
-            value = step(value)
+    value = bits.view(kind).astype(np.float64)
+    for step in coding.steps:
+        value = step(value)
     return Values(value, None, np.isfinite(value))
 
 

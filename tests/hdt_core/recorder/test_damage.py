@@ -176,6 +176,16 @@ def test_a_lost_arinc_767_frame_is_null_at_its_time():
     np.testing.assert_allclose(np.diff(series.t_s), 1.0)
 
 
+def test_a_recorder_whose_times_jitter_loses_nothing():
+    rng = np.random.default_rng(9)
+    data = bytearray(frames_767(DEMO_767, raw_767(9)))
+    found = find_frames(np.frombuffer(data, np.uint8))
+    for place, number, time_ms in zip(found.place, found.number, found.time_ms, strict=True):
+        if number == 4:
+            data[place + 4 : place + 8] = int(time_ms + rng.integers(3)).to_bytes(4, "big")
+    assert arranged_767(data).frames[4].whole.all()
+
+
 @pytest.mark.parametrize("data", [b"", b"\x47", b"\xeb\x90", bytes(5000), b"\xeb\x90" * 3000], ids=range(5))
 def test_no_recording_at_all_has_no_frames(data):
     assert find_packing(np.frombuffer(data, np.uint8), 64) is None
