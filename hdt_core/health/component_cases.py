@@ -17,6 +17,7 @@ from hdt_core.health.episodes import Case, Limits, spells
 from hdt_core.health.evidence import NEUTRAL, SUPPORTS, Evidence, Witness
 from hdt_core.health.features import features
 from hdt_core.health.grid import Grid
+from hdt_core.health.wear import odds_above
 from hdt_core.health.wording import Facts, stated_probability
 
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
@@ -88,9 +89,7 @@ def _worn(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: L
     """Loss above its limit with enough probability on three of four flights, until it has long been below."""
     ended = grid.worked_on(maintenance, (component.code,), component.ended_by)
     loss, sd = grid.values("loss"), grid.values("loss_sd")
-    with np.errstate(invalid="ignore"):
-        odds = ndtr((loss - component.warn_loss) / np.maximum(sd, 1e-6))
-    sure = np.nan_to_num(odds) > limits.fouling_odds
+    sure = odds_above(loss, sd, component.warn_loss) > limits.fouling_odds
     keep = np.nan_to_num(loss) > 0.75 * component.warn_loss
     on = persistent(sure, 3, 4, 15, keep=keep, ended=ended)
     return [

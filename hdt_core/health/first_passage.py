@@ -26,7 +26,7 @@ NODES = ndtri((np.arange(5) + 0.5) / 5.0)
 """Standard normal nodes of equal weight that stand for the doubt about the rate."""
 SLOPE_SD, SLOPE_FLIGHTS = 0.010, 60.0
 """Scatter of a flight's ln ratio that a slope is taken from, and flights after which its error stops falling."""
-RATIO_SD = 0.012
+LEFT_RATIO_SD = 0.012
 """What is not known of the ratio that is left, beside what `ASK_SD` says of the question. [-]"""
 ASK_SD = 0.03
 """What the quantiles of a window leave out: the map's error and the coarseness of six quantiles. [-]"""
@@ -115,7 +115,7 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     levels = np.stack([asks_now[name] for name in ASKED[: len(LEVELS)]], axis=1)
     by = passage(
         ratio,
-        np.full(ratio.size, RATIO_SD),
+        np.full(ratio.size, LEFT_RATIO_SD),
         levels,
         *rate,
         np.array([0.0, 10.0, 25.0, 50.0, 100.0, 150.0, 200.0, 300.0]),

@@ -11,7 +11,7 @@ from hdt_core.twin.crossing import FLIGHT_PACK
 
 HELD_SD_K = {"flight": 0.5, "pack": 2.0}
 """How well the held level is known: from the flight itself, or from the pack's others (trims differ by 2 K)."""
-RATIO_SD = 0.025
+TOLD_RATIO_SD = 0.025
 """What is not known of the conductance that is left at full door: the flight's scatter, and the map where it was seldom
 seen. ln [-]"""
 UNIT_FLIGHTS = 30
@@ -78,7 +78,7 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         strict=True,
     )
     held_sd = rows["held_status"].replace_strict(HELD_SD_K, default=None, return_dtype=pl.Float64).to_numpy()
-    sds = [np.sqrt((RATIO_SD * slope) ** 2 + held_sd**2) for slope in per_ratio]
+    sds = [np.sqrt((TOLD_RATIO_SD * slope) ** 2 + held_sd**2) for slope in per_ratio]
     clean = rows.select(pl.sum_horizontal(PARTS[:-1])).to_series().to_numpy()
     named = {
         "hx_margin_k": margins[0], "hx_margin_sd_k": sds[0],

@@ -44,7 +44,7 @@ def hx_cases(
     trusted = settled & (~lingering(sick, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
     gained = risen(np.where(lingering(sick, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), ended)
     limit = limits.fouling + (0.0 if planned is None else np.where(planned, BEYOND_DOUBT, 0.0))
-    worn = (_odds(loss, sd, limit) > limits.fouling_odds) | (gained > limit + RISE_MARGIN)
+    worn = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gained > limit + RISE_MARGIN)
     sure = worn | _soon(grid, loss, sd, limits)
     keep = np.fmax(loss, gained) > 0.75 * limits.fouling_soon
     fouled = persistent(sure & trusted, 3, 4, 15, keep=keep, ended=ended)
@@ -75,7 +75,7 @@ def _soon(grid: Grid, loss: Array, sd: Array, limits: Limits) -> Array:
     slope = 0.5 * sum(grid.values(f"hx_fouling_slope_{n}_per_flight") for n in (30, 100))
     left = (FAILS_AT - loss) / np.maximum(np.nan_to_num(slope), 1e-6)
     return np.asarray(
-        unknown & (_odds(loss, sd, limits.fouling_soon) > limits.soon_odds) & (left < limits.soon_flights)
+        unknown & (odds_above(loss, sd, limits.fouling_soon) > limits.soon_odds) & (left < limits.soon_flights)
     )
 
 
@@ -125,7 +125,7 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     """Compressor wear: by efficiency where it is known, else by effective diameter against the unit's own start."""
     ended = grid.worked_on(maintenance, ("CC",), ("REPLACED",))
     loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
-    sure = (_odds(loss, sd, limits.compressor) > 0.9) & (loss > 1.2 * limits.compressor) & (since(ended) > SETTLED)
+    sure = (odds_above(loss, sd, limits.compressor) > 0.9) & (loss > 1.2 * limits.compressor) & (since(ended) > SETTLED)
     by_efficiency = persistent(sure, 4, 5, 20, keep=loss > 0.7 * limits.compressor, ended=ended)
     shrunk = _diameter(grid, ended)
     by_diameter = (shrunk[:, :, 1] > 0.5) & ~_ever(np.isfinite(loss)) & ~doubtful
@@ -137,10 +137,10 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
 
 def _hx(grid: Grid, diagnosis: str, spell: tuple[int, int, int | None], gained: Array) -> Case:
     unit, first, end = spell
-    small = np.nonzero(~(grid.values("hx_fouling")[unit, : first + 1] > 0.05))[0]
+    small = np.nonzero(~(grid.track("hx_fouling", unit)[: first + 1] > 0.05))[0]
     facts = {
         "since": int(small[-1]) + 1 if small.size else 0,
-        "jump": float(grid.values("hx_fouling_step_3")[unit, first]),
+        "jump": float(grid.track("hx_fouling_step_3", unit)[first]),
     }
     return Case(unit, "HX", diagnosis, first, end, facts, _reader("gained", gained[unit]))
 
@@ -159,7 +159,7 @@ def _diameter(grid: Grid, ended: Array) -> Array:
     return np.concatenate([shift.moved, smaller.astype(float)], axis=2)
 
 
-def _odds(value: Array, sd: Array, limit: Array | float) -> Array:
+def odds_above(value: Array, sd: Array, limit: Array | float) -> Array:
     """Probability that the quantity is above the limit; 0 where unknown."""
     safe = np.maximum(np.nan_to_num(sd, nan=1.0), 1e-6)
     return np.asarray(np.nan_to_num(ndtr((value - limit) / safe)))

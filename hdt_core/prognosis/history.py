@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hdt_core.health.conditions import ASKED, LEVELS, asked
-from hdt_core.health.first_passage import RATIO_SD, passage, wear_rate
+from hdt_core.health.first_passage import LEFT_RATIO_SD, passage, wear_rate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -166,7 +166,7 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
 
 def _passages(ratio: Array, asks: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
     """The physical forecast at each flight, before any learner: see `first_passage`."""
-    by = passage(ratio, np.full(rate.size, RATIO_SD), asks, rate, rate_sd, _EDGES)
+    by = passage(ratio, np.full(rate.size, LEFT_RATIO_SD), asks, rate, rate_sd, _EDGES)
     at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], AHEAD, strict=True)}
     return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
 
