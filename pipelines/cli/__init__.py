@@ -3,7 +3,6 @@
 import sqlite3
 import sys
 
-from hdt_core.components import ComponentError
 from pipelines.cli import look, make, night, recorder, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.orchestration.stops import StoppedError, ends_in_order
@@ -37,12 +36,13 @@ def main() -> None:
 
 def _of_a_night(error: Exception) -> str:
     """What a night can't do, in its own words; any other error goes on its way."""
-    if isinstance(error, ComponentError):
-        return f"{error}; mend or uninstall it"
+    from hdt_core.components import ComponentError
     from pipelines.orchestration.local_executor import EngineError
     from pipelines.orchestration.nightly import BusyError
     from pipelines.storage.postgres import DatabaseError
 
+    if isinstance(error, ComponentError):
+        return f"{error}; mend or uninstall it"
     return str(error) if isinstance(error, BusyError | DatabaseError | EngineError) else _of_the_disk(error)
 
 
