@@ -20,7 +20,8 @@ from pipelines.intake.times import to_utc, zone_note
 from pipelines.storage.panics import first_line, panics_as_errors
 
 REQUIRED = ("flight_id", "report_time")
-KEY = ["component", "flight_id", "pack", "time_utc"]
+FLIGHT = ["operator", "tail", "component", "flight_id"]
+KEY = [*FLIGHT, "pack", "time_utc"]
 SCHEMA = {
     "operator": pl.String(), "tail": pl.String(), "flight_id": pl.String(), "pack": pl.Int32(),
     "component": pl.String(), "time_utc": pl.Datetime("us", "UTC"), "signal": pl.String(), "value": pl.Float64(),
@@ -59,7 +60,7 @@ def read_components(
         Counts are of lines; each line is stored, kept aside or said nothing new. Never raises for what a file holds.
     """
     read = [_one_file(file, now, packs.get((file.operator, file.tail), 2)) for file in files]
-    wide = pl.concat([_numbered(f.rows, i) for i, f in enumerate(read)], how="diagonal")
+    wide = pl.concat([_placed(f.rows, i, files[i]) for i, f in enumerate(read)], how="diagonal")
     won = _settled(wide)
     return [_delivered(files[i], f, wide, won, i) for i, f in enumerate(read)]
 
@@ -162,17 +163,20 @@ def _channels(component: Component) -> Sequence[Channel]:
     return component.record.channels if component.record else ()
 
 
-def _numbered(rows: pl.DataFrame, index: int) -> pl.DataFrame:
+def _placed(rows: pl.DataFrame, index: int, file: LandingFile) -> pl.DataFrame:
+    """Rows of one file with the aircraft they belong to: another's flights may bear the same names."""
     keys = {**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64()}
     frame = rows if rows.width else pl.DataFrame(schema=keys)
-    return frame.with_columns(pl.lit(index, pl.Int64).alias("index"))
+    return frame.with_columns(
+        pl.lit(index, pl.Int64).alias("index"), operator=pl.lit(file.operator), tail=pl.lit(file.tail)
+    )
 
 
 def _settled(wide: pl.DataFrame) -> pl.DataFrame:
     """Rows that are stored: of each flight those of one file, the one with most rows, then the last by name."""
-    sizes = wide.group_by("component", "flight_id", "index").len().sort("len", "index", descending=True)
-    first = sizes.unique(["component", "flight_id"], keep="first", maintain_order=True).drop("len")
-    own = wide.join(first, on=["component", "flight_id", "index"], how="semi").sort("index", "row")
+    sizes = wide.group_by(*FLIGHT, "index").len().sort("len", "index", descending=True)
+    first = sizes.unique(FLIGHT, keep="first", maintain_order=True).drop("len")
+    own = wide.join(first, on=[*FLIGHT, "index"], how="semi").sort("index", "row")
     return own.unique([*KEY, "index"], keep="first", maintain_order=True)
 
 
@@ -189,7 +193,6 @@ def _delivered(file: LandingFile, read: _Read, wide: pl.DataFrame, won: pl.DataF
         for row, flight in differ.select("row", "flight_id").rows()
     ]  # fmt: skip
     rows = kept.unpivot(signals, index=KEY, variable_name="signal", value_name="value").drop_nulls("value")
-    where = {"operator": pl.lit(file.operator), "tail": pl.lit(file.tail), "file": pl.lit(file.path)}
     told = quarantine(file.path, file.received_at, [*read.faults, *conflicts])
-    stored = rows.with_columns(**where).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
+    stored = rows.with_columns(file=pl.lit(file.path)).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
     return Delivered(stored, told, read.n_rows, kept.height, same.height)

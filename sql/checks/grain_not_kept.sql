@@ -4,50 +4,50 @@
 -- alerts, design_parameters, deliveries.
 select
     'flights' as view_name,
-    [operator::varchar, flight_id::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar] as key_values,
     count(*) as n
 from flights
-group by operator, flight_id
+group by operator, tail, flight_id
 having count(*) > 1
 union all
 select
     'legs' as view_name,
-    [operator::varchar, flight_id::varchar, pack::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar, pack::varchar] as key_values,
     count(*) as n
 from legs
-group by operator, flight_id, pack
+group by operator, tail, flight_id, pack
 having count(*) > 1
 union all
 select
     'health_parameters' as view_name,
-    [operator::varchar, flight_id::varchar, pack::varchar, parameter::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar, pack::varchar, parameter::varchar] as key_values,
     count(*) as n
 from health_parameters
-group by operator, flight_id, pack, parameter
+group by operator, tail, flight_id, pack, parameter
 having count(*) > 1
 union all
 select
     'residuals' as view_name,
-    [operator::varchar, flight_id::varchar, pack::varchar, signal::varchar, kind::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar, pack::varchar, signal::varchar, kind::varchar] as key_values,
     count(*) as n
 from residuals
-group by operator, flight_id, pack, signal, kind
+group by operator, tail, flight_id, pack, signal, kind
 having count(*) > 1
 union all
 select
     'features' as view_name,
-    [operator::varchar, flight_id::varchar, pack::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar, pack::varchar] as key_values,
     count(*) as n
 from features
-group by operator, flight_id, pack
+group by operator, tail, flight_id, pack
 having count(*) > 1
 union all
 select
     'prognoses' as view_name,
-    [operator::varchar, flight_id::varchar, pack::varchar, component::varchar] as key_values,
+    [operator::varchar, tail::varchar, flight_id::varchar, pack::varchar, component::varchar] as key_values,
     count(*) as n
 from prognoses
-group by operator, flight_id, pack, component
+group by operator, tail, flight_id, pack, component
 having count(*) > 1
 union all
 select

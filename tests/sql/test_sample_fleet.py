@@ -78,7 +78,7 @@ def test_every_feature_is_declared_and_every_declared_feature_is_made(sample):
 @pytest.mark.parametrize("name", [v for v in views() if v != "quarantine"])  # a list of things refused: no key
 def test_a_view_keeps_its_grain(sample, name):
     key = re.sub(r"\(.*?\)|, of .*", "", read_header(views()[name]).grain).split(", ")
-    named = {"flight": "operator, flight_id", "alert": "alert_id"}
+    named = {"flight": "operator, tail, flight_id", "alert": "alert_id"}
     key = ", ".join(named.get(k.strip(), k.strip()) for k in key)
     if "pack" in key and "operator" not in key:
         key += ", operator, tail"
