@@ -13,6 +13,8 @@ from nights import run
 
 from benchmarks import object_server
 
+# scikit-learn's trees spin where the threads of two test processes outnumber the cores: three to ten times slower
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:
     # DuckDB's binding (nanobind) lists every object that is still held when an interpreter is torn down, and a worker
     # that has run hundreds of tests holds some. Registered first, so it runs last: after every other handler.

@@ -37,12 +37,13 @@ def main() -> None:
 def _of_a_night(error: Exception) -> str:
     """What a night can't do, in its own words; any other error goes on its way."""
     from hdt_core.components import ComponentError
+
+    if isinstance(error, ComponentError):
+        return f"{error}; mend or uninstall it"
     from pipelines.orchestration.local_executor import EngineError
     from pipelines.orchestration.nightly import BusyError
     from pipelines.storage.postgres import DatabaseError
 
-    if isinstance(error, ComponentError):
-        return f"{error}; mend or uninstall it"
     return str(error) if isinstance(error, BusyError | DatabaseError | EngineError) else _of_the_disk(error)
 
 

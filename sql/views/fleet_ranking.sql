@@ -15,12 +15,10 @@
 -- place: 1 is the most urgent
 -- Grain: pack. Reads: health_parameters, prognoses, alert_states, tables.components.
 create or replace view fleet_ranking as
-with packs as (
+with others as (
     select component
     from tables.components
-    where not recorded
-    union all
-    select unnest(['RAM_DOOR', 'SENSOR']) as component
+    where recorded
 ),
 
 latest as (
@@ -35,7 +33,7 @@ latest as (
         arg_max(value, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss,
         arg_max(sd, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss_sd
     from health_parameters
-    where component in (select p.component from packs as p)
+    where component not in (select o.component from others as o)
     group by operator, tail, pack
 ),
 
@@ -64,7 +62,7 @@ diagnosed as (
         min(raised_at) as raised_at,
         bool_or(urgency = 'act') as any_act
     from alert_states
-    where closed_at is null and component in (select p.component from packs as p)
+    where closed_at is null and component not in (select o.component from others as o)
     group by operator, tail, pack, diagnosis
 ),
 

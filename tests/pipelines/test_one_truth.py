@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 from typer.testing import CliRunner
 
+from hdt_core.components import component_rows
 from pipelines.cli import app
 from pipelines.cli.night import _ranking
 from pipelines.report.explain import explain
@@ -70,6 +71,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
             else:
                 store.replace(name, ("AAA", tail), pl.DataFrame(rows, infer_schema_length=None))
     store.replace("prognoses", FLEET, pl.DataFrame(outlook))
+    store.replace("components", FLEET, pl.DataFrame(component_rows()))
     publish(where)
     return where
 

@@ -117,11 +117,18 @@ def test_the_twin_recovers_the_injected_loss(page):
 
 
 def test_the_health_track_rises_by_it(page):
-    """Filtered along the pack like any wear: within three of its standard deviations, and six points, in the end."""
+    """Filtered along the pack like any wear: within three of its standard deviations, and six points, in the end.
+
+    The aircraft's log is kept: it has spoken of an inspection. Of one that says nothing at all a new core may be missing.
+    """
     tail, first = page["TAIL"], page["first"]
+    flown = page["as_flown"].filter(pl.col("tail") == tail)
+    looked = {"operator": flown["operator"][0], "tail": tail, "pack": PACK, "component": "HX", "action": "INSPECTED"}
+    day = flown["departed_at"].dt.date().min()
+    log = pl.concat([page["no_work"], pl.DataFrame([looked | {"done_on": day}])], how="diagonal_relaxed")
     made = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
     after = estimate_flights(page["judged"](made.rows, tail)[1], page["dsm"])
-    both = [track(f, page["no_work"], page["dsm"]) for f in (after, page["as_flown"].filter(pl.col("tail") == tail))]
+    both = [track(f, log, page["dsm"]) for f in (after, flown)]
     late, before = (
         t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
         for t in both
