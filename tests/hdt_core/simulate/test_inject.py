@@ -119,7 +119,7 @@ def test_the_twin_recovers_the_injected_loss(page):
 def test_the_health_track_rises_by_it(page):
     """Filtered along the pack like any wear: within three of its standard deviations, and six points, in the end.
 
-    The aircraft's log is kept: it has spoken of an inspection. Of one that says nothing at all a new core may be missing.
+    The log is kept: it has spoken of an inspection. In one that says nothing at all a new core may be missing.
     """
     tail, first = page["TAIL"], page["first"]
     flown = page["as_flown"].filter(pl.col("tail") == tail)
