@@ -3,9 +3,10 @@
 import polars as pl
 
 from hdt_core.components import Component
+from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.steady import drift_free
 
-LEG = ["operator", "tail", "flight_id", "pack"]
+LEG = list(LEG_KEY)
 MIN_SAMPLES = 5
 """Samples below which a flight says nothing of a component."""
 REASONS = {

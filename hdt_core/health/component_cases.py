@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import polars as pl
-from scipy.special import ndtr
 
 from hdt_core.components import Component
 from hdt_core.health.alerts import SCHEMA, alert_row, end_with_the_unit
@@ -18,7 +17,7 @@ from hdt_core.health.evidence import NEUTRAL, SUPPORTS, Evidence, Witness
 from hdt_core.health.features import features
 from hdt_core.health.grid import Grid
 from hdt_core.health.wear import odds_above
-from hdt_core.health.wording import Facts, stated_probability
+from hdt_core.health.wording import Facts, chance_above
 
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
 TRENDS = ("sd", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
@@ -106,7 +105,7 @@ def _began(sure: np.ndarray, first: int) -> int:
 
 def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
     loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
-    above = stated_probability(float(ndtr((loss - component.warn_loss) / max(sd, 1e-6))))
+    above = chance_above(loss, component.warn_loss, sd)
     moved = (
         f"{component.lost} ({component.loss}) {100 * loss:.0f} +- {100 * sd:.0f} %, {loss / max(sd, 1e-6):.0f} sigma; "
         f"above {100 * component.warn_loss:.0f} % since {since}, and with probability {above}"

@@ -53,14 +53,14 @@ def sensor_named(facts: Facts) -> str:
     return f"; sensor: {str(said['meaning']).partition(' (')[0]} ({facts['sensor']})"
 
 
-def stated_probability(p: float) -> str:
-    """A probability in words; never a certainty."""
+def _probability(p: float) -> str:
+    """In words; never a certainty."""
     return "above 0.99" if p > 0.99 else f"{p:.2f}"
 
 
-def _above(value: float, limit: float, sd: float) -> str:
+def chance_above(value: float, limit: float, sd: float) -> str:
     """Chance that an estimate above a limit is truly above it, in words."""
-    return stated_probability(float(ndtr((value - limit) / max(sd, 1e-6))))
+    return _probability(float(ndtr((value - limit) / max(sd, 1e-6))))
 
 
 def exchanger(facts: Facts, since: str) -> Evidence:
@@ -69,7 +69,7 @@ def exchanger(facts: Facts, since: str) -> Evidence:
     slope = facts["hx_fouling_slope_30_per_flight"]
     moved = (
         f"UA lost (hx_fouling) {100 * loss:.0f} +- {100 * sd:.0f} %, {loss / max(sd, 1e-6):.0f} sigma; "
-        f"above {100 * WORN:.0f} % since {since}, and with probability {_above(loss, WORN, sd)}"
+        f"above {100 * WORN:.0f} % since {since}, and with probability {chance_above(loss, WORN, sd)}"
     )
     if slope > 1e-5:
         moved += f"; {1000 * slope:.1f} points more every ten flights (trend of 30)"
@@ -147,7 +147,7 @@ def low_margin(facts: Facts, since: str) -> Evidence:
     moved = (
         f"With the ram door full open the outlet would stand {_kelvin(facts['hx_margin_k'])} its level in the hottest "
         f"fifth of the last flight, {_kelvin(facts['hx_margin_hot_day_k'])} it on a hot day (ISA + 15 K); message "
-        f"21-52-HXTEMP within 300 flights with probability {stated_probability(facts['hx_passage_300'])}, "
+        f"21-52-HXTEMP within 300 flights with probability {_probability(facts['hx_passage_300'])}, "
         f"believed since {since}"
     )
     parts = {
@@ -180,7 +180,7 @@ def compressor(facts: Facts, since: str) -> Evidence:
         moved = (
             f"Compressor efficiency (cc_efficiency_loss) is {100 * loss:.1f} +- {100 * sd:.1f} % below expectation, "
             f"{loss / max(sd, 1e-6):.0f} sigma, believed since {since}; worn at all (above {100 * WORN:.0f} %) with "
-            f"probability {_above(loss, WORN, sd)}"
+            f"probability {chance_above(loss, WORN, sd)}"
         )
         return Evidence(moved, _diameter(facts), "a drifting exit temperature sensor", waiting)
     moved = (
@@ -240,6 +240,6 @@ def sensor(facts: Facts, since: str) -> Evidence:
         f"{name} left what physics ties it to: {facts['channel']} moved by {facts['moved']:.3g} "
         f"({facts['sigma']:.1f} sigma of the mean) since {since}"
     )
-    fits = f"the pattern over all cross checks fits this sensor with probability {stated_probability(facts['p'])}"
+    fits = f"the pattern over all cross checks fits this sensor with probability {_probability(facts['p'])}"
     witness = Witness(SUPPORTS, fits)
     return Evidence(moved, (witness,), "another sensor of the same checks; wear leaves them alone", WITHOUT)

@@ -2,7 +2,6 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -14,8 +13,9 @@ from hdt_core.prognosis.component_life import component_prognoses
 from hdt_core.records.unit_index import PACK
 from hdt_core.tables import TABLES
 from hdt_core.twin.component_units import calibrated_model, commission, unit_health
+from pipelines.assets.raw import account, left, of_aircraft
 from pipelines.assets.stage import stage
-from pipelines.intake.components import Delivered, read_components
+from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
@@ -37,33 +37,17 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
     files = [f for f in landing_files(Path(home.landing), listed.filter(wanted)) if f.folder in recorded_components()]
     fleet = home.store.read("raw_fleet").drop_nulls("packs").select("operator", "tail", "packs").rows()
     read = read_components(files, datetime.now(UTC), {(o, t): packs for o, t, packs in fleet})
-    here = [f.path for f in files]
+    here, pairs = [f.path for f in files], list(zip(files, read, strict=True))
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        left = scope.read(home.store, table).filter(~pl.col("file").is_in(here))
-        return pl.concat([left, *frames], how="diagonal_relaxed")
+        return pl.concat([left(table, here, scope, home.store), *frames], how="diagonal_relaxed")
 
     rows = with_stored("raw_components", [d.rows for d in read])
     return (
         rows.unique(SAMPLE, keep="last", maintain_order=True),
-        with_stored("raw_components_deliveries", [_account(f.path, f, d) for f, d in zip(files, read, strict=True)]),
-        with_stored("raw_components_quarantine", [_of(f, d.quarantine) for f, d in zip(files, read, strict=True)]),
+        with_stored("raw_components_deliveries", [of_aircraft(f, account(f, d)) for f, d in pairs]),
+        with_stored("raw_components_quarantine", [of_aircraft(f, d.quarantine) for f, d in pairs]),
     )
-
-
-def _of(file: Any, frame: pl.DataFrame) -> pl.DataFrame:
-    return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
-
-
-def _account(path: str, file: Any, read: Delivered) -> pl.DataFrame:
-    quarantined = int(read.quarantine["n_rows"].sum())
-    counts = {
-        "delivered": read.n_delivered,
-        "loaded": read.n_loaded,
-        "quarantined": quarantined,
-        "duplicate": read.n_duplicate,
-    }
-    return _of(file, pl.DataFrame({"file": [path]} | {k: [v] for k, v in counts.items()}))
 
 
 @stage

@@ -8,6 +8,7 @@ import polars as pl
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawFleet
 from pipelines.assets.stage import stage
+from pipelines.intake.components import Delivered
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.logs import Log, read_fleet, read_maintenance, read_messages
@@ -28,7 +29,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     refused = [list_landing(landing).quarantine, rejected.quarantine]
     return (
         pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed"),
-        pl.concat([left, *(_account(f, x) for f, x in lists)], how="vertical_relaxed"),
+        pl.concat([left, *(account(f, x) for f, x in lists)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists)]),
     )
 
@@ -42,15 +43,15 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     fleet = home.store.read("raw_fleet")
     read = [(f, RECORDS[f.kind][1](f, now, fleet)) for f in here]
     tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS]
-    deliveries = [_account(f, x).with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
-    quarantine = [x.quarantine.with_columns(operator=pl.lit(f.operator), tail=pl.lit(f.tail)) for f, x in read]
+    deliveries = [of_aircraft(f, account(f, x)) for f, x in read]
+    quarantine = [of_aircraft(f, x.quarantine) for f, x in read]
     paths = [f.path for f in here]
     return (
         *tables,
-        pl.concat(
-            [_left("raw_records_deliveries", paths, scope, home.store), *deliveries], how="diagonal"
-        ).with_columns(_COUNTED),
-        pl.concat([_left("raw_records_quarantine", paths, scope, home.store), *quarantine], how="diagonal"),
+        pl.concat([left("raw_records_deliveries", paths, scope, home.store), *deliveries], how="diagonal").with_columns(
+            _COUNTED
+        ),
+        pl.concat([left("raw_records_quarantine", paths, scope, home.store), *quarantine], how="diagonal"),
     )
 
 
@@ -70,18 +71,24 @@ def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionSco
     return date_entries(rows) if kind == "maintenance" else rows
 
 
-def _left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
+def left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """What is stored of files that have left the landing zone."""
     return scope.read(store, table).filter(~pl.col("file").is_in(present))
 
 
-def _account(file: LandingFile, log: Log) -> pl.DataFrame:
-    quarantined = int(log.quarantine["n_rows"].sum())
+def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
+    """`frame` with the operator and tail whose folder holds the file."""
+    return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
+
+
+def account(file: LandingFile, read: Log | Delivered) -> pl.DataFrame:
+    """Where the rows of one file went."""
+    quarantined = int(read.quarantine["n_rows"].sum())
     counts = {
-        "delivered": log.n_delivered,
-        "loaded": log.rows.height,
+        "delivered": read.n_delivered,
+        "loaded": read.n_loaded,
         "quarantined": quarantined,
-        "duplicate": log.n_duplicate,
+        "duplicate": read.n_duplicate,
     }
     return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
 

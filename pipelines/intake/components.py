@@ -62,7 +62,11 @@ def read_components(
     read = [_one_file(file, now, packs.get((file.operator, file.tail), 2)) for file in files]
     wide = pl.concat([_placed(f.rows, i, files[i]) for i, f in enumerate(read)], how="diagonal")
     won = _settled(wide)
-    return [_delivered(files[i], f, wide, won, i) for i, f in enumerate(read)]
+    mine, kept = (f.partition_by("index", as_dict=True) for f in (wide, won))
+    return [
+        _delivered(files[i], f, mine.get((i,), wide.clear()), kept.get((i,), won.clear()), won)
+        for i, f in enumerate(read)
+    ]
 
 
 @dataclass(slots=True)
@@ -180,12 +184,11 @@ def _settled(wide: pl.DataFrame) -> pl.DataFrame:
     return own.unique([*KEY, "index"], keep="first", maintain_order=True)
 
 
-def _delivered(file: LandingFile, read: _Read, wide: pl.DataFrame, won: pl.DataFrame, index: int) -> Delivered:
-    """Rows of one file that are stored, and what became of the others."""
-    mine, kept = (f.filter(pl.col("index") == index) for f in (wide, won))
+def _delivered(file: LandingFile, read: _Read, mine: pl.DataFrame, kept: pl.DataFrame, won: pl.DataFrame) -> Delivered:
+    """What became of `mine`, the rows of one file, of which `kept` are stored; `won` are those stored of any file."""
     lost = mine.join(kept.select("row"), on="row", how="anti")
-    signals = [c for c in wide.columns if c not in (*KEY, "row", "index")]
-    same = lost.join(won.select(*KEY, *signals), on=[*KEY, *signals], how="semi", nulls_equal=True)
+    signals = [c for c in mine.columns if c not in (*KEY, "row", "index")]
+    same = lost.join(won, on=[*KEY, *signals], how="semi", nulls_equal=True) if lost.height else lost
     differ = lost.join(same.select("row"), on="row", how="anti")
     conflicts = [
         Fault("conflicting_delivery", row, detail="Another row of this flight and time is stored.", n_rows=1,

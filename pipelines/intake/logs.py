@@ -50,6 +50,11 @@ class Log:
     n_delivered: int
     n_duplicate: int
 
+    @property
+    def n_loaded(self) -> int:
+        """Rows stored."""
+        return self.rows.height
+
 
 def read_messages(file: LandingFile, now: datetime, fleet: pl.DataFrame | None = None) -> Log:
     """Maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`.

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from packages import install
 
 from hdt_core.components import Channel, Record, components
 from hdt_core.components.compressor import CC
@@ -14,16 +15,6 @@ from hdt_core.components.exchanger import HX
 from hdt_core.physics.model import Signal
 
 ROOT = Path(__file__).parents[2]
-
-
-def bring(folder: Path, module: str, code: str, entry: str) -> dict[str, str]:
-    """Environment in which a package with this entry point is installed."""
-    told = folder / f"{module}-1.0.dist-info"
-    told.mkdir(parents=True)
-    (folder / f"{module}.py").write_text(code)
-    (told / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text(f"[hdt.components]\n{entry}\n")
-    return os.environ | {"PYTHONPATH": f"{ROOT}:{folder}"}
 
 
 def test_the_pack_has_its_two():
@@ -40,7 +31,8 @@ def test_the_pack_has_its_two():
     ],
 )
 def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code, says):
-    env = bring(tmp_path, module, code, f"mine = {module}:X")
+    install(tmp_path, module, code, f"mine = {module}:X")
+    env = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
     command = [str(Path(sys.executable).parent / "hdt"), "nightly", "--landing", str(ROOT / "data_samples")]
     done = subprocess.run(
         [*command, "--home", str(tmp_path / "h")], env=env, capture_output=True, text=True, check=False

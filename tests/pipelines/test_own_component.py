@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from packages import install
 from soundness import faults
 
 from pipelines.storage.catalog import connect
@@ -64,15 +65,6 @@ NG_COLUMNS = ["flight_id", "report_time", "pack", "inlet_degc", "ratio", "exit_d
 
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
-
-
-def install(folder: Path, module: str, code: str, entry: str) -> None:
-    """A package as pip leaves it: its module, and where its component is."""
-    told = folder / f"{module}-1.0.dist-info"
-    told.mkdir(parents=True)
-    (folder / f"{module}.py").write_text(code)
-    (told / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-    (told / "entry_points.txt").write_text(f"[hdt.components]\n{entry}\n")
 
 
 def flight_id(tail: str, flight: int) -> str:
