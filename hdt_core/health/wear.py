@@ -47,7 +47,8 @@ def hx_cases(
     worn = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gained > limit + RISE_MARGIN)
     sure = worn | _soon(grid, loss, sd, limits)
     keep = np.fmax(loss, gained) > 0.75 * limits.fouling_soon
-    fouled = persistent(sure & trusted, 3, 4, 15, keep=keep, ended=ended)
+    # what was gained stays known after the last flight, where a busier pack still has columns
+    fouled = persistent(sure & trusted & grid.flown, 3, 4, 15, keep=keep, ended=ended)
     blocked = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
     jumped = (step > limits.clog) & (np.fmax(loss, gained) > 0.05) & ~_back_again(step, ended, limits)
     clogged = persistent(jumped & blocked & trusted & ~_repaired(grid, maintenance), 1, 1, 30, ended=ended)

@@ -28,7 +28,7 @@ def features(loss: np.ndarray, **columns: float | np.ndarray) -> pl.DataFrame:
     """Features of one pack that has lost so much after each flight."""
     n = len(loss)
     at = [departure(k) for k in range(n)]
-    frame = pl.DataFrame({"departed_at": at, "hx_fouling": loss, "hx_fouling_flight": loss, **columns}).with_columns(
+    frame = pl.DataFrame({"departed_at": at, "hx_fouling": loss, "hx_fouling_flight": loss} | columns).with_columns(
         *(pl.lit(v).alias(k) for k, v in OWN.items()),
         pl.Series("flight_id", [f"T-AAA_{a:%Y%m%d}_{k % A_DAY + 1:02d}" for k, a in enumerate(at)]),
         pl.lit(0.01).alias("hx_fouling_sd"),
@@ -160,3 +160,12 @@ def test_every_diagnosis_is_known_wherever_diagnoses_are_listed() -> None:
     check = (Path(__file__).parents[3] / "sql/checks/alerts_in_disorder.sql").read_text()
     assert all(code in listed and f"'{code}'" in check for code in declared)
     assert all(d.code == code and d.name and "ATA 21-" in d.action for code, d in DIAGNOSES.items())
+
+
+def test_a_busier_aircraft_beside_it_changes_nothing() -> None:
+    """A belief held at a pack's last flight raises no case on flights that only the other aircraft flew."""
+    alone = np.concatenate([np.zeros(40), np.full(40, 0.3)])
+    seen = features(np.zeros(80), hx_fouling_flight=alone).with_columns(hx_fouling_step_3=pl.lit(-0.2))
+    busier = features(np.linspace(0.0, 0.35, FLIGHTS)).with_columns(tail=pl.lit("T-BBB"))
+    both = alerts(pl.concat([seen, busier], how="diagonal"), NOTHING)
+    assert both.equals(pl.concat([alerts(seen, NOTHING), alerts(busier, NOTHING)]))
