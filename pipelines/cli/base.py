@@ -20,6 +20,7 @@ ORDER = (
     "query",
     "terms",
     "export",
+    "trial",
     "recorder",
     "ui",
     "simulate",

@@ -162,9 +162,10 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         fault = fault_of(home) if night.idle else None
         if fault or not night.idle:
             publish(home)
+        sealed, unsealed = _sealed(home)
     seconds = time.monotonic() - began
     if as_json:
-        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault}
+        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed}
         out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__}))
     elif night.idle:
         said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
@@ -172,8 +173,24 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         out.print(f"{said} Catalog{mended}: {home / 'catalog.duckdb'}", soft_wrap=True)
     else:
         _say(home, night, seconds)
-    if night.failed:
+    if sealed and not as_json:
+        out.print(f"Trial: sealed, {sealed}", soft_wrap=True)
+    if unsealed:
+        say_error(f"the trial was not sealed: {unsealed}")
+    if night.failed or unsealed:
         raise typer.Exit(1)
+
+
+def _sealed(home: Path) -> tuple[str | None, str | None]:
+    """Digest of what a trial sealed tonight, and why it could not; None where there is no trial or no fault."""
+    from pipelines.trial.declaration import TrialError
+    from pipelines.trial.seal import seal_night
+
+    try:
+        entry = seal_night(home)
+    except TrialError as error:
+        return None, str(error)
+    return entry.digest if entry else None, None
 
 
 def _say(home: Path, night: Any, seconds: float) -> None:

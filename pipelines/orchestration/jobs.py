@@ -11,6 +11,7 @@ from pipelines.orchestration.nightly import holding, run_night
 from pipelines.resources import Home
 from pipelines.storage.catalog import publish
 from pipelines.storage.hashes import digest
+from pipelines.trial.seal import seal_night
 from pipelines.zone import fault_of
 
 QUIET_S = 120
@@ -39,6 +40,7 @@ def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
     with holding(where):
         night = run_night(Path(home.landing), where, _Log(context.log), instance=context.instance)
         publish(where)
+        seal_night(where)
     context.add_output_metadata({"new_files": night.new_files, "cells": night.cells, "runs": night.runs})
     if night.failed:
         raise dg.Failure("; ".join(f"{where}: {why}" for where, why in night.failed.items()))

@@ -1,0 +1,178 @@
+"""Commands of a shadow trial: start, seal, outcomes, verify, stamp and page."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipelines.cli.base import AsJson, HomeDir, StopError, app, err, home_folder, out
+
+trial = typer.Typer(no_args_is_help=True, help="Seal what each night says, and tell how it went.")
+app.add_typer(trial, name="trial")
+
+
+@trial.command("start")
+def start_trial(
+    home: HomeDir = None,
+    declaration: Annotated[
+        Path | None, typer.Option(help="TOML with the definitions, costs and rules; else the default.")
+    ] = None,
+    show: Annotated[bool, typer.Option("--show", help="Print the default declaration and start nothing.")] = False,
+) -> None:
+    """Freeze version, settings, thresholds and definitions.
+
+    From then on each night's alerts and prognoses are sealed by `hdt nightly`.
+    """
+    from pipelines.trial.declaration import DEFAULT
+    from pipelines.trial.seal import start
+
+    if show:
+        out.print(DEFAULT, markup=False, soft_wrap=True, end="")
+        return
+    with _one_writer(home) as where:
+        entry = start(where, declaration.read_text("utf-8") if declaration else DEFAULT)
+    out.print(f"Trial started. Keep this digest outside of the house: {entry.digest}", soft_wrap=True)
+
+
+@trial.command("seal")
+def seal_trial(home: HomeDir = None) -> None:
+    """Seal what is said now.
+
+    `hdt nightly` does so by itself, at its end.
+    """
+    from pipelines.trial.log import entries
+    from pipelines.trial.seal import declaration_of, log_folder, seal_night
+
+    with _one_writer(home) as where:
+        declaration_of(entries(log_folder(where)))
+        entry = seal_night(where)
+    out.print(
+        f"Entry {entry.number} sealed: {entry.digest}" if entry else "The trial's nights are over; nothing was sealed."
+    )
+
+
+@trial.command("outcomes")
+def take_outcomes(
+    file: Annotated[Path, typer.Argument(help="CSV: operator, tail, pack, component, at, kind, finding, reference.")],
+    home: HomeDir = None,
+) -> None:
+    """Seal outcomes that stand in no log: shop findings, removals, messages.
+
+    Kind is MESSAGE, REPLACED or INSPECTED.
+    """
+    from pipelines.trial.outcomes import take_in
+
+    with _one_writer(home) as where:
+        entry = take_in(where, file)
+    out.print(f"{len(entry.body['rows'])} outcomes in entry {entry.number}: {entry.digest}", soft_wrap=True)
+
+
+@trial.command("stamp")
+def stamp_trial(home: HomeDir = None) -> None:
+    """Write a request for an RFC 3161 time stamp of the last entry.
+
+    Its answer is laid beside it; `hdt trial verify --authority` checks it.
+    """
+    from pipelines.trial.log import entries
+    from pipelines.trial.seal import log_folder
+    from pipelines.trial.stamp import request
+
+    with _one_line():
+        folder = log_folder(home_folder(home))
+        if not (log := entries(folder)):
+            raise StopError("no trial was started here; `hdt trial start` does")
+        target = request(folder, log[-1])
+    out.print(f"{target}; lay the authority's answer beside it as {target.with_suffix('.tsr').name}", soft_wrap=True)
+
+
+@trial.command("verify")
+def verify_trial(
+    home: HomeDir = None,
+    digest: Annotated[
+        list[str] | None,
+        typer.Option(help="A digest that was printed and kept elsewhere; may be given more than once."),
+    ] = None,
+    head: Annotated[
+        str | None, typer.Option(help="The digest that was printed last: the log must end with it.")
+    ] = None,
+    authority: Annotated[Path | None, typer.Option(help="Certificate of the time stamps' authority, PEM.")] = None,
+) -> None:
+    """Prove that nothing sealed was changed, added or cut off.
+
+    Exit code 1 if something was. Without a digest from outside a whole new log can't be told from the old one.
+    """
+    from pipelines.trial.log import entries, faults
+    from pipelines.trial.seal import log_folder
+    from pipelines.trial.stamp import faults as faults_of_stamps
+    from pipelines.trial.stamp import stamps
+
+    with _one_line():
+        folder = log_folder(home_folder(home))
+        found = list(faults(folder, digest or (), head))
+        if not found and authority:
+            found = faults_of_stamps(folder, entries(folder), authority)
+    for fault in found:
+        err.print(f"FAULT: {fault}", markup=False, soft_wrap=True)
+    if found:
+        raise typer.Exit(1)
+    log = entries(folder)
+    outside = [e.number for e in log if e.digest in [d.lower() for d in (*(digest or ()), head or "")]]
+    outside += [int(s.stem) for s in stamps(folder)] if authority else []
+    told = (
+        f"up to entry {max(outside)} by what was kept outside" if outside else "by nothing from outside: give --digest"
+    )
+    out.print(f"{len(log)} entries, none changed, added or cut off; proved {told}.", soft_wrap=True)
+
+
+@trial.command("page")
+def write_page(
+    target: Annotated[Path, typer.Option("--out", help="HTML file to write.")],
+    home: HomeDir = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the one page that may leave.
+
+    With --json the same numbers are printed as well.
+    """
+    from pipelines.storage.files import replacing
+    from pipelines.trial.evaluation import evaluate
+    from pipelines.trial.log import faults
+    from pipelines.trial.page import page
+    from pipelines.trial.seal import log_folder
+
+    with _one_line():
+        where = home_folder(home)
+        if fault := next(faults(log_folder(where)), None):
+            raise StopError(f"{fault}; no page is made of a log that is not what was sealed")
+        told = evaluate(where)
+        with replacing(target.resolve()) as temporary:
+            temporary.write_text(page(told), "utf-8")
+    if as_json:
+        out.print_json(json.dumps(told.as_json()))
+    else:
+        out.print(f"{told.nights} nights, {told.flights:,} flights: {target}", soft_wrap=True)
+
+
+@contextmanager
+def _one_writer(home: Path | None) -> Iterator[Path]:
+    """The home, held: no night seals meanwhile."""
+    from pipelines.orchestration.nightly import holding
+
+    where = home_folder(home)
+    with _one_line(), holding(where):
+        yield where
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    from pipelines.trial.declaration import TrialError
+
+    try:
+        yield
+    except (TrialError, FileExistsError) as error:
+        raise StopError(str(error)) from None
+    except UnicodeDecodeError as error:
+        raise StopError(f"the file is no text in UTF-8: {error}") from None

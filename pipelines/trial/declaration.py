@@ -1,0 +1,127 @@
+"""What a trial calls a hit, a false alarm, too early and too late, and what each costs; declared before it begins."""
+
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+DEFAULT = (resources.files("pipelines.trial") / "declaration.toml").read_text("utf-8")
+
+
+class TrialError(Exception):
+    """What can't be done with this trial, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """The operator's own alerts: a select over the catalog, or a file."""
+
+    name: str
+    sql: str | None
+    file: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Cost of each outcome, in one currency."""
+
+    currency: str
+    unscheduled_event: float
+    scheduled_removal: float
+    false_alarm: float
+    too_early: float
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """Least counts of what leaves."""
+
+    count: int
+    flights: int
+    aircraft: int
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """A trial's definitions; the words are those of `declaration.toml`."""
+
+    name: str
+    days: int
+    components: tuple[str, ...]
+    confidence: float
+    findings: tuple[str, ...]
+    no_fault: tuple[str, ...]
+    early_flights: int
+    late_flights: int
+    lapse_days: float
+    horizon_flights: int
+    minimum: Minimum
+    cost: Cost
+    rules: tuple[Rule, ...]
+
+
+def read_declaration(text: str) -> Declaration:
+    """The declaration a TOML text makes; what it leaves out is as in the default.
+
+    Raises
+    ------
+    TrialError
+        It is no TOML, names something unknown, or a value can't be.
+    """
+    try:
+        given = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise TrialError(f"the declaration is no TOML: {error}") from None
+    rules = tuple(_rule(name, entry) for name, entry in given.pop("rule", {}).items())
+    default = tomllib.loads(DEFAULT)
+    flat = _filled(default, given, "")
+    sections = {name: flat.pop(name) for name in ("event", "alert", "prognosis", "minimum", "cost")}
+    declared = Declaration(
+        **_tuples(flat | sections["event"] | sections["alert"] | sections["prognosis"]),
+        minimum=Minimum(**sections["minimum"]),
+        cost=Cost(**sections["cost"]),
+        rules=rules,
+    )
+    _check(declared)
+    return declared
+
+
+def _filled(default: dict[str, Any], given: dict[str, Any], where: str) -> dict[str, Any]:
+    for name, value in given.items():
+        known = default.get(name)
+        if known is None:
+            raise TrialError(f"the declaration has no {where}{name}; known are {', '.join(default)}")
+        if not (_alike(value, known)):
+            raise TrialError(f"{where}{name} in the declaration is {value!r} and ought to be like {known!r}")
+    return {
+        name: _filled(known, given.get(name, {}), f"{name}.") if isinstance(known, dict) else given.get(name, known)
+        for name, known in default.items()
+    }
+
+
+def _alike(value: Any, known: Any) -> bool:
+    if isinstance(known, int | float) and not isinstance(value, bool):
+        return isinstance(value, int | (float if isinstance(known, float) else int)) and value >= 0
+    if isinstance(known, list):
+        return isinstance(value, list) and all(isinstance(v, str) for v in value)
+    return isinstance(value, type(known))
+
+
+def _tuples(entries: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
+
+
+def _rule(name: str, entry: Any) -> Rule:
+    given = entry if isinstance(entry, dict) else {}
+    if len(given) != 1 or set(given) - {"sql", "file"} or not isinstance(next(iter(given.values())), str):
+        raise TrialError(f"rule.{name} has either `sql` or `file`, a text")
+    return Rule(name, given.get("sql"), given.get("file"))
+
+
+def _check(d: Declaration) -> None:
+    if not 0.5 <= d.confidence < 1.0:
+        raise TrialError(f"confidence is {d.confidence:g} and lies between 0.5 and 1")
+    if not 0 < d.late_flights < d.early_flights:
+        raise TrialError(f"late_flights, {d.late_flights}, lies between 0 and early_flights, {d.early_flights}")
+    if not (d.days and d.components and d.horizon_flights):
+        raise TrialError("days, components and horizon_flights can't be nothing")

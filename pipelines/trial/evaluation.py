@@ -1,0 +1,151 @@
+"""What the page tells, as numbers: our figures, the operator's rules over the same flights, and what was kept back."""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipelines.storage.catalog import connect
+from pipelines.trial.declaration import Declaration, Rule, TrialError
+from pipelines.trial.figures import Figure, Judged, Teller, judge_alerts, judge_prognoses, kept_back
+from pipelines.trial.judgement import Judge, SealedAlert, place_of, sealed_span
+from pipelines.trial.log import Entry, entries
+from pipelines.trial.outcomes import Outcomes, read_outcomes
+from pipelines.trial.seal import OURS, as_alerts, declaration_of, log_folder
+
+LATE_SEAL_DAYS = 3.0
+"""A night sealed longer than this after its last flight is told: its outcomes may have been known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All that may leave."""
+
+    declared: Declaration
+    text: str
+    """The declaration as it was sealed."""
+    version: str
+    head: str
+    nights: int
+    began: str
+    ended: str
+    changes: list[str]
+    models: int
+    late_nights: int
+    after_the_fact: int | None
+    """Events foretold whose outcome lay before the clock time of the seal: a rehearsal on old flights."""
+    flights: int
+    aircraft: int
+    prognoses: int
+    without_pack: int
+    figures: dict[str, list[Figure]]
+    """By source: ours and each rule's."""
+    verdicts: dict[str, dict[str, int | None]]
+    agreement: dict[str, dict[str, int | None]]
+    """By rule, events foretold in time by both, by us alone, by the rule alone, by neither."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The numbers as JSON holds them."""
+        return asdict(self)
+
+
+def evaluate(home: Path) -> Evaluation:
+    """Judge a home's trial with the outcomes that are known now.
+
+    Raises
+    ------
+    TrialError
+        No trial was started, or a rule's file can't be read.
+    """
+    log = entries(log_folder(home))
+    declared = declaration_of(log)
+    with connect(home) as con:
+        outcomes = read_outcomes(con, log, declared)
+    rules = {rule.name: _believed(rule, outcomes, log) for rule in declared.rules if rule.file}
+    return evaluated(log, declared, outcomes, rules)
+
+
+def evaluated(
+    log: Sequence[Entry], declared: Declaration, outcomes: Outcomes, believed: dict[str, list[SealedAlert]]
+) -> Evaluation:
+    """Judge a log.
+
+    Parameters
+    ----------
+    log : sequence of Entry
+        Every entry.
+    declared : Declaration
+        Its definitions.
+    outcomes : Outcomes
+        What became of the units.
+    believed : dict
+        Alerts of rules that were not sealed, as their file has them.
+    """
+    judge = Judge(declared, outcomes)
+    judged = {OURS: judge_alerts(log, judge)}
+    judged |= {r.name: judge_alerts(log, judge, r.name, believed.get(r.name)) for r in declared.rules}
+    prognoses = judge_prognoses(log, judge)
+    figures = {source: Teller(judge, found).alert_figures() for source, found in judged.items()}
+    figures[OURS] += Teller(judge, judged[OURS]).prognosis_figures(prognoses)
+    least, own = declared.minimum.count, judged[OURS]
+    foretold = [e for e in own.events if e.verdict in ("hit", "too_late", "too_early") and e.sealed_at]
+    after = kept_back({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
+    return Evaluation(
+        declared=declared,
+        text=log[0].body["declaration"],
+        version=log[0].body["frozen"]["version"],
+        head=log[-1].digest,
+        nights=sum(e.kind == "night" for e in log),
+        began=f"{log[0].sealed_at:%Y-%m}",
+        ended=f"{log[-1].sealed_at:%Y-%m}",
+        changes=[f"{e.sealed_at:%Y-%m-%d}: {line}" for e in log for line in e.body.get("changes", [])],
+        models=len({row["model_version"] for e in log for row in e.body.get("prognoses", [])}),
+        late_nights=sum(_sealed_late(e) for e in log),
+        after_the_fact=after,
+        flights=sum(own.sealed.values()),
+        aircraft=len(own.sealed),
+        prognoses=sum(len(e.body.get("prognoses", [])) for e in log),
+        without_pack=outcomes.without_pack,
+        figures=figures,
+        verdicts={source: kept_back(found.verdicts, least) for source, found in judged.items()},
+        agreement={r.name: kept_back(_agreement(own, judged[r.name]), least) for r in declared.rules},
+    )
+
+
+def _agreement(ours: Judged, theirs: Judged) -> dict[str, int]:
+    """Events by who foretold them in time; both lists hold the same events in the same order."""
+    pairs = [(a.verdict == "hit", b.verdict == "hit") for a, b in zip(ours.events, theirs.events, strict=True)]
+    names = {
+        (True, True): "both",
+        (True, False): "ours alone",
+        (False, True): "the rule alone",
+        (False, False): "neither",
+    }
+    return {name: pairs.count(pair) for pair, name in names.items()}
+
+
+def _believed(rule: Rule, outcomes: Outcomes, log: Sequence[Entry]) -> list[SealedAlert]:
+    """Alerts of a file, taken at their word: known from the last flight before they were raised."""
+    file, span = Path(str(rule.file)), sealed_span(log)
+    try:
+        given = pl.read_csv(file, try_parse_dates=True, schema_overrides={"tail": pl.String, "operator": pl.String})
+        frame = as_alerts(given, f"{file}")
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise TrialError(f"rule {rule.name}: {file} can't be read: {str(error).splitlines()[0]}") from None
+    told = []
+    for row in frame.iter_rows(named=True):
+        place, raised = place_of(row), row["raised_at"]
+        times, began = outcomes.departed.get(place[:2], []), span.get(place[:2])
+        if began and raised <= began[1] and (k := bisect_right(times, raised)):
+            known, standing = times[k - 1], raised <= began[0]
+            told.append(SealedAlert(rule.name, place, max(known, began[0]), raised, row["closed_at"], standing))
+    return [a for a in told if not (a.closed_at and a.closed_at <= span[a.place[:2]][0])]
+
+
+def _sealed_late(entry: Entry) -> bool:
+    last = max((datetime.fromisoformat(f["until"]) for f in entry.body.get("flown", [])), default=None)
+    return last is not None and (entry.sealed_at - last).total_seconds() > LATE_SEAL_DAYS * 86400.0

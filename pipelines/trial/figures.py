@@ -1,0 +1,232 @@
+"""The trial's figures, each with an interval and what it rests on; what is too few to leave is not told."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipelines.trial import intervals
+from pipelines.trial.intervals import Interval
+from pipelines.trial.judgement import (
+    VERDICTS,
+    Judge,
+    JudgedAlert,
+    JudgedEvent,
+    JudgedPrognosis,
+    SealedAlert,
+    Tail,
+    events_in,
+    place_of,
+    sealed_alerts,
+    sealed_span,
+)
+from pipelines.trial.log import Entry
+from pipelines.trial.seal import OURS
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One number of the page."""
+
+    name: str
+    label: str
+    unit: str
+    told: Interval | None
+    """None where it may not leave or can't be told."""
+    n: int | None
+    of: str
+    """What `n` counts."""
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """All that was judged of one source of alerts, and the exposure."""
+
+    alerts: list[JudgedAlert]
+    events: list[JudgedEvent]
+    followed: dict[Tail, int]
+    """Flights of each aircraft that were sealed and followed for long enough to call an alert false."""
+    sealed: dict[Tail, int]
+    """Flights of each aircraft while nights were sealed."""
+    asked: dict[Tail, int]
+    """Those of them whose events could have been foretold in time."""
+
+    @property
+    def verdicts(self) -> Counter[str]:
+        """Alerts by verdict."""
+        return Counter(dict.fromkeys(VERDICTS, 0) | Counter(a.verdict for a in self.alerts))
+
+
+def judge_alerts(
+    log: Sequence[Entry], judge: Judge, source: str = OURS, believed: Sequence[SealedAlert] | None = None
+) -> Judged:
+    """Alerts of one source, and the events they ought to have foretold.
+
+    Parameters
+    ----------
+    log : sequence of Entry
+        Every entry.
+    judge : Judge
+        Definitions and outcomes.
+    source : str
+        Whose alerts.
+    believed : sequence of SealedAlert, optional
+        Alerts that were not sealed; else those that the log holds.
+    """
+    span, parts = sealed_span(log), judge.declared.components
+    given = sealed_alerts(log, parts) if believed is None else [a for a in believed if a.place[3] in parts]
+    alerts = [a for a in given if a.source == source and a.place[:2] in span]
+    by_place = defaultdict(list)
+    for alert in alerts:
+        by_place[alert.place].append(alert)
+    events = [judge.event(place, at, by_place[place]) for place, at in events_in(span, judge)]
+    sealed = {tail: judge.flown(tail, first, last) for tail, (first, last) in span.items()}
+    late = judge.declared.early_flights
+    followed = {tail: max(0, min(sealed[tail], judge.flown(tail, first) - late)) for tail, (first, _) in span.items()}
+    asked = {tail: max(0, n - judge.declared.late_flights + 1) for tail, n in sealed.items()}
+    return Judged([judge.alert(a) for a in alerts], events, followed, sealed, asked)
+
+
+def judge_prognoses(log: Sequence[Entry], judge: Judge) -> list[JudgedPrognosis]:
+    """Every sealed prognosis of a declared component of which something can be told."""
+    rows = (
+        row for entry in log for row in entry.body.get("prognoses", []) if row["component"] in judge.declared.components
+    )
+    told = (judge.prognosis(row) for row in rows if judge.outcomes.departed.get(place_of(row)[:2]))
+    return [t for t in told if t is not None]
+
+
+@dataclass(frozen=True)
+class Teller:
+    """Figures of one source, with what may leave."""
+
+    judge: Judge
+    judged: Judged
+
+    def alert_figures(self) -> list[Figure]:
+        """False alarms, events foretold, lead, alerts that were right, cost."""
+        new = [a for a in self.judged.alerts if not a.alert.standing]
+        followed = [a for a in new if a.followed and a.verdict not in ("removed", "after_event")]
+        events, leads = self.judged.events, [e for e in self.judged.events if e.lead_flights]
+        right = [(a.alert.place[:2], a.verdict == "hit") for a in followed]
+        return [
+            self._false_alarms(followed),
+            self._share(
+                "foretold", "Events foretold in time", [(e.place[:2], e.verdict == "hit") for e in events], "events"
+            ),
+            self._share(
+                "foretold_at_all",
+                "Events foretold at all",
+                [(e.place[:2], e.verdict != "missed") for e in events],
+                "events",
+            ),
+            self._point("lead_median", "Lead, median", leads, 0.5),
+            self._point("lead_p10", "Lead, 10th percentile", leads, 0.1),
+            self._share("right", "Alerts that were right", right, "alerts"),
+            *self._costs(followed),
+        ]
+
+    def prognosis_figures(self, prognoses: Sequence[JudgedPrognosis]) -> list[Figure]:
+        """Coverage of the interval, its lower end, and the chance of an event against what came."""
+
+        def of(field: str) -> list[tuple[Tail, bool]]:
+            return [(p.tail, bool(v)) for p in prognoses if (v := getattr(p, field)) is not None]
+
+        said = [p.p_event_50 for p in prognoses if p.event_50 is not None and p.p_event_50 is not None]
+        mean = f"; said {np.mean(said):.3f}" if said else ""
+        return [
+            self._share("coverage", "Remaining life within its 90 % interval", of("within"), "prognoses"),
+            self._share("too_low", "Event before its lower end (5 % said)", of("too_low"), "prognoses"),
+            self._share("event_50", f"Event within 50 flights{mean}", of("event_50"), "prognoses"),
+        ]  # fmt: skip
+
+    def _false_alarms(self, followed: Sequence[JudgedAlert]) -> Figure:
+        wrong = Counter(a.alert.place[:2] for a in followed if a.verdict == "false_alarm")
+        exposure = {tail: n for tail, n in self.judged.followed.items() if n}
+        flights = sum(exposure.values())
+        entry = ("false_alarms", "False alarms", "per 1,000 flights")
+        if why := self._too_few(flights, len(exposure)):
+            return Figure(*entry, None, None, "flights", why)
+        counts = [wrong[tail] for tail in exposure]
+        told = intervals.rate(counts, [n / 1000.0 for n in exposure.values()], self.judge.declared.confidence)
+        least = self.judge.declared.minimum.count
+        if 0 < sum(counts) < least:
+            return Figure(
+                *entry,
+                None,
+                flights,
+                "flights",
+                f"fewer than {least} false alarms: below {least * 1000.0 / flights:.2f}",
+            )
+        return Figure(*entry, told, flights, "flights")
+
+    def _share(self, name: str, label: str, rows: Sequence[tuple[Tail, bool]], of: str) -> Figure:
+        tails, least = {tail for tail, _ in rows}, self.judge.declared.minimum.count
+        few = f"fewer than {least} {of}" * (len(rows) < least)
+        if why := few or self._too_few(sum(self.judged.sealed.values()), len(tails)):
+            return Figure(name, label, "%", None, None, of, why)
+        asked = Counter(tail for tail, _ in rows)
+        hits = Counter(tail for tail, hit in rows if hit)
+        told = intervals.share([hits[tail] for tail in asked], list(asked.values()), self.judge.declared.confidence)
+        return Figure(name, label, "%", told, len(rows), of)
+
+    def _point(self, name: str, label: str, events: Sequence[JudgedEvent], level: float) -> Figure:
+        """A point of the lead; of an alert that stood at the start the lead is known to be so long or longer."""
+        least = self.judge.declared.minimum.count
+        few = f"fewer than {least} events" * (len(events) < least)
+        if why := few or self._too_few(sum(self.judged.sealed.values()), len({e.place[:2] for e in events})):
+            return Figure(name, label, "flights", None, None, "events", why)
+        leads, standing = [float(e.lead_flights or 0) for e in events], [e.standing for e in events]
+        told = intervals.point(leads, standing, level, self.judge.declared.confidence)
+        why = "" if told else "most alerts stood when the trial began"
+        return Figure(name, label, "flights", told, len(events), "events", why)
+
+    def _costs(self, followed: Iterable[JudgedAlert]) -> list[Figure]:
+        """Money by aircraft: saved over the flights that were sealed, spent over those that were followed as well."""
+        cost, saved, spent = self.judge.declared.cost, defaultdict[Tail, float](float), defaultdict[Tail, float](float)
+        for event in self.judged.events:
+            saved[event.place[:2]] += (cost.unscheduled_event - cost.scheduled_removal) * (event.verdict == "hit")
+        by = {"false_alarm": cost.false_alarm, "too_early": cost.too_early}
+        for alert in followed:
+            spent[alert.alert.place[:2]] += by.get(alert.verdict, 0.0)
+        return [
+            self._cost("cost_avoided", "Cost avoided", saved, self.judged.asked),
+            self._cost("cost_caused", "Cost caused", spent, self.judged.followed),
+        ]
+
+    def _cost(self, name: str, label: str, sums: Mapping[Tail, float], over: Mapping[Tail, int]) -> Figure:
+        """Money per 1,000 flights, an aircraft a cluster."""
+        unit, least = f"{self.judge.declared.cost.currency} per 1,000 flights", self.judge.declared.minimum.count
+        exposure = {tail: n for tail, n in over.items() if n}
+        flights, paid = sum(exposure.values()), sum(v > 0.0 for v in sums.values())
+        few = f"rests on fewer than {least} aircraft" if 0 < paid < least else ""
+        if why := self._too_few(flights, len(exposure)) or few:
+            return Figure(name, label, unit, None, None, "flights", why)
+        thousands = [n / 1000.0 for n in exposure.values()]
+        told = intervals.ratio([sums.get(t, 0.0) for t in exposure], thousands, self.judge.declared.confidence)
+        return Figure(name, label, unit, told, flights, "flights")
+
+    def _too_few(self, flights: int, aircraft: int) -> str:
+        least = self.judge.declared.minimum
+        if flights < least.flights:
+            return f"fewer than {least.flights:,} flights"
+        return f"fewer than {least.aircraft} aircraft" if aircraft < least.aircraft else ""
+
+
+def kept_back(counts: Mapping[str, int], least: int) -> dict[str, int | None]:
+    """Counts that may leave; None stands for one from 1 to `least` - 1.
+
+    Where a single one is kept back the sum would give it away: then the least of the others is kept back as well.
+
+    Examples
+    --------
+    >>> kept_back({"hit": 12, "too_late": 2, "open": 7, "removed": 0}, 5)
+    {'hit': 12, 'too_late': None, 'open': None, 'removed': 0}
+    """
+    hidden = {name for name, n in counts.items() if 0 < n < least}
+    others = sorted((n, name) for name, n in counts.items() if n >= least)
+    if len(hidden) == 1 and others:
+        hidden.add(others[0][1])
+    return {name: None if name in hidden else n for name, n in counts.items()}

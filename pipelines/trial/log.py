@@ -1,0 +1,135 @@
+"""The sealed log: one file an entry, each with the SHA-256 of the file before it, so that a chain of digests holds all.
+
+Anyone can check it with `sha256sum` and a text editor: the digest of entry k is that of its file, and entry k + 1 names
+it as `previous`. The last digest, the head, is also kept in `heads.txt` and printed each night. Someone who can write
+here can make a whole new chain, heads included: only a digest that left the house, on paper, in a mail or under a time
+stamp (`stamp.py`), shows that.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from pipelines.storage.files import replacing
+from pipelines.trial.declaration import TrialError
+
+HEADS = "heads.txt"
+NOTHING = "0" * 64
+"""`previous` of the first entry."""
+_NAME = re.compile(r"\d{5}\.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One sealed entry."""
+
+    number: int
+    kind: str
+    sealed_at: datetime
+    previous: str
+    body: dict[str, Any]
+    digest: str
+
+
+def entries(folder: Path) -> list[Entry]:
+    """The log as it lies there, in order; `faults` says whether it is what was sealed."""
+    return [_read(file) for file in _files(folder)]
+
+
+def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> Entry:
+    """Seal one more entry.
+
+    Raises
+    ------
+    TrialError
+        What lies there is not what was sealed: nothing is added to a broken log.
+    """
+    begins = kind == "start" and not any(folder.iterdir())
+    if not begins and (found := next(faults(folder, spare=1), None)):
+        raise TrialError(f"the trial's log is not what was sealed: {found}; nothing was added")
+    held = entries(folder)
+    previous = held[-1].digest if held else NOTHING
+    told = {"number": len(held), "kind": kind, "sealed_at": now.isoformat(), "previous": previous, "body": body}
+    path = folder / f"{len(held):05}.json"
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(told, indent=1, allow_nan=False, ensure_ascii=False) + "\n", "utf-8")
+    entry = _read(path)
+    heads = [*(e.digest for e in held), entry.digest]
+    with replacing(folder / HEADS) as temporary:
+        temporary.write_text("".join(f"{n:05} {digest}\n" for n, digest in enumerate(heads)), "utf-8")
+    return entry
+
+
+def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *, spare: int = 0) -> Iterator[str]:
+    """What shows that the log is not what was sealed.
+
+    Parameters
+    ----------
+    folder : Path
+        The log.
+    digests : iterable of str
+        Heads that were printed on some nights and kept elsewhere: each must be in the chain.
+    head : str, optional
+        The last that was printed: it must be the chain's end.
+    spare : int
+        Entries that may be there without a line in `heads.txt`: a kill between the two leaves one.
+    """
+    found, previous, before, chain = _files(folder), NOTHING, None, []
+    if not found:
+        yield f"no entry in {folder}"
+    for number, file in enumerate(found):
+        if file.name != f"{number:05}.json":
+            yield f"entry {number} is missing"
+            return
+        try:
+            entry = _read(file)
+        except TrialError as error:
+            yield str(error)
+            return
+        if entry.number != number or entry.previous != previous:
+            yield f"entry {number} does not follow the one before it"
+            return
+        if before and entry.sealed_at < before:
+            yield f"entry {number} is older than the one before it"
+        previous, before = entry.digest, entry.sealed_at
+        chain.append(entry.digest)
+    yield from _of_heads(folder / HEADS, chain, spare)
+    if head and chain[-1] != head.lower():
+        yield f"the last entry is not the one whose digest, {head[:16]}..., was kept"
+    for digest in digests:
+        if digest.lower() not in chain:
+            yield f"the digest {digest[:16]}... that was kept is not in the log"
+
+
+def _of_heads(file: Path, chain: list[str], spare: int) -> Iterator[str]:
+    lines = file.read_text("utf-8", errors="replace").splitlines() if file.is_file() else []
+    kept = [f"{n:05} {digest}" for n, digest in enumerate(chain)]
+    if lines == kept or (spare and kept[:-spare] == lines):
+        return
+    differs = next((n for n, (a, b) in enumerate(zip(lines, kept, strict=False)) if a != b), None)
+    if differs is not None:
+        yield f"entry {differs} is not the one whose digest {file.name} holds"
+    elif len(lines) > len(kept):
+        yield f"{len(lines) - len(kept)} entries were cut off at the end: {file.name} holds {len(lines)}"
+    else:
+        yield f"{len(kept) - len(lines)} entries at the end are not in {file.name}"
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(f for f in folder.glob("*.json") if _NAME.fullmatch(f.name))
+
+
+def _read(file: Path) -> Entry:
+    data = file.read_bytes()
+    try:
+        told = json.loads(data)
+        at = datetime.fromisoformat(told["sealed_at"])
+        digest = hashlib.sha256(data).hexdigest()
+        return Entry(int(told["number"]), told["kind"], at, told["previous"], dict(told["body"]), digest)
+    except (ValueError, KeyError, TypeError):
+        raise TrialError(f"{file.name} can't be read as an entry") from None

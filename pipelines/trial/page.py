@@ -1,0 +1,98 @@
+"""The one page that may leave: figures with intervals and n, definitions, costs, what was not judged; no raw row."""
+
+from pipelines.report.html import Html, tag
+from pipelines.trial.document import bullets, document, section, table
+from pipelines.trial.evaluation import LATE_SEAL_DAYS, Evaluation
+from pipelines.trial.figures import Figure
+from pipelines.trial.seal import OURS
+
+_VERDICTS = {
+    "hit": "event in time",
+    "too_late": "event, too late to act",
+    "too_early": "event, too early",
+    "false_alarm": "false alarm",
+    "after_event": "raised after the event: neither",
+    "removed": "unit removed without a finding: not judged",
+    "open": "not flown long enough: not judged yet",
+}
+
+
+def page(e: Evaluation) -> str:
+    """The document."""
+    share = f"{e.declared.confidence:.0%} intervals"
+    return document(
+        f"{e.declared.name}: {e.began} to {e.ended}",
+        tag("p", f"{e.flights:,} flights of {e.aircraft} aircraft, {e.nights} nights sealed. Version {e.version}."),
+        section("How it went", _figures(e, OURS), f"{share}; flights of one aircraft are not taken for independent."),
+        *(section(f"The operator's rule {name}", _figures(e, name), _agreement(e, name)) for name in e.agreement),
+        section("What came of the alerts", table(("", *e.verdicts), _verdict_rows(e)), *_left(e)),
+        section("What changed during the trial", bullets(e.changes) if e.changes else "Nothing.", _models(e)),
+        section("What was declared before the first night", tag("pre", e.text)),
+        section("What proves it", *_proof(e)),
+        section("What was kept back", _kept_back(e)),
+    )  # fmt: skip
+
+
+def _figures(e: Evaluation, source: str) -> Html:
+    return table(("", "value", "interval", "n"), map(_row, e.figures[source]))
+
+
+def _row(f: Figure) -> tuple[str, str, str, str]:
+    if f.told is None:
+        return f.label, "not told", f.why_not, ""
+    low, high = (_said(f, v) if v is not None else "open" for v in (f.told.low, f.told.high))
+    n = f"{f.n:,} {f.of}" if f.n is not None else ""
+    return f.label, f"{_said(f, f.told.value)} {f.unit}", f"{low} to {high}", n
+
+
+def _said(f: Figure, value: float) -> str:
+    if f.unit == "%":
+        return f"{100.0 * value:.1f}"
+    return f"{value:,.2f}" if f.name == "false_alarms" else f"{value:,.0f}"
+
+
+def _verdict_rows(e: Evaluation) -> list[tuple[str, ...]]:
+    return [(said, *(_count(told[name]) for told in e.verdicts.values())) for name, said in _VERDICTS.items()]
+
+
+def _count(n: int | None) -> str:
+    return "kept back" if n is None else f"{n:,}"
+
+
+def _agreement(e: Evaluation, rule: str) -> Html:
+    told = [(who, _count(n)) for who, n in e.agreement[rule].items()]
+    return table(("events foretold in time by", "events"), told)
+
+
+def _left(e: Evaluation) -> list[str]:
+    """What could not be judged."""
+    told = [f"Judged are alerts and prognoses of {', '.join(e.declared.components)}."]
+    if e.without_pack:
+        told.append("Messages or works that name no pack belong to no unit and were left out.")
+    return told
+
+
+def _models(e: Evaluation) -> str:
+    return f"{e.models} versions of the prognostic model spoke: it learns from the fleet's own lives as they end."
+
+
+def _proof(e: Evaluation) -> list[str]:
+    told = [
+        f"Digest of the log's last entry: {e.head}.",
+        "Each night's alerts and prognoses were written to a chain of digests before their outcomes were known; who "
+        "holds the log can check it with `hdt trial verify` or with sha256sum.",
+    ]
+    if e.late_nights:
+        told.append(f"{e.late_nights} entries were sealed more than {LATE_SEAL_DAYS:.0f} days after their last flight.")
+    if e.after_the_fact != 0:
+        told.append("A rehearsal on old flights: outcomes lay before the time of the seal. It proves nothing.")
+    return told
+
+
+def _kept_back(e: Evaluation) -> str:
+    m = e.declared.minimum
+    return (
+        f"Counts from 1 to {m.count - 1}, and figures that rest on fewer than {m.flights:,} flights or {m.aircraft} "
+        f"aircraft, are not told; where one count alone is kept back the least of the others is, too. No aircraft, no "
+        f"date of an event and no row of data is on this page."
+    )

@@ -1,0 +1,162 @@
+"""What is sealed: at the start what is frozen and what stood already, each night what is said, and outcomes by file."""
+
+import math
+from collections.abc import Iterable, Sequence
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+
+from pipelines.storage.catalog import ask, connect
+from pipelines.storage.settings import accepted_terms
+from pipelines.trial.declaration import Declaration, Rule, TrialError, read_declaration
+from pipelines.trial.frozen import changes, frozen
+from pipelines.trial.log import Entry, append, entries
+
+FOLDER = "trial"
+OURS = "hdt"
+PLACE = ("operator", "tail", "pack", "component")
+
+_FLOWN = "select operator, tail, max(departed_at) as until from flights group by all order by all"
+_ALERTS = """
+select alert_id, operator, tail, pack, component, diagnosis, severity, raised_at, closed_at
+from alerts order by raised_at, alert_id
+"""
+_PROGNOSES = """
+select
+    operator, tail, pack, component, departed_at, round(rul_low, 1) as rul_low, round(rul_flights, 1) as rul_flights,
+    round(rul_high, 1) as rul_high, round(p_event_50, 5) as p_event_50, model_version, split
+from prognoses
+qualify row_number() over (partition by operator, tail, pack, component order by departed_at desc, flight_id desc) = 1
+order by all
+"""
+
+
+def log_folder(home: Path) -> Path:
+    """Where a home's trial is sealed."""
+    return home / FOLDER
+
+
+def start(home: Path, declaration: str, now: datetime | None = None) -> Entry:
+    """Freeze what is, and seal it with the declaration and with what is said already.
+
+    Raises
+    ------
+    TrialError
+        A trial is there already, or the declaration can't be.
+    """
+    folder = log_folder(home)
+    if folder.exists() and any(folder.iterdir()):
+        raise TrialError(f"{folder} holds a trial; move it away to start another")
+    declared = read_declaration(declaration)
+    with connect(home) as con:
+        body = {"declaration": declaration, "frozen": frozen(con, list(accepted_terms(home)))}
+        body |= _said(con, declared, {}, {})
+    folder.mkdir(parents=True, exist_ok=True)
+    return append(folder, "start", body, now or datetime.now(UTC))
+
+
+def seal_night(home: Path, now: datetime | None = None) -> Entry | None:
+    """Seal what is said tonight; None where there is no trial or its nights are over.
+
+    Raises
+    ------
+    TrialError
+        The log is not what was sealed, or a rule of the operator's does not answer.
+    """
+    folder, now = log_folder(home), now or datetime.now(UTC)
+    if not folder.is_dir():
+        return None
+    log = entries(folder)
+    declared = declaration_of(log)
+    if now >= log[0].sealed_at + timedelta(days=declared.days):
+        return None
+    with connect(home) as con:
+        told = changes(_last_frozen(log), is_now := frozen(con, list(accepted_terms(home))))
+        body = ({"changes": told, "frozen": is_now} if told else {}) | _said(con, declared, *_state(log))
+    return append(folder, "night", body, now)
+
+
+def declaration_of(log: Sequence[Entry]) -> Declaration:
+    """The declaration that a trial was started with."""
+    if not log or log[0].kind != "start":
+        raise TrialError("no trial was started here; `hdt trial start` does")
+    return read_declaration(log[0].body["declaration"])
+
+
+def _said(
+    con: duckdb.DuckDBPyConnection,
+    declared: Declaration,
+    alerts: dict[str, dict[str, dict[str, Any]]],
+    prognoses: dict[tuple[Any, ...], dict[str, Any]],
+) -> dict[str, Any]:
+    """What is said now and was not said so before: flights known, alerts by source, prognoses."""
+    sources = {OURS: con.sql(_ALERTS).pl()}
+    sources |= {rule.name: _by_rule(con, rule) for rule in declared.rules if rule.sql}
+    new, gone = {}, {}
+    for source, frame in sources.items():
+        before, now = alerts.get(source, {}), {row["alert_id"]: row for row in _rows(frame)}
+        new[source] = [row for name, row in now.items() if before.get(name) != row]
+        gone[source] = sorted(set(before) - set(now))
+    outlook = [row for row in _rows(con.sql(_PROGNOSES).pl()) if prognoses.get(_place(row)) != row]
+    return {"flown": _rows(con.sql(_FLOWN).pl()), "alerts": new, "withdrawn": gone, "prognoses": outlook}
+
+
+def _by_rule(con: duckdb.DuckDBPyConnection, rule: Rule) -> pl.DataFrame:
+    try:
+        answer = ask(con, str(rule.sql))
+        frame = answer.pl() if answer else pl.DataFrame()
+    except (ValueError, duckdb.Error) as error:
+        raise TrialError(f"rule {rule.name}: {str(error).splitlines()[0]}") from None
+    return as_alerts(frame, f"rule {rule.name}")
+
+
+def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
+    """An operator's alerts in our columns; an alert's name is its place and the time at which it was raised."""
+    if missing := [c for c in (*PLACE, "raised_at") if c not in frame.columns]:
+        raise TrialError(f"{where} has no column {missing[0]}; alerts have {', '.join((*PLACE, 'raised_at'))}")
+    times = [pl.col(c) if c in frame.columns else pl.lit(None).alias(c) for c in ("raised_at", "closed_at")]
+    kept = frame.select(*PLACE, *(t.cast(pl.Datetime("us", "UTC")) for t in times))
+    if kept.select(pl.any_horizontal(pl.col(*PLACE, "raised_at").is_null().any())).item():
+        raise TrialError(f"{where} has an alert without {', '.join(PLACE)} or raised_at")
+    name = pl.concat_str(*PLACE, pl.col("raised_at").dt.to_string("iso:strict"), separator=" ")
+    return kept.with_columns(alert_id=name).unique("alert_id", keep="first", maintain_order=True).sort("alert_id")
+
+
+def _state(
+    log: Iterable[Entry],
+) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[tuple[Any, ...], dict[str, Any]]]:
+    """The last that was sealed of each alert and of each unit's prognosis."""
+    alerts: dict[str, dict[str, dict[str, Any]]] = {}
+    prognoses: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for entry in log:
+        for source, rows in entry.body.get("alerts", {}).items():
+            alerts.setdefault(source, {}).update({row["alert_id"]: row for row in rows})
+        for source, names in entry.body.get("withdrawn", {}).items():
+            for name in names:
+                alerts[source].pop(name, None)
+        prognoses |= {_place(row): row for row in entry.body.get("prognoses", [])}
+    return alerts, prognoses
+
+
+def _last_frozen(log: Sequence[Entry]) -> dict[str, Any]:
+    return next(dict(e.body["frozen"]) for e in reversed(log) if "frozen" in e.body)
+
+
+def _place(row: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[c] for c in PLACE)
+
+
+def _rows(frame: pl.DataFrame) -> list[dict[str, Any]]:
+    """Rows as JSON holds them: times in ISO 8601, UTC; missing is null."""
+    return [{name: _plain(value) for name, value in row.items()} for row in frame.iter_rows(named=True)]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.astimezone(UTC).isoformat()
+    if isinstance(value, date):
+        return value.isoformat()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,173 @@
+"""The log shows every change, addition and cut: 1,000 of 1,000 tries by someone who may write to its folder."""
+
+import datetime as dt
+import hashlib
+import json
+import random
+import shutil
+import subprocess
+
+import pytest
+
+from pipelines.trial.declaration import TrialError
+from pipelines.trial.log import HEADS, append, entries, faults
+from pipelines.trial.stamp import faults as faults_of_stamps
+from pipelines.trial.stamp import request
+
+NOW = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory):
+    """Eight nights."""
+    folder = tmp_path_factory.mktemp("trial")
+    for n in range(8):
+        append(folder, "night" if n else "start", {"alerts": [f"alert {n}"]}, NOW + dt.timedelta(days=n))
+    return folder
+
+
+def chain(files, start=0):
+    """Make the chain whole again from one entry on, heads included: what a careful forger does."""
+    heads = []
+    for n, file in enumerate(files):
+        if n >= start:
+            told = json.loads(file.read_text())
+            told |= {"number": n, "previous": heads[-1] if heads else "0" * 64}
+            file.write_text(json.dumps(told, indent=1) + "\n")
+        heads.append(hashlib.sha256(file.read_bytes()).hexdigest())
+    (files[0].parent / HEADS).write_text("".join(f"{n:05} {h}\n" for n, h in enumerate(heads)))
+
+
+def flip(files, rng):
+    file = rng.choice(files)
+    data = bytearray(file.read_bytes())
+    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    file.write_bytes(data)
+
+
+def shorten(files, rng):
+    file = rng.choice(files)
+    file.write_bytes(file.read_bytes()[: rng.randrange(file.stat().st_size)])
+
+
+def drop(files, rng):
+    rng.choice(files).unlink()
+
+
+def swap(files, rng):
+    a, b = rng.sample(files, 2)
+    first, second = a.read_bytes(), b.read_bytes()
+    a.write_bytes(second)
+    b.write_bytes(first)
+
+
+def cut_off(files, rng):
+    for file in files[rng.randrange(1, len(files)) :]:
+        file.unlink()
+
+
+def add(files, rng):
+    told = json.loads(files[-1].read_text()) | {"number": len(files)}
+    told["previous"] = hashlib.sha256(files[-1].read_bytes()).hexdigest()
+    files[0].with_name(f"{len(files):05}.json").write_text(json.dumps(told))
+
+
+def cut_heads(files, rng):
+    heads = files[0].parent / HEADS
+    heads.write_text("".join(heads.read_text().splitlines(keepends=True)[: rng.randrange(len(files))]))
+
+
+def rewrite_and_chain(files, rng):
+    n = rng.randrange(len(files))
+    told = json.loads(files[n].read_text()) | {"body": {"alerts": ["forged"]}}
+    files[n].write_text(json.dumps(told, indent=1) + "\n")
+    chain(files, n + 1)
+
+
+def cut_off_and_chain(files, rng):
+    cut_off(files, rng)
+    chain([f for f in files if f.exists()])
+
+
+def insert_and_chain(files, rng):
+    n = rng.randrange(1, len(files))
+    bodies = [f.read_bytes() for f in files]
+    bodies.insert(n, bodies[n])
+    everything = [files[0].with_name(f"{k:05}.json") for k in range(len(bodies))]
+    for file, data in zip(everything, bodies, strict=True):
+        file.write_bytes(data)
+    chain(everything, n)
+
+
+def restore(folder, whole):
+    for file in folder.iterdir():
+        if file.name not in whole:
+            file.unlink()
+    for name, data in whole.items():
+        file = folder / name
+        if not file.exists() or file.read_bytes() != data:
+            file.write_bytes(data)
+
+
+CLUMSY = (flip, shorten, drop, swap, cut_off, add, cut_heads)
+CAREFUL = (rewrite_and_chain, cut_off_and_chain, insert_and_chain)
+
+
+def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, tmp_path):
+    """The careful rewrite the whole chain: only the digest that was printed and kept elsewhere shows it."""
+    printed, rng, found = entries(sealed)[-1].digest, random.Random(3), 0
+    folder = tmp_path / "log"
+    whole = {file.name: file.read_bytes() for file in sealed.iterdir()}
+    folder.mkdir()
+    for k in range(1000):
+        restore(folder, whole)
+        way = (*CLUMSY, *CAREFUL)[k % 10]
+        way(sorted(folder.glob("*.json")), rng)
+        head = printed if way in CAREFUL else None
+        found += next(faults(folder, head=head), None) is not None
+    assert found == 1000
+
+
+def test_an_untouched_log_has_no_fault_with_any_digest_that_was_printed(sealed):
+    assert list(faults(sealed, [e.digest for e in entries(sealed)])) == []
+
+
+def test_nothing_is_added_to_a_broken_log(sealed, tmp_path):
+    folder = tmp_path / "log"
+    shutil.copytree(sealed, folder)
+    (folder / "00005.json").unlink()
+    with pytest.raises(TrialError, match="entry 5 is missing"):
+        append(folder, "night", {}, NOW + dt.timedelta(days=30))
+
+
+def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(sealed, tmp_path):
+    folder = tmp_path / "log"
+    shutil.copytree(sealed, folder)
+    heads = (folder / HEADS).read_text().splitlines(keepends=True)
+    (folder / HEADS).write_text("".join(heads[:-1]))
+    assert list(faults(folder)) == ["1 entries at the end are not in heads.txt"]
+    append(folder, "night", {}, NOW + dt.timedelta(days=30))
+    assert list(faults(folder)) == []
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl")
+def test_a_time_stamp_holds_for_its_entry_alone(sealed, tmp_path):
+    """An authority of our own answers the request, as one on the network would."""
+    folder = tmp_path / "log"
+    shutil.copytree(sealed, folder)
+    log = entries(folder)
+    query, authority = request(folder, log[-1]), tmp_path / "tsa.pem"
+    (tmp_path / "tsa.cnf").write_text(
+        "[req]\ndistinguished_name=dn\nx509_extensions=ext\nprompt=no\n[dn]\nCN=Our authority\n"
+        "[ext]\nextendedKeyUsage=critical,timeStamping\n[tsa]\ndefault_tsa=own\n[own]\n"
+        f"serial={tmp_path}/serial\ndefault_policy=1.2.3.4\ndigests=sha256\nsigner_digest=sha256\n"
+    )
+    for words in (
+        f"req -x509 -newkey rsa:2048 -nodes -keyout {tmp_path}/key.pem -out {authority} -config {tmp_path}/tsa.cnf",
+        f"ts -reply -config {tmp_path}/tsa.cnf -queryfile {query} -signer {authority} -inkey {tmp_path}/key.pem "
+        f"-out {query.with_suffix('.tsr')}",
+    ):
+        subprocess.run(["openssl", *words.split()], check=True, capture_output=True)
+    assert faults_of_stamps(folder, log, authority) == []
+    query.with_suffix(".tsr").rename(folder / "00003.tsr")
+    assert faults_of_stamps(folder, log, authority) == ["00003.tsr does not stamp entry 3 as it is"]

@@ -1,0 +1,237 @@
+"""A trial from its start to its page: what is said is sealed, judged by the declaration, and told."""
+
+import datetime as dt
+import json
+from contextlib import contextmanager
+
+import pytest
+from made_catalog import START, alert, catalog, fill, flight, message, replaced
+
+from pipelines.cli.base import app
+from pipelines.trial import evaluation, frozen, seal
+from pipelines.trial.declaration import DEFAULT, TrialError, read_declaration
+from pipelines.trial.figures import judge_alerts
+from pipelines.trial.judgement import Judge
+from pipelines.trial.log import entries, faults
+from pipelines.trial.outcomes import read_outcomes, take_in
+from pipelines.trial.seal import declaration_of, seal_night, start
+
+LAST = 200
+
+
+class World:
+    """A catalog that grows by a flight a day."""
+
+    def __init__(self, home, con, monkeypatch):
+        self.con, self.home, self.now, self.tables = (
+            con,
+            home,
+            0,
+            {"features_alerts": [], "raw_messages": [], "raw_maintenance": []},
+        )
+        for module in (seal, evaluation):
+            monkeypatch.setattr(module, "connect", self.connect)
+
+    @contextmanager
+    def connect(self, _home):
+        until = START + dt.timedelta(days=self.now, hours=12)
+        said = [a for a in self.tables["features_alerts"] if a["raised_at"] <= until]
+        seen = {
+            "features_alerts": [
+                a | {"closed_at": a["closed_at"] if (a["closed_at"] or until) < until else None} for a in said
+            ],
+            "raw_messages": [m for m in self.tables["raw_messages"] if m["message_time"] <= until],
+            "raw_maintenance": [w for w in self.tables["raw_maintenance"] if w["counts_from"] <= until],
+            "raw_flights": [flight(n) for n in range(self.now + 1)],
+            "prognoses": [prognosis(self.now)],
+        }
+        fill(self.con, **seen)
+        yield self.con
+
+    def night(self, day):
+        self.now = day
+        return seal_night(self.home, START + dt.timedelta(days=day, hours=14))
+
+    def judged(self, source="hdt"):
+        log = entries(self.home / "trial")
+        declared = declaration_of(log)
+        with self.connect(self.home) as con:
+            outcomes = read_outcomes(con, log, declared)
+        return judge_alerts(log, Judge(declared, outcomes), source)
+
+
+def prognosis(day):
+    said = {"rul_low": 30.0, "rul_flights": 60.0, "rul_high": 120.0, "p_event_50": 0.3, "model_version": "m"}
+    return flight(day) | {"pack": 1, "component": "HX", "split": "live"} | said
+
+
+@pytest.fixture(scope="module")
+def con():
+    with catalog() as con:
+        yield con
+
+
+@pytest.fixture
+def world(con, tmp_path, monkeypatch):
+    world = World(tmp_path, con, monkeypatch)
+    world.now = 9
+    return world
+
+
+def begin(world, more=""):
+    text = DEFAULT.replace("days = 90", "days = 400").replace("early_flights = 150", "early_flights = 60")
+    return start(world.home, text + more, START + dt.timedelta(days=9, hours=14))
+
+
+def sealed_through(world, *days):
+    for day in days:
+        world.night(day)
+
+
+def test_alerts_are_judged_by_the_night_that_sealed_them(world):
+    """Raised on day 20 and sealed that night, message on day 50: 30 flights. Of the other, the message came first."""
+    world.tables |= {
+        "features_alerts": [alert("good", 20), alert("late", 120), alert("none", 70, closed=90)],
+        "raw_messages": [message(50), message(121)],
+        "raw_maintenance": [replaced(52)],
+    }
+    begin(world)
+    sealed_through(world, 20, 40, 70, 125, LAST)
+    found = {a.alert.known.date(): (a.verdict, a.lead_flights) for a in world.judged().alerts}
+    day = {n: (START + dt.timedelta(days=n)).date() for n in (20, 70, 125)}
+    assert found == {day[20]: ("hit", 30), day[125]: ("after_event", None), day[70]: ("false_alarm", None)}
+    assert [e.verdict for e in world.judged().events] == ["hit", "missed"]
+
+
+@pytest.mark.parametrize(
+    ("finding", "verdict"), [("FOULED", "hit"), ("NO_FAULT_FOUND", "false_alarm"), (None, "removed")]
+)
+def test_a_removal_is_judged_by_its_finding(world, finding, verdict):
+    world.tables |= {"features_alerts": [alert("one", 20)], "raw_maintenance": [replaced(50, finding)]}
+    begin(world)
+    sealed_through(world, 20, 80)
+    assert [a.verdict for a in world.judged().alerts] == [verdict]
+
+
+def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_open(world):
+    world.tables["features_alerts"] = [alert("gone", 20), alert("young", 90)]
+    begin(world)
+    world.night(20)
+    del world.tables["features_alerts"][0]
+    entry = world.night(91)
+    assert entry.body["withdrawn"]["hdt"] == ["gone"]
+    assert [a.verdict for a in world.judged().alerts] == ["false_alarm", "open"]
+
+
+def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
+    world.tables["features_alerts"] = [alert("one", 20)]
+    begin(world)
+    world.night(20)
+    file = tmp_path / "shop.csv"
+    at = START + dt.timedelta(days=45)
+    file.write_text(f"operator,tail,pack,component,at,kind,finding\nAAA,T-1,1,HX,{at.isoformat()},REPLACED,FOULED\n")
+    take_in(world.home, file, START + dt.timedelta(days=46))
+    world.night(80)
+    assert [(a.verdict, a.lead_flights) for a in world.judged().alerts] == [("hit", 25)]
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("AAA,T-1,one,HX,2026-01-01,MESSAGE", "row 2 column pack: 'one'"),
+        ("AAA,T-1,1,HX,yesterday,MESSAGE", "row 2 column at: 'yesterday'"),
+        ("AAA,T-1,1,HX,2026-01-01,BROKEN", "row 2 column kind: 'BROKEN'"),
+        ("AAA,,1,HX,2026-01-01,MESSAGE", "row 2 column tail: None"),
+    ],
+)
+def test_an_outcome_that_can_not_be_is_told_by_row_and_column(world, tmp_path, row, says):
+    file = tmp_path / "shop.csv"
+    file.write_text(f"operator,tail,pack,component,at,kind\n{row}\n")
+    with pytest.raises(TrialError, match=says):
+        take_in(world.home, file)
+
+
+def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
+    """A rule given as SQL is sealed; a file is taken at its word."""
+    file = tmp_path / "maker.csv"
+    file.write_text(f"operator,tail,pack,component,raised_at\nAAA,T-1,1,HX,{START + dt.timedelta(days=45)}\n")
+    sql = "select operator, tail, 1 as pack, 'HX' as component, max(departed_at) as raised_at from flights group by all"
+    world.tables |= {"features_alerts": [alert("one", 20)], "raw_messages": [message(50)]}
+    begin(world, f'[rule.trend]\nsql = "{sql}"\n[rule.maker]\nfile = "{file}"\n')
+    sealed_through(world, 20, 45, 130)
+    told = evaluation.evaluate(world.home)
+    assert set(told.figures) == {"hdt", "trend", "maker"}
+    assert [a.verdict for a in world.judged("trend").alerts] == ["hit", "hit", "too_late", "after_event"]
+    assert told.verdicts["maker"]["too_late"] is None  # one alert: kept back
+    assert told.agreement["maker"]["ours alone"] is None
+
+
+def test_what_changes_after_the_start_is_told(world, monkeypatch):
+    begin(world)
+    assert "changes" not in world.night(20).body
+    monkeypatch.setattr(frozen, "constants", lambda: (("health/alerts.py SHARE", "0.5"),))
+    changes = world.night(21).body["changes"]
+    assert "constants health/alerts.py SHARE: nothing is now 0.5" in changes
+    assert "changes" not in world.night(22).body
+    assert list(faults(world.home / "trial")) == []
+
+
+def test_each_night_seals_only_what_is_new(world):
+    world.tables["features_alerts"] = [alert("one", 20)]
+    begin(world)
+    first, again = world.night(20), world.night(20)
+    assert [a["alert_id"] for a in first.body["alerts"]["hdt"]] == ["one"]
+    assert again.body["alerts"]["hdt"] == []
+    assert again.body["prognoses"] == []
+
+
+def test_nights_are_sealed_for_as_long_as_was_declared(world):
+    start(world.home, DEFAULT, START)
+    assert world.night(89)
+    assert world.night(90) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("days = 0", "days"),
+        ("weeks = 3", "no weeks"),
+        ('days = "ninety"', "days in the declaration is 'ninety'"),
+        ("[alert]\nlate_flights = 200", "late_flights, 200"),
+        ('[rule.x]\nsql = "select 1"\nfile = "f"', "rule.x"),
+        ("days =", "no TOML"),
+    ],
+)
+def test_a_declaration_that_can_not_be_is_told(text, says):
+    with pytest.raises(TrialError, match=says):
+        read_declaration(text)
+
+
+@pytest.mark.parametrize("sql", ["select 1 as operator", "drop table x", "select * from no_such"])
+def test_a_rule_that_can_not_be_asked_is_told(world, sql):
+    with pytest.raises(TrialError, match="rule own"):
+        begin(world, f'[rule.own]\nsql = "{sql}"\n')
+
+
+def test_the_command(own_home, tmp_path, capsys):
+    """On the sample's home: start, an idle night that seals, a page, and a log that was touched."""
+    landing, home = own_home
+
+    def hdt(*words):
+        code = app([*words, "--home", str(home)], standalone_mode=False)
+        return code or 0, capsys.readouterr()
+
+    assert hdt("trial", "start")[0] == 0
+    code, said = hdt("nightly", "--landing", str(landing), "--json")
+    digest = json.loads(said.out)["trial_digest"]
+    assert (code, len(digest)) == (0, 64)
+    assert hdt("trial", "page", "--out", str(tmp_path / "page.html"))[0] == 0
+    assert "Shadow trial" in (tmp_path / "page.html").read_text()
+    assert "proved up to entry 1" in hdt("trial", "verify", "--digest", digest)[1].out
+    entry = home / "trial/00001.json"
+    entry.write_bytes(entry.read_bytes().replace(b"AQX", b"AQY"))
+    code, said = hdt("trial", "verify")
+    assert (code, said.err) == (1, "FAULT: entry 1 is not the one whose digest heads.txt holds\n")
+    code, said = hdt("nightly", "--landing", str(landing))
+    assert code == 1
+    assert "the trial was not sealed" in said.err

@@ -1,0 +1,74 @@
+"""The catalog's views over tables of a few rows made by hand."""
+
+import datetime as dt
+from collections.abc import Sequence
+
+import duckdb
+import polars as pl
+
+from hdt_core.components import component_rows
+from hdt_core.tables import TABLES
+from pipelines.storage.catalog import ordered, views
+
+START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
+OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
+
+
+def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
+    """The views over tables made of these rows; what is not named is null, tables not named are empty."""
+    con = duckdb.connect()
+    con.execute("create schema tables")
+    fill(con, **dict.fromkeys(TABLES, ()) | {"components": component_rows()} | tables)
+    for _, sql in ordered(views()):
+        con.execute(sql)
+    con.execute("set TimeZone = 'America/Lima'")
+    return con
+
+
+def fill(con: duckdb.DuckDBPyConnection, **tables: Sequence[dict]) -> None:
+    """Make tables anew of these rows."""
+    for name, given in tables.items():
+        schema = TABLES[name].schema
+        frame = schema.conform(pl.DataFrame(given, infer_schema_length=None)) if given else schema.create_empty()
+        held = frame.to_arrow()  # noqa: F841
+        con.execute(f"create or replace table tables.{name} as select * from held")
+
+
+def flight(n: int, *, tail: str = "T-1", operator: str = "AAA") -> dict:
+    """Flight n of a tail that flies once a day."""
+    at = START + dt.timedelta(days=n)
+    name = f"{tail}_{at:%Y%m%d}_01"
+    return {
+        "operator": operator,
+        "tail": tail,
+        "flight_id": name,
+        "departed_at": at,
+        "landed_at": at + dt.timedelta(hours=2),
+    }
+
+
+def fouling(n: int, value: float, *, tail: str = "T-1", pack: int = 1) -> dict:
+    estimate = {"pack": pack, "component": "HX", "parameter": "hx_fouling", "value": value, "sd": 0.01}
+    return flight(n, tail=tail) | estimate | {"unit": "-", "status": "ok", "estimator": "made up"}
+
+
+def replaced(n: int, finding: str | None = "FOULED", component: str = "HX") -> dict:
+    done = {"done_on": (START + dt.timedelta(days=n)).date(), "component": component, "action": "REPLACED"}
+    ends = START.replace(hour=0) + dt.timedelta(days=n + 1)
+    return OWN | done | {"finding": finding, "reference": f"WO{n}", "counts_from": ends}
+
+
+def message(n: int, code: str = "21-52-HXTEMP") -> dict:
+    return OWN | {
+        "message_time": START + dt.timedelta(days=n, hours=1),
+        "flight_id": flight(n)["flight_id"],
+        "code": code,
+    }
+
+
+def alert(name: str, n: int, closed: int | None = None, component: str = "HX") -> dict:
+    at = START + dt.timedelta(days=n)
+    said = {"diagnosis": "HX_FOULING", "severity": "medium", "evidence": "e", "recommended_action": "a"}
+    ends = None if closed is None else START + dt.timedelta(days=closed)
+    times = {"raised_flight_id": flight(n)["flight_id"], "raised_at": at, "closed_at": ends}
+    return OWN | said | times | {"alert_id": name, "component": component}
