@@ -21,6 +21,7 @@ ORDER = (
     "terms",
     "export",
     "trial",
+    "dossier",
     "recorder",
     "ui",
     "simulate",

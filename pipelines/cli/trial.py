@@ -156,6 +156,28 @@ def write_page(
         out.print(f"{told.nights} nights, {told.flights:,} flights: {target}", soft_wrap=True)
 
 
+@app.command()
+def dossier(
+    target: Annotated[Path, typer.Option("--out", help="HTML file to write.")],
+    home: HomeDir = None,
+    attach: Annotated[
+        list[Path] | None, typer.Option(help="A text that goes along whole; may be given more than once.")
+    ] = None,
+) -> None:
+    """Write what an authority asks of a prognostic model.
+
+    Data lineage, limits, validation, configuration, changes and known failures, as one offline page. It names aircraft.
+    """
+    from pipelines.storage.files import replacing
+    from pipelines.trial.dossier import write_dossier
+
+    with _one_line():
+        told = write_dossier(home_folder(home), attach or ())
+        with replacing(target.resolve()) as temporary:
+            temporary.write_text(told, "utf-8")
+    out.print(f"Dossier: {target}", soft_wrap=True)
+
+
 @contextmanager
 def _one_writer(home: Path | None) -> Iterator[Path]:
     """The home, held: no night seals meanwhile."""

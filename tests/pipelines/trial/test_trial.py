@@ -228,6 +228,13 @@ def test_the_command(own_home, tmp_path, capsys):
     assert hdt("trial", "page", "--out", str(tmp_path / "page.html"))[0] == 0
     assert "Shadow trial" in (tmp_path / "page.html").read_text()
     assert "proved up to entry 1" in hdt("trial", "verify", "--digest", digest)[1].out
+    assert hdt("dossier", "--out", str(tmp_path / "dossier.html"))[0] == 0
+    dossier = (tmp_path / "dossier.html").read_text()
+    assert {
+        word
+        for word in ("1 Data lineage", "HX_FOULING", "estimation/fit.py CHANCE", "AQX", digest)
+        if word not in dossier
+    } == set()
     entry = home / "trial/00001.json"
     entry.write_bytes(entry.read_bytes().replace(b"AQX", b"AQY"))
     code, said = hdt("trial", "verify")

@@ -1,0 +1,221 @@
+"""What an authority asks of who wants to use a prognostic model, from one home, as one offline file.
+
+The inputs that SAE ARP8476 and FAA AC 43-218 ask for: where the data come from, limits, validation, configuration,
+changes and known failures. It brings together what is there and grants nothing: the judgement, the safety assessment
+and the maintenance programme are the operator's.
+"""
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib import resources
+from pathlib import Path
+
+import duckdb
+
+from pipelines.lineage import STAGES
+from pipelines.report.html import Html, join, tag
+from pipelines.storage.catalog import connect
+from pipelines.storage.hashes import digest
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accepted_terms
+from pipelines.trial.document import bullets, document, section, table
+from pipelines.trial.frozen import frozen
+from pipelines.trial.log import entries
+from pipelines.trial.log import faults as faults_of_log
+from pipelines.trial.seal import log_folder
+
+_PURPOSE = (
+    "Advisory: it tells line maintenance which exchanger or compressor of an air-conditioning pack wears, why, and "
+    "how many flights are likely to be left until the aircraft's own message. No crew procedure, dispatch condition or "
+    "inspection interval rests on it, and none may without the operator's assessment and the authority's approval."
+)
+_QUESTIONS = {
+    "lineage": """
+        select operator, count(distinct tail) as aircraft, count(*) as flights, min(departed_on) as first_day,
+            max(departed_on) as last_day from flights group by operator order by operator""",
+    "rows": """
+        select count(*) as files, sum(delivered)::bigint as delivered, sum(loaded)::bigint as loaded,
+            sum(quarantined)::bigint as quarantined, sum(duplicate)::bigint as duplicate from deliveries""",
+    "quarantine": """
+        select reason, scope, count(*) as entries, sum(n_rows)::bigint as n_rows, count(distinct file) as files
+        from quarantine group by reason, scope order by entries desc, reason""",
+    "gaps": "select gap, count(*) as times, count(distinct tail) as aircraft from data_gaps group by gap order by gap",
+    "legs": """
+        select coalesce(nullif(reason, ''), 'admitted') as reason, count(*) as legs from legs
+        group by all order by legs desc, reason""",
+    "status": """
+        select component, parameter, status, count(*) as estimates, count(distinct tail) as aircraft
+        from health_parameters group by all order by component, parameter, estimates desc""",
+    "design": """
+        select component, scope, parameter, count(*) as values, count(*) filter (where identifiable) as identifiable
+        from design_parameters group by all order by component, scope, parameter""",
+    "components": "select component, name, lost, message_code, limit_loss, version from tables.components order by 1",
+    "outcomes": """
+        select component, diagnosis, outcome, count(*) as alerts from alert_outcomes group by all order by all""",
+    "lead": """
+        select component, count(*) as events, count(lead_flights) as foretold,
+            median(lead_flights) as lead_median_flights, quantile_cont(lead_flights, 0.1) as lead_p10_flights
+        from alert_lead_times group by component order by component""",
+    "missed": """
+        select operator, tail, pack, component, message_time, code from alert_lead_times where lead_flights is null
+        order by message_time""",
+    "false_alarms": """
+        select operator, tail, pack, component, diagnosis, raised_at, closed_at, outcome from false_alarms
+        order by raised_at""",
+    "models": """
+        select component, model_version, split, min(departed_on) as first_day, max(departed_on) as last_day,
+            count(*) as prognoses from prognoses group by all order by first_day, component, model_version""",
+}  # fmt: skip
+
+
+def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
+    """The document.
+
+    Parameters
+    ----------
+    home : Path
+        A home with a catalog.
+    attached : sequence of Path
+        Texts that go along whole: limits, validation reports, a trial's page as text.
+    """
+    with connect(home) as con:
+        told = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
+        checks = [(name, _rows_of(con, sql)) for name, sql in _checks()]
+        cards = con.execute("select card from tables.prognosis_model limit 1").fetchall()
+        configuration = frozen(con, list(accepted_terms(home)))
+    return document(
+        f"Dossier of a prognostic system, {datetime.now(UTC):%Y-%m-%d}",
+        section("Purpose and limits of use", _PURPOSE),
+        section("Where to find what", _contents()),
+        section("1 Data lineage", told["lineage"], told["rows"], *_named("Stages, in order", _stages())),
+        section(
+            "2 Data quality",
+            *_named("Set aside, by reason", told["quarantine"]),
+            *_named("Gaps", told["gaps"]),
+            *_named("Legs fit to calibrate from", told["legs"]),
+        ),
+        section(
+            "3 Limits",
+            *_named("Components and the loss at which they fail", told["components"]),
+            *_named("What the data identify of the design", told["design"]),
+            *_named("How estimates ended", told["status"]),
+        ),
+        section(
+            "4 Validation",
+            *_named("Model card; scores are of aircraft that the model did not learn from", _card(cards)),
+            *_named("What came of alerts", told["outcomes"]),
+            *_named("Lead before the aircraft's message", told["lead"]),
+            *_named("Checks of the catalog", table(("check", "rows at fault"), checks)),
+            *_trial(home),
+        ),
+        section("5 Configuration", _configuration(configuration)),
+        section("6 Changes", *_named("Nights", _nights(home)), *_named("Models that spoke", told["models"])),
+        section(
+            "7 Known failures",
+            *_named("Messages that no alert foretold", told["missed"]),
+            *_named("Alerts without a finding, a message or a removal", told["false_alarms"]),
+        ),
+        *(_attachment(path) for path in (*_own_papers(), *attached)),
+    )
+
+
+def _contents() -> Html:
+    rows = (
+        ("data sources, their integrity and traceability", "1, 2"),
+        ("assumptions, operating limits, what can't be told", "3, attached limits"),
+        ("validation against outcomes, false and missed alarms, lead", "4, 7"),
+        ("configuration control of software, model and thresholds", "5"),
+        ("changes in service and their effect", "6"),
+        ("known failures and how they are found", "2, 7"),
+        ("not here: safety assessment, training, procedures, approvals", "the operator's"),
+    )
+    return table(("asked for", "section"), rows)
+
+
+def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Html:
+    answer = con.sql(sql)
+    columns, rows = [c.replace("_", " ") for c in answer.columns], answer.fetchall()
+    return table(columns, ([_said(v) for v in row] for row in rows))
+
+
+def _said(value: object) -> str:
+    if isinstance(value, datetime):
+        return f"{value.astimezone(UTC):%Y-%m-%d %H:%M}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _named(title: str, content: Html) -> tuple[Html, Html]:
+    return tag("h3", title), content
+
+
+def _stages() -> Html:
+    rows = (
+        (
+            s.name,
+            ", ".join(s.tables),
+            ", ".join(s.parents) or "what is delivered or declared",
+            digest(*map(repr, s.tables.values()))[:12],
+        )
+        for s in STAGES
+    )
+    return table(("stage", "tables", "made from", "code"), rows)
+
+
+def _checks() -> list[tuple[str, str]]:
+    folder = resources.files("sql") / "checks"
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".sql")), key=lambda f: f.name)
+    return [(f.name.removesuffix(".sql").replace("_", " "), f.read_text("utf-8")) for f in files]
+
+
+def _rows_of(con: duckdb.DuckDBPyConnection, sql: str) -> int:
+    return len(con.execute(sql).fetchall())
+
+
+def _card(cards: list[tuple[str]]) -> Html:
+    card = json.loads(cards[0][0]) if cards else {}
+    return table(("", ""), ((k, tag("code", json.dumps(v)) if isinstance(v, dict) else v) for k, v in card.items()))
+
+
+def _configuration(now: dict[str, object]) -> Html:
+    rows = []
+    for name, value in now.items():
+        inner = value if isinstance(value, dict) else {"": value}
+        rows += [
+            (f"{name} {key}".strip(), _said(v) if not isinstance(v, list) else ", ".join(v)) for key, v in inner.items()
+        ]
+    return table(("what", "as it is"), rows)
+
+
+def _nights(home: Path) -> Html:
+    """The last hundred nights, and every one that failed."""
+    told = Ledger(home, looks=True).nights().rows()
+    kept = [row for k, row in enumerate(told) if k >= len(told) - 100 or row[-1] not in ("{}", "")]
+    return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), kept)
+
+
+def _trial(home: Path) -> tuple[Html, ...]:
+    """What a shadow trial sealed, where there is one."""
+    log = entries(log_folder(home))
+    if not log:
+        return _named("Shadow trial", tag("p", "None was held."))
+    faults = list(faults_of_log(log_folder(home)))
+    said = f"{len(log)} entries since {log[0].sealed_at:%Y-%m-%d}; last digest {log[-1].digest}."
+    changes = [f"{e.sealed_at:%Y-%m-%d}: {line}" for e in log for line in e.body.get("changes", [])]
+    return _named(
+        "Shadow trial", join(tag("p", said), bullets(faults or changes or ["nothing changed since it began"]))
+    )
+
+
+def _own_papers() -> list[Path]:
+    """The project's own words on limits and changes; a wheel lacks them, and then they are to be attached."""
+    root = Path(__file__).parents[2]
+    return [path for path in (root / "docs/limits.md", root / "CHANGELOG.md") if path.is_file()]
+
+
+def _attachment(path: Path) -> Html:
+    text = path.read_text("utf-8")
+    return section(f"Attached: {path.name}", f"SHA-256 {sha256(path.read_bytes()).hexdigest()}.", tag("pre", text))
