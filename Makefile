@@ -5,14 +5,14 @@ HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
 
-.PHONY: run test soak audit check setup lock clean ui
+.PHONY: run test soak audit check lint types imports sql docs setup lock clean ui
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
 	$(BIN)/hdt report --home $(HDT_HOME) --out $(HDT_HOME)/report.html
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # a thousand kills at random moments of a night; HDT_SOAK_KILLS=n for more
 soak: $(READY)
@@ -24,12 +24,23 @@ audit: $(READY)
 	.ci/sbom < requirements.lock > sbom.json
 	.audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes --progress-spinner off -f json | .ci/audited
 
-check: $(READY)
+# side by side with `make -j2 check`
+check: lint types imports sql docs
+
+lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(READY)
 	$(BIN)/mypy
+
+imports: $(READY)
 	$(BIN)/lint-imports
+
+sql: $(READY)
 	$(BIN)/sqlfluff lint sql
+
+docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir .site
 
 ui: $(READY)

@@ -247,7 +247,7 @@ STAGES = (
         road=COMPONENT,
     ),
     Stage("declared_components", "raw", alike("components", code=DECLARED)),
-    Stage("prognosis_base", "prognosis", alike("prognosis_base", code="2"), label="prognosis"),
+    Stage("prognosis_base", "prognosis", alike("prognosis_base", code="3"), label="prognosis"),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     Stage(
         "prognosis",
@@ -256,7 +256,7 @@ STAGES = (
             "prognoses",
             "prognosis_model",
             parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-            code="5",
+            code="6",
         ),
         fresh="prognoses",
     ),

@@ -1,6 +1,6 @@
-"""What goes into a file: the model as plain parts, its card, and the rule by which one model replaces another."""
+"""What is stored of a model: its base and what a fleet taught it, its card, and when one model replaces another."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hdt_core.components import Limit
@@ -12,22 +12,27 @@ from hdt_core.prognosis.rows import Says
 Card = dict[str, Any]
 
 
-def to_parts(model: Prognosis) -> dict[str, Any]:
-    """Model as a dict of scikit-learn objects, numbers and strings, which skops stores without custom types."""
-    return {
-        "hazard": list(model.hazard),
-        "base_levels": list(model.base_levels),
-        "fits": _plain(model.fits),
-        "version": model.version,
-        "folds": [{"held": list(fold.held), "fits": _plain(fold.fits)} for fold in model.folds],
-    }
+def to_parts(base: Prognosis) -> dict[str, Any]:
+    """The base as a dict of scikit-learn objects and numbers, which skops stores without custom types."""
+    return {"hazard": list(base.hazard), "base_levels": list(base.base_levels)}
 
 
 def from_parts(parts: dict[str, Any]) -> Prognosis:
-    """Model from what `to_parts` gave."""
+    """A base from what `to_parts` gave."""
     low, middle, high = parts["base_levels"]
-    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in parts.get("folds", []))
-    return Prognosis(tuple(parts["hazard"]), (low, middle, high), _fits(parts["fits"]), parts["version"], folds)
+    return Prognosis(tuple(parts["hazard"]), (low, middle, high))
+
+
+def to_lessons(model: Prognosis) -> dict[str, Any]:
+    """What a fleet taught a model, to be kept as JSON."""
+    folds = [{"held": list(fold.held), "fits": _plain(fold.fits)} for fold in model.folds]
+    return {"version": model.version, "fits": _plain(model.fits), "folds": folds}
+
+
+def taught(base: Prognosis, lessons: dict[str, Any]) -> Prognosis:
+    """A base with what `to_lessons` gave."""
+    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in lessons["folds"])
+    return replace(base, fits=_fits(lessons["fits"]), version=lessons["version"], folds=folds)
 
 
 def _plain(fits: Fits) -> dict[str, Any]:

@@ -6,11 +6,14 @@ from hdt_core.tables.base import LegTable, Table, flag, moment, number, text
 
 
 class PrognosisModel(Table):
-    """The prognostic model in service, in skops form."""
+    """The prognostic model in service: its base in skops form, and what the fleet taught it."""
 
     model_version = text("hash of what it was trained on", nullable=False, primary_key=True)
     card = text("model card as JSON", nullable=False)
-    model = dy.Binary(nullable=False, metadata={"unit": "", "meaning": "the fitted model, skops bytes"})
+    model = dy.Binary(
+        nullable=False, metadata={"unit": "", "meaning": "the base, learned from simulated lives, as skops bytes"}
+    )
+    fits = text("what the fleet's lives taught, by component and fold, as JSON; null in a base")
     lesson = text("hash of what was known of the fleet when the model learned; null in a base")
     heard = text("by component and pack, how many flights were spoken about, and a hash of their health, as JSON")
 

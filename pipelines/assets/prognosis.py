@@ -1,20 +1,17 @@
 """How long is left, and how sure."""
 
 import json
-from typing import Any
 
 import polars as pl
-import skops.io
 
 from hdt_core.health.asks import CRITICAL
-from hdt_core.prognosis.card import from_parts, model_card, to_parts
-from hdt_core.prognosis.model import Prognosis
-from hdt_core.prognosis.record import Heard, Record
+from hdt_core.prognosis.card import model_card, taught, to_lessons
+from hdt_core.prognosis.record import Record
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
 from hdt_core.records.unit_index import PACK
 from pipelines.assets.stage import StageResult, stage
-from pipelines.learned import TRUSTED, shipped_base
+from pipelines.learned import loaded, shipped_base, shipped_bytes
 from pipelines.report.pictures import DRAWN, night_pictures
 from pipelines.resources import Home
 from pipelines.storage.store import Store
@@ -24,7 +21,8 @@ from pipelines.storage.store import Store
 def prognosis_base() -> pl.DataFrame:
     """What simulated lives teach, before any fleet has been seen: learned once and shipped."""
     base = shipped_base()
-    return _kept(base, model_card(base))
+    row = {"model_version": base.version, "card": json.dumps(model_card(base)), "model": shipped_bytes()}
+    return pl.DataFrame([row | dict.fromkeys(("fits", "lesson", "heard"))])
 
 
 @stage
@@ -39,32 +37,29 @@ def prognosis(
     asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
     # what a flight asked is kept beside the features, of which it would be a fifth
     features = described.join(asks, on=[*PACK, "flight_id"], how="left").collect()
-    served = serve(loaded(prognosis_base), _last(home.store), Record(features, raw_messages, raw_maintenance))
+    stored = home.store.read("prognosis_model")
+    candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
+    served = serve(candidate, last, Record(features, raw_messages, raw_maintenance))
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
-    return StageResult((served.prognoses, _kept(served.model, served.card, served.lesson, served.heard)), pictures)
+    base = prognosis_base if served.model.hazard is candidate.hazard else stored
+    return StageResult((served.prognoses, _kept(served, base["model"][0])), pictures)
 
 
 READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))
 """Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
 
 
-def _last(store: Store) -> Served | None:
+def _served(stored: pl.DataFrame, store: Store) -> Served | None:
     """What served until now; None where there is none, or none that says what it has spoken about."""
-    table = store.read("prognosis_model")
-    if not table.height or table["heard"][0] is None:
+    if not stored.height or stored["heard"][0] is None or stored["fits"][0] is None:
         return None
-    row = table.row(0, named=True)
-    card, told = json.loads(row["card"]), json.loads(row["heard"])
-    return Served(loaded(table), store.read("prognoses"), card, row["lesson"], told)
+    row = stored.row(0, named=True)
+    model = taught(loaded(row["model"]), json.loads(row["fits"]))
+    return Served(model, store.read("prognoses"), json.loads(row["card"]), row["lesson"], json.loads(row["heard"]))
 
 
-def loaded(table: pl.DataFrame) -> Prognosis:
-    """Model of a table's only row; a file with types beyond `TRUSTED` is refused."""
-    return from_parts(skops.io.loads(table["model"][0], trusted=TRUSTED))
-
-
-def _kept(
-    model: Prognosis, card: dict[str, Any], lesson: str | None = None, heard: dict[str, Heard] | None = None
-) -> pl.DataFrame:
-    row = {"model_version": model.version, "card": json.dumps(card), "model": skops.io.dumps(to_parts(model))}
-    return pl.DataFrame([row | {"lesson": lesson, "heard": None if heard is None else json.dumps(heard)}])
+def _kept(served: Served, base: bytes) -> pl.DataFrame:
+    """The model in service as a row: its base as it came, what the fleet taught beside it."""
+    row = {"model_version": served.model.version, "card": json.dumps(served.card), "model": base}
+    row |= {"fits": json.dumps(to_lessons(served.model)), "lesson": served.lesson, "heard": json.dumps(served.heard)}
+    return pl.DataFrame([row])

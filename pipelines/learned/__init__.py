@@ -1,11 +1,12 @@
 """The base that prognosis starts from, learned once from simulated lives and shipped: it knows no fleet.
 
 `python -m pipelines.learned` learns it again and writes it, some minutes of one core. A change of the simulator, of the
-features or of the learner calls for it; a test learns a part again and compares.
+features or of the learner calls for it. `recipe.json` says what it reads, and of which sources it was learned or found
+to be the same: a test learns a part again and compares where they are others.
 """
 
 import json
-from functools import cache
+from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -15,7 +16,7 @@ from hdt_core.prognosis.card import from_parts
 from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.rows import INPUTS
 
-FILE = "base.skops"
+FILE, RECIPE = "base.skops", "recipe.json"
 # what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file
 TRUSTED = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
 
@@ -24,16 +25,30 @@ class StaleBaseError(Exception):
     """The shipped base was learned from other inputs than the code now reads."""
 
 
-@cache
 def shipped_base() -> Prognosis:
-    """Base that came with this installation.
+    """Base that came with this installation. Raises `StaleBaseError`."""
+    return loaded(shipped_bytes())
+
+
+def shipped_bytes() -> bytes:
+    """The same, as it is stored.
 
     Raises
     ------
     StaleBaseError
         It reads other inputs than the present code gives.
     """
-    parts: dict[str, Any] = skops.io.loads(files(__name__).joinpath(FILE).read_bytes(), trusted=TRUSTED)
-    if parts.pop("inputs") != json.dumps(INPUTS):
+    if shipped_recipe()["inputs"] != list(INPUTS):
         raise StaleBaseError("the shipped base was learned from other inputs: run python -m pipelines.learned")
-    return from_parts(parts)
+    return files(__name__).joinpath(FILE).read_bytes()
+
+
+def shipped_recipe() -> dict[str, Any]:
+    """`inputs` that the base reads and a digest of the `sources` that it was learned from."""
+    return dict(json.loads(files(__name__).joinpath(RECIPE).read_text()))
+
+
+@lru_cache(maxsize=2)
+def loaded(stored: bytes) -> Prognosis:
+    """A base from skops bytes, read once a process; those that name a type beyond `TRUSTED` are refused."""
+    return from_parts(skops.io.loads(stored, trusted=TRUSTED))

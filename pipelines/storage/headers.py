@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import dataframely as dy
 
@@ -43,6 +44,7 @@ def meanings(view: str, columns: Iterable[str], known: dict[str, Header]) -> dic
     return {column: meaning(view, column, known) for column in columns}
 
 
+@cache
 def declared_columns(table: str) -> dict[str, str]:
     """What each declared column of a table means, with its unit."""
     return {name: declared(column) for name, column in TABLES[table].schema.columns().items()}
@@ -55,8 +57,8 @@ def meaning(view: str, column: str, known: dict[str, Header]) -> str:
         return header.columns[column]
     tables = [r.removeprefix("tables.") for r in header.reads if r.startswith("tables.")]
     for table in tables:
-        if column in TABLES[table].schema.columns():
-            return declared(TABLES[table].schema.columns()[column])
+        if column in declared_columns(table):
+            return declared_columns(table)[column]
     for other in header.reads:
         if other in known and (found := meaning(other, column, known)):
             return found

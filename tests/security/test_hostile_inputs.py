@@ -13,7 +13,7 @@ from hostile import CANARY, FILES, LINKS, PIPE, SCRIPT, Bomb
 from skops.io.exceptions import UntrustedTypesFoundException
 
 from pipelines import cli
-from pipelines.assets.prognosis import TRUSTED
+from pipelines.learned import TRUSTED
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import ask, connect
 from pipelines.storage.store import Store

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hdt_core.prognosis.card import from_parts, model_card, promote, to_parts
+from hdt_core.prognosis.card import from_parts, model_card, promote, taught, to_lessons, to_parts
 from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
@@ -91,7 +91,8 @@ def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
     sio = pytest.importorskip("skops.io")
     blob = sio.dumps(to_parts(model))
     assert not [t for t in sio.get_untrusted_types(data=blob) if t.startswith("hdt_core")]
-    again = from_parts(sio.loads(blob, trusted=sio.get_untrusted_types(data=blob)))
+    base = from_parts(sio.loads(blob, trusted=sio.get_untrusted_types(data=blob)))
+    again = taught(base, json.loads(json.dumps(to_lessons(model))))
     head = features.filter(pl.col("tail") == "LX-T00")
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
 

@@ -1,0 +1,118 @@
+"""The nightly chain on frames in memory, step by step: the same functions in the same order, without files.
+
+A step names what it reads, so a change of one function makes again only what follows from it.
+"""
+
+from collections.abc import Callable, Iterable
+from inspect import signature
+from typing import Any
+
+import polars as pl
+
+from hdt_core.flight.admission import admit_by, learn_norm
+from hdt_core.flight.legs import judge_legs
+from hdt_core.flight.norm import leg_signs
+from hdt_core.health.alerts import raise_alerts
+from hdt_core.health.asks import CRITICAL, margin_flights
+from hdt_core.health.controller import learn_laws
+from hdt_core.health.features import features as describe
+from hdt_core.health.residuals import residuals as compare
+from hdt_core.health.witnesses import witnesses as testify
+from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.model import out_of_fold
+from hdt_core.prognosis.rows import ASKS
+from hdt_core.records.unit_index import PACK
+from hdt_core.twin.calibrate import baseline_flights
+from hdt_core.twin.calibrate import calibrate as fit
+from hdt_core.twin.flights import estimate_flights
+from hdt_core.twin.track import track
+from pipelines.learned import shipped_base
+
+Made = dict[str, Any]
+RECORD = ("snapshots", "maintenance", "messages")
+"""What a chain begins with: snapshots as the raw stage stores them, and the two logs."""
+
+
+def legs(snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Made:
+    verdicts, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
+    return {"verdicts": verdicts, "samples": samples}
+
+
+def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Made:
+    """From the commissioning window of each tail, and what the logs said until it ended."""
+    within = pl.col("flight_id").is_in(baseline_flights(verdicts))
+    verdicts, samples = verdicts.filter(within), samples.filter(within)
+    ends = verdicts.group_by("operator", "tail").agg(end=pl.col("departed_at").max().dt.date())
+    logs = [
+        log.join(ends, on=["operator", "tail"]).filter(day <= pl.col("end")).drop("end")
+        for log, day in ((maintenance, pl.col("done_on")), (messages, pl.col("message_time").dt.date()))
+    ]
+    norm = learn_norm(verdicts, samples, *logs)
+    admitted = admit_by(norm, verdicts, leg_signs(samples, norm), *logs)
+    return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_laws(samples)}
+
+
+def estimate(samples: pl.DataFrame, dsm: Any) -> Made:
+    return {"alone": estimate_flights(samples, dsm)}
+
+
+def follow(alone: pl.DataFrame, maintenance: pl.DataFrame, dsm: Any) -> Made:
+    return {"health": track(alone, maintenance, dsm)}
+
+
+def admit(
+    norm: Any,
+    verdicts: pl.DataFrame,
+    samples: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    messages: pl.DataFrame,
+    health: pl.DataFrame,
+    alone: pl.DataFrame,
+) -> Made:
+    signs = leg_signs(samples, norm)
+    return {"admitted": admit_by(norm, verdicts, signs, maintenance, messages, health, alone)}
+
+
+def margin(samples: pl.DataFrame, dsm: Any, laws: Any) -> Made:
+    return {"margin": margin_flights(samples, dsm, laws), "witnesses": testify(samples, laws)}
+
+
+def features(
+    health: pl.DataFrame,
+    alone: pl.DataFrame,
+    samples: pl.DataFrame,
+    verdicts: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    dsm: Any,
+    margin: pl.DataFrame,
+    witnesses: pl.DataFrame,
+) -> Made:
+    """Features with what each flight asked beside them."""
+    compared = compare(samples, alone, dsm)
+    seen = describe(health, compared, verdicts, maintenance, twin_flights=alone, witnesses=witnesses, margin=margin)
+    key = [*PACK, "flight_id"]
+    asks = margin.select(*key, *(c for c in (*CRITICAL, *ASKS) if c not in seen.columns))
+    return {"features": seen.join(asks, on=key, how="left", maintain_order="left")}
+
+
+def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> Made:
+    return {"alerts": raise_alerts(features, health, maintenance)}
+
+
+def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Made:
+    """Prognoses of each tail by what the others taught."""
+    lives = episodes(features, messages, maintenance)
+    return {"lives": lives, "prognoses": out_of_fold(features, lives, base=shipped_base())}
+
+
+STEPS: tuple[Callable[..., Made], ...] = (
+    legs, calibrate, estimate, follow, admit, margin, features, alert, foretell,
+)  # fmt: skip
+
+
+def run(made: Made, steps: Iterable[Callable[..., Made]] = STEPS) -> Made:
+    """What the record (`RECORD`) and the steps made; each step's arguments are named after what it reads."""
+    made = dict(made)
+    for step in steps:
+        made |= step(**{name: made[name] for name in signature(step).parameters})
+    return made

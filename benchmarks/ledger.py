@@ -1,0 +1,209 @@
+"""Priors and thresholds, where each comes from, and what halving and doubling it does: `python -m benchmarks.ledger`.
+
+    python -m benchmarks.ledger run --fleet NAME HOME TRUTH [--fleet ...] --results FILE [--only PATTERN]
+    python -m benchmarks.ledger write --results FILE
+
+Claim: no figure hangs on a number that somebody chose. `constants.toml` holds every constant with its source. `run`
+changes one in a copy of the sources, makes again what follows from it (`benchmarks.chain`) on fleets that another
+simulator flew, and scores it against their truth; a line of the results file a run, so that it goes on where it
+stopped. `write` puts the table into docs/constants.md. The shipped base of the prognosis is not learned again.
+"""
+
+import argparse
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import grimp
+import polars as pl
+
+from benchmarks import chain, samples
+from benchmarks.changed_source import changed
+from benchmarks.page import write
+from benchmarks.prognosis import alert_figures, markdown, tally
+from benchmarks.twin import fouling_numbers
+from hdt_core.prognosis.metrics import judge, score_prognoses
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "constants.md"
+LEDGER = Path(__file__).with_name("constants.toml")
+FACTORS = (0.5, 2.0)
+MOVES = {
+    "alerted": 0.02, "lead": 10.0, "early": 0.5, "false": 0.25, "diagnosis": 0.03, "fouling": 0.002,
+    "fouling score": 0.01, "yield": 0.02, "contamination": 0.01, "RUL score": 0.02, "coverage": 0.02, "AUC": 0.01,
+}  # fmt: skip
+"""What is worth telling of each figure: a tenth or so of the distance from useful to useless."""
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """One entry of the ledger: where it stands, what it rests on, and how it is halved and doubled."""
+
+    module: str
+    path: str
+    source: str
+    scale: str = "value"
+
+
+def ledger() -> list[Constant]:
+    """All entries of `constants.toml`, in its order."""
+    found = []
+    for module, entries in tomllib.loads(LEDGER.read_text())["constant"].items():
+        for path, said in entries.items():
+            found.append(Constant(module, path, **(said if isinstance(said, dict) else {"source": said})))
+    return found
+
+
+def figures(made: chain.Made) -> dict[str, float]:
+    """What a change is judged by, keys of `MOVES`."""
+    lives = samples.true_lives(made["features"], made["truth"], made["events"])
+    life = score_prognoses(judge(made["prognoses"], made["features"], lives))
+    alerts = dict(zip(("alerted", "lead", "p10", "early", "false"), alert_figures(tally(made)), strict=False))
+    key = ["tail", "flight_id", "pack"]
+    legs = made["truth"].filter("arrived").join(made["admitted"].select(*key, "admitted"), on=key)
+    worn = made["health"].filter(parameter="hx_fouling").drop_nulls("value").join(made["truth"], on=key)
+    worn = worn.with_columns(
+        e=pl.col("value") - 1.0 + pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio"), seed=pl.lit(0)
+    ).with_columns(a=1.0 - pl.col("apparent_ua_ratio"))
+    wear = fouling_numbers(worn)
+    return {name: float(v) for name, v in {
+        **{name: alerts[name] for name in ("alerted", "lead", "early", "false")},
+        "diagnosis": alert_figures(tally(made))[-1],
+        "fouling": wear["fouling, mean absolute error"], "fouling score": wear["interval score"],
+        "yield": legs.filter("nominal")["admitted"].mean(),
+        "contamination": legs.filter("admitted")["contaminant"].mean(),
+        "RUL score": 1.0 - life["interval_skill"], "coverage": life["coverage"], "AUC": life["auc"],
+    }.items()}  # fmt: skip
+
+
+def affected(module: str) -> list[str]:
+    """Steps of the chain that can see a module."""
+    graph = grimp.build_graph("hdt_core", cache_dir=None)
+    seen = []
+    for step in chain.STEPS:
+        uses = {v.__module__ for n in step.__code__.co_names if (v := getattr(chain, n, None)) and callable(v)}
+        own = {m for m in uses if m.startswith("hdt_core")}
+        if module in own or any(module in graph.find_upstream_modules(m) for m in own):
+            seen.append(step.__name__)
+    return seen
+
+
+def remade(made: chain.Made, steps: list[str]) -> chain.Made:
+    """The chain after a change that these steps can see: they run, and what reads what they changed."""
+    made, moved = dict(made), set[str]()
+    for step in chain.STEPS:
+        reads = set(signature(step).parameters)
+        if step.__name__ in steps or reads & moved:
+            new = step(**{name: made[name] for name in reads})
+            moved |= {name for name, value in new.items() if not same(value, made[name])}
+            made |= new
+    return made
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, pl.DataFrame):
+        return bool(one.equals(other))
+    return pickle.dumps(one) == pickle.dumps(other)
+
+
+def tried(constant: Constant, factor: float, kept: Path) -> dict[str, float]:
+    """Figures with one constant changed, by a process that reads the changed sources."""
+    with tempfile.TemporaryDirectory() as folder:
+        for package in ("hdt_core", "pipelines", "benchmarks", "dagster_batched"):
+            shutil.copytree(ROOT / package, Path(folder) / package, ignore=shutil.ignore_patterns("__pycache__"))
+        file = Path(folder, *constant.module.split(".")).with_suffix(".py")
+        file.write_text(changed(file.read_text(), constant.path, factor, constant.scale))
+        command = [sys.executable, "-m", "benchmarks.ledger", "one", str(kept), *affected(constant.module)]
+        done = subprocess.run(
+            command, check=False, cwd=folder, env=os.environ | {"PYTHONPATH": folder}, capture_output=True, text=True
+        )
+    if done.returncode:
+        return {"error": done.stderr.strip().splitlines()[-1]}  # type: ignore[dict-item]
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def run(fleets: list[list[str]], results: Path, only: str, every: int) -> None:
+    """Try what the results file does not hold yet; of each fleet one aircraft in `every`."""
+    for name, home, folder in fleets:
+        kept = results.with_suffix(f".{name}.pickle")
+        if not kept.exists():
+            given = samples.record(Path(home)) | samples.truth(Path(folder))
+            made = chain.run(samples.thinned(given, every))
+            kept.write_bytes(pickle.dumps(made))
+            _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(made)})
+    held = {(r["fleet"], r["at"], r["factor"]) for r in _held(results)}
+    for constant in ledger():
+        at = f"{constant.module}:{constant.path}"
+        for name, _, _ in fleets if fnmatch(at, only) else ():
+            for factor in FACTORS:
+                if (name, at, factor) not in held:
+                    said = tried(constant, factor, results.with_suffix(f".{name}.pickle"))
+                    _note(results, {"fleet": name, "at": at, "factor": factor, "figures": said})
+
+
+def _note(results: Path, row: dict[str, Any]) -> None:
+    with results.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+def _held(results: Path) -> Iterator[dict[str, Any]]:
+    if results.exists():
+        yield from map(json.loads, results.read_text().splitlines())
+
+
+def table(results: Path) -> str:
+    """The ledger with what was measured: of each change what moved by more than `MOVES`."""
+    rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _held(results)}
+    fleets = sorted({fleet for fleet, _, _ in rows})
+    lines = [["constant", "source", *(f"{f}, {w}" for f in fleets for w in ("halved", "doubled"))]]
+    for constant in ledger():
+        at = f"{constant.module}:{constant.path}"
+        cells = [_moved(rows.get((f, at, k)), rows[f, "", 1.0]) for f in fleets for k in FACTORS]
+        lines.append([f"`{at.removeprefix('hdt_core.')}`", constant.source, *cells])
+    return markdown(lines)
+
+
+def _moved(now: dict[str, Any] | None, before: dict[str, float]) -> str:
+    if now is None:
+        return "not run"
+    if "error" in now:
+        return f"fails: {now['error'][:60]}"
+    moved = {name: now[name] - before[name] for name, least in MOVES.items() if abs(now[name] - before[name]) > least}
+    return ", ".join(f"{name} {by:+.2g}" for name, by in moved.items()) or "-"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    running = verbs.add_parser("run")
+    running.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
+    running.add_argument("--only", default="*", help="pattern of module:constant")
+    running.add_argument("--every", type=int, default=1, help="of the aircraft one in so many")
+    writing = verbs.add_parser("write")
+    one = verbs.add_parser("one")
+    one.add_argument("kept", type=Path)
+    one.add_argument("steps", nargs="*")
+    for verb in (running, writing):
+        verb.add_argument("--results", type=Path, required=True)
+    given = parser.parse_args()
+    if given.verb == "run":
+        run(given.fleet, given.results, given.only, given.every)
+    elif given.verb == "write":
+        write("ledger", table(given.results), PAGE)
+    else:
+        print(json.dumps(figures(remade(pickle.loads(given.kept.read_bytes()), given.steps))))
+
+
+if __name__ == "__main__":
+    main()
