@@ -51,9 +51,9 @@ def multiply(store: Store, originals: list[Aircraft], first: int, last: int) -> 
 def _keep(store: Store, table: str, aircraft: Aircraft, frame: pl.DataFrame) -> None:
     entry = TABLES[table]
     if entry.grain == "flight":
-        store.merge(table, aircraft, frame["flight_id"].unique().drop_nulls(), frame)
+        store.merge(table, {aircraft: frame["flight_id"].unique().drop_nulls()}, frame)
     else:
-        store.replace(table, aircraft, frame)
+        store.replace(table, [aircraft], frame)
 
 
 def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int) -> None:
@@ -68,7 +68,7 @@ def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int)
         for number in range(first, last)
         if tail and number % count == k
     ]
-    store.replace(table, FLEET, pl.concat([held, *more]))
+    store.replace(table, [FLEET], pl.concat([held, *more]))
 
 
 def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:

@@ -37,7 +37,7 @@ def kept(landing: Path, home: Path) -> dict[str, object]:
 
 def _stored(store: Store) -> dict[str, object]:
     if store.remote:
-        sizes = store.shelf.sizes("").values()
+        sizes = store.place.sizes("").values()
     else:
         sizes = [f.stat().st_size for f in Path(store.root).rglob("*.parquet")]
     return {"objects": len(sizes), "megabytes": sum(sizes) / 1e6}

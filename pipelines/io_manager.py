@@ -34,16 +34,10 @@ class FrameIO(dg.IOManager):
         context.add_output_metadata(n)
 
     def _store(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> None:
-        grain = TABLES[table].grain
-        if grain == "fleet":
-            self.store.replace(table, FLEET, frame)
-            return
-        for (operator, tail), flights in (scope.aircraft or {}).items():
-            own = frame.filter(pl.col("operator") == operator, pl.col("tail") == tail)
-            if grain == "flight":
-                self.store.merge(table, (operator, tail), flights, own)
-            else:
-                self.store.replace(table, (operator, tail), own.sort(TABLES[table].key))
+        if TABLES[table].grain == "flight":
+            self.store.merge(table, scope.aircraft or {}, frame)
+        else:
+            self.store.replace(table, scope.aircraft or [FLEET], frame.sort(TABLES[table].key))
 
     @staticmethod
     def _report(context: dg.OutputContext, frame: pl.DataFrame, cells: pl.DataFrame) -> None:

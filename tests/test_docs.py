@@ -83,6 +83,17 @@ def test_the_tutorials_python_runs(sample_home, monkeypatch):
     assert held["frame"].height > 0
 
 
+def test_the_tables_are_read_as_their_page_says(sample_home):
+    code = "\n".join(b for b in blocks(ROOT / "docs/howto-tables.md") if not b.startswith("<table>"))
+    held: dict[str, object] = {}
+    exec(code.replace('"hdt_home"', repr(str(sample_home))), held)
+    with connect(sample_home) as con:
+        flights = con.sql("select count(*) from flights").fetchone()[0]
+    assert held["as_arrow"].num_rows == flights
+    assert sum(n for _, n in held["per_tail"].fetchall()) == flights
+    assert held["worn"].width == 4
+
+
 def test_the_site_is_whole_and_asks_nothing_of_the_network(tmp_path):
     """`--strict`: no page, link or anchor may be missing."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]

@@ -27,6 +27,7 @@ ORDER = (
     "simulate",
     "doctor",
     "tidy",
+    "convert",
     "benchmark",
 )
 

@@ -4,6 +4,7 @@ They lie beside the delivered rows that were refused, in a shard of their own fo
 whenever their cells are.
 """
 
+from collections.abc import Iterator
 from datetime import UTC, datetime
 
 import polars as pl
@@ -13,37 +14,37 @@ from pipelines.intake.landing import received
 from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine
 from pipelines.intake.merge import as_text
 from pipelines.partitions import PartitionScope
-from pipelines.storage.files import Change, Held
+from pipelines.storage.delta import Held
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.store import FLEET, Store
+from pipelines.storage.store import FLEET, Aircraft, Store, shard_of
 
 BROKEN = "breaks_declaration"
-_FOLDER = {"flight": "raw_quarantine", "aircraft": "raw_quarantine", "fleet": "raw_files_quarantine"}
+_KEPT_IN = {"flight": "raw_quarantine", "aircraft": "raw_quarantine", "fleet": "raw_files_quarantine"}
 
 
 def set_aside(store: Store, ledger: Ledger, scope: PartitionScope, table: str, broken: pl.DataFrame) -> None:
     """Keep `broken` rows of `table` (as `Table.broken` gives them) in place of those kept of the same cells before."""
-    folder = _FOLDER[TABLES[table].grain]
-    for aircraft, flights in (scope.aircraft or {FLEET: []}).items():
-        own = broken if aircraft == FLEET else broken.filter(operator=aircraft[0], tail=aircraft[1])
-        told = _told(ledger, aircraft, table, own) if own.height else TABLES[folder].schema.create_empty()
-        store.shelf.change(store.folder(folder, aircraft), _replaced(folder, f"aside_{table}", flights, told))
+    kept_in, asked = _KEPT_IN[TABLES[table].grain], scope.aircraft or {FLEET: []}
+
+    def change(held: Held) -> Iterator[tuple[str, pl.DataFrame]]:
+        for aircraft, flights in asked.items():
+            shard = shard_of(aircraft, name) if aircraft != FLEET else name
+            before = held(shard)
+            own = broken if aircraft == FLEET else broken.filter(operator=aircraft[0], tail=aircraft[1])
+            if before is not None or own.height:
+                told = _told(ledger, aircraft, table, own)
+                kept = (
+                    told.clear()
+                    if before is None
+                    else before.filter(~pl.col("flight_id").is_in(flights), bool(flights))
+                )
+                yield shard, pl.concat([kept, told]).sort(TABLES[kept_in].key)
+
+    name = f"aside_{table}"
+    store.tables.change(kept_in, change)
 
 
-def _replaced(folder: str, shard: str, flights: list[str], told: pl.DataFrame) -> Change:
-    """The shard with the rows of `flights`, or all where none are named, replaced."""
-
-    def change(held: Held) -> list[tuple[str, pl.DataFrame]]:
-        before = held(shard)
-        if before is None and told.is_empty():
-            return []
-        kept = told.clear() if before is None else before.filter(~pl.col("flight_id").is_in(flights), bool(flights))
-        return [(shard, pl.concat([kept, told]).sort(TABLES[folder].key))]
-
-    return change
-
-
-def _told(ledger: Ledger, aircraft: tuple[str, str], table: str, broken: pl.DataFrame) -> pl.DataFrame:
+def _told(ledger: Ledger, aircraft: Aircraft, table: str, broken: pl.DataFrame) -> pl.DataFrame:
     """Quarantine rows, each with the first file of its flight."""
     held = ledger.of([aircraft]).flight_files().sort("path").unique("flight_id", keep="first")
     files = {f: (path, received(ns)) for f, path, ns in held.select("flight_id", "path", "mtime_ns").iter_rows()}

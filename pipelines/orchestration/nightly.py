@@ -19,9 +19,10 @@ from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
 from pipelines.orchestration.order import Step, steps
-from pipelines.storage import postgres
+from pipelines.storage import earlier, postgres
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, stale
@@ -116,12 +117,14 @@ def run_night(
     jobs : int
         Processes that may work side by side, where there is enough to do; 1 with an `instance` of the caller's.
     """
-    ledger, began = Ledger(home), _now()
+    ledger, store, began = Ledger(home), Store(home), _now()
+    if fault := earlier.fault_of(store):
+        raise StoreError(fault)
     with workers(landing, home, 1 if instance else jobs) as hands:
         chain = _Chain(landing, home, ledger, progress, only, instance, hands)
         if sends_out(home):
             chain.send_out()  # first: what a killed night sent out may still be writing
-        Store(home).sweep()
+        store.sweep()
         found = scan(landing, ledger)
         made_as = digest(repr(STAGES), *accepted_terms(Path(home)))
         for step in () if ledger.is_settled(made_as) else steps(STAGES):

@@ -48,8 +48,8 @@ def publish(home: Path) -> Path:
             con.execute("create schema tables")
             con.execute(f"create macro tables.folder() as {_folder(store)}")
             con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
-            for table, sources in store.snapshot().items():
-                _base_view(con, table, sources)
+            for table, files in store.snapshot().items():
+                _base_view(con, table, files)
             add_views(con)
             con.commit()
         finally:
@@ -110,10 +110,11 @@ def tables_read() -> list[str]:
     return [t for t in TABLES if t in read]
 
 
-def _base_view(con: duckdb.DuckDBPyConnection, table: str, sources: list[str]) -> None:
-    """`tables.<table>` over the table's objects, or over its files below `tables.folder()`."""
-    named = ", ".join(_quoted(s) if "://" in s else f"tables.folder() || {_quoted(s)}" for s in sources)
-    con.execute(f"create view tables.{table} as select * from read_parquet([{named}], union_by_name = true)")
+def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> None:
+    """`tables.<table>` over the files that it was when the catalog was made, below `tables.folder()`."""
+    named = ", ".join(map(_quoted, files))
+    places = f"list_transform([{named}], lambda file: tables.folder() || file)"
+    con.execute(f"create view tables.{table} as select * from read_parquet({places}, union_by_name = true)")
     add_meanings(con, table)
 
 

@@ -13,14 +13,16 @@ POINTS = (
     "before_write",
     "before_rename",
     "after_rename",
+    "before_commit",
+    "after_commit",
     "before_register",
     "after_register",
     "before_mark",
     "after_mark",
 )
-"""In `files.replacing`, which writes every shard and the catalog, and in the two writers of the ledger."""
-OF_OBJECTS = ("before_write", "before_manifest", "after_manifest")
-"""Where a shard becomes an object and objects get their names, in an object store."""
+"""In `files.replacing`, which writes every file, in a table's commit, and in the two writers of the ledger."""
+OF_OBJECTS = ("before_write", "before_commit", "after_commit")
+"""Where a shard becomes an object and a commit names it, in an object store."""
 
 _passed: Counter[str] = Counter()
 

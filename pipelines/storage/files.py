@@ -1,21 +1,17 @@
-"""Tables as local files, and how any file gets there whole or not at all: temporary name, fsync, rename."""
+"""Local files, and how any gets there whole or not at all: temporary name, fsync, rename."""
 
-import fcntl
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import polars as pl
+from typing import ClassVar
 
 from pipelines.storage.fault_points import fault_point
 
-if TYPE_CHECKING:
-    import duckdb
+LOG = "_delta_log"
 
 
 @contextmanager
@@ -95,18 +91,6 @@ def _make_folder(path: Path) -> None:
         _sync(folder.parent)
 
 
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Two runs may hold flights of one aircraft and month: the second waits, and finds the rows of the first.
-
-    The lock is on a file, since a shared folder of another machine (NFS) locks only what is open for writing.
-    """
-    _make_folder(folder)
-    with open(folder / ".lock", "ab") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
 def _sync(path: Path) -> None:
     fd = os.open(path, os.O_RDONLY)
     try:
@@ -115,52 +99,50 @@ def _sync(path: Path) -> None:
         os.close(fd)
 
 
-Held = Callable[[str], pl.DataFrame | None]
-"""What a shard of a folder holds, by the shard's name; None where there is none."""
-Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame]]]
-"""Of what a folder holds, the shards to write."""
-
-
 @dataclass(frozen=True)
-class Files:
-    """Shards as files below one folder, each replaced by a rename."""
+class Folder:
+    """Tables below one local folder."""
 
     root: Path
+    remote: ClassVar[bool] = False
 
-    def sources(self, table: str, folders: Iterable[str] | None = None) -> list[Path]:
-        """The table's files, or those of some folders of it."""
-        if folders is None:
-            return sorted((self.root / table).glob("**/[!.]*.parquet"))
-        return sorted(f for folder in folders for f in (self.root / folder).glob("[!.]*.parquet"))
+    @property
+    def url(self) -> str:
+        """What the place of every file begins with."""
+        return str(self.root.resolve())
 
-    def scan(self, table: str, folders: Iterable[str] | None = None) -> pl.LazyFrame | None:
-        """The table, or some folders of it, as one lazy frame; None where nothing is stored."""
-        sources = self.sources(table, folders)
-        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore") if sources else None
+    def options(self) -> dict[str, str]:
+        """What a reader of the files must be told beside their names: nothing."""
+        return {}
 
-    def change(self, folder: str, change: Change) -> None:
-        """Write shards of a folder, one after the other."""
+    def get(self, path: str) -> bytes:
+        """A file whole."""
+        return (self.root / path).read_bytes()
 
-        own = self.root / folder
+    def put(self, path: str, content: bytes) -> None:
+        """Write a file that is on the disk, name and all, when this returns."""
+        with replacing(self.root / path) as temporary:
+            temporary.write_bytes(content)
 
-        def held(shard: str) -> pl.DataFrame | None:
-            path = own / f"{shard}.parquet"
-            return pl.read_parquet(path) if path.exists() else None
+    def prepare(self, table: str) -> None:
+        """Make the folder of a table's log, so that its name survives a power cut."""
+        _make_folder(self.root / table / LOG)
 
-        with _alone_in(own):
-            for shard, frame in change(held):
-                with replacing(own / f"{shard}.parquet") as temporary:
-                    frame.write_parquet(temporary, compression="zstd")
-
-    def snapshot(self, tables: Iterable[str]) -> dict[str, list[str]]:
-        """What the catalog's views read, below `root`: whatever lies there when they are asked."""
-        return {table: [f"{table}/**/*.parquet"] for table in tables}
-
-    def open_to(self, con: "duckdb.DuckDBPyConnection") -> None:
-        """DuckDB reads files by itself."""
+    def settle(self, table: str, version: int) -> None:
+        """Wait until a commit, and the one before it, are on the disk: who wrote the log did not."""
+        log = self.root / table / LOG
+        for commit in (log / f"{v:020}.json" for v in (version - 1, version) if v >= 0):
+            _sync(commit)
+        _sync(log)
 
     def sweep(self) -> int:
-        """Remove what a killed writer left; called by the one who holds the home's lock."""
+        """Remove what killed writers left: parts of files, and a last commit that a power cut tore."""
+        for log in self.root.glob(f"*/{LOG}"):
+            last = max(log.glob("*.json"), default=None)
+            if last is not None and not last.read_bytes().endswith((b"}", b"}\n")):
+                last.unlink()
+        for left in self.root.glob(f"*/{LOG}/*#*"):
+            left.unlink()
         return sweep(self.root)
 
 

@@ -10,7 +10,7 @@ import obstore
 
 WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
 KEPT_BYTES = 64 << 20  # of what came is held in memory: DuckDB opens an object for its columns, and again for its rows
-_KEY = re.compile(r"data/(\w+)(/[\w-]+)*/[\w.-]+\.parquet")
+_KEY = re.compile(r"[a-z]\w*(/[\w-]+)*/[\w.-]+\.parquet")
 
 
 class Source(Protocol):
@@ -32,7 +32,7 @@ class Source(Protocol):
 
 
 class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no types
-    """The objects below `data/` of one store; that they never change is what lets DuckDB open one twice."""
+    """The tables' files in one store; that they never change is what lets DuckDB open one twice."""
 
     protocol = "s3"
     cachable = False
@@ -77,7 +77,7 @@ class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no 
     def _size(self, key: str) -> int:
         """Bytes of an object, known by one listing of its table."""
         if key not in self._sizes:
-            self._sizes |= self._objects.sizes("/".join(key.split("/")[:2]))
+            self._sizes |= self._objects.sizes(key.partition("/")[0])
         if key not in self._sizes:
             raise FileNotFoundError(f"{key} is not in the store")
         return self._sizes[key]

@@ -1,10 +1,11 @@
-"""Parquet is the store: which shard of which table holds what, whether files or objects keep it."""
+"""Which shard of which table holds what, whether a folder or an object store keeps the files."""
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,14 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.storage.files import Change, Files, Held, sweep
-from pipelines.storage.objects import Objects, StoreError, objects
+from pipelines.storage.delta import Change, Deltas, Held
+from pipelines.storage.files import Folder, sweep
+from pipelines.storage.objects import Bucket, StoreError, bucket
 
 if TYPE_CHECKING:
     import duckdb
 
+Aircraft = tuple[str, str]
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
 URL = "HDT_STORE_URL"
 EMPTY = "empty"
@@ -36,90 +39,100 @@ class Store:
     url: str = field(default_factory=lambda: os.environ.get(URL, ""))
 
     @cached_property
-    def shelf(self) -> Files | Objects:
-        """Who keeps the shards."""
+    def place(self) -> Folder | Bucket:
+        """Who keeps the files."""
         if self.url.startswith("s3://"):
-            return objects(self.url)
+            return bucket(self.url)
         if "://" in self.url.removeprefix("file://"):
             raise StoreError(f"{URL} is a folder or s3://bucket/prefix, not {self.url!r}")
-        return Files(Path(self.url.removeprefix("file://")) if self.url else self.home / "tables")
+        return Folder(Path(self.url.removeprefix("file://")) if self.url else self.home / "tables")
+
+    @cached_property
+    def tables(self) -> Deltas:
+        """The tables as Delta Lake keeps them."""
+        return Deltas(self.place)
 
     @property
     def root(self) -> str:
-        """What the place of every shard begins with."""
-        return self.shelf.url if isinstance(self.shelf, Objects) else str(self.shelf.root.resolve())
+        """What the place of every file begins with."""
+        return self.place.url
 
     @property
     def remote(self) -> bool:
-        """Whether objects keep the shards, which no other program changes, moves or copies."""
-        return isinstance(self.shelf, Objects)
+        """Whether objects keep the rows, which no other program changes, moves or copies."""
+        return self.place.remote
 
-    def folder(self, table: str, aircraft: tuple[str, str]) -> str:
-        """Where the shards lie. Operator and tail are checked again here: they become names of folders."""
-        if aircraft == FLEET:
-            return table
-        operator, tail = aircraft
-        if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(TAIL, tail)):
-            raise ValueError(f"not an operator and tail: {operator!r}, {tail!r}")
-        return f"{table}/{operator}/{tail}"
-
-    def scan(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.LazyFrame:
+    def scan(self, table: str, aircraft: Iterable[Aircraft] | None = None) -> pl.LazyFrame:
         """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored."""
-        folders = None if aircraft is None else [self.folder(table, a) for a in aircraft]
-        stored = self.shelf.scan(table, folders)
+        stored = self.tables.scan(table, None if aircraft is None else [shard_of(a) for a in aircraft])
         return TABLES[table].schema.create_empty().lazy() if stored is None else stored
 
-    def read(self, table: str, aircraft: Iterable[tuple[str, str]] | None = None) -> pl.DataFrame:
+    def read(self, table: str, aircraft: Iterable[Aircraft] | None = None) -> pl.DataFrame:
         """The table, of the whole fleet or of some aircraft."""
         return self.scan(table, aircraft).collect()
 
-    def replace(self, table: str, aircraft: tuple[str, str], frame: pl.DataFrame, shard: str = "all") -> None:
-        """Write one shard whole."""
-        name = "fleet" if aircraft == FLEET else shard
-        self.shelf.change(self.folder(table, aircraft), lambda _: [(name, TABLES[table].conform(frame))])
+    def replace(self, table: str, aircraft: Iterable[Aircraft], frame: pl.DataFrame) -> None:
+        """Let `frame` be all that the table holds of these aircraft, or of the `FLEET`."""
+        entry, asked = TABLES[table], list(aircraft)
+        frame = entry.conform(frame)
+        self.tables.change(table, lambda _: [(shard_of(a, "all"), _own(frame, a)) for a in asked])
 
-    def merge(self, table: str, aircraft: tuple[str, str], flights: Iterable[str], frame: pl.DataFrame) -> None:
-        """Replace the rows of `flights` by `frame`, shard by shard; other flights stay as they are."""
-        self.shelf.change(self.folder(table, aircraft), _merged(table, flights, frame))
+    def merge(self, table: str, flights: Mapping[Aircraft, Iterable[str]], frame: pl.DataFrame) -> None:
+        """Replace the rows of some flights of each aircraft by `frame`; other flights stay as they are."""
+        changes = [_merged(table, a, ids, _own(frame, a)) for a, ids in flights.items()]
+        self.tables.change(table, lambda held: chain.from_iterable(change(held) for change in changes))
 
     def declare(self, table: str) -> None:
         """Let the table have its columns even while nothing is stored."""
-        empty = TABLES[table].schema.create_empty()
-
-        def lacking(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
-            there = held(EMPTY)
-            return [(EMPTY, empty)] if there is None or there.schema != empty.schema else []
-
-        self.shelf.change(table, lacking)
+        self.tables.change(table, lambda _: [(EMPTY, TABLES[table].schema.create_empty())])
 
     def snapshot(self) -> dict[str, list[str]]:
-        """Of every table the files or objects, or their common pattern, that a catalog's view reads."""
-        return self.shelf.snapshot(TABLES)
+        """Of every table the files below `root` that it is now."""
+        return {t: sorted(f"{t}/{file}" for file in self.tables.shards(t).values()) for t in TABLES}
 
     def open_to(self, con: "duckdb.DuckDBPyConnection") -> None:
-        """Let a DuckDB connection read what the catalog's views name."""
-        self.shelf.open_to(con)
+        """Let a DuckDB connection read what the catalog's views name; local files it reads by itself."""
+        if isinstance(self.place, Bucket) and not con.filesystem_is_registered("s3"):
+            from pipelines.storage.object_reader import Window
+
+            con.register_filesystem(Window(self.place))  # connections of one process share one database
 
     def sweep(self) -> int:
         """Remove what killed writers left; called by the one who holds the home's lock."""
-        return sweep(self.home) + self.shelf.sweep()
+        return sweep(self.home) + self.place.sweep()
 
 
-def _merged(table: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
-    """Shards with the rows of `flights` replaced by `frame`."""
+def shard_of(aircraft: Aircraft, shard: str = "") -> str:
+    """A shard, or all of an aircraft. Operator and tail are checked again here: they become names of folders."""
+    if aircraft == FLEET:
+        return "fleet"
+    operator, tail = aircraft
+    if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(TAIL, tail)):
+        raise ValueError(f"not an operator and tail: {operator!r}, {tail!r}")
+    return f"{operator}/{tail}/{shard}".rstrip("/")
+
+
+def _own(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:
+    """Rows of one aircraft."""
+    return frame if aircraft == FLEET else frame.filter(operator=aircraft[0], tail=aircraft[1])
+
+
+def _merged(table: str, aircraft: Aircraft, flights: Iterable[str], frame: pl.DataFrame) -> Change:
+    """An aircraft's shards with the rows of `flights` replaced by `frame`."""
     entry = TABLES[table]
     asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
     fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
 
     def change(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
-        for (shard,), own in asked.partition_by("shard", as_dict=True).items():
-            new, before = fresh.get((shard,)), held(str(shard))
+        for (name,), own in asked.partition_by("shard", as_dict=True).items():
+            shard = shard_of(aircraft, str(name))
+            new, before = fresh.get((name,)), held(shard)
             if new is None and before is None:
                 continue
             new = entry.conform(frame.clear() if new is None else new)
             if before is not None:
                 kept = before.filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
                 new = pl.concat([entry.conform(kept), new], how="diagonal")
-            yield str(shard), new.sort(entry.key)
+            yield shard, new.sort(entry.key)
 
     return change

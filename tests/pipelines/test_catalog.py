@@ -105,10 +105,10 @@ def test_a_reader_keeps_reading_while_the_catalog_is_published(own_home):
 
 def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
     _, home = own_home
-    for file in set((home / "tables/raw_flights").rglob("*.parquet")) - {home / "tables/raw_flights/empty.parquet"}:
+    for file in (home / "tables/raw_flights").rglob("*.parquet"):
         file.unlink()
-    with connect(home) as con:
-        assert con.execute("select count(*) from flights").fetchone() == (0,)
+    with connect(home) as con, pytest.raises(duckdb.IOException, match="raw_flights"):
+        con.execute("select count(*) from flights").fetchall()
     with connect(sample_home) as con:
         assert con.execute("select count(*) from flights").fetchone()[0] > 0
 

@@ -39,7 +39,7 @@ class Zone:
             ("raw_deliveries", taken.deliveries),
             ("raw_quarantine", taken.quarantine),
         ):
-            self.store.merge(table, AIRCRAFT, [FLIGHT], frame)
+            self.store.merge(table, {AIRCRAFT: [FLIGHT]}, frame)
         account, quarantine = self.store.read("raw_deliveries"), self.quarantine
         assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
         assert account.select(pl.col("duplicate").min()).item() >= 0

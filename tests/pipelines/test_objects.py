@@ -1,4 +1,4 @@
-"""Tables in an object store: killed between objects and manifest, swept, looked at from the catalog, a whole night."""
+"""Tables in an object store: killed between objects and commit, looked at from the catalog, a whole night."""
 
 import json
 import os
@@ -21,17 +21,17 @@ from pipelines.sharing.redaction import access_scope
 from pipelines.storage.catalog import connect, publish, views
 from pipelines.storage.fault_points import OF_OBJECTS
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.objects import Objects, StoreError, objects
+from pipelines.storage.objects import StoreError, bucket
 from pipelines.storage.store import FLEET, URL, Store
 
 TABLE = "prognosis_model"
 WRITE = "import sys, polars as pl; from pathlib import Path; from pipelines.storage.store import FLEET, Store;" + (
-    f" Store(Path(sys.argv[1])).replace({TABLE!r}, FLEET, pl.read_json(sys.argv[2].encode()))"
+    f" Store(Path(sys.argv[1])).replace({TABLE!r}, [FLEET], pl.read_json(sys.argv[2].encode()))"
 )
 
 
 def write(store: Store, version: str) -> None:
-    store.replace(TABLE, FLEET, pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]}))
+    store.replace(TABLE, [FLEET], pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]}))
 
 
 def version(store: Store) -> list[str]:
@@ -46,25 +46,9 @@ def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_pa
     told = os.environ | {URL: s3_url, "HDT_FAULT": f"{point}:1"}
     died = subprocess.run([sys.executable, "-c", WRITE, str(tmp_path), row], env=told, check=False)
     assert died.returncode == -signal.SIGKILL
-    assert version(store) == ["new" if point == "after_manifest" else "old"]
-    assert len(store.shelf.sizes("data")) == (1 if point == "before_write" else 2)
-
-
-def test_what_nobody_names_goes_when_it_has_been_so_for_long(s3_url, tmp_path):
-    """Not before: a reader may still be at it. What the published catalog reads is named too."""
-    patient, hasty = Objects(s3_url), Objects(s3_url, grace_s=0.0)
-    store = Store(tmp_path, s3_url)
-    write(store, "1")
-    published = patient.snapshot([TABLE])[TABLE]
-    for later in ("2", "3"):
-        write(store, later)
-    assert (patient.sweep(), patient.sweep()) == (0, 0)
-    assert hasty.sweep() == 1  # of three: one is named by the manifest, one by the catalog
-    left = {f"{s3_url}/{key}" for key in hasty.sizes("data")}
-    assert left == {*published, *store.shelf.sources(TABLE)}
-    patient.snapshot([TABLE])
-    assert hasty.sweep() == 1
-    assert version(store) == ["3"]
+    assert version(store) == ["new" if point == "after_commit" else "old"]
+    held = [key for key in store.place.sizes(TABLE) if key.endswith(".parquet")]
+    assert len(held) == (1 if point == "before_write" else 2)
 
 
 def test_a_catalog_reads_the_objects_of_its_hour(s3_url, tmp_path, monkeypatch):
@@ -80,14 +64,13 @@ def test_a_catalog_reads_the_objects_of_its_hour(s3_url, tmp_path, monkeypatch):
 
 
 FORBIDDEN = (
-    "select * from read_text('{url}/published.json')",
-    "select * from read_text('{url}/manifests/prognosis_model/manifest.json')",
-    "select * from read_text('{url}/data/../published.json')",
-    "select * from read_parquet('{url}/data/prognosis_model/*.parquet')",
-    "select * from read_parquet('s3://fleets/other/data/prognosis_model/fleet.0.parquet')",
+    "select * from read_text('{url}/prognosis_model/_delta_log/00000000000000000000.json')",
+    "select * from read_text('{url}/prognosis_model/../secret.txt')",
+    "select * from read_parquet('{url}/prognosis_model/*.parquet')",
+    "select * from read_parquet('s3://fleets/other/prognosis_model/fleet.0.parquet')",
     "select * from read_text('/etc/passwd')",
     "select * from read_text('http://127.0.0.1/')",
-    "copy (select 1) to '{url}/data/prognosis_model/pwned.parquet'",
+    "copy (select 1) to '{url}/prognosis_model/pwned.parquet'",
     "set enable_external_access = true",
 )
 
@@ -96,14 +79,14 @@ def test_through_the_catalog_nothing_but_the_tables_is_reached(s3_url, tmp_path,
     monkeypatch.setenv(URL, s3_url)
     write(Store(tmp_path), "1")
     publish(tmp_path)
-    before = set(objects(s3_url).sizes(""))
+    before = set(bucket(s3_url).sizes(""))
     with connect(tmp_path) as con:
         for sql in FORBIDDEN:
             with suppress(duckdb.Error):  # refused; what the window does not show is not found, or no rows
                 assert con.execute(sql.format(url=s3_url)).fetchall() == []
         assert con.execute("select current_setting('enable_external_access')").fetchall() == [(False,)]
         assert con.execute(f"select model_version from tables.{TABLE}").fetchall() == [("1",)]
-    assert set(objects(s3_url).sizes("")) == before
+    assert set(bucket(s3_url).sizes("")) == before
 
 
 def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypatch):
@@ -122,7 +105,7 @@ def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_
     base = Store(sample_home).read("prognosis_base")
     monkeypatch.setenv(URL, s3_url)
     home = tmp_path / "home"
-    Store(home).replace("prognosis_base", FLEET, base)
+    Store(home).replace("prognosis_base", [FLEET], base)
     Ledger(home).mark("prognosis_base", Ledger(sample_home).done("prognosis_base"))
     assert not run(sample_landing, home).failed
     assert not (home / "tables").exists()
@@ -142,9 +125,9 @@ def _counts(home: Path) -> dict[str, int]:
         return {v: con.execute(f"select count(*) from {v}").fetchone()[0] for v in views()}
 
 
-def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, monkeypatch):
+def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "a-wrong-secret")
-    with pytest.raises(StoreError, match="403") as told:
-        Objects(s3_url).sources(TABLE)
+    with pytest.raises(StoreError, match="privileges") as told:
+        Store(tmp_path, s3_url).read(TABLE)
     assert "\n" not in str(told.value)
     assert "a-wrong-secret" not in str(told.value)

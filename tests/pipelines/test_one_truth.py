@@ -69,9 +69,9 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
             if name == "prognoses":
                 outlook += rows
             else:
-                store.replace(name, ("AAA", tail), pl.DataFrame(rows, infer_schema_length=None))
-    store.replace("prognoses", FLEET, pl.DataFrame(outlook))
-    store.replace("components", FLEET, pl.DataFrame(component_rows()))
+                store.replace(name, [("AAA", tail)], pl.DataFrame(rows, infer_schema_length=None))
+    store.replace("prognoses", [FLEET], pl.DataFrame(outlook))
+    store.replace("components", [FLEET], pl.DataFrame(component_rows()))
     publish(where)
     return where
 

@@ -1,15 +1,20 @@
 """What a store promises, whoever keeps the shards: a merge touches its flights alone, a reader sees all or nothing."""
 
+import io
+import json
+import shutil
 import threading
 from datetime import UTC, datetime
+from pathlib import Path
 
 import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
+from pipelines.storage import earlier
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
-from pipelines.storage.store import FLEET, Store
+from pipelines.storage.store import FLEET, Store, shard_of
 
 AIRCRAFT = ("AQX", "LX-AAA")
 MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"
@@ -33,17 +38,17 @@ def held(store: Store) -> dict[str, int]:
 
 
 def test_merge_replaces_the_flights_named_and_keeps_the_others(store):
-    store.merge("raw_flights", AIRCRAFT, [MAY, MAY_TOO, JUNE], flights(MAY, MAY_TOO, JUNE))
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=7))
+    store.merge("raw_flights", {AIRCRAFT: [MAY, MAY_TOO, JUNE]}, flights(MAY, MAY_TOO, JUNE))
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=7))
     assert held(store) == {MAY: 7, MAY_TOO: 1, JUNE: 1}
-    assert len(store.shelf.sources("raw_flights")) == 2  # a shard a month
+    assert len(store.tables.sources("raw_flights")) == 2  # a shard a month
 
 
 def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights())
-    assert not store.shelf.sources("raw_flights")
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights())
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights())
+    assert not store.tables.sources("raw_flights")
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights())
     assert store.read("raw_flights").is_empty()
 
 
@@ -51,7 +56,7 @@ def test_one_aircraft_is_read_without_the_others(store):
     other = ("BZR", "LX-AAA")
     for operator, n in (("AQX", 1), ("BZR", 2)):
         own = flights(MAY, n=n).with_columns(operator=pl.lit(operator))
-        store.merge("raw_flights", (operator, "LX-AAA"), [MAY], own)
+        store.merge("raw_flights", {(operator, "LX-AAA"): [MAY]}, own)
     assert store.read("raw_flights", [other])["n_snapshots"].to_list() == [2]
     assert sorted(store.read("raw_flights", [AIRCRAFT, other])["n_snapshots"]) == [1, 2]
     assert store.read("raw_flights", [("CCC", "LX-AAA")]).is_empty()
@@ -60,9 +65,9 @@ def test_one_aircraft_is_read_without_the_others(store):
 def test_a_reader_keeps_what_it_began_to_read_and_the_next_sees_the_new(s3_url, tmp_path):
     """Between a reader's first look and its last byte the shard is replaced, by objects of fresh names."""
     store = Store(tmp_path, s3_url)
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=1))
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
     first = store.scan("raw_flights")
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY, n=2))
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=2))
     second = store.scan("raw_flights")
     assert [f.collect()["n_snapshots"].to_list() for f in (first, second)] == [[1], [2]]
 
@@ -73,7 +78,7 @@ def test_two_writers_of_one_month_lose_nothing(store):
 
     def write(ids: list[str]) -> None:
         for flight in ids:
-            store.merge("raw_flights", AIRCRAFT, [flight], flights(flight))
+            store.merge("raw_flights", {AIRCRAFT: [flight]}, flights(flight))
 
     both = [threading.Thread(target=write, args=(ids,)) for ids in days]
     for thread in both:
@@ -89,45 +94,72 @@ def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
     store.declare("prognoses")
     store.declare("prognoses")
-    assert len(store.shelf.sources("prognoses")) == 1
+    assert len(store.tables.sources("prognoses")) == 1
     assert store.read("prognoses").equals(frame)
 
 
 def test_the_fleet_has_one_shard(store):
     for version in ("1", "2"):
         row = pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]})
-        store.replace("prognosis_model", FLEET, row)
+        store.replace("prognosis_model", [FLEET], row)
     assert store.read("prognosis_model")["model_version"].to_list() == ["2"]
-    assert len(store.shelf.sources("prognosis_model")) == 1
+    assert len(store.tables.sources("prognosis_model")) == 1
 
 
 @pytest.mark.parametrize(
     "aircraft", [("..", "x"), ("AQX", "../../etc"), ("AQX", ""), ("aqx", "LX-AAA"), ("AQX", "A/B")]
 )
-def test_no_name_leads_out_of_home(tmp_path, aircraft):
+def test_no_name_leads_out_of_home(aircraft):
     with pytest.raises(ValueError, match="not an operator and tail"):
-        Store(tmp_path).folder("raw_flights", aircraft)
+        shard_of(aircraft)
 
 
 def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     monkeypatch.setenv("HDT_STORE_URL", str(tmp_path / "elsewhere"))
-    Store(tmp_path / "home").merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
-    assert (tmp_path / "elsewhere/raw_flights/AQX/LX-AAA/2024-05.parquet").exists()
+    Store(tmp_path / "home").merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    assert len(list((tmp_path / "elsewhere/raw_flights/AQX/LX-AAA").glob("2024-05.*.parquet"))) == 1
     assert not (tmp_path / "home").exists()
     monkeypatch.setenv("HDT_STORE_URL", "gs://bucket")
     with pytest.raises(StoreError, match="HDT_STORE_URL is a folder or s3"):
-        _ = Store(tmp_path).shelf
+        _ = Store(tmp_path).place
     monkeypatch.delenv("HDT_STORE_URL")
     assert Store(tmp_path / "home").root == str(tmp_path / "home/tables")
 
 
-def test_the_same_rows_make_the_same_file(tmp_path):
-    store, ids = Store(tmp_path), [MAY, MAY_TOO]
-    store.merge("raw_flights", AIRCRAFT, ids, flights(*ids))
-    (file,) = store.shelf.sources("raw_flights")
-    first = file.read_bytes()
-    store.merge("raw_flights", AIRCRAFT, ids, flights(*reversed(ids)))
-    assert file.read_bytes() == first
+def test_the_same_rows_make_the_same_file_and_no_commit(store):
+    ids = [MAY, MAY_TOO]
+    store.merge("raw_flights", {AIRCRAFT: ids}, flights(*ids))
+    first, version = store.tables.shards("raw_flights"), store.tables.open("raw_flights").version()
+    store.merge("raw_flights", {AIRCRAFT: ids}, flights(*reversed(ids)))
+    assert store.tables.shards("raw_flights") == first
+    assert store.tables.open("raw_flights").version() == version
+
+
+def test_many_aircraft_change_in_one_commit(store):
+    other = ("BZR", "LX-AAA")
+    both = pl.concat([flights(MAY), flights(MAY).with_columns(operator=pl.lit("BZR"))])
+    store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both)
+    first = store.tables.open("raw_flights").version()
+    store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both.with_columns(n_snapshots=9))
+    assert store.tables.open("raw_flights").version() == first + 1
+    assert store.read("raw_flights")["n_snapshots"].to_list() == [9, 9]
+
+
+def test_an_earlier_version_stays_readable(store):
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
+    then = store.tables.open("raw_flights").version()
+    store.merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=2))
+    (file,) = store.tables.shards("raw_flights", then).values()
+    assert pl.read_parquet(store.place.get(f"raw_flights/{file}"))["n_snapshots"].to_list() == [1]
+
+
+def test_a_new_column_widens_the_table(tmp_path):
+    """Other programs read the table by the log's schema: what is not there is null."""
+    tables = Store(tmp_path).tables
+    tables.change("t", lambda _: [("a", pl.DataFrame({"x": [1]}))])
+    tables.change("t", lambda _: [("b", pl.DataFrame({"x": [2], "y": ["new"]}))])
+    read = pl.scan_delta(str(tmp_path / "tables/t")).sort("x").collect()
+    assert read.rows() == [(1, None), (2, "new")]
 
 
 def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -147,9 +179,55 @@ def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
 
 def test_leftovers_of_a_killed_writer_are_swept_and_never_read(tmp_path):
     store = Store(tmp_path)
-    store.merge("raw_flights", AIRCRAFT, [MAY], flights(MAY))
-    left = tmp_path / "tables/raw_flights/AQX/LX-AAA/.2024-05.parquet.99.part"
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    left = tmp_path / "tables/raw_flights/AQX/LX-AAA/.2024-05.0.parquet.99.part"
     left.write_bytes(b"PAR1 torn")
     assert store.read("raw_flights").height == 1
     assert store.sweep() == 1
     assert not left.exists()
+
+
+def as_before(store: Store) -> None:
+    """Turn a table into what an earlier version wrote: one file a shard, and no log."""
+    for shard, file in store.tables.shards("raw_flights").items():
+        path = store.place.root / "raw_flights" / file
+        path.rename(path.parents[0] / f"{shard.rpartition('/')[2]}.parquet")
+        (path.parent / ".lock").touch()
+    shutil.rmtree(store.place.root / "raw_flights/_delta_log")
+
+
+def test_tables_of_an_earlier_version_are_taken_over_also_after_a_kill(tmp_path, monkeypatch):
+    store, both = Store(tmp_path), [AIRCRAFT, ("BZR", "LX-AAA")]
+    for operator, _ in both:
+        rows = flights(MAY, JUNE).with_columns(operator=pl.lit(operator))
+        store.merge("raw_flights", {(operator, "LX-AAA"): [MAY, JUNE]}, rows)
+    before, files = store.read("raw_flights"), store.tables.shards("raw_flights")
+    as_before(store)
+    assert "`hdt convert" in str(earlier.fault_of(store))
+    unlink = Path.unlink
+
+    def killed(path: Path, missing_ok: bool = False) -> None:
+        if "BZR" in path.parts and not path.name.startswith("."):
+            raise RuntimeError("killed")
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", killed)
+    with pytest.raises(RuntimeError, match="killed"):
+        earlier.convert(store)
+    monkeypatch.undo()
+    assert "`hdt convert" in str(earlier.fault_of(store))
+    assert earlier.convert(store) == {"raw_flights": 2}
+    assert earlier.fault_of(store) is None
+    assert store.read("raw_flights").equals(before)
+    assert store.tables.shards("raw_flights") == files
+    assert not list(tmp_path.rglob(".lock"))
+
+
+def test_objects_of_an_earlier_version_are_taken_over(s3_url, tmp_path):
+    store, packed = Store(tmp_path, s3_url), io.BytesIO()
+    flights(MAY).write_parquet(packed)
+    store.place.put("data/raw_flights/AQX/LX-AAA/2024-05.0.parquet", packed.getvalue())
+    named = json.dumps({"2024-05": "data/raw_flights/AQX/LX-AAA/2024-05.0.parquet"})
+    store.place.put("manifests/raw_flights/AQX/LX-AAA/manifest.json", named.encode())
+    assert earlier.convert(store) == {"raw_flights": 1}
+    assert held(store) == {MAY: 1}

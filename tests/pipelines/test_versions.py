@@ -96,7 +96,7 @@ def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_pat
     seen = []
     for day in (dt.date(2024, 5, 2), dt.date(2024, 5, 1)):
         row = {"operator": "AQX", "tail": "LX-AAA", "done_on": day, "pack": 1, "component": "HX", "action": "REPLACED"}
-        store.replace("raw_maintenance", A, TABLES["raw_maintenance"].conform(pl.DataFrame([row])))
+        store.replace("raw_maintenance", [A], TABLES["raw_maintenance"].conform(pl.DataFrame([row])))
         seen.append(set(expected(ledger, "calibration_dsm")["version"]))
     assert seen[0] == before
     assert seen[1] != before

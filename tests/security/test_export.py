@@ -44,9 +44,9 @@ def home(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         told = _refused(f"{own[0]}/{own[1]}/acms/{other[1]}_20240401_01.csv", said).with_columns(
             operator=pl.lit(own[0]), tail=pl.lit(own[1]), flight_id=pl.lit(f"{own[1]}_20240401_01")
         )
-        store.replace("raw_records_quarantine", own, told)
+        store.replace("raw_records_quarantine", [own], told)
     files = ("fleet.csv", "AQX/lx_aab.csv", "BZR/a9_bac.csv", "AQX/Q9-ZZZ.csv")
-    store.replace("raw_files_quarantine", FLEET, pl.concat([_refused(f, f"{OWN} {OTHER}") for f in files]))
+    store.replace("raw_files_quarantine", [FLEET], pl.concat([_refused(f, f"{OWN} {OTHER}") for f in files]))
     publish(home)
     return home
 
@@ -57,16 +57,16 @@ def _take_first(source: Store, target: Store, table: str) -> None:
     if "flight_id" in whole.columns and table not in ("raw_messages", "raw_quarantine"):
         first = whole.filter(pl.col("flight_id").is_null() | (pl.col("flight_id").str.slice(-11, 8) < "20240309"))
     if TABLES[table].grain == "fleet":
-        target.replace(table, FLEET, first)
+        target.replace(table, [FLEET], first)
         return
     for (operator, tail), rows in first.partition_by("operator", "tail", as_dict=True).items():
-        target.replace(table, (operator, tail), rows)
+        target.replace(table, [(operator, tail)], rows)
 
 
 def _change(store: Store, table: str, aircraft: tuple[str, str], change: pl.Expr) -> None:
     frame = store.read(table, [aircraft])
     assert frame.height
-    store.replace(table, aircraft, frame.with_columns(change))
+    store.replace(table, [aircraft], frame.with_columns(change))
 
 
 def _refused(file: str, said: str) -> pl.DataFrame:

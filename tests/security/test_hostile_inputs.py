@@ -16,7 +16,7 @@ from pipelines import cli
 from pipelines.learned import TRUSTED
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import ask, connect
-from pipelines.storage.store import Store
+from pipelines.storage.store import shard_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -86,9 +86,9 @@ def test_a_secret_of_the_environment_is_told_to_nobody(watched):
     ],
     ids=repr,
 )  # fmt: skip
-def test_a_name_that_is_no_name_becomes_no_path(tmp_path, aircraft):
+def test_a_name_that_is_no_name_becomes_no_path(aircraft):
     with pytest.raises(ValueError, match="not an operator and tail"):
-        Store(tmp_path).folder("raw_snapshots", aircraft)
+        shard_of(aircraft)
 
 
 @pytest.mark.parametrize(

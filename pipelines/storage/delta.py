@@ -1,0 +1,235 @@
+"""Tables in an open format, Delta Lake: Parquet files, written once, and a log that says which of them a table is now.
+
+    <table>/<operator>/<tail>/<shard>.<hash>.parquet    rows of one aircraft; the name holds the hash of the content
+    <table>/_delta_log/                                 commits: which files came and went, with size and row count
+
+A change is one commit: all of it or nothing. A commit that another has overtaken is made again on what that one left.
+Any version is readable until its files are vacuumed.
+"""
+
+import hashlib
+import io
+import json
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import polars as pl
+from deltalake import DeltaTable, Schema
+from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
+from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
+
+from pipelines.storage.fault_points import fault_point
+from pipelines.storage.objects import StoreError
+
+Held = Callable[[str], pl.DataFrame | None]
+"""What a shard of a table holds, by the shard's name; None where there is none."""
+Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame]]]
+"""Of what a table holds, the shards to write."""
+_NAMED = re.compile(r"(?P<shard>.+)\.(?P<hash>[0-9a-f]{20})\.parquet")
+_SKIPPED_BY = ("operator", "tail", "flight_id")  # whose span in each file lets a reader leave files out
+_ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here; upkeep has its own time
+    "commit_properties": CommitProperties(max_commit_retries=0),
+    "post_commithook_properties": PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False),
+}
+
+
+class DamageError(StoreError):
+    """A file is not what was written."""
+
+
+class Place(Protocol):
+    """Where files lie: a folder or an object store, which keeps sums of its own."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether an object store."""
+
+    @property
+    def url(self) -> str:
+        """What the place of every file begins with."""
+
+    def options(self) -> dict[str, str]:
+        """What a client must be told beside the URL."""
+
+    def get(self, path: str) -> bytes:
+        """A file whole."""
+
+    def put(self, path: str, content: bytes) -> None:
+        """Write a file that stays when this returns."""
+
+    def prepare(self, table: str) -> None:
+        """Make room for a table's log."""
+
+    def settle(self, table: str, version: int) -> None:
+        """Wait until a commit stays."""
+
+
+@dataclass(frozen=True)
+class Deltas:
+    """All tables of one place."""
+
+    place: Place
+    _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
+
+    def open(self, table: str, version: int | None = None) -> DeltaTable | None:
+        """The table now, or at a version; None where there is none."""
+        with self._one_line(table):
+            try:
+                return DeltaTable(f"{self.place.url}/{table}", version, self.place.options())
+            except TableNotFoundError:
+                return None
+
+    def shards(self, table: str, version: int | None = None) -> dict[str, str]:
+        """The file of each shard, below the table's folder."""
+        held = self.open(table, version)
+        return {} if held is None else _shards(held)
+
+    def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
+        """Places of the files of all or some shards; of a folder's name, all below it."""
+        held = self.shards(table).items()
+        wanted = None if shards is None else tuple(f"{s}/" for s in shards)
+        return sorted(self._sounded(f"{table}/{f}") for s, f in held if wanted is None or f"{s}/".startswith(wanted))
+
+    def scan(self, table: str, shards: Iterable[str] | None = None) -> pl.LazyFrame | None:
+        """The table, or some folders of it, as one lazy frame; None where nothing is stored.
+
+        Raises
+        ------
+        DamageError
+            A file is missing or its content is not what was written.
+        """
+        sources = self.sources(table, shards)
+        if not sources:
+            return None
+        how = self.place.options() or None
+        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
+
+    def change(self, table: str, change: Change) -> None:
+        """Write shards of a table in one commit, all or none."""
+        done = False
+        while not done:
+            now = self.open(table)
+            files = {} if now is None else _shards(now)
+
+            def held(shard: str, files: dict[str, str] = files) -> pl.DataFrame | None:
+                return pl.read_parquet(io.BytesIO(self.read(f"{table}/{files[shard]}"))) if shard in files else None
+
+            made = dict(change(held))
+            if not made:
+                return
+            schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
+            if now is None:
+                self._create(table, schema)
+                continue
+            new = {s: a for s, f in made.items() if (a := self._write(table, s, f, files.get(s)))}
+            gone = [_removed(files[s]) for s in new if s in files]
+            done = not new or self._commit(table, now, schema, [*new.values(), *gone])
+
+    def drop(self, table: str, files: Iterable[str]) -> None:
+        """Let the table be without some of its files, which are not what was written."""
+        now, lost = self.open(table), set(files)
+        if now is not None and (left := lost & set(_shards(now).values())):
+            self._commit(table, now, now.schema(), [_removed(file) for file in sorted(left)])
+
+    def read(self, path: str) -> bytes:
+        """A data file whole."""
+        try:
+            content = self.place.get(path)
+        except OSError as error:
+            raise DamageError(f"{path} can't be read ({error}); `hdt nightly` makes it again") from None
+        if hash_of(content) != hash_in(path):
+            raise DamageError(f"{path} is not what was written; `hdt nightly` makes it again")
+        return content
+
+    def _sounded(self, path: str) -> str:
+        """The place of a data file, whose content this process has seen to be what was written."""
+        if path not in self._sound and not self.place.remote:
+            self.read(path)
+            self._sound.add(path)
+        return f"{self.place.url}/{path}"
+
+    def _write(self, table: str, shard: str, frame: pl.DataFrame, before: str | None) -> AddAction | None:
+        """Write a shard's file; None where its content is what the table holds already."""
+        packed = io.BytesIO()
+        frame.write_parquet(packed, compression="zstd")
+        content = packed.getvalue()
+        file = f"{shard}.{hash_of(content)}.parquet"
+        if file == before:
+            return None
+        self.place.put(f"{table}/{file}", content)
+        return AddAction(file, len(content), {}, time.time_ns() // 1_000_000, True, json.dumps(_stats(frame)))
+
+    @contextmanager
+    def _one_line(self, table: str) -> Iterator[None]:
+        """What keeps a log from being read, in one line; that there is none goes on its way."""
+        try:
+            yield
+        except TableNotFoundError:
+            raise
+        except (DeltaError, OSError) as error:
+            said = f"the log of {table} can't be read ({_first_line(error)})"
+            raise StoreError(said) if self.place.remote else DamageError(said) from None
+
+    def _create(self, table: str, schema: Schema) -> None:
+        """Begin a table's log; of two who do so at once, both do."""
+        self.place.prepare(table)
+        with self._one_line(table):
+            where, how = f"{self.place.url}/{table}", self.place.options()
+            DeltaTable.create(where, schema, "ignore", storage_options=how, configuration=_KEPT)
+
+    def _commit(self, table: str, now: DeltaTable, schema: Schema, actions: list[AddAction | RemoveAction]) -> bool:
+        """One commit; False where another came first."""
+        fault_point("before_commit")
+        have = {f.name for f in now.schema().fields}
+        more = [f for f in schema.fields if f.name not in have]
+        try:
+            if more:
+                now.alter.add_columns(more, **_ONCE)
+            now.create_write_transaction(actions, "append", now.schema(), **_ONCE)
+        except CommitFailedError:
+            return False
+        except DeltaError as error:
+            raise StoreError(f"{table}: {_first_line(error)}") from None
+        fault_point("after_commit")
+        now.update_incremental()
+        self.place.settle(table, now.version())
+        return True
+
+
+_KEPT: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
+
+
+def hash_of(content: bytes) -> str:
+    """What a file's name says of its content."""
+    return hashlib.sha256(content).hexdigest()[:20]
+
+
+def hash_in(path: str) -> str:
+    """The hash that a data file's name holds."""
+    named = _NAMED.fullmatch(path)
+    return named["hash"] if named else ""
+
+
+def _shards(table: DeltaTable) -> dict[str, str]:
+    paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
+    return {named["shard"]: path for path in paths if (named := _NAMED.fullmatch(path))}
+
+
+def _removed(file: str) -> RemoveAction:
+    return RemoveAction(file, True, time.time_ns() // 1_000_000)
+
+
+def _stats(frame: pl.DataFrame) -> dict[str, Any]:
+    """Row count, and the span of the columns that name an aircraft and its flights."""
+    named = frame.select(pl.selectors.by_name(*_SKIPPED_BY, require_all=False) & pl.selectors.string())
+    spans = {side: named.select(getattr(pl.all(), side)()).to_dicts() for side in ("min", "max")}
+    told = {f"{side}Values": {k: v for row in rows for k, v in row.items() if v} for side, rows in spans.items()}
+    return {"numRecords": frame.height, **told, "nullCount": {c: named[c].null_count() for c in named.columns}}
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]
