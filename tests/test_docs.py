@@ -88,7 +88,7 @@ def test_the_tables_are_read_as_their_page_says(sample_home):
     held: dict[str, object] = {}
     exec(code.replace('"hdt_home"', repr(str(sample_home))), held)
     with connect(sample_home) as con:
-        flights = con.sql("select count(*) from flights").fetchone()[0]
+        flights = con.execute("select count(*) from flights").fetchone()[0]
     assert held["as_arrow"].num_rows == flights
     assert sum(n for _, n in held["per_tail"].fetchall()) == flights
     assert held["worn"].width == 4
