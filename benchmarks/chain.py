@@ -109,6 +109,8 @@ STEPS: tuple[Callable[..., Made], ...] = (
     legs, calibrate, estimate, follow, admit, margin, features, alert, foretell,
 )  # fmt: skip
 
+UP_TO_ALERTS = tuple(step for step in STEPS if step not in (admit, foretell))
+
 
 def run(made: Made, steps: Iterable[Callable[..., Made]] = STEPS) -> Made:
     """What the record (`RECORD`) and the steps made; each step's arguments are named after what it reads."""

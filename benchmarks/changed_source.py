@@ -97,3 +97,32 @@ def _parts(node: ast.expr) -> list[tuple[str, ast.expr]]:
     if isinstance(node, ast.Call):
         return [(str(k), v) for k, v in enumerate(node.args)] + [(k.arg or "", k.value) for k in node.keywords]
     return []
+
+
+def numbers(source: str) -> dict[str, ast.expr]:
+    """Names that a module assigns numbers to, at its top and in its classes (`Class.field`)."""
+    found: dict[str, ast.expr] = {}
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.ClassDef):
+            fields = ((f"{statement.name}.{name}", value) for s in statement.body for name, value in _assigned(s))
+            found |= {name: value for name, value in fields if _has_number(value)}
+        found |= {name: value for name, value in _assigned(statement) if _has_number(value)}
+    return found
+
+
+def _assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.expr]]:
+    if isinstance(statement, ast.AnnAssign) and statement.value and isinstance(statement.target, ast.Name):
+        yield statement.target.id, statement.value
+    if isinstance(statement, ast.Assign):
+        target, value = statement.targets[0], statement.value
+        pairs = [(target, value)]
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            pairs = list(zip(target.elts, value.elts, strict=True))
+        yield from ((t.id, v) for t, v in pairs if isinstance(t, ast.Name))
+
+
+def _has_number(node: ast.expr) -> bool:
+    return any(
+        isinstance(n, ast.Constant) and isinstance(n.value, int | float) and not isinstance(n.value, bool)
+        for n in ast.walk(node)
+    )

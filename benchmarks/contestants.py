@@ -14,7 +14,6 @@ from sklearn.isotonic import IsotonicRegression
 from benchmarks.fleets import Frames
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES
-from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.recalibrate import Levels, learn_levels
 from hdt_core.prognosis.rows import UNTOLD, fleet_rows, tracks
 
@@ -46,7 +45,7 @@ class Asked:
 
 def rows_of(fleet: Frames) -> Asked:
     """All flights of a fleet, as every contestant sees them."""
-    lives = episodes(fleet["features"], fleet["messages"], fleet["maintenance"])
+    lives = fleet["lives"]
     truth = fleet["truth"].select(
         "tail", "flight_id", "pack", "index", loss=1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
     )

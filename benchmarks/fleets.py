@@ -7,21 +7,11 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from hdt_core.flight.legs import judge_legs
-from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.asks import CRITICAL, margin_flights
-from hdt_core.health.controller import learn_laws
-from hdt_core.health.features import features
-from hdt_core.health.residuals import residuals
-from hdt_core.health.witnesses import witnesses
-from hdt_core.prognosis.rows import ASKS
+from benchmarks.chain import RECORD, UP_TO_ALERTS, run
+from hdt_core.prognosis.lives import episodes
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.simulate.packs import Demand, Wear, outlets, reference, reference_demand, sized_target_k, target_k
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.crossing import FLIGHT_PACK
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import track
 from pipelines.intake.columns import SIGNAL_COLUMNS
 
 Frames = dict[str, pl.DataFrame]
@@ -43,7 +33,7 @@ def recorded_in_si(snapshots: pl.DataFrame, operator: str, tail: str) -> pl.Data
 
 
 def fly(seed: int, settings: FleetSettings) -> Frames:
-    """One fleet through the whole chain: alerts, features with what was asked, messages, maintenance, truth, events."""
+    """One fleet through the chain: alerts, features with what was asked, logs and lives, truth and events."""
     frames: dict[str, list[pl.DataFrame]] = defaultdict(list)
     for craft in simulate_fleet(seed, settings):
         whose = [pl.lit(craft.operator).alias("operator"), pl.lit(craft.tail).alias("tail")]
@@ -53,22 +43,10 @@ def fly(seed: int, settings: FleetSettings) -> Frames:
         for name in ("fleet", "health", "events"):
             frames[name].append(getattr(craft, name))
     all_of = {name: pl.concat(parts, how="diagonal_relaxed") for name, parts in frames.items()}
-    legs, samples = judge_legs(all_of["snapshots"], all_of["maintenance"], all_of["messages"])
-    dsm = calibrate(samples, legs, all_of["maintenance"])
-    alone = estimate_flights(samples, dsm)
-    health = track(alone, all_of["maintenance"], dsm)
-    compared = residuals(samples, alone, dsm)
-    laws = learn_laws(samples)
-    margin = margin_flights(samples, dsm, laws)
-    seen = features(
-        health, compared, legs, all_of["maintenance"],
-        twin_flights=alone, witnesses=witnesses(samples, laws), margin=margin,
-    )  # fmt: skip
-    alerts = raise_alerts(seen, health, all_of["maintenance"])
-    asks = margin.select(*FLIGHT_PACK, *(c for c in (*CRITICAL, *ASKS) if c not in seen.columns))
-    seen = seen.join(asks, on=FLIGHT_PACK, how="left", maintain_order="left")
-    told = {name: all_of[name] for name in ("messages", "maintenance", "events")}
-    return told | {"alerts": alerts, "features": seen, "truth": all_of["health"]}
+    made = run({name: all_of[name] for name in RECORD}, UP_TO_ALERTS)
+    lives = episodes(made["features"], made["messages"], made["maintenance"])
+    told = {name: made[name] for name in ("messages", "maintenance", "alerts", "features")}
+    return told | {"events": all_of["events"], "truth": all_of["health"], "lives": lives}
 
 
 def flown(first_seed: int, count: int, settings: FleetSettings) -> Iterator[Frames]:

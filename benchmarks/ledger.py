@@ -21,7 +21,9 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cache
 from inspect import signature
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -87,14 +89,18 @@ def figures(made: chain.Made) -> dict[str, float]:
     }.items()}  # fmt: skip
 
 
+@cache
+def _graph() -> grimp.ImportGraph:
+    return grimp.build_graph("hdt_core", cache_dir=None)
+
+
 def affected(module: str) -> list[str]:
     """Steps of the chain that can see a module."""
-    graph = grimp.build_graph("hdt_core", cache_dir=None)
     seen = []
     for step in chain.STEPS:
         uses = {v.__module__ for n in step.__code__.co_names if (v := getattr(chain, n, None)) and callable(v)}
         own = {m for m in uses if m.startswith("hdt_core")}
-        if module in own or any(module in graph.find_upstream_modules(m) for m in own):
+        if module in own or any(module in _graph().find_upstream_modules(m) for m in own):
             seen.append(step.__name__)
     return seen
 
@@ -117,20 +123,25 @@ def same(one: Any, other: Any) -> bool:
     return pickle.dumps(one) == pickle.dumps(other)
 
 
-def tried(constant: Constant, factor: float, kept: Path) -> dict[str, float]:
-    """Figures with one constant changed, by a process that reads the changed sources."""
-    with tempfile.TemporaryDirectory() as folder:
-        for package in ("hdt_core", "pipelines", "benchmarks", "dagster_batched"):
-            shutil.copytree(ROOT / package, Path(folder) / package, ignore=shutil.ignore_patterns("__pycache__"))
-        file = Path(folder, *constant.module.split(".")).with_suffix(".py")
-        file.write_text(changed(file.read_text(), constant.path, factor, constant.scale))
-        command = [sys.executable, "-m", "benchmarks.ledger", "one", str(kept), *affected(constant.module)]
-        done = subprocess.run(
-            command, check=False, cwd=folder, env=os.environ | {"PYTHONPATH": folder}, capture_output=True, text=True
-        )
+def tried(constant: Constant, factor: float, kept: Path, copy: Path) -> dict[str, float]:
+    """Figures with one constant changed, by a process that reads the changed sources, a copy of ours."""
+    file = copy.joinpath(*constant.module.split(".")).with_suffix(".py")
+    source = file.read_text()
+    file.write_text(changed(source, constant.path, factor, constant.scale))
+    command = [sys.executable, "-m", "benchmarks.ledger", "one", str(kept), *affected(constant.module)]
+    environment = os.environ | {"PYTHONPATH": str(copy)}
+    done = subprocess.run(command, check=False, cwd=copy, env=environment, capture_output=True, text=True)
+    file.write_text(source)
     if done.returncode:
         return {"error": done.stderr.strip().splitlines()[-1]}  # type: ignore[dict-item]
     return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def copied(folder: Path) -> Path:
+    """A copy of the sources below a folder."""
+    for package in ("hdt_core", "pipelines", "benchmarks", "dagster_batched"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
 
 
 def run(fleets: list[list[str]], results: Path, only: str, every: int) -> None:
@@ -143,13 +154,13 @@ def run(fleets: list[list[str]], results: Path, only: str, every: int) -> None:
             kept.write_bytes(pickle.dumps(made))
             _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(made)})
     held = {(r["fleet"], r["at"], r["factor"]) for r in _held(results)}
-    for constant in ledger():
-        at = f"{constant.module}:{constant.path}"
-        for name, _, _ in fleets if fnmatch(at, only) else ():
-            for factor in FACTORS:
-                if (name, at, factor) not in held:
-                    said = tried(constant, factor, results.with_suffix(f".{name}.pickle"))
-                    _note(results, {"fleet": name, "at": at, "factor": factor, "figures": said})
+    with tempfile.TemporaryDirectory() as folder:
+        copy = copied(Path(folder))
+        for constant, (name, _, _), factor in product(ledger(), fleets, FACTORS):
+            at = f"{constant.module}:{constant.path}"
+            if fnmatch(at, only) and (name, at, factor) not in held:
+                said = tried(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
+                _note(results, {"fleet": name, "at": at, "factor": factor, "figures": said})
 
 
 def _note(results: Path, row: dict[str, Any]) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 import polars as pl
 from scipy.stats import chi2
 
+from benchmarks.fleets import recorded_in_si
 from hdt_core.flight.admission import admit
 from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
@@ -30,8 +31,7 @@ from hdt_core.flight.phases import LEG_KEY, add_phases
 from hdt_core.flight.steady import is_transient
 from hdt_core.flight.windows import number_flights
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.simulate.fleet import Aircraft, simulate_fleet
-from pipelines.intake.columns import SIGNAL_COLUMNS
+from hdt_core.simulate.fleet import simulate_fleet
 
 SIZE = FleetSettings(operators=2, tails=3, flights=300, cpl_share=0.0)
 SEEDS = (11, 12, 13, 14)
@@ -51,23 +51,9 @@ class Fleet(NamedTuple):
     flights: int
 
 
-def in_si(aircraft: Aircraft) -> pl.DataFrame:
-    rows = aircraft.snapshots
-    signals = [
-        (pl.col(c.name) * c.scale + c.offset if c.name in rows.columns else pl.lit(None, pl.Float64)).alias(c.si_name)
-        for c in SIGNAL_COLUMNS
-    ]
-    place = (pl.lit(aircraft.operator).alias("operator"), pl.lit(aircraft.tail).alias("tail"))
-    pack = pl.col("pack").cast(pl.Int32)
-    source = pl.lit("acms").alias("source")
-    return rows.select(
-        *place, "flight_id", pack, pl.col("report_time").alias("time_utc"), source, "phase_code", *signals
-    )
-
-
 def fleet_of(seed: int, size: FleetSettings = SIZE) -> Fleet:
     aircraft = list(simulate_fleet(seed, size))
-    snapshots = pl.concat(in_si(a) for a in aircraft)
+    snapshots = pl.concat(recorded_in_si(a.snapshots, a.operator, a.tail) for a in aircraft)
 
     def logged(name: str) -> pl.DataFrame:
         place = [(pl.lit(a.operator).alias("operator"), pl.lit(a.tail).alias("tail")) for a in aircraft]

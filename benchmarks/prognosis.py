@@ -249,8 +249,8 @@ def product(fleets: list[Frames], base: Prognosis) -> pl.DataFrame:
     """Judged out-of-fold prognoses of each fleet: its own other tails correct the base."""
     parts = []
     for fleet in fleets:
-        lives = episodes(fleet["features"], fleet["messages"], fleet["maintenance"])
-        parts.append(judge(out_of_fold(fleet["features"], lives, base=base), fleet["features"], lives))
+        said = out_of_fold(fleet["features"], fleet["lives"], base=base)
+        parts.append(judge(said, fleet["features"], fleet["lives"]))
     return pl.concat(parts)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from benchmarks.legs import in_si
+from benchmarks.fleets import recorded_in_si
 from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.simulate.design import FleetSettings
@@ -59,7 +59,7 @@ def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
     """Calibrate, estimate and track each fleet as a night would."""
     for seed in seeds:
         aircraft = list(simulate_fleet(seed, size))
-        snapshots = pl.concat(in_si(a) for a in aircraft)
+        snapshots = pl.concat(recorded_in_si(a.snapshots, a.operator, a.tail) for a in aircraft)
         place = [(pl.lit(a.operator).alias("operator"), pl.lit(a.tail).alias("tail")) for a in aircraft]
         maintenance, messages = (
             pl.concat(

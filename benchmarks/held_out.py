@@ -1,0 +1,79 @@
+"""Types never seen: the message foretold on one type by what others taught, `python -m benchmarks.held_out`.
+
+    python -m benchmarks.held_out --fleet NAME HOME TRUTH [--fleet ...] [--own N] [--write]
+
+Claim: the margin carries from type to type and the loss alone does not. One learner, taught by one fleet with its truth
+and asked about another type, with four kinds of input: the loss and its trends; the margin, what flights asked and what
+was seen with the door full open; both; both with the true loss in place of the estimate. Beside them the product, whose
+base saw neither: simulated lives, and what the asked fleet's other tails taught. `--own` takes so many fleets of our
+simulator as one more teacher. `--write` puts the table into docs/prognosis.md.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from benchmarks import chain, samples
+from benchmarks.contestants import Asked, Learner, rows_of, together
+from benchmarks.fleets import flown
+from benchmarks.page import write
+from benchmarks.prognosis import PAGE, SIZE, TAUGHT, markdown
+from hdt_core.prognosis.history import FEATURES, WEAR
+from hdt_core.prognosis.metrics import judge, score_prognoses
+
+SCORES = ("auc", "brier_skill", "interval_skill", "coverage", "mae_flights")
+INPUTS = ("loss and trends", "margin", "both", "both, true loss")
+
+
+def by_input(asked: Asked) -> Asked:
+    """The same rows with the inputs of this comparison."""
+    health, truth = asked.inputs["health"], asked.inputs["truth as ceiling"]
+    wear = np.array([name in WEAR for name in FEATURES] + [True] * (health.shape[1] - len(FEATURES)))
+    parts = (health[:, wear], health[:, ~wear], health, truth)
+    return replace(asked, inputs=dict(zip(INPUTS, parts, strict=True)))
+
+
+def read(home: Path, folder: Path) -> chain.Made:
+    """One fleet through the chain, with the lives that were so."""
+    made = chain.run(samples.record(home) | samples.truth(folder))
+    return made | {"lives": samples.true_lives(made["features"], made["truth"], made["events"])}
+
+
+def line(asked: str, taught: str, inputs: str, judged: pl.DataFrame) -> list[str]:
+    scores = score_prognoses(judged)
+    return [asked, taught, inputs, *(f"{scores.get(name, np.nan):.3g}" for name in SCORES)]
+
+
+def table(fleets: dict[str, chain.Made], own: list[chain.Made]) -> str:
+    """Every teacher against every other fleet."""
+    rows = {name: by_input(rows_of(made)) for name, made in fleets.items()}
+    teachers = rows | ({"own designs": by_input(together([rows_of(made) for made in own]))} if own else {})
+    lines = [["asked", "taught by", "inputs", "AUC", "Brier skill", "interval skill", "coverage", "error [flights]"]]
+    for name, made in fleets.items():
+        for taught, teacher in teachers.items():
+            for inputs in INPUTS if taught != name else ():
+                said = Learner.fit(teacher, inputs).say(rows[name], inputs)
+                lines.append(line(name, taught, inputs, said.filter(pl.col("left") >= 1)))
+        judged = judge(made["prognoses"], made["features"], made["lives"])
+        lines.append(line(name, "simulated lives, own other tails", "the product", judged))
+    return markdown(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
+    parser.add_argument("--own", type=int, default=4)
+    parser.add_argument("--write", action="store_true", help="update docs/prognosis.md")
+    given = parser.parse_args()
+    fleets = {name: read(Path(home), Path(folder)) for name, home, folder in given.fleet}
+    text = table(fleets, list(flown(TAUGHT, given.own, SIZE)) if given.own else [])
+    print(text)
+    if given.write:
+        write("held out", text, PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""The ledger of constants: every prior and threshold stands in it, and a change of one reaches the code."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from benchmarks import chain, ledger, samples
+from benchmarks.changed_source import changed, numbers
+from pipelines.storage.store import Store
+
+ROOMS = ("flight", "health", "prognosis", "twin")
+SAID = tomllib.loads(ledger.LEDGER.read_text())
+
+
+def module_file(module: str) -> Path:
+    return ledger.ROOT.joinpath(*module.split(".")).with_suffix(".py")
+
+
+@pytest.mark.parametrize("constant", ledger.ledger(), ids=lambda c: f"{c.module}:{c.path}")
+def test_an_entry_can_be_changed(constant):
+    """Halved and doubled sources differ from the present ones, and compile."""
+    source = module_file(constant.module).read_text()
+    made = [changed(source, constant.path, factor, constant.scale) for factor in ledger.FACTORS]
+    for text in made:
+        compile(text, constant.module, "exec")
+    assert len({source, *made}) == 3
+    assert constant.source
+
+
+def test_every_number_of_the_four_rooms_stands_in_it():
+    """As an entry, or among those that are settled, once."""
+    entries = {f"{c.module.removeprefix('hdt_core.')}:{c.path}" for c in ledger.ledger()}
+    settled = {name for names in SAID["settled"].values() for name in names}
+    assert sum(len(names) for names in SAID["settled"].values()) == len(settled)
+    there = set()
+    for file in (f for room in ROOMS for f in (ledger.ROOT / "hdt_core" / room).glob("*.py")):
+        module = f"{file.parent.name}.{file.stem}"
+        there |= {f"{module}:{name}" for name in numbers(file.read_text())}
+        there |= {f"{module}:*"} & settled
+    lacking = {n for n in there - settled if not _entered(n, entries) and f"{n.split(':')[0]}:*" not in settled}
+    assert lacking == set()
+    assert settled - there == set()
+
+
+def _entered(name: str, entries: set[str]) -> bool:
+    return any(entry == name or entry.startswith(f"{name}.") for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("source", "path", "scale", "value"),
+    [
+        ("A, B = 1.5, 20", "B", "value", 40),
+        ("A = {'x': (1.0, 0.5), 'y': (2.0, 0.25)}", "A.*.1", "value", {"x": (1.0, 1.0), "y": (2.0, 0.5)}),
+        ("A = 0.9", "A", "complement", 0.8),
+        ("class L:\n    A: float = 1 / 8", "L.A", "value", 0.25),
+        ("A = dict(x=3, y=5)", "A.y", "value", {"x": 3, "y": 10}),
+    ],
+)
+def test_what_is_named_is_doubled_and_nothing_else(source, path, scale, value):
+    space: dict = {}
+    exec(changed(source, path, 2.0, scale), space)
+    found = space["L"].A if "L." in path else space[path.split(".")[0]]
+    assert found == value
+
+
+def test_a_name_that_is_not_there_is_refused():
+    with pytest.raises(KeyError):
+        changed("A = 1", "B", 2.0)
+
+
+def test_the_chain_in_memory_is_the_night(sample_home):
+    """Health and alerts are those that the night stored; its prognoses were taught up to the month's first day."""
+    made, store = chain.run(samples.record(sample_home)), Store(sample_home)
+    key = ["operator", "tail", "flight_id", "pack"]
+    health = made["health"].join(store.read("twin_health"), on=[*key, "parameter"], suffix="_stored", validate="1:1")
+    assert health.height == made["health"].height
+    assert all((health[name] - health[f"{name}_stored"]).abs().max() < 1e-9 for name in ("value", "sd"))
+    said = made["prognoses"].join(store.read("prognoses"), on=[*key, "component"], suffix="_stored", validate="1:1")
+    assert said.height == made["prognoses"].height
+    assert (said["rul_flights"] - said["rul_flights_stored"]).abs().mean() < 1.0
+    alerts = ("alert_id", "raised_flight_id", "diagnosis")
+    assert set(made["alerts"].select(alerts).iter_rows()) == set(
+        store.read("features_alerts").select(alerts).iter_rows()
+    )
