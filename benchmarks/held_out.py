@@ -21,10 +21,11 @@ from benchmarks.contestants import Asked, Learner, rows_of, together
 from benchmarks.fleets import flown
 from benchmarks.page import write
 from benchmarks.prognosis import PAGE, SIZE, TAUGHT, markdown
+from benchmarks.survival import censored_scores
 from hdt_core.prognosis.history import FEATURES, WEAR
 from hdt_core.prognosis.metrics import judge, score_prognoses
 
-SCORES = ("auc", "brier_skill", "interval_skill", "coverage", "mae_flights")
+SCORES = ("auc", "brier_skill", "c_index", "brier_100_skill", "interval_skill", "coverage", "mae_flights")
 INPUTS = ("loss and trends", "margin", "both", "both, true loss")
 
 
@@ -43,7 +44,8 @@ def read(home: Path, folder: Path) -> chain.Made:
 
 
 def line(asked: str, taught: str, inputs: str, judged: pl.DataFrame) -> list[str]:
-    scores = score_prognoses(judged)
+    """One row: `judged` holds in `risk` the probability of a message within 100 flights."""
+    scores = score_prognoses(judged) | censored_scores(judged, "risk")
     return [asked, taught, inputs, *(f"{scores.get(name, np.nan):.3g}" for name in SCORES)]
 
 
@@ -51,13 +53,15 @@ def table(fleets: dict[str, chain.Made], own: list[chain.Made]) -> str:
     """Every teacher against every other fleet."""
     rows = {name: by_input(rows_of(made)) for name, made in fleets.items()}
     teachers = rows | ({"own designs": by_input(together([rows_of(made) for made in own]))} if own else {})
-    lines = [["asked", "taught by", "inputs", "AUC", "Brier skill", "interval skill", "coverage", "error [flights]"]]
+    lines = [["asked", "taught by", "inputs", "AUC, 50", "Brier skill, 50", "C-index", "Brier skill, 100"]]
+    lines[0] += ["interval skill", "coverage", "error [flights]"]
     for name, made in fleets.items():
         for taught, teacher in teachers.items():
             for inputs in INPUTS if taught != name else ():
                 said = Learner.fit(teacher, inputs).say(rows[name], inputs)
                 lines.append(line(name, taught, inputs, said.filter(pl.col("left") >= 1)))
         judged = judge(made["prognoses"], made["features"], made["lives"])
+        judged = judged.with_columns(risk="p_event_100")
         lines.append(line(name, "simulated lives, own other tails", "the product", judged))
     return markdown(lines)
 

@@ -1,0 +1,43 @@
+"""Scores of censored lives: each row counts by the chance that a life like it is still under observation then."""
+
+import numpy as np
+import polars as pl
+from sksurv.metrics import brier_score, concordance_index_ipcw
+from sksurv.nonparametric import kaplan_meier_estimator
+from sksurv.util import Surv
+
+HORIZON = 100.0
+END = 300.0
+"""Flights that are told; what is left beyond counts as left at the end."""
+
+
+def censored_scores(judged: pl.DataFrame, risk: str) -> dict[str, float]:
+    """Concordance of the risk with what came, and its Brier score at `HORIZON` flights over that of one risk for all.
+
+    Parameters
+    ----------
+    judged : DataFrame
+        `left`, `failed`, and in `risk` the probability of the message within `HORIZON` flights.
+
+    References
+    ----------
+    .. [1] H. Uno et al., On the C-statistics for evaluating overall adequacy of risk prediction procedures with
+       censored survival data, Statistics in Medicine 30, 2011.
+    .. [2] E. Graf et al., Assessment and comparison of prognostic classification schemes for survival data, Statistics
+       in Medicine 18, 1999.
+    """
+    rows = judged.drop_nulls(risk)
+    left = np.minimum(rows["left"].to_numpy(), END)
+    seen = Surv.from_arrays(rows["failed"].to_numpy() & (rows["left"].to_numpy() < END), left)
+    said = rows[risk].to_numpy()
+    concordant = concordance_index_ipcw(seen, seen, said, tau=END - 1.0)[0]
+    brier, same = (
+        float(brier_score(seen, seen, 1.0 - p, [HORIZON])[1][0]) for p in (said, np.full(said.size, _by(seen)))
+    )
+    return {"c_index": float(concordant), "brier_100_skill": 1.0 - brier / same}
+
+
+def _by(seen: np.ndarray) -> float:
+    """Share of rows with the message within `HORIZON`, by Kaplan and Meier."""
+    time, alive = kaplan_meier_estimator(seen["event"], seen["time"])
+    return 1.0 - float(alive[np.searchsorted(time, HORIZON, side="right") - 1])
