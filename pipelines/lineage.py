@@ -15,7 +15,7 @@ from hdt_core.tables import TABLES
 Grain = Literal["flight", "aircraft", "fleet"]
 FOLDED = {"flight": 4, "aircraft": 20, "fleet": 1}
 PACK, COMPONENT = "pack", "component"
-FLIGHT_FILES = ("acms", "history", "cpl")
+FLIGHT_FILES = ("acms", "history", "cpl", "recorder")
 RECORD_FILES = ("messages", "maintenance")
 DECLARED = "1 " + " ".join(c.version for c in components().values())
 """Of what follows from the components that are declared: a change of one makes its results again."""
@@ -33,6 +33,8 @@ class Recipe:
         Kinds of delivered file whose contents count.
     baseline : bool
         Only the commissioning window of the parents counts.
+    terms : bool
+        The physical terms that an engineer has accepted count.
     code : str
         Version of the code; raise it when what is computed changes.
     """
@@ -40,6 +42,7 @@ class Recipe:
     parents: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     baseline: bool = False
+    terms: bool = False
     code: str = "1"
 
 
@@ -118,7 +121,12 @@ STAGES = (
     Stage(
         "raw_fleet",
         "raw",
-        alike("raw_fleet", "raw_files_deliveries", "raw_files_quarantine", files=("fleet", "rejected", "refused")),
+        {
+            **alike(
+                "raw_fleet", "raw_files_deliveries", "raw_files_quarantine", files=("fleet", "rejected", "refused")
+            ),
+            "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
+        },
         label="fleet list and refused files",
     ),
     Stage(
@@ -219,7 +227,7 @@ STAGES = (
             "raw_components",
             "raw_components_deliveries",
             "raw_components_quarantine",
-            files=("component",),
+            files=("component", "recorder"),
             code=DECLARED,
         ),
         untracked=("raw_fleet",),
@@ -230,14 +238,18 @@ STAGES = (
         "calibration_components",
         "calibration",
         alike(
-            "legs_components", "calibration_components", parents=("raw_components", "raw_maintenance"), code=DECLARED
+            "legs_components",
+            "calibration_components",
+            parents=("raw_components", "raw_maintenance"),
+            terms=True,
+            code=DECLARED,
         ),
         road=COMPONENT,
     ),
     Stage(
         "twin_components",
         "twin",
-        alike("twin_components", "residuals_components", parents=("calibration_components",)),
+        alike("twin_components", "residuals_components", parents=("calibration_components",), code="2"),
         road=COMPONENT,
     ),
     Stage(

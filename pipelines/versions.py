@@ -12,6 +12,7 @@ from pipelines.baseline import baseline_inputs
 from pipelines.lineage import LINEAGE, Recipe, Stage
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accepted_terms
 
 CELL = ("operator", "tail", "flight_id")
 _DEPTH = {"flight": 3, "aircraft": 2, "fleet": 0}
@@ -31,7 +32,8 @@ def expected(ledger: Ledger, table: str) -> pl.DataFrame:
     for other in others:
         on = [c for c in CELL if c in other.columns]
         first = first.join(other, on=on, how="left") if on else first.join(other, how="cross")
-    return _hashed(first, recipe.code)
+    terms = accepted_terms(ledger.home) if recipe.terms else ()
+    return _hashed(first, " ".join((recipe.code, *terms)))
 
 
 def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:

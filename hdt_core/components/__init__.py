@@ -6,12 +6,14 @@ A package brings one by an entry point of the group `hdt.components` that names 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from hdt_core.components.cabin_air_compressor import CAC
 from hdt_core.components.compressor import CC
-from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Record
+from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.exchanger import HX
+from hdt_core.components.unmetered_exchanger import HXT
 
 __all__ = [
-    "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Record", "component_rows", "components",
+    "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record", "component_rows", "components",
     "recorded_components",
 ]  # fmt: skip
 
@@ -20,14 +22,14 @@ GROUP = "hdt.components"
 
 @cache
 def components() -> dict[str, Component]:
-    """Every component by its code: the pack's own, then those of other packages by name.
+    """Every component by its code: this project's own, then those of other packages by name.
 
     Raises
     ------
     ComponentError
         A package can't be loaded, names something else than a `Component`, or one of a code that is taken.
     """
-    known = {c.code: c for c in (HX, CC)}
+    known = {c.code: c for c in (HX, CC, HXT, CAC)}
     for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
         found = _loaded(point)
         if found.code in known:

@@ -3,6 +3,8 @@
 from hdt_core.components.declaration import REPLACED, Component, Limit
 from hdt_core.physics.compressor import COMPRESSOR
 
+_HEAD = ("cc_speed_rpm", "cc_in_degc", "cc_in_psia", "cc_out_psia")
+
 CC = Component(
     code="CC",
     name="compressor",
@@ -17,5 +19,10 @@ CC = Component(
     warn_loss=0.05,
     ended_by=(REPLACED,),
     around_work=(5, 1),
+    needs={
+        "cc_effective_diameter_m": _HEAD,
+        "cc_diameter_loss": (*_HEAD, "vda_pos"),
+        "cc_efficiency_loss": ("cc_in_degc", "cc_in_psia", "cc_out_degc", "cc_out_psia"),
+    },
 )
 """Its record is the default one, its road the pack's own: see `hdt_core.twin.compressor` and `hdt_core.health`."""

@@ -8,8 +8,8 @@ import hashlib
 import inspect
 import math
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import polars as pl
@@ -55,6 +55,8 @@ class Channel:
         Span of what the quantity can physically be; a value outside becomes null and is told. [signal's unit]
     harmful_per_s : float, optional
         Drift from which a flight counts as unsteady; none is looked for where not given. [signal's unit / s]
+    needed : bool
+        Without it the component can't be judged.
     """
 
     column: str
@@ -66,6 +68,7 @@ class Channel:
     low: float = -math.inf
     high: float = math.inf
     harmful_per_s: float | None = None
+    needed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,30 @@ class Record:
     channels: tuple[Channel, ...]
     derive: Callable[[pl.DataFrame], pl.DataFrame] | None = None
     nominal: pl.Expr | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A quantity that follows from a sample without a model, told of every flight as a mean.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+        The name begins with the component's code in small letters.
+    value : Expr
+        Over the channels and what `derive` adds; null where it can't be told.
+    where : Expr, optional
+        Samples it is told of; of a flight that has none it is `off_nominal`.
+    below : float
+        What it is called it can only be below this. [unit]
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    value: pl.Expr
+    where: pl.Expr | None = None
+    below: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +147,12 @@ class Component:
         What else could explain the loss; what waiting costs.
     record : Record, optional
         Where its signals come from; none for the pack's parts, which the default record holds.
+    readings : tuple of Reading
+        What its record shows without a model.
+    terms : mapping of str to PhysicsModel
+        The model with a physical term of `hdt_core.physics.terms` in it, in service once an engineer accepts the term.
+    needs : mapping of str to tuple of str
+        Columns of the default record without which a parameter can't be estimated; for the pack's parts.
     """
 
     code: str
@@ -137,6 +170,9 @@ class Component:
     otherwise: str = "a drifting sensor of the same record"
     waiting: str = "Waiting costs what the loss costs, and in the end a failure in service"
     record: Record | None = None
+    readings: tuple[Reading, ...] = ()
+    terms: Mapping[str, PhysicsModel] = field(default_factory=dict)
+    needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for fault in self._faults():
@@ -153,18 +189,28 @@ class Component:
         return f"{self.code}_DEGRADED"
 
     @property
+    def has_term(self) -> bool:
+        """Whether a physical term is in service."""
+        return self.model in self.terms.values()
+
+    @property
     def version(self) -> str:
         """Digest of the declaration, the source of its functions included: what a change of it makes stale."""
         return hashlib.blake2b(_told(self).encode(), digest_size=6).hexdigest()
 
+    def with_terms(self, accepted: Collection[str]) -> "Component":
+        """The component with the model that accepted terms ask for."""
+        chosen = [model for name, model in self.terms.items() if name in accepted]
+        return replace(self, model=chosen[0]) if chosen else self
+
     def _faults(self) -> list[str]:
-        health = {p.name for p in self.model.free("health")}
+        health = {p.name for p in self.model.free("health")} | {r.name for r in self.readings}
         given = {c.signal for c in self.record.channels} if self.record else set()
         told = [] if re.fullmatch(CODE, self.code) else ["the code is two to eight capital letters"]
-        if self.loss not in health:
+        if self.loss not in {p.name for p in self.model.free("health")}:
             told.append(f"{self.loss} is no health parameter of {self.model.name}")
         if odd := sorted(n for n in health if not n.startswith(f"{self.folder}_")):
-            told.append(f"names of its health parameters begin with {self.folder}_, not {', '.join(odd)}")
+            told.append(f"names of its health parameters and readings begin with {self.folder}_, not {', '.join(odd)}")
         if set(self.ended_by) - set(ACTIONS):
             told.append(f"ended_by takes {', '.join(ACTIONS)}")
         if self.record and self.record.derive is None and (missing := [s.name for s in self.model.inputs
@@ -177,6 +223,8 @@ def _told(thing: Any) -> str:
     """A value as text that is the same in every process: functions by their source, expressions by their form."""
     if is_dataclass(thing) and not isinstance(thing, type):
         return f"{type(thing).__name__}({', '.join(_told(getattr(thing, f.name)) for f in fields(thing))})"
+    if isinstance(thing, dict):
+        return _told(tuple(thing.items()))
     if isinstance(thing, tuple):
         return f"({', '.join(map(_told, thing))})"
     if inspect.isfunction(thing):

@@ -3,6 +3,8 @@
 from hdt_core.components.declaration import CLEANED, REPLACED, Component, Limit
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 
+_UA = ("altitude_ft", "mach", "tat_degc", "hx_in_degc", "hx_out_degc", "ram_door_pct", "pack_flow_lbpm")
+
 HX = Component(
     code="HX",
     name="heat exchanger",
@@ -17,5 +19,6 @@ HX = Component(
     message_code="21-52-HXTEMP",
     ended_by=(REPLACED, CLEANED),
     around_work=(10, 1),
+    needs={"hx_fouling": _UA, "hx_h_hot_w_k": (*_UA, "ram_out_degc"), "hx_h_cold_w_k": (*_UA, "ram_out_degc")},
 )
 """Its record is the default one, its road the pack's own: see `hdt_core.twin.exchanger` and `hdt_core.health`."""

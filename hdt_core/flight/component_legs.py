@@ -9,7 +9,10 @@ from hdt_core.flight.steady import drift_free
 LEG = list(LEG_KEY)
 MIN_SAMPLES = 5
 """Samples below which a flight says nothing of a component."""
+SILENT = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")
+"""Reasons for which a flight says nothing of the component."""
 REASONS = {
+    "NOT_RECORDED": "a signal that the component's model needs is not recorded",
     "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
     "UNSTEADY": "a signal drifted through the flight, so the component was not in steady state",
     "STRAY": "the flight stands apart from the others the component was calibrated on",
@@ -44,6 +47,12 @@ def component_samples(signals: pl.DataFrame, component: Component) -> pl.DataFra
     return wide.with_columns((speaks & complete).fill_null(False).alias("nominal"))
 
 
+def lacks_channel(component: Component) -> pl.Expr:
+    """Whether a group of samples has no value at all in a channel that the component needs."""
+    needed = [c.signal for c in component.record.channels if c.needed] if component.record else []
+    return pl.any_horizontal([pl.lit(False), *(pl.col(c).is_null().all() for c in needed)])
+
+
 def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
     """First level: which flights are long and steady enough to say something of the component, sick or not.
 
@@ -57,14 +66,21 @@ def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
     second = pl.col("time_utc").dt.epoch("ms") / 1e3
     steady = [drift_free(second, c.signal, c.harmful_per_s) for c in channels if c.harmful_per_s is not None]
     few = pl.col("n_nominal") < MIN_SAMPLES
+    model = [pl.col(s.name).is_finite().any() for s in (*component.model.inputs, *component.model.outputs)]
     legs = samples.group_by(LEG).agg(
         pl.col("time_utc").min().alias("departed_at"),
         pl.len().cast(pl.Int64).alias("n_samples"),
         pl.col("nominal").sum().cast(pl.Int64).alias("n_nominal"),
         (pl.all_horizontal(steady) if steady else pl.lit(True)).alias("steady"),
+        (pl.all_horizontal(model).fill_null(False) | ~lacks_channel(component)).alias("recorded"),
     )
     reason = (
-        pl.when(few).then(pl.lit("FEW_SAMPLES")).when(~pl.col("steady")).then(pl.lit("UNSTEADY")).otherwise(pl.lit(""))
+        pl.when(~pl.col("recorded")).then(pl.lit("NOT_RECORDED"))
+        .when(few).then(pl.lit("FEW_SAMPLES"))
+        .when(~pl.col("steady")).then(pl.lit("UNSTEADY"))
+        .otherwise(pl.lit(""))
+    )  # fmt: skip
+    told = legs.with_columns(reason.alias("reason"), pl.lit(component.code).alias("component")).drop(
+        "steady", "recorded"
     )
-    told = legs.with_columns(reason.alias("reason"), pl.lit(component.code).alias("component")).drop("steady")
     return told.sort("operator", "tail", "departed_at", "flight_id", "pack")

@@ -30,7 +30,8 @@ class Param:
 
     `role` is the only switch between calibrating the digital system model (free `design`) and tracking the twin
     (free `health`). A health parameter is a loss: 0 as built, larger is worse. `drift` is the standard deviation
-    it may gain per square root of a flight.
+    it may gain per square root of a flight. `sd` of a design parameter is how far one aircraft may be from nominal,
+    where that is known before any flight.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Param:
     bounds: tuple[float, float]
     role: Role
     drift: float = 0.0
+    sd: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.bounds
@@ -46,6 +48,8 @@ class Param:
             raise ValueError(f"{self.name}: nominal {self.nominal} is outside its bounds {self.bounds}")
         if self.drift < 0.0:
             raise ValueError(f"{self.name}: drift {self.drift} is negative")
+        if self.sd is not None and not self.sd > 0.0:
+            raise ValueError(f"{self.name}: a standard deviation of {self.sd} is none")
         if self.role == "health" and (self.nominal < 0.0 or low >= 0.0):
             raise ValueError(f"{self.name}: a loss is 0 or more as declared, and its lower bound lies below 0")
 

@@ -68,6 +68,7 @@ TABLES: dict[str, Entry] = {
     "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_records_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
     "raw_fleet": Entry(raw.RawFleet, "fleet", ("operator", "tail")),
+    "raw_coverage": Entry(raw.RawCoverage, "fleet", ("operator", "tail", "component", "parameter")),
     "raw_files_deliveries": Entry(raw.RawDeliveries, "fleet", ("file",), whole=True),
     "raw_files_quarantine": Entry(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
     "legs_samples": Entry(legs.LegsSamples, "flight", _SAMPLE, "month"),

@@ -135,6 +135,19 @@ class RawMaintenance(Table):
     counts_from = moment("flights that depart from then on count as flown after the work: `done_at`, or the day's end")
 
 
+class RawCoverage(Table):
+    """What can be estimated of one aircraft that has a type: aircraft, parameter."""
+
+    operator = operator_key()
+    tail = tail_key()
+    type = text("type of the aircraft, as in fleet.csv", nullable=False)
+    component = text("code of the component", nullable=False, primary_key=True)
+    parameter = text("health parameter", nullable=False, primary_key=True)
+    status = text("recorded, or not_recorded: nothing can be estimated", nullable=False)
+    missing = text("columns without which it can't be estimated")
+    why = text("why they are missing, by the type's description")
+
+
 class RawFleet(Table):
     """One aircraft of the fleet list."""
 
@@ -143,3 +156,4 @@ class RawFleet(Table):
     msn = text("manufacturer's serial number")
     delivered_on = dy.Date(nullable=True, metadata={"unit": "UTC", "meaning": "day of delivery"})
     packs = dy.Int32(nullable=True, metadata={"unit": "-", "meaning": "air-conditioning packs"})
+    type = text("type whose description its recordings follow; null where its files are the default record")

@@ -78,7 +78,7 @@ class TwinHealth(DatedLegTable):
     )
     sd = number("standard deviation, in `unit`", low=0)
     unit = text("unit", nullable=False)
-    status = text("how the estimate ended", nullable=False)
+    status = text("how the estimate ended; the view `statuses` explains each", nullable=False)
     estimator = text("method", nullable=False)
 
 

@@ -9,7 +9,7 @@ import polars as pl
 from hdt_core.estimation.ekf import ExtendedKalman
 from hdt_core.estimation.estimate import Estimate, Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
-from hdt_core.estimation.problem import Problem, unknown
+from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import Param, PhysicsModel
 from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.sequential import recorded_outputs, samples_problem
@@ -27,7 +27,7 @@ SAYS_NOTHING = ("diverged", "not_identifiable")
 def calibrate_component(
     model: PhysicsModel, samples: pl.DataFrame, *, estimator: Estimator | None = None
 ) -> tuple[PhysicsModel, Estimate]:
-    """Free the `design` parameters on nominal samples, health at its nominal value.
+    """Free the `design` parameters on nominal samples, health at its nominal value; a declared prior counts.
 
     Parameters
     ----------
@@ -48,10 +48,17 @@ def calibrate_component(
     """
     free = [p.name for p in model.free("design")]
     solve = NonlinearLeastSquares() if estimator is None else estimator
-    found = solve.estimate(samples_problem(samples, model, free, recorded_outputs(model, samples)))
+    found = solve.estimate(samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model)))
     if found.status in SAYS_NOTHING:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {found.status}")
     return model.calibrated(dict(zip(free, map(float, found.belief.mean), strict=True))), found
+
+
+def design_prior(model: PhysicsModel) -> Belief | None:
+    """What is believed of the design before any flight; nothing where the declaration does not say it of each."""
+    free = model.free("design")
+    sd = [p.sd for p in free if p.sd is not None]
+    return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
 
 
 def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) -> pl.DataFrame:

@@ -9,16 +9,19 @@ import polars as pl
 from scipy.stats import median_abs_deviation
 
 from hdt_core.components import Component
-from hdt_core.flight.component_legs import LEG, component_legs, component_samples
+from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.unit_index import PACK, number_units, select_entries
 from hdt_core.twin.component import calibrate_component, track_component
+from hdt_core.twin.component_readings import HEALTH, ONE_OR_MORE, component_readings
 from hdt_core.twin.sequential import flight_by_flight
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
 STRAY_SD = 5.0
 """Standard deviations from the commissioning median at which a flight is no flight of the part as built."""
+NEAR_BOUND = 1e-3
+"""Share of a loss's span that counts as its bound."""
 KEYS = [*PACK, "component"]
 
 
@@ -39,8 +42,8 @@ def commission(
     legs : DataFrame
         As of `component_legs`; reasons of the second level beside.
     design : DataFrame
-        Long form: `KEYS`, parameter, value, sd, unit, n_flights, identifiable, dsm_version; none of a pack that was not
-        commissioned.
+        Long form: `KEYS`, parameter, value, sd, unit, n_flights, identifiable, dsm_version. Of a pack that was not
+        commissioned the declared prior, which rests on 0 flights, or none where the declaration has no prior.
     """
     samples = component_samples(signals, component)
     legs = component_legs(samples, component)
@@ -50,7 +53,18 @@ def commission(
         stray, found = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
         strays.append(stray)
         rows += [(*pack, component.code, *row) for row in found]
-    return _second_level(legs, strays, rows), pl.DataFrame(rows, schema=_DESIGN, orient="row")
+    packs = legs.filter(~pl.col("reason").is_in(SILENT)).select(PACK).unique(maintain_order=True)
+    known = {row[:3] for row in rows}
+    prior = [(*p, component.code, *row) for p in packs.rows() if p not in known for row in _prior(component)]
+    return _second_level(legs, strays, rows), pl.DataFrame(rows + prior, schema=_DESIGN, orient="row")
+
+
+def _prior(component: Component) -> list[tuple[object, ...]]:
+    """The declared design as rows; none where the declaration does not say how sure it is."""
+    free = component.model.free("design")
+    if any(p.sd is None for p in free):
+        return []
+    return [(p.name, p.nominal, p.sd, p.unit, 0, False, f"prior {component.version}") for p in free]
 
 
 _DESIGN: dict[str, Any] = {
@@ -133,21 +147,14 @@ def unit_health(
         Of `track_component`: filtered along each life, long form.
     """
     told = [
-        _tracked(pack, model, legs, maintenance, component)
-        for model, pack in _packs(samples.filter("nominal"), design, component)
+        _tracked(pack, model, legs, maintenance, component, rests_on_prior)
+        for model, rests_on_prior, pack in _packs(samples.filter("nominal"), design, component)
     ]
     if not told:
         empty = flight_by_flight(samples.clear(), component.model, [component.loss])
         return empty, pl.DataFrame(schema=HEALTH)
     flights, health = zip(*told, strict=True)
     return pl.concat(flights), pl.concat(health)
-
-
-HEALTH: dict[str, Any] = {
-    "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32,
-    "departed_at": pl.Datetime("us", "UTC"), "component": pl.String, "parameter": pl.String, "value": pl.Float64,
-    "sd": pl.Float64, "unit": pl.String, "status": pl.String, "estimator": pl.String,
-}  # fmt: skip
 
 
 def calibrated_model(design: pl.DataFrame, component: Component) -> PhysicsModel:
@@ -157,21 +164,63 @@ def calibrated_model(design: pl.DataFrame, component: Component) -> PhysicsModel
 
 def _packs(
     samples: pl.DataFrame, design: pl.DataFrame, component: Component
-) -> Iterator[tuple[PhysicsModel, pl.DataFrame]]:
+) -> Iterator[tuple[PhysicsModel, bool, pl.DataFrame]]:
     for pack, rows in design.filter(component=component.code).group_by(PACK, maintain_order=True):
         own = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
-        yield calibrated_model(rows, component), own
+        yield calibrated_model(rows, component), bool((rows["n_flights"] == 0).all()), own
 
 
 def _tracked(
-    samples: pl.DataFrame, model: PhysicsModel, legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    legs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    component: Component,
+    rests_on_prior: bool,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Flights and health of one pack."""
-    steady = legs.filter(~pl.col("reason").is_in(["FEW_SAMPLES", "UNSTEADY"]))
-    flights = flight_by_flight(
-        samples.join(steady, on=LEG, how="semi"), model, [p.name for p in component.model.free("health")]
-    )
+    steady = samples.join(legs.filter(~pl.col("reason").is_in(SILENT)), on=LEG, how="semi")
+    flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
     lives = number_units(flights, maintenance, component.code, "life", component.ended_by)
     if flights.is_empty():
         return flights, pl.DataFrame(schema=HEALTH)
-    return flights, track_component(lives, model, component.code).select(list(HEALTH))
+    tracked = track_component(lives, model, component.code).select(list(HEALTH))
+    return flights, by_prior(tracked, steady, model, component) if rests_on_prior else tracked
+
+
+def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """Flights that show more than the part can do say nothing of it: the model lacks what made them so."""
+    (low, high), loss = next(p.bounds for p in component.model.params if p.name == component.loss), component.loss
+    better = pl.col(loss) < low + NEAR_BOUND * (high - low)
+    if not component.has_term:
+        readings = component_readings(samples, component).filter(status=ONE_OR_MORE)
+        beyond = readings.select(pl.struct(LEG).unique()).to_series()
+        better |= pl.struct(LEG).is_in(beyond.implode())
+    return flights.with_columns(pl.when(better).then(pl.lit("not_identifiable")).otherwise("status").alias("status"))
+
+
+def by_prior(health: pl.DataFrame, samples: pl.DataFrame, model: PhysicsModel, component: Component) -> pl.DataFrame:
+    """Health where no flight has calibrated the design: what the declaration believes, moved by what flights say.
+
+    A part is taken to be as built, give or take the loss that would raise an alert. A flight's own loss is as unsure as
+    the design is, and flights of one pack share that error: it does not grow smaller with their number.
+    """
+    names = [p.name for p in model.free("health")]
+    mean = flight_by_flight(samples, model, names)
+    shifts = [
+        flight_by_flight(samples, model.calibrated({p.name: min(p.nominal + p.sd, p.bounds[1])}), names)
+        for p in model.free("design")
+        if p.sd is not None
+    ]
+    told = []
+    for name in names:
+        moved = sum((s[name].to_numpy() - mean[name].to_numpy()) ** 2 for s in shifts)
+        told.append(mean.select(LEG).with_columns(pl.lit(name).alias("parameter"), pl.Series("moved", moved)))
+    wide = health.join(pl.concat(told), on=[*LEG, "parameter"], how="left", maintain_order="left")
+    seen = pl.col("sd") ** 2 + pl.col("moved")
+    weight = (component.warn_loss**2 / (component.warn_loss**2 + seen)).fill_nan(0.0).fill_null(0.0)
+    return wide.with_columns(
+        (weight * pl.col("value")).fill_null(0.0).alias("value"),
+        (component.warn_loss * (1.0 - weight).sqrt()).alias("sd"),
+        pl.lit("prior_only").alias("status"),
+    ).drop("moved")

@@ -12,9 +12,9 @@ import polars as pl
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.estimate import Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
-from hdt_core.estimation.problem import Problem, unknown
+from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import PhysicsModel
-from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, PACK, Array, flights_of
+from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, PACK, flights_of
 
 MIN_SAMPLES = 3
 
@@ -79,13 +79,17 @@ def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
 
 
 def samples_problem(
-    samples: pl.DataFrame, model: PhysicsModel, free: Sequence[str], outputs: Sequence[str], start: Array | None = None
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    outputs: Sequence[str],
+    prior: Belief | None = None,
 ) -> Problem:
     """What an estimator is asked about `samples`: the crossing from a frame to `declared_problem`."""
     inputs, measured = (
         {c: samples[c].to_numpy() for c in names} for names in ([s.name for s in model.inputs], outputs)
     )
-    return declared_problem(model, free, inputs, measured, prior=None if start is None else unknown(start))
+    return declared_problem(model, free, inputs, measured, prior=prior)
 
 
 def _one_pack(
@@ -102,7 +106,7 @@ def _one_pack(
     for _, flight in pack.group_by("flight_id", maintain_order=True):
         if flight.height < MIN_SAMPLES:
             continue
-        found = estimator.estimate(samples_problem(flight, model, free, outputs, start))
+        found = estimator.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
         # a flight that ended nowhere is no place to start from
         start = found.belief.mean if warm and found.status == "converged" else first if not warm else start
         said = (*found.belief.mean.tolist(), *found.belief.sd.tolist())

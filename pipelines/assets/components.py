@@ -12,6 +12,7 @@ from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
 from hdt_core.records.unit_index import PACK
 from hdt_core.tables import TABLES
+from hdt_core.twin.component_readings import component_readings
 from hdt_core.twin.component_units import calibrated_model, commission, unit_health
 from pipelines.assets.raw import account, left, of_aircraft
 from pipelines.assets.stage import stage
@@ -19,6 +20,7 @@ from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
+from pipelines.storage.settings import accepted_terms
 
 SAMPLE = [*LEG, "component", "time_utc", "signal"]
 
@@ -29,33 +31,39 @@ def declared_components() -> pl.DataFrame:
     return pl.DataFrame(component_rows())
 
 
+def in_service(home: Home) -> list[Component]:
+    """Components that files describe, each with the physical terms that an engineer has accepted."""
+    return [c.with_terms(accepted_terms(Path(home.home))) for c in recorded_components().values()]
+
+
 @stage
 def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """What the components' own files recorded; of files that have left the landing zone what is stored stays."""
-    listed = home.ledger.of(scope.aircraft or {}).files(["component"])
+    listed = home.ledger.of(scope.aircraft or {}).files(["component", "recorder"])
     wanted = pl.struct("operator", "tail").is_in([{"operator": o, "tail": t} for o, t in scope.aircraft or {}])
-    files = [f for f in landing_files(Path(home.landing), listed.filter(wanted)) if f.folder in recorded_components()]
+    files = landing_files(Path(home.landing), listed.filter(wanted))
+    files = [f for f in files if f.is_recording or f.folder in recorded_components()]
     fleet = home.store.read("raw_fleet").drop_nulls("packs").select("operator", "tail", "packs").rows()
     read = read_components(files, datetime.now(UTC), {(o, t): packs for o, t, packs in fleet})
-    here, pairs = [f.path for f in files], list(zip(files, read, strict=True))
+    here = [f.path for f in files]
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
         return pl.concat([left(table, here, scope, home.store), *frames], how="diagonal_relaxed")
 
-    rows = with_stored("raw_components", [d.rows for d in read])
+    rows = with_stored("raw_components", [d.rows for _, d in read])
     return (
         rows.unique(SAMPLE, keep="last", maintain_order=True),
-        with_stored("raw_components_deliveries", [of_aircraft(f, account(f, d)) for f, d in pairs]),
-        with_stored("raw_components_quarantine", [of_aircraft(f, d.quarantine) for f, d in pairs]),
+        with_stored("raw_components_deliveries", [of_aircraft(f, account(f, d)) for f, d in read]),
+        with_stored("raw_components_quarantine", [of_aircraft(f, d.quarantine) for f, d in read]),
     )
 
 
 @stage
 def calibration_components(
-    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame
+    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Which flights of a component are steady, and how each pack's first unit was built."""
-    told = [commission(raw_components, raw_maintenance, c) for c in recorded_components().values()]
+    told = [commission(raw_components, raw_maintenance, c) for c in in_service(home)]
     legs, design = _all("legs_components", [x for x, _ in told]), _all("calibration_components", [d for _, d in told])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
 
@@ -66,14 +74,15 @@ def twin_components(
     legs_components: pl.DataFrame,
     calibration_components: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
+    home: Home,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Health of each component after each flight, and how far sensor, model and twin are apart."""
     health, residuals = [], []
-    for component in recorded_components().values():
+    for component in in_service(home):
         legs = legs_components.filter(component=component.code)
         samples = component_samples(raw_components, component)
         flights, tracked = unit_health(samples, legs, calibration_components, raw_maintenance, component)
-        health.append(tracked)
+        health += [tracked, component_readings(samples, component)]
         residuals += _residuals(samples, flights, calibration_components, component)
     return _all("twin_components", health), _all("residuals_components", residuals)
 

@@ -9,11 +9,13 @@ from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawFleet
 from pipelines.assets.stage import stage
 from pipelines.intake.components import Delivered
+from pipelines.intake.coverage import coverage
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.logs import Log, read_fleet, read_maintenance, read_messages
 from pipelines.intake.scan import REJECTED
 from pipelines.intake.snapshots import read_snapshots
+from pipelines.intake.types_of_zone import types_of
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
 from pipelines.storage.store import Store
@@ -31,6 +33,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
         pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed"),
         pl.concat([left, *(account(f, x) for f, x in lists)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists)]),
+        coverage(types_of(landing.resolve())),
     )
 
 

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipelines.intake.coverage import coverage_of, faults_of, in_use
 from pipelines.intake.landing import list_landing
+from pipelines.intake.types_of_zone import types_of
 from pipelines.storage import sqlite_reader
 from pipelines.storage.catalog import CATALOG, connect, views
 from pipelines.storage.objects import StoreError
@@ -34,6 +36,7 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
     yield from _packages()
     if landing is not None:
         yield _landing(landing)
+        yield from _types(landing)
     if home is not None:
         yield from _home(home)
 
@@ -57,6 +60,24 @@ def _landing(landing: Path) -> Check:
     files, refused = len(listing.files), listing.quarantine.height
     said = f"{files} files to take in, {refused} that are none of the contract's"
     return Check("landing zone", files > 0, said if files else f"{said}; see docs/raw-data.md for the layout")
+
+
+def _types(landing: Path) -> Iterator[Check]:
+    """Types of aircraft: whether description and map agree, and what can't be estimated."""
+    types = types_of(landing.resolve())
+    for file, fault in types.faults.items():
+        yield Check(f"type {file}", False, fault)
+    for name, aircraft in in_use(types).items():
+        kind = types.known.get(name)
+        if kind is None:
+            known = ", ".join(sorted(types.known)) or "none"
+            yield Check(f"type {name}", False, f"fleet.csv names it, nothing describes it; there are {known}")
+            continue
+        wrong = faults_of(kind)
+        lacks = [f"{row[1]} (no {row[3]})" for row in coverage_of(kind) if row[3]]
+        can = ", ".join(row[1] for row in coverage_of(kind) if not row[3])
+        said = f"{aircraft} aircraft; estimates {can or 'nothing'}; can't estimate {', '.join(lacks) or 'nothing else'}"
+        yield Check(f"type {name}", not wrong, "; ".join(wrong) or said)
 
 
 def _home(home: Path) -> Iterator[Check]:

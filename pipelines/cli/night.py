@@ -228,7 +228,11 @@ def _ranking(home: Path) -> None:
 
     with connect(home) as con:
         rows = con.sql("select * from fleet_ranking order by place limit 10").pl().to_dicts()
-        units = con.sql("select * from component_ranking order by place limit 10").pl().to_dicts()
+        units = (
+            con.sql("select * from component_ranking where urgency <> 'unknown' order by place limit 10")
+            .pl()
+            .to_dicts()
+        )
     table = Table(title="Packs most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
     for name in ("pack", "urgency", "UA lost", "flights left\n(90 %)", "message\nin 50", "open alerts"):
         right = name.startswith(("UA", "message"))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 
 import polars as pl
 
@@ -12,11 +13,13 @@ from pipelines.intake.columns import Contract
 from pipelines.intake.header import judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine, shortened
-from pipelines.intake.names import EARLIEST
+from pipelines.intake.names import EARLIEST, MAX_PACKS
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
+from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
+from pipelines.intake.types_of_zone import types_of
 from pipelines.storage.panics import first_line, panics_as_errors
 
 REQUIRED = ("flight_id", "report_time")
@@ -42,8 +45,8 @@ class Delivered:
 
 def read_components(
     files: Sequence[LandingFile], now: datetime, packs: Mapping[tuple[str, str], int]
-) -> list[Delivered]:
-    """What came of each file, in the order of `files`; deliveries of one flight are settled among them.
+) -> list[tuple[LandingFile, Delivered]]:
+    """What came of each file, of a recording once for each component; deliveries of one flight are settled among them.
 
     Parameters
     ----------
@@ -56,15 +59,18 @@ def read_components(
 
     Returns
     -------
-    list of Delivered
-        Counts are of lines; each line is stored, kept aside or said nothing new. Never raises for what a file holds.
+    list of (LandingFile, Delivered)
+        In the order of `files`. Counts are of lines; each line is stored, kept aside or said nothing new. Never raises
+        for what a file holds.
     """
-    read = [_one_file(file, now, packs.get((file.operator, file.tail), 2)) for file in files]
-    wide = pl.concat([_placed(f.rows, i, files[i]) for i, f in enumerate(read)], how="diagonal")
+    held = [(file, code) for file in files for code in _components_in(file)]
+    read = [_one_file(file, code, now, packs.get((file.operator, file.tail), 2)) for file, code in held]
+    keys = pl.DataFrame(schema={**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64(), "index": pl.Int64()})
+    wide = pl.concat([keys, *(_placed(f.rows, i, held[i][0]) for i, f in enumerate(read))], how="diagonal")
     won = _settled(wide)
     mine, kept = (f.partition_by("index", as_dict=True) for f in (wide, won))
     return [
-        _delivered(files[i], f, mine.get((i,), wide.clear()), kept.get((i,), won.clear()), won)
+        (held[i][0], _delivered(held[i][0], f, mine.get((i,), wide.clear()), kept.get((i,), won.clear()), won))
         for i, f in enumerate(read)
     ]
 
@@ -78,10 +84,21 @@ class _Read:
     n_rows: int = 0
 
 
-def _one_file(file: LandingFile, now: datetime, packs: int) -> _Read:
-    component = recorded_components()[file.folder]
+def _components_in(file: LandingFile) -> tuple[str, ...]:
+    """Folders of the components that a file describes: its own folder's, or those of its aircraft's type."""
+    if not file.is_recording:
+        return (file.folder,)
+    kind = types_of(Path(file.landing)).of(file.operator, file.tail)
+    return tuple(code.lower() for code in kind.components) if kind else ()
+
+
+def _one_file(file: LandingFile, folder: str, now: datetime, packs: int) -> _Read:
+    component = recorded_components()[folder]
     try:
         with panics_as_errors():
+            if file.is_recording:
+                frame, n_rows, faults = recorder_rows(file, component.code)
+                return _judged(frame, _Read(pl.DataFrame(), faults, n_rows), None, component, now, MAX_PACKS)
             frame, text, found = _opened(file, component)
             return _judged(frame, found, text, component, now, packs)
     except Exception as error:

@@ -13,8 +13,9 @@ import polars as pl
 from hdt_core.components import recorded_components
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import is_operator, is_tail
+from pipelines.intake.types_of_zone import FOLDER, RECORDER, Types, read_by, types_of
 
-Kind = Literal["acms", "history", "cpl", "component", "messages", "maintenance", "fleet"]
+Kind = Literal["acms", "history", "cpl", "component", "recorder", "type", "messages", "maintenance", "fleet"]
 PART = ".part"
 
 
@@ -46,7 +47,12 @@ class LandingFile:
     @property
     def source(self) -> str:
         """Where its rows come from: snapshot reports or a continuous log."""
-        return "cpl" if "/cpl/" in self.path else "acms"
+        return "cpl" if "/cpl/" in self.path or self.is_recording else "acms"
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether it is a flight recorder's own file, which the type of its aircraft describes."""
+        return self.folder == RECORDER
 
     @property
     def folder(self) -> str:
@@ -83,6 +89,7 @@ class _Listing:
         self.root = str(landing.resolve())
         self.files: list[LandingFile] = []
         self.faults: list[tuple[str, Fault, datetime]] = []
+        self.types: Types = types_of(landing.resolve())
 
     def refuse(self, path: str, reason: str, detail: str, mtime_ns: int = 0) -> None:
         at = received(mtime_ns)
@@ -96,7 +103,7 @@ class _Listing:
             self.refuse(below, "cannot_open", error.strerror or type(error).__name__)
             return
         for entry in found:
-            if PART in entry.name or entry.name.startswith("."):
+            if PART in entry.name or entry.name.startswith(".") or (not below and entry.name == FOLDER):
                 continue
             if entry.is_symlink() and not self._stays_inside(entry.path):
                 self.refuse(
@@ -114,8 +121,11 @@ class _Listing:
             elif not self._log_file(entry, path):
                 self.refuse(path, "unexpected_name", f"not {what}")
 
-    def take(self, entry: os.DirEntry[str], path: str, kind: Kind) -> None:
-        """Add a regular file; refuse pipes and devices, which would hang whoever opens them."""
+    def take(self, entry: os.DirEntry[str], path: str, kind: Kind, also: tuple[Path, ...] = ()) -> None:
+        """Add a regular file; refuse pipes and devices, which would hang whoever opens them.
+
+        One that is read by others, `also`, is as new as the newest of them.
+        """
         try:
             status = entry.stat()
         except OSError as error:
@@ -126,9 +136,11 @@ class _Listing:
             return
         operator, _, rest = path.partition("/")
         tail = rest.partition("/")[0]
-        touched = max(status.st_ctime_ns, status.st_mtime_ns)
-        keys = ("", "") if kind == "fleet" else (operator, tail)
-        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, status.st_mtime_ns, touched))
+        read_by = [p.stat() for p in also if p.exists()]
+        written = max(status.st_mtime_ns, *(s.st_mtime_ns for s in read_by), 0)
+        touched = max(status.st_ctime_ns, written, *(s.st_ctime_ns for s in read_by))
+        keys = ("", "") if kind in ("fleet", "type") else (operator, tail)
+        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, written, touched))
 
     def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
         """Take fleet.csv at the top and the logs of a tail, where they belong."""
@@ -157,17 +169,32 @@ def list_landing(landing: Path) -> Landing:
     leads out of the zone or is no regular file comes back as quarantine rows.
     """
     walk = _Listing(landing)
+    _descriptions(walk)
     for operator in walk.folders("", is_operator, "fleet.csv or an airline code"):
         for tail in walk.folders(operator, is_tail, "a registration"):
             aircraft = f"{operator}/{tail}"
-            known = {"acms", "cpl", *recorded_components()}
+            known = {"acms", "cpl", RECORDER, *recorded_components()}
             for folder in walk.folders(aircraft, known.__contains__, "a file or folder of the contract"):
                 _flights(walk, f"{aircraft}/{folder}", folder)
     frames = [quarantine(path, at, [fault]) for path, fault, at in walk.faults]
     return Landing(walk.files, pl.concat([quarantine("", None, []), *frames]))
 
 
+def _descriptions(walk: _Listing) -> None:
+    """Type descriptions of the zone; what else lies beside them are maps."""
+    for name, fault in walk.types.faults.items():
+        walk.refuse(f"{FOLDER}/{name}", "bad_type", fault)
+    if not os.path.isdir(f"{walk.root}/{FOLDER}"):
+        return
+    for entry in walk.entries(FOLDER):
+        if entry.name.endswith(".toml") and entry.name not in walk.types.faults:
+            walk.take(entry, f"{FOLDER}/{entry.name}", "type")
+
+
 def _flights(walk: _Listing, below: str, folder: str) -> None:
+    if folder == RECORDER:
+        _recordings(walk, below)
+        return
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
         kind = _kind(entry.name, folder)
@@ -175,6 +202,21 @@ def _flights(walk: _Listing, below: str, folder: str) -> None:
             walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, "neither .csv nor .parquet"))
         else:
             walk.take(entry, path, kind)
+
+
+def _recordings(walk: _Listing, below: str) -> None:
+    """Recordings of an aircraft whose type says how to read them."""
+    aircraft = below.split("/", maxsplit=1)[0], below.split("/")[1]
+    kind, fault = walk.types.of(*aircraft), walk.types.fault_of(*aircraft)
+    also = read_by(Path(walk.root), *aircraft)
+    for entry in walk.entries(below):
+        path = f"{below}/{entry.name}"
+        if entry.is_dir() or _printable(entry.name) != entry.name:
+            walk.refuse(path, "unexpected_name", "not a recording")
+        elif kind is None or fault:
+            walk.refuse(path, "unknown_type", f"{fault}.")
+        else:
+            walk.take(entry, path, "recorder" if kind.has_packs else "component", also)
 
 
 _EXPECTED = dict.fromkeys(("acms", "cpl"), "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet")

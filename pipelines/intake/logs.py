@@ -11,7 +11,7 @@ from hdt_core.components import ACTIONS, components
 from pipelines.intake.header import judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
-from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
+from pipelines.intake.names import EARLIEST, MAX_PACKS, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.row_validation import PACKS
 from pipelines.intake.text import Text, open_text, to_columns
@@ -19,7 +19,6 @@ from pipelines.intake.times import to_day, to_utc, zone_note
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
-MAX_PACKS = 4
 
 _UTC = pl.Datetime("us", "UTC")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
@@ -34,7 +33,7 @@ MESSAGES: Schema = {
 }
 MAINTENANCE: Schema = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
                "finding": pl.String, "reference": pl.String, "done_at": _UTC}  # fmt: skip
-FLEET: Schema = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32}
+FLEET: Schema = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32, "type": pl.String}
 
 Row = tuple[object, ...]
 Words = dict[str, str]
@@ -134,7 +133,7 @@ def _listed(file: LandingFile, fleet: pl.DataFrame | None) -> tuple[int, date | 
 
 
 def read_fleet(file: LandingFile, now: datetime) -> Log:
-    """The fleet list: `operator, tail, msn, delivered_on, packs`; of two lines for one aircraft the first counts."""
+    """The fleet list: `operator, tail, msn, delivered_on, packs, type`; of an aircraft's lines the first counts."""
 
     def judge(words: Words, _: datetime | None) -> Row | Fault:
         if not is_operator(words["operator"]) or not is_tail(words["tail"]):
@@ -145,9 +144,9 @@ def read_fleet(file: LandingFile, now: datetime) -> Log:
         packs = words["packs"] or str(PACKS)
         if packs not in {str(n) for n in range(1, MAX_PACKS + 1)}:
             return Fault("bad_pack", column_name="packs")
-        return (words["operator"], words["tail"], words["msn"] or None, day, int(packs))
+        return (words["operator"], words["tail"], words["msn"] or None, day, int(packs), words["type"] or None)
 
-    return _read(file, judge, FLEET, ("operator", "tail"), ("msn", "delivered_on", "packs"), unique=2)
+    return _read(file, judge, FLEET, ("operator", "tail"), ("msn", "delivered_on", "packs", "type"), unique=2)
 
 
 def _read(

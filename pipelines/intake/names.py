@@ -5,6 +5,7 @@ from datetime import date
 
 from hdt_core.tables.base import FLIGHT_ID, OPERATOR, TAIL
 
+MAX_PACKS = 4
 EARLIEST = date(1980, 1, 7)
 """A clock that was never set says 1970, or 6 January 1980 where it is GPS; what is older is a slip of the pen."""
 _OPERATOR, _TAIL, _FLIGHT_ID = (re.compile(p, re.ASCII) for p in (OPERATOR, TAIL, FLIGHT_ID))

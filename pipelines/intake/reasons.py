@@ -46,6 +46,19 @@ REASONS: dict[str, Reason] = {
         "file", "A column name stands twice in the header, so it is unclear which one holds.", "Keep one of them."
     ),
     "cannot_read_parquet": Reason("file", "The Parquet file is truncated or damaged.", "Deliver it again."),
+    "unknown_type": Reason(
+        "file",
+        "The file is a flight recorder's, and nothing says how it is to be read.",
+        "Give the aircraft a type in fleet.csv, and describe the type (docs/howto-recorder.md).",
+    ),
+    "bad_type": Reason(
+        "file", "The type description can't be used, or the recorder's map contradicts it.", "Correct the description."
+    ),
+    "map_does_not_fit": Reason(
+        "file",
+        "The parameter map of the type does not fit the recording, so nothing of it was decoded.",
+        "Find the map of this recorder, or the type of this aircraft.",
+    ),
     "cannot_process": Reason(
         "file",
         "Taking in the file failed in a way that was not foreseen; other files went on.",
@@ -170,6 +183,9 @@ REASONS: dict[str, Reason] = {
         "note",
         "Over the flight, total pressure is not what the standard atmosphere gives for altitude and Mach.",
         "Check the units of all three.",
+    ),
+    "recording_damaged": Reason(
+        "note", "A part of the recording is damaged; what it held is null.", "Read the recorder again, if it can be."
     ),
     "time_without_zone": Reason(
         "note", "Times carry no zone; they were taken as UTC, as the contract says.", "Write Z at the end."

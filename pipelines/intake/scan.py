@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.snapshots import flights_in
+from pipelines.intake.types_of_zone import read_by
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.ledger import Ledger
 
@@ -68,9 +69,15 @@ def _kind(file: LandingFile, held: dict[str, list[str]]) -> str:
 
 
 def _digest(file: LandingFile) -> str:
-    """Hash of the content; empty where it cannot be read, which taking it in will tell."""
+    """Hash of the content, and of what a recording is read by; empty where it cannot be read, which intake tells."""
+    also = read_by(Path(file.landing), file.operator, file.tail) if file.is_recording else ()
     try:
-        with open(file.full_path, "rb") as stream:
-            return hashlib.file_digest(stream, "blake2b").hexdigest()[:32]
+        digests = [_of_content(path) for path in (Path(file.full_path), *also)]
     except OSError:
         return ""
+    return digests[0] if len(digests) == 1 else hashlib.blake2b(" ".join(digests).encode()).hexdigest()[:32]
+
+
+def _of_content(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "blake2b").hexdigest()[:32]

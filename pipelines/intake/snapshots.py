@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import polars as pl
 
+from pipelines.intake.aircraft_types import PACK
 from pipelines.intake.columns import CORE_NAMES, KEYS, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import Header, judge_header
 from pipelines.intake.landing import LandingFile
@@ -15,6 +16,7 @@ from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
+from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.row_validation import Judged, about_files, judge
 from pipelines.intake.text import PLACE, Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
@@ -114,8 +116,8 @@ def flights_in(file: LandingFile) -> list[str]:
     Only well-formed ids of the file's own tail; none where it cannot be read, which `read_snapshots` then explains.
     """
     named = flight_of_file(file.name, file.tail)
-    if named is not None:
-        return [named]
+    if named is not None or file.is_recording:
+        return [named] if named else []
     try:
         with panics_as_errors():
             _, raw = _open_all([file], only=("flight_id",))
@@ -133,6 +135,11 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
     opened = [_Opened([]) for _ in files]
     frames = []
     for i, file in enumerate(files):
+        if file.is_recording:
+            frame, n_rows, faults = recorder_rows(file, PACK)
+            opened[i] = _Opened(faults, n_rows)
+            frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
+            continue
         content, faults = read_bytes(file)
         if content is None:
             opened[i].faults.extend(faults)

@@ -17,8 +17,9 @@ from hdt_core.physics.model import Signal
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_pack_has_its_two():
-    assert {c: k.message_code for c, k in components().items()} == {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW"}
+def test_the_pack_has_its_two_and_recorders_two_more():
+    told = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
+    assert {c: k.message_code for c, k in components().items()} == told
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,63 @@
+"""The pack's heat exchanger where neither pack flow nor ram door is recorded: its temperatures alone."""
+
+import polars as pl
+
+from hdt_core.components.declaration import CLEANED, REPLACED, Channel, Component, Limit, Reading, Record
+from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.unmetered_exchanger import SPRAYED, UNMETERED, effectiveness, ram_flux_kg_s_m2
+
+LEAST_DIFFERENCE_K = 15.0
+"""Hot inlet over outside air below which noise makes the effectiveness."""
+MOVING_MACH = 0.15
+"""Below it the fan and not the aircraft drives the ram air, and air data computers hold Mach at its least."""
+SLOW, FAST = 95.0, 125.0
+"""Ram flux of some 160 and 230 kt in a low climb. [kg/s/m2]"""
+_SEEN, _FLUX = pl.col("effectiveness"), pl.col("ram_flux_kg_s_m2")
+
+
+def _ram_air(samples: pl.DataFrame) -> pl.DataFrame:
+    """Total pressure from altitude and Mach, what the ram duct meets, and the effectiveness."""
+    number = {
+        c: samples[c].cast(pl.Float64).to_numpy() for c in ("altitude_m", "mach", "tat_k", "hot_in_k", "hot_out_k")
+    }
+    total_pa = standard_pressure_pa(number["altitude_m"]) * total_to_static_pressure(number["mach"])
+    flux = ram_flux_kg_s_m2(number["mach"], total_pa, number["tat_k"])
+    seen = effectiveness(number["hot_in_k"], number["hot_out_k"], number["tat_k"])
+    warm = pl.col("hot_in_k") - pl.col("tat_k") > LEAST_DIFFERENCE_K
+    return samples.with_columns(
+        pl.Series("total_pressure_pa", total_pa).fill_nan(None),
+        pl.Series("ram_flux_kg_s_m2", flux).fill_nan(None),
+        pl.when(warm).then(pl.Series(seen)).fill_nan(None).alias("effectiveness"),
+    )
+
+
+HXT = Component(
+    code="HXT",
+    name="exchanger by temperatures",
+    lost="NTU lost",
+    model=UNMETERED,
+    terms={"water_spray": SPRAYED},
+    loss="hxt_loss",
+    limit=Limit(0.38, 0.10, 0.08),
+    life_flights=400.0,
+    action="Plan a wash or replacement of the heat exchanger (ATA 21-52); look at ram inlet and core face first",
+    ended_by=(REPLACED, CLEANED),
+    otherwise="a ram door that opens less, more pack flow, or drier air where water is sprayed: none is recorded",
+    record=Record(
+        channels=(
+            Channel("hot_in_degc", "hot_in_k", "K", "hot-side inlet", offset=273.15, low=165.0, high=625.0),
+            Channel("hot_out_degc", "hot_out_k", "K", "hot-side exit", offset=273.15, low=165.0, high=555.0),
+            Channel("tat_degc", "tat_k", "K", "total air temperature", offset=273.15, low=165.0, high=355.0),
+            Channel("altitude_ft", "altitude_m", "m", "pressure altitude", scale=0.3048, low=-610.0, high=18300.0),
+            Channel("mach", "mach", "-", "Mach number", low=-0.1, high=1.2),
+        ),
+        derive=_ram_air,
+        nominal=(pl.col("mach") > MOVING_MACH) & pl.col("effectiveness").is_not_null(),
+    ),
+    readings=(
+        Reading("hxt_effectiveness", "-", "share of the way to TAT that the hot air is cooled", _SEEN, below=1.0),
+        Reading("hxt_effectiveness_slow", "-", "of that, at 160 kt or less", _SEEN, _FLUX < SLOW, below=1.0),
+        Reading("hxt_effectiveness_fast", "-", "of that, at 230 kt or more", _SEEN, _FLUX > FAST, below=1.0),
+    ),
+)  # fmt: skip
+"""Its signals come by a type description: `docs/howto-recorder.md`."""
