@@ -10,6 +10,8 @@ from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 
 PSI_PA = 6894.757293168361
 RUNNING_RAD_S = 500.0
+LEAST_INLET_PA = 65e3
+"""Where inlet pressure is recorded in whole psi, a digit is a tenth below."""
 LEAST_RATIO, MOST_RETURNED = 1.2, 0.1
 """A compressor that does little work, or takes in its own air again, has no inlet temperature that is known."""
 
@@ -66,6 +68,7 @@ CAC = Component(
         ),
         derive=_work,
         nominal=(pl.col("pressure_ratio") > LEAST_RATIO)
+        & (pl.col("inlet_pa") > LEAST_INLET_PA)
         & (pl.col("efficiency").is_not_null())
         & (pl.col("return_open").fill_null(0.0) < MOST_RETURNED),
     ),

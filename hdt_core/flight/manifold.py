@@ -17,6 +17,7 @@ BLOCK_FLIGHTS = 10
 """Flights within which wear hardly moves: an offset for each such block takes it out of the regression."""
 HUBER_K, HUBER_STEPS = 1.345, 12
 """95 % efficient on normal errors."""
+LEAST_NOISE = 0.01  # what the regression leaves over within a cruise: minutes of a log average noise away, not this
 SCAN_LENGTHS = (2, 3, 4, 6, 9)
 """Samples in a row; an ice episode lasts a quarter of an hour to an hour."""
 TERMS = ("pack_flow", "door", "ram_density", "mach", "door_door", "door_density", "flow_door")
@@ -72,7 +73,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     centre = np.median(x, axis=0)
     off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
     step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG_KEY)).abs().median()).item()
-    noise = 1.4826 * float(step or 1.0) / 2**0.5
+    noise = max(1.4826 * float(step or 1.0) / 2**0.5, LEAST_NOISE)
     return Manifold(tuple(centre.tolist()), tuple(slopes.tolist()), noise)
 
 

@@ -24,6 +24,8 @@ class FleetSettings:
         Share of flights that leave a 1 Hz log as well. [-]
     missing : dict
         Coefficient of each physical term that the twin's model lacks (`hdt_core.physics.terms`), by name.
+    suite : str
+        Sensors of the type of aircraft, a name of `hdt_core.simulate.recorder.SUITES`.
     """
 
     operators: int = 2
@@ -32,6 +34,7 @@ class FleetSettings:
     first_day: str = "2024-03-04"
     cpl_share: float = 0.004
     missing: dict[str, float] = field(default_factory=dict)
+    suite: str = "contract"
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ Any size, seeded: aircraft k of a fleet is the same whatever the others are, so 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -13,11 +13,13 @@ import polars as pl
 from hdt_core.simulate import flying, papers, shop
 from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.lacking import recorded_air, recorded_pack
-from hdt_core.simulate.recorder import draw_biases, record
+from hdt_core.simulate.recorder import SUITES, Array, draw_biases, record
 from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
 from hdt_core.simulate.truth import health_truth
 
 PACKS = (1, 2)
+_Outside = tuple[flying.Conditions, dict[str, Array] | None]
+"""Conditions of a flight and air data as recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,8 @@ def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator
     size = settings or FleetSettings()
     rng = np.random.default_rng(seed)
     design, operators = draw_design(rng), draw_operators(rng, size)
-    for number, operator in enumerate(operators):
+    for number, drawn in enumerate(operators):
+        operator = drawn if size.suite == "contract" else replace(drawn, temperature_step_k=0.0, missing=())
         for place, tail in enumerate(operator.tails):
             yield _aircraft(np.random.default_rng([seed, number, place]), design, operator, tail, size)
 
@@ -103,11 +106,12 @@ def _aircraft(
     plan = _plan(rng, design, operator, tail, size)
     now = flying.conditions(rng, plan.schedule, *flying.snapshot_times(rng, plan.schedule))
     read = recorded_air(now, size.missing)
-    air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k)
+    air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k, plan.suite)
     arrived = rng.random(size.flights) > 0.01
     logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
     rows, truth, book = [], [], papers.Book(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
+    outside: dict[int, _Outside] = {}
     for pack in PACKS:
         asked = demand(rng, design, now)
         history = shop.draw_history(rng, operator, design, *pick(now, asked, size.flights))
@@ -118,7 +122,7 @@ def _aircraft(
         book.write(rng, history, pack, truth[-1])
         for index in logged:
             cpl.setdefault(str(plan.ids[index]), []).append(
-                _log_1hz(rng, plan, int(index), history, pack, size.missing)
+                _log_1hz(rng, plan, int(index), history, pack, size.missing, outside)
             )
     snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[arrived].tolist()))
     return Aircraft(
@@ -138,7 +142,8 @@ def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail
     schedule = flying.draw_schedule(rng, operator, size.flights)
     start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
     ids = papers.flight_ids(tail, start, schedule.departed_s)
-    return Plan(operator, design, tail, schedule, ids, start, draw_biases(rng), rng.random() < operator.ram_out_share)
+    biases, has_ram_out = draw_biases(rng), rng.random() < operator.ram_out_share
+    return Plan(operator, design, tail, schedule, ids, start, biases, has_ram_out, SUITES[size.suite])
 
 
 def _log_1hz(
@@ -148,14 +153,21 @@ def _log_1hz(
     history: shop.PackHistory,
     pack: int,
     missing: dict[str, float],
+    outside: dict[int, _Outside],
 ) -> pl.DataFrame:
-    """One flight at 1 Hz: the core's heat lags what the snapshots' steady exchanger shows."""
+    """One flight at 1 Hz: the core's heat lags what the snapshots' steady exchanger shows.
+
+    Both packs fly in the same air: what the first has drawn of a flight stands in `outside`.
+    """
     after_s = np.arange(0.0, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
     # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
-    now = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    drawn = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    now, known = outside.get(index, (drawn, None))
     true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
     read = recorded_air(now, missing)
-    air = record(rng, air_data(read), plan.biases[0], plan.operator.temperature_step_k)
+    air = record(rng, air_data(read), plan.biases[0], plan.operator.temperature_step_k, plan.suite)
+    air = known or air
+    outside[index] = now, air
     return pack_rows(rng, plan, now, true=recorded_pack(true, read, missing), history=history, pack=pack, air=air).drop(
         "phase_code"
     )

@@ -1,5 +1,6 @@
 """What the recorder writes: biased, noisy, quantised, spiked, stuck and missing values in the recorder's own units."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,46 @@ SENSORS = {
     "cc_flow_lbpm": Sensor(0.015, 0.02, True, 0.25),
     "vda_pos": Sensor(0.0, 5.0, False, 1.0),
 }
+Sensors = Mapping[str, Sensor]
+
+
+@dataclass(frozen=True, slots=True)
+class Suite:
+    """Sensors of a type of aircraft, and how often a recorded value is a spike or empty."""
+
+    sensors: Sensors
+    spike_share: float = 0.001
+    lost_share: float = 0.008
+
+
+CONTRACT = Suite(SENSORS)
+_B787: Sensors = SENSORS | {
+    "altitude_ft": Sensor(8.0, 0.14, False, 0.02),
+    "mach": Sensor(0.001, 0.0005, False, 0.00025),
+    "tat_degc": Sensor(0.4, 0.006, False, 0.025),
+    "pt_psia": Sensor(0.001, 5e-6, True, 1e-5),
+    "hx_in_degc": Sensor(0.5, 0.5, False, 0.025),
+    "hx_out_degc": Sensor(0.5, 0.09, False, 0.125),
+    "ram_door_pct": Sensor(0.8, 0.01, False, 0.0625),
+    "pack_flow_lbpm": Sensor(0.015, 0.0035, True, 0.1),
+    "cc_speed_rpm": Sensor(0.0005, 0.00024, True, 1.0),
+    "cc_in_degc": Sensor(0.4, 0.006, False, 0.025),
+    "cc_in_psia": Sensor(0.002, 0.003, True, 1.0),
+    "cc_out_degc": Sensor(0.6, 0.4, False, 0.025),
+    "cc_out_psia": Sensor(0.002, 0.0015, True, 0.0125),
+    "vda_pos": Sensor(0.0, 1.8, False, 0.6),
+}
+_A330: Sensors = SENSORS | {
+    "altitude_ft": Sensor(8.0, 1.0, False, 4.0),
+    "mach": Sensor(0.001, 0.0005, False, 0.004),
+    "tat_degc": Sensor(0.4, 0.05, False, 0.25),
+    "hx_in_degc": Sensor(0.5, 0.2, False, 0.5),
+    "hx_out_degc": Sensor(0.5, 0.25, False, 0.75),
+}
+SUITES = {"contract": CONTRACT, "787": Suite(_B787, 1e-5, 0.0), "A330": Suite(_A330, 1e-5, 0.0)}
+"""Sensors by type of aircraft: the contract's, and two as recordings of seconds show them (noise from one second to the
+next and last digit, no spike and no gap in 15,000 values; biases are the contract's, of which one recording says
+nothing)."""
 AIR_DATA = ("altitude_ft", "mach", "tat_degc", "pt_psia")
 
 
@@ -50,22 +91,27 @@ def draw_biases(rng: np.random.Generator, packs: int = 2) -> list[dict[str, floa
 
 
 def record(
-    rng: np.random.Generator, true: dict[str, Array], bias: dict[str, float], temperature_step_k: float
+    rng: np.random.Generator,
+    true: dict[str, Array],
+    bias: dict[str, float],
+    temperature_step_k: float,
+    suite: Suite = CONTRACT,
 ) -> dict[str, Array]:
     """Recorded values of true ones (recorded units); NaN where a value is empty.
 
-    Air data must be recorded once for both packs: give them as recorded and leave them out of `true`.
+    Air data must be recorded once for both packs: give them as recorded and leave them out of `true`. A temperature has
+    the last digit of the operator, `temperature_step_k`, or where that is 0 its own.
     """
     out = {}
     for name, value in true.items():
-        sensor = SENSORS[name]
+        sensor = suite.sensors[name]
         size = np.abs(value) if sensor.relative else 1.0
         read = value + size * (bias[name] + sensor.noise_sd * rng.standard_normal(value.size))
-        spike = rng.random(value.size) < 0.001
+        spike = rng.random(value.size) < suite.spike_share
         read = np.where(spike, read * rng.uniform(0.3, 2.5, value.size), read)
-        step = temperature_step_k if name.endswith("degc") else sensor.step
+        step = temperature_step_k if temperature_step_k and name.endswith("degc") else sensor.step
         read = np.round(read / step) * step
-        out[name] = np.where(rng.random(value.size) < 0.008, np.nan, read)
+        out[name] = np.where(rng.random(value.size) < suite.lost_share, np.nan, read)
     return out
 
 

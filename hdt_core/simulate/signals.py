@@ -6,6 +6,7 @@ from datetime import datetime
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.simulate.design import Operator, PackDesign
@@ -19,12 +20,14 @@ from hdt_core.simulate.packs import (
     sized_target_k,
     target_k,
 )
-from hdt_core.simulate.recorder import FOOT, LB_PER_MIN, PSI, RPM, SENSORS, break_sensor, frame, record
+from hdt_core.simulate.recorder import CONTRACT, FOOT, LB_PER_MIN, PSI, RPM, SENSORS, Suite, break_sensor, frame, record
 from hdt_core.simulate.shop import PackHistory
 
 Array = NDArray[np.float64]
 
 ZERO_C = 273.15
+WANDER_S = 120.0
+"""Seconds in which a 787's diffusers move by their own scatter, seen in one recording."""
 ACMS_COLUMNS = ("flight_id", "report_time", "phase_code", "pack", *SENSORS)
 _PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
 
@@ -41,6 +44,7 @@ class Plan:
     start: datetime
     biases: list[dict[str, float]]
     has_ram_out: bool
+    suite: Suite = CONTRACT
 
 
 def air_data(now: Conditions) -> dict[str, Array]:
@@ -104,7 +108,7 @@ def true_signals(
         settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(asked.hot_in_k) * (asked.flow_kg_s + flow))
         hot_k, ram_k = _lagged(hot_k, settling_s, dt_s), _lagged(ram_k, settling_s, dt_s)
     off = history.pack_off[now.flight]
-    diameter, vda = _diameter(rng, design, now, history)
+    diameter, vda = _diameter(rng, design, now, history, dt_s)
     air = _compressor(design, now, diameter, history.cc_loss[now.flight])
     resting = {"pack_flow_kg_s": 0.0, "cc_flow_kg_s": 0.0, "cc_speed_rad_s": 0.0}
     values = air | {
@@ -128,7 +132,7 @@ def pack_rows(
     air: dict[str, Array],
 ) -> pl.DataFrame:
     """Recorded rows of one pack in the contract's columns."""
-    seen = record(rng, _recorded_units(true), plan.biases[pack - 1], plan.operator.temperature_step_k)
+    seen = record(rng, _recorded_units(true), plan.biases[pack - 1], plan.operator.temperature_step_k, plan.suite)
     if not plan.has_ram_out:
         seen["ram_out_degc"] = np.full(now.mach.size, np.nan)
     for name in np.unique(history.sensor[history.sensor != ""]):
@@ -165,14 +169,17 @@ def _recorded_units(true: dict[str, Array]) -> dict[str, Array]:
 
 
 def _diameter(
-    rng: np.random.Generator, design: PackDesign, now: Conditions, history: PackHistory
+    rng: np.random.Generator, design: PackDesign, now: Conditions, history: PackHistory, dt_s: float
 ) -> tuple[Array, Array]:
-    """Effective diameter, equation (6) with its scatter and the unit's wear, and the diffuser's position."""
+    """Effective diameter, equation (6) with its scatter and the unit's wear, and the diffuser's position.
+
+    From snapshot to snapshot both are free; from second to second they wander.
+    """
     low = np.clip(1.0 - now.altitude_m / 11000.0, 0.0, 1.0)
     n = now.mach.size
-    vda = np.clip(340.0 + 320.0 * low**2 + 75.0 * rng.standard_normal(n), 20.0, 950.0)
+    vda = np.clip(340.0 + 320.0 * low**2 + 75.0 * _wandering(rng.standard_normal(n), dt_s), 20.0, 950.0)
     built = design.diameter_intercept_m + design.diameter_slope_m_per_count * vda + history.cc_scatter[now.flight]
-    built = built + design.diameter_scatter_m * rng.standard_normal(n)
+    built = built + design.diameter_scatter_m * _wandering(rng.standard_normal(n), dt_s)
     # head is proportional to efficiency, and the effective diameter to its square root (equation 5)
     return built * np.sqrt(1.0 - history.cc_loss[now.flight]), vda
 
@@ -188,6 +195,14 @@ def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Arra
     return {
         "cc_in_k": now.tat_k, "cc_in_pa": inlet_pa, "cc_out_pa": exit_pa, "cc_out_k": exit_k, "cc_speed_rad_s": speed
     }  # fmt: skip
+
+
+def _wandering(white: Array, dt_s: float) -> Array:
+    """Noise of unit variance with a memory of `WANDER_S`; white where the rows are no time series."""
+    if dt_s == 0.0:
+        return white
+    keep = np.exp(-dt_s / WANDER_S)
+    return np.asarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white))
 
 
 def _lagged(steady: Array, settling_s: Array, dt_s: float) -> Array:

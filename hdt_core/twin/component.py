@@ -15,7 +15,7 @@ from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.sequential import recorded_outputs, samples_problem
 
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
-LEAST_STEPS = 20
+LEAST_STEPS = 8
 """Steps between flights from which their scatter can be told."""
 STRAY_SD = 5.0
 """Standard deviations, of scatter and drift, from which one flight alone is not believed to be a step."""

@@ -1,7 +1,7 @@
 """Commands for who tries, checks or measures: simulate, doctor, benchmark."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,19 +18,29 @@ def simulate(
     operators: Annotated[int, typer.Option(min=1, max=26)] = 2,
     tails: Annotated[int, typer.Option(min=1, help="Aircraft of each operator.")] = 4,
     flights: Annotated[int, typer.Option(min=1, help="Flights of each aircraft.")] = 350,
+    kind: Annotated[str, typer.Option("--type", help="Type of aircraft: contract, 787 or A330.")] = "contract",
+    form: Annotated[str, typer.Option("--format", help="Recorder files of that type: 717 or 767.")] = "",
 ) -> None:
     """Write a simulated fleet, and its truth apart.
 
-    The files are those that a ground station would drop.
+    The files are those that a ground station would drop; with --type, a recorder's own, a file a flight, with map and
+    type description.
     """
     from rich.progress import track
 
     from hdt_core.simulate.design import FleetSettings
     from pipelines.intake.simulated import write_fleet
+    from pipelines.intake.simulated_recordings import FORMATS, TYPES
 
     if (target / "landing").exists():
         raise StopError(f"{target / 'landing'} exists; give --out a new folder")
-    made = write_fleet(target, seed, FleetSettings(operators=operators, tails=tails, flights=flights))
+    form = form or {"787": "767", "A330": "717"}.get(kind, "")
+    if kind not in ("contract", *TYPES) or form not in ("", *FORMATS) or (kind == "contract" and form):
+        raise StopError(f"--type {kind} --format {form or 'none'}; types are {', '.join(TYPES)}, formats 717 and 767")
+    size = FleetSettings(operators=operators, tails=tails, flights=flights)
+    if kind != "contract":
+        size = replace(size, suite=kind, cpl_share=1.0)
+    made = write_fleet(target, seed, size, form)
     for _ in track(made, description="aircraft", total=operators * tails, console=err):
         pass
     out.print(f"Landing zone: {target / 'landing'}. Truth: {target / 'truth'}", soft_wrap=True)

@@ -79,7 +79,7 @@ class AircraftType:
     stations : mapping
         Columns by `pack` or the code of a component.
     units, every_s : mapping
-        How many units of each an aircraft has; seconds from one row to the next.
+        How many units of each an aircraft has; seconds from one row to the next, 0 for what makes a thousand rows.
     absent : mapping
         Why a column is not recorded, by `pack` or code and column.
     """
@@ -143,7 +143,7 @@ class _Description:
         name, packs = self._text("type"), self._count(self.said, "packs", "", 2, MAX_PACKS)
         parts = {PACK: self._table(PACK)} | self._table("component")
         units = {PACK: packs} | {c: self._count(t, "units", c, packs, MAX_PACKS) for c, t in parts.items() if c != PACK}
-        every_s = {c: self._count(t, "every_s", c, 1, 3600) for c, t in parts.items() if c != PACK}
+        every_s = {c: self._count(t, "every_s", c, 0, 3600, 0) for c, t in parts.items() if c != PACK}
         stations = {c: tuple(self._stations(c, t, units[c])) for c, t in parts.items() if t}
         if not stations:
             raise self._wrong("", "component", "neither [pack] nor a [component.CODE]: nothing is described")
@@ -223,12 +223,12 @@ class _Description:
             raise self._wrong("", name, "missing; it is a text")
         return found.strip()
 
-    def _count(self, said: Any, name: str, table: str, usual: int, most: int) -> int:
+    def _count(self, said: Any, name: str, table: str, usual: int, most: int, least: int = 1) -> int:
         if not isinstance(said, dict):
             raise self._wrong("component", table, "a table, [component.CODE]")
         found = said.get(name, usual)
-        if isinstance(found, bool) or not isinstance(found, int) or not 1 <= found <= most:
-            raise self._wrong(table, name, f"a number from 1 to {most}, not {found!r}")
+        if isinstance(found, bool) or not isinstance(found, int) or not least <= found <= most:
+            raise self._wrong(table, name, f"a number from {least} to {most}, not {found!r}")
         return found
 
     def _known(self, said: dict[str, Any], keys: set[str], table: str, within: str = "") -> None:

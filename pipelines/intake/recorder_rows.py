@@ -26,6 +26,8 @@ MAP_UNITS = {"deg c": "degc", "degree c": "degc", "deg f": "degf", "mbar": "mbar
 RATE_OFF = 0.1
 SLACK_S = 0.5
 DAY_S = 86400.0
+MOST_ROWS = 1_000
+"""Rows of a component and unit that say all of a flight."""
 MOST_S = 172_800.0
 """Longest recording that can be one flight."""
 
@@ -36,8 +38,8 @@ def recorder_rows(file: LandingFile, table: str) -> tuple[pl.DataFrame, int, lis
     Returns
     -------
     DataFrame
-        `flight_id`, `report_time` (UTC), `pack`, the described columns, `row` from 1. One row a second, or as seldom as
-        the type says, and unit; none where nothing is known.
+        `flight_id`, `report_time` (UTC), `pack`, the described columns, `row` from 1. One row a second and pack; of a
+        component as often as the type says. None where nothing is known.
     """
     types = types_of(Path(file.landing))
     kind = types.of(file.operator, file.tail)
@@ -118,7 +120,8 @@ def _rows(kind: AircraftType, table: str, found: Mapping[str, Series]) -> tuple[
     if not seen:
         return pl.DataFrame(), []
     first, last = min(t[0] for t in seen), min(max(t[-1] for t in seen), min(t[0] for t in seen) + MOST_S)
-    t_s = np.arange(np.ceil(first), np.floor(last) + 1.0, kind.every_s[table])
+    every_s = kind.every_s[table] or max(1.0, np.ceil((last - first) / MOST_ROWS))
+    t_s = np.arange(np.floor(first), np.floor(last) + 1.0, every_s)
     parts = []
     for unit in range(kind.units[table]):
         columns = {}
@@ -145,10 +148,10 @@ def _column(station: Station, series: Series | None, t_s: Floats) -> tuple[Float
 
 
 def _at(series: Series, t_s: Floats) -> Floats:
-    """The last value before the middle of each row's second; NaN where it is older than the parameter's own period."""
+    """The last value of each row's second; of seldom ones the last before, not older than the parameter's period."""
     assert series.value is not None
     value = np.where(series.known, series.value, np.nan)
-    place = np.searchsorted(series.t_s, t_s + SLACK_S, "right") - 1
+    place = np.searchsorted(series.t_s, t_s + 1.0, "left") - 1
     held = np.clip(place, 0, None)
     old = t_s - series.t_s[held] > max(1.0 / series.parameter.rate_hz, 1.0) + SLACK_S
     return np.asarray(np.where((place < 0) | old, np.nan, value[held]))
@@ -163,7 +166,7 @@ def _clock_s(kind: AircraftType, found: Mapping[str, Series]) -> float:
         return 0.0
     t_s = second.t_s[second.known]
     parts = [_nearest(s, t_s) for s in (hour, minute, second)]
-    ahead = parts[0] * 3600.0 + parts[1] * 60.0 + parts[2] - t_s
+    ahead = parts[0] * 3600.0 + parts[1] * 60.0 + parts[2] - np.floor(t_s)
     ahead = ahead[np.isfinite(ahead)]
     if not ahead.size:
         return 0.0

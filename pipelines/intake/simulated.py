@@ -7,23 +7,26 @@ import polars as pl
 
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import Aircraft, by_month, design_truth, simulate_fleet
+from pipelines.intake.simulated_recordings import Recorder, folder_of, install
 from pipelines.storage.files import replacing
 
 _TIME = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def write_fleet(folder: Path, seed: int, size: FleetSettings) -> Iterator[str]:
+def write_fleet(folder: Path, seed: int, size: FleetSettings, form: str = "") -> Iterator[str]:
     """Write `folder/landing` and `folder/truth`; yields each aircraft's name when its files are there.
 
-    History is one Parquet file a month, as an operator hands over its past; the truth is one row a flight and pack
+    Where `form` says so, each logged flight is a recorder's file of that kind and nothing else is delivered of it; else
+    history is one Parquet file a month, as an operator hands over its past; the truth is one row a flight and pack
     (`health`), a life or fault (`events`), a design value (`design`).
     """
     landing, truth = folder / "landing", folder / "truth"
     _parquet(design_truth(seed), truth / "design.parquet")
-    made = []
+    made, recorder = [], install(landing, size.suite, form) if form else None
     for aircraft in simulate_fleet(seed, size):
-        _deliver(aircraft, landing / aircraft.operator / aircraft.tail)
-        made.append((aircraft.fleet, aircraft.health, aircraft.events))
+        _deliver(aircraft, landing / aircraft.operator / aircraft.tail, recorder)
+        named = {"type": pl.lit(recorder.kind.name)} if recorder else {}
+        made.append((aircraft.fleet.with_columns(**named), aircraft.health, aircraft.events))
         yield f"{aircraft.operator} {aircraft.tail}"
     fleets, healths, events = zip(*made, strict=True)
     _csv(pl.concat(fleets), landing / "fleet.csv")
@@ -31,13 +34,17 @@ def write_fleet(folder: Path, seed: int, size: FleetSettings) -> Iterator[str]:
     _parquet(pl.concat(events), truth / "events.parquet")
 
 
-def _deliver(aircraft: Aircraft, folder: Path) -> None:
+def _deliver(aircraft: Aircraft, folder: Path, recorder: Recorder | None) -> None:
+    _csv(aircraft.messages, folder / "messages.csv")
+    _csv(aircraft.maintenance, folder / "maintenance.csv")
+    if recorder:
+        for flight, rows in aircraft.cpl.items():
+            recorder.write(rows, folder_of(folder) / f"{flight}.dat")
+        return
     for month, rows in by_month(aircraft.snapshots).items():
         _parquet(rows, folder / "acms" / f"history_{month}.parquet")
     for flight, rows in aircraft.cpl.items():
         _parquet(rows, folder / "cpl" / f"{flight}.parquet")
-    _csv(aircraft.messages, folder / "messages.csv")
-    _csv(aircraft.maintenance, folder / "maintenance.csv")
 
 
 def _parquet(frame: pl.DataFrame, path: Path) -> None:

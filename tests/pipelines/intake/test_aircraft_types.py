@@ -1,0 +1,69 @@
+"""Type descriptions: those that come with the project, and what is said of one with an error."""
+
+from pathlib import Path
+
+import pytest
+
+from pipelines.aircraft_types import shipped
+from pipelines.intake.aircraft_types import PACK, AircraftTypeError, read_type
+from pipelines.intake.coverage import coverage_of
+from pipelines.intake.landing import list_landing
+from pipelines.intake.types_of_zone import types_of
+
+B787 = next(f for f in shipped() if f.stem == "b787_767")
+ERRORS = {
+    ("hx_in_degc =", "hx_inn_degc ="): "x.toml line 17: [pack] hx_inn_degc: no such column; hx_in_degc is near",
+    ("units = 4", "units = 3"): "x.toml line 31: [CAC] speed_rpm: 4 parameters for 3 units",
+    ('unit = "mbar"', 'unit = "bar"'): "x.toml line 16: [pack] pt_psia: unit 'bar'; there are psia, mbar",
+    ('unit = "mbar"', "lowest = true"): "x.toml line 16: [pack] pt_psia: lowest is a number, not True",
+    ("[component.CAC]", "[component.CAX]"): "no component CAX has a record of its own; there are HXT, CAC",
+    ('mach = "MACH"', "mach = 3"): "x.toml line 14: [pack] mach: a parameter's name, or a list of them, one a unit",
+    ("packs = 2", 'packs = "two"'): "x.toml line 5: packs: a number from 1 to 4, not 'two'",
+    ('type = "B787-767"', ""): "x.toml: type: missing; it is a text",
+    ('minute = "UTC_MIN"', ""): "x.toml line 7: clock: hour, minute, second come together",
+    ("vda_pos", "mach"): "[absent] pack.mach: no such column, or one that is described above",
+    ('title = "', "title = "): "x.toml: no TOML:",
+}
+
+
+@pytest.mark.parametrize("change", ERRORS)
+def test_an_error_names_file_line_and_key(tmp_path, change):
+    file = tmp_path / "x.toml"
+    assert change[0] in B787.read_text()
+    file.write_text(B787.read_text().replace(*change, 1))
+    with pytest.raises(AircraftTypeError) as error:
+        read_type(file)
+    assert ERRORS[change] in str(error.value)
+
+
+def test_what_a_type_lacks_is_told_for_each_parameter():
+    told = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in shipped()}
+    assert told["b787_767"]["hx_fouling"] == told["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
+    assert told["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
+    assert told["a330_717"]["hxt_loss"][0] == "recorded"
+    assert told["a330_717"]["hx_fouling"] == ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")
+
+
+def test_a_unit_of_the_recorder_becomes_the_columns():
+    (pressure,) = (s for s in read_type(B787).stations[PACK] if s.column == "pt_psia")
+    assert pressure.scale * 1013.25 == pytest.approx(14.696, abs=1e-3)
+
+
+def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
+    folder = tmp_path / "types"
+    folder.mkdir()
+    (folder / "good.toml").write_text('type = "MINE"\nmap = "m.toml"\n[pack]\nmach = "M"\n')
+    (folder / "bad.toml").write_text('type = "BAD"\nmap = "m.toml"\n[pack]\nmach = 1\n')
+    (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,T1,2,MINE\nAAA,T2,2,OTHER\n")
+    types = types_of(tmp_path)
+    assert types.known["MINE"].stations[PACK][0].parameters == ("M", "M")
+    assert types.fault_of("AAA", "T1") == "good.toml names the map m.toml: not there"
+    assert "fleet.csv gives the aircraft the type OTHER, known are A330-717, B787-767, MINE" in types.fault_of(
+        "AAA", "T2"
+    )
+    recording = tmp_path / "AAA/T2/recorder/T2_20240101_01.dat"
+    recording.parent.mkdir(parents=True)
+    recording.write_bytes(b"?")
+    refused = list_landing(tmp_path).quarantine
+    reasons = dict(refused.select("file", "reason").rows())
+    assert reasons == {"types/bad.toml": "bad_type", "AAA/T2/recorder/T2_20240101_01.dat": "unknown_type"}

@@ -1,0 +1,164 @@
+"""Aircraft whose recorders are not the contract's: from the recorder's bytes to the catalog, by a description alone.
+
+A small fleet of our own in ARINC 767 and 717 files; and the real recordings, which are not ours to ship, where they
+are.
+"""
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from nights import run
+
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.simulate.fleet import simulate_fleet
+from pipelines.cli.doctor import examine
+from pipelines.intake.landing import list_landing
+from pipelines.intake.recorder_rows import recorder_rows
+from pipelines.intake.simulated import write_fleet
+from pipelines.storage.catalog import connect
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
+SIZE = {"operators": 1, "tails": 1, "flights": 2, "cpl_share": 1.0}
+
+
+def ask(home: Path, sql: str) -> list[tuple[Any, ...]]:
+    with connect(home) as con:
+        return con.sql(sql).fetchall()
+
+
+def write(folder: Path, suite: str, form: str) -> tuple[Path, pl.DataFrame]:
+    """A landing zone of recorder files, and the rows of its first flight as simulated."""
+    size = FleetSettings(suite=suite, **SIZE)
+    list(write_fleet(folder, 3, size, form))
+    return folder / "landing", next(iter(next(simulate_fleet(3, size)).cpl.values()))
+
+
+@pytest.mark.parametrize(("suite", "form"), [("787", "767"), ("787", "717")])
+def test_a_recording_says_what_was_simulated(tmp_path, suite, form):
+    landing, true = write(tmp_path, suite, form)
+    file = next(f for f in list_landing(landing).files if f.is_recording)
+    rows, n_rows, faults = recorder_rows(file, "pack")
+    columns = ["altitude_ft", "mach", "tat_degc", "hx_in_degc", "hx_out_degc", "ram_door_pct", "pack_flow_lbpm"]
+    rows = rows.with_columns(pl.col("pack").cast(pl.Int32))
+    joined = true.join(rows, on=["flight_id", "report_time", "pack"], suffix="_read")
+    assert (n_rows, faults) == (rows.height, [])
+    assert true.height - 8 <= joined.height <= true.height  # ARINC 717 writes whole frames of four seconds
+    off = joined.select((pl.col(c) - pl.col(f"{c}_read")).abs().max() for c in columns)
+    assert max(off.row(0)) < 1e-9
+    assert joined.select((pl.col("pt_psia") / pl.col("pt_psia_read") - 1.0).abs().max()).item() < 1e-5
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> dict[str, Any]:
+    """A 787 and an A330 in one zone; a damaged recording, one of another map, a description with an error."""
+    top = tmp_path_factory.mktemp("typed")
+    landing, _ = write(top / "a", "787", "767")
+    other, _ = write(top / "b", "A330", "717")
+    shutil.move(other / "SAA", landing / "SAB")
+    shutil.copytree(other / "types", landing / "types", dirs_exist_ok=True)
+    lines = (other / "fleet.csv").read_text().splitlines()
+    with (landing / "fleet.csv").open("a") as fleet:
+        fleet.write(lines[1].replace("SAA", "SAB") + "\n")
+    first, second = sorted((landing / "SAA/AA-0000/recorder").iterdir())
+    data = bytearray(first.read_bytes())
+    data[20_000:20_400] = bytes(400)
+    first.write_bytes(data)
+    stranger = landing / "SAB/AA-0000/recorder" / second.name.replace("_0", "_9")
+    shutil.copy(second, stranger)
+    (landing / "types/slip.toml").write_text('type = "SLIP"\nmap = "m.toml"\n[pack]\nmahc = "M"\n')
+    night = run(landing, top / "home")
+    assert not night.failed, night.failed
+    return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name}
+
+
+def test_both_types_reach_the_catalog(world):
+    told = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
+    assert told == [("SAA", "cpl", 2), ("SAB", "component", 2)]
+    health = ask(world["home"], "select distinct operator, parameter, status from health_parameters order by all")
+    assert ("SAA", "hxt_effectiveness", "measured") in health
+    assert ("SAA", "cac_efficiency_seen", "measured") in health
+    assert ("SAB", "hxt_effectiveness_fast", "measured") in health
+    assert ("SAA", "cc_efficiency_loss", "not_recorded") in health
+    assert {s for _, p, s in health if p in {"hxt_loss", "cac_efficiency_loss"}} == {"prior_only"}
+
+
+def test_two_flights_calibrate_nothing_and_the_prior_carries_them(world):
+    design = ask(world["home"], "select distinct component, n_flights, identifiable from design_parameters "
+                                "where component in ('HXT', 'CAC') order by all")  # fmt: skip
+    assert design == [("CAC", 0, False), ("HXT", 0, False)]
+    sd = ask(world["home"], "select min(sd), max(sd) from health_parameters where status = 'prior_only'")[0]
+    assert 0.02 < sd[0] <= sd[1] <= 0.15
+    assert ask(world["home"], "select count(*) from alerts where component in ('HXT', 'CAC')") == [(0,)]
+
+
+def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
+    told = ask(world["home"], "select file, reason, detail from quarantine")
+    reasons = {(Path(file).name, reason): detail for file, reason, detail in told}
+    assert "frames: " in reasons[world["damaged"], "recording_damaged"]
+    assert "no ARINC 717 frame" in (detail := reasons[world["stranger"], "map_does_not_fit"]) or "ARINC 767" in detail
+    assert "[pack] mahc: no such column; mach is near" in reasons["slip.toml", "bad_type"]
+    legs = ask(world["home"], "select distinct flight_id from component_legs")
+    assert (world["stranger"].removesuffix(".dat"),) not in legs
+
+
+def test_what_can_not_be_estimated_is_said(world):
+    lacks = dict(ask(world["home"], "select parameter, missing from coverage where operator = 'SAB' "
+                                    "and status = 'not_recorded'"))  # fmt: skip
+    assert lacks["hx_fouling"] == "ram_door_pct, pack_flow_lbpm"
+    said = {c.name: c for c in examine(world["landing"], None)}
+    assert said["type A330-717"].well
+    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in said["type A330-717"].says
+    assert not said["type slip.toml"].well
+
+
+def test_every_status_is_explained(world):
+    unknown = ask(world["home"], "select distinct status from health_parameters anti join statuses using (status)")
+    assert unknown == []
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory) -> Path:
+    """Home after a night over the two real recordings."""
+    if not REFERENCE.is_dir():
+        pytest.skip(f"no real recordings in {REFERENCE}: set HDT_REFERENCE")
+    top = tmp_path_factory.mktemp("real")
+    names = {"XXA/B-6789": "b787_767.zip", "XXB/B-1234": "a330_717.wgl.zip"}
+    for aircraft, name in names.items():
+        folder = top / "landing" / aircraft / "recorder"
+        folder.mkdir(parents=True)
+        shutil.copy(REFERENCE / name, folder / f"{aircraft[4:]}_20240203_01.zip")
+    (top / "landing/types").mkdir()
+    for name in ("b787.vec", "a330.vec"):
+        shutil.copy(REFERENCE / name, top / "landing/types" / name)
+    (top / "landing/fleet.csv").write_text("operator,tail,packs,type\nXXA,B-6789,2,B787-767\nXXB,B-1234,2,A330-717\n")
+    night = run(top / "landing", top / "home")
+    assert not night.failed, night.failed
+    return top / "home"
+
+
+def test_real_recordings_reach_the_catalog(real):
+    told = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
+        real, "select tail, pack, parameter, value, sd, status from health_parameters")}  # fmt: skip
+    right, left = told["B-6789", 2, "hxt_effectiveness"], told["B-6789", 1, "hxt_effectiveness"]
+    assert right == (pytest.approx(0.886, abs=0.001), pytest.approx(0.004, abs=0.001), "measured")
+    assert left == (pytest.approx(1.0, abs=0.001), pytest.approx(0.005, abs=0.001), "one_or_more")
+    for unit in (3, 4):
+        assert told["B-6789", unit, "cac_speed_rpm"][0] == pytest.approx(27_400, abs=50)
+        assert told["B-6789", unit, "cac_pressure_ratio"][0] == pytest.approx(2.11, abs=0.01)
+        assert told["B-6789", unit, "cac_diffuser_open"][0] == pytest.approx(0.32, abs=0.005)
+        assert 0.785 < told["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
+        assert told["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
+    for pack in (1, 2):
+        assert 0.85 < told["B-1234", pack, "hxt_effectiveness_slow"][0] < 0.90
+        assert told["B-1234", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
+        assert told["B-1234", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
+    assert told["B-6789", 1, "hx_fouling"][2] == "predicted"
+    assert ask(real, "select count(*) from alerts") == [(0,)]
+    assert ask(real, "select count(*) from quarantine") == [(0,)]
+    assert np.isfinite([v for v, _, s in told.values() if s in {"prior_only", "measured"}]).all()
