@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.scale import Silent
+from hdt_core.robust import spread
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.twin.crossing import IN_ORDER, PACK
 from hdt_core.twin.dsm import Dsm
@@ -41,7 +42,7 @@ def residual(home: Path) -> float:
     flights = Store(home).read("twin_flights").drop_nulls("ln_ua_ratio").sort(IN_ORDER)
     held_out = flights.filter(~pl.col("flight_id").is_in(window.implode()))
     change = held_out.select(pl.col("ln_ua_ratio").diff().over(PACK))["ln_ua_ratio"].drop_nulls().to_numpy()
-    return float(1.4826 * np.median(np.abs(change)) / np.sqrt(2.0))
+    return spread(change) / 2.0**0.5
 
 
 def errors(store: Store, truth: Path) -> tuple[float, float]:

@@ -22,6 +22,7 @@ import polars as pl
 from benchmarks.fleets import recorded_in_si
 from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
+from hdt_core.robust import spread_expr
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.twin.calibrate import baseline_flights, calibrate
@@ -105,9 +106,7 @@ def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
     error, sd = f["e"].to_numpy(), f["sd"].to_numpy()
     return {
         "fouling, mean absolute error": per_pack(f, pl.col("e").abs().mean()),
-        "fouling, noise of healthy packs": per_pack(
-            healthy.with_columns(r=rolling), 1.4826 * pl.col("r").abs().median()
-        ),
+        "fouling, noise of healthy packs": per_pack(healthy.with_columns(r=rolling), spread_expr(pl.col("r"))),
         "fouling, Spearman of wearing packs": per_pack(moved, pl.corr("value", "t", method="spearman")),
         "coverage of 90 %": float(np.mean(np.abs(error) < Z90 * sd)),
         "mean standard deviation": float(sd.mean()),

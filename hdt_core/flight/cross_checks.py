@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 
 from hdt_core.flight.phases import LEG_KEY
+from hdt_core.robust import MEDIAN_SD, spread_expr
 
 DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
 RUNNING_KG_S = 0.1
 SMOOTHED_FLIGHTS = 7
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
-MEDIAN_SD = 1.2533  # sd of a median over that of a mean
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
 
@@ -110,7 +110,7 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
 def _spell(check: str, unit: list[str]) -> pl.Expr:
     """On which side the smoothed check has left its level, 0 where it has not."""
     smooth = pl.col(f"{check}_smooth").forward_fill().over(unit)
-    usual = 1.4826 * pl.col(f"{check}_smooth").abs().median().over(unit)
+    usual = spread_expr(pl.col(f"{check}_smooth")).over(unit)
     left = smooth.abs() > pl.max_horizontal(usual, pl.lit(USUAL_SHARE * TOLERANCE[check]))
     return pl.when(left).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
 
@@ -118,7 +118,7 @@ def _spell(check: str, unit: list[str]) -> pl.Expr:
 def _shift(check: str, unit: list[str]) -> pl.Expr:
     """Smoothed check over what is allowed; its noise is that of steps from flight to flight: a drift must not pass for
     scatter."""
-    step = 1.4826 * pl.col(check).diff().abs().median().over(unit)
+    step = spread_expr(pl.col(check).diff()).over(unit)
     noise = MEDIAN_SD * step / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
     allowed = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
     return (pl.col(f"{check}_smooth").abs() / allowed).alias(f"{check}_shift")
@@ -139,7 +139,7 @@ def _score(check: str, unit: list[str]) -> pl.Expr:
     spell = pl.struct(*unit, side).rle_id()
     lasting = pl.when(side != 0.0).then(shift.max().over(spell)).otherwise(shift)
     whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(spell)).otherwise(other)
-    alone = 1.4826 * pl.col(check).abs().median().over(unit) * FAULT_SD
+    alone = spread_expr(pl.col(check)).over(unit) * FAULT_SD
     single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
     return pl.max_horizontal(pl.when(~whose).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
 

@@ -10,13 +10,13 @@ import polars as pl
 from numpy.typing import NDArray
 
 from hdt_core.flight.phases import LEG_KEY
+from hdt_core.robust import MAD_TO_SD, huber_weights, spread
 
 Array = NDArray[np.float64]
 
 BLOCK_FLIGHTS = 10
 """Flights within which wear hardly moves: an offset for each such block takes it out of the regression."""
-HUBER_K, HUBER_STEPS = 1.345, 12
-"""95 % efficient on normal errors."""
+HUBER_STEPS = 12
 LEAST_NOISE = 0.01  # what the regression leaves over within a cruise: minutes of a log average noise away, not this
 SCAN_LENGTHS = (2, 3, 4, 6, 9)
 """Samples in a row; an ice episode lasts a quarter of an hour to an hour."""
@@ -73,7 +73,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     centre = np.median(x, axis=0)
     off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
     step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG_KEY)).abs().median()).item()
-    noise = max(1.4826 * float(step or 1.0) / 2**0.5, LEAST_NOISE)
+    noise = max(MAD_TO_SD * float(step or 1.0) / 2**0.5, LEAST_NOISE)
     return Manifold(tuple(centre.tolist()), tuple(slopes.tolist()), noise)
 
 
@@ -127,8 +127,7 @@ def _slopes(usable: pl.DataFrame) -> Array:
     for _ in range(HUBER_STEPS):
         slopes = np.linalg.solve(x.T @ (weight[:, None] * x) + ridge, x.T @ (weight * y))
         residual = np.abs(y - x @ slopes)
-        scale = 1.4826 * np.median(residual) + 1e-9
-        weight = np.minimum(1.0, HUBER_K * scale / np.maximum(residual, 1e-12))
+        weight = huber_weights(residual, spread(residual))
     return np.asarray(slopes)
 
 

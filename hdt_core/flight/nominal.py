@@ -12,6 +12,7 @@ from sklearn.covariance import MinCovDet
 
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.records.unit_index import number_units
+from hdt_core.robust import MAD_TO_SD
 
 UNIT = ("operator", "tail", "pack")
 _UNIT = [*UNIT, "unit"]
@@ -78,7 +79,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: Le
     flags = {
         "worn": pl.col("drop") > WORN_INDEX,
         "unrest": pl.col("index_unrest") > UNREST,
-        "stray": pl.col("index_off").abs() > max(STRAY_INDEX, STRAY_SD * 1.4826 * (fleet.stray or 0.0)),
+        "stray": pl.col("index_off").abs() > max(STRAY_INDEX, STRAY_SD * MAD_TO_SD * (fleet.stray or 0.0)),
     }
     return away.select(
         *LEG_KEY, "index_n", "index_off", *(flag.fill_null(False).alias(name) for name, flag in flags.items())

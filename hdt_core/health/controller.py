@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.detection import Array
+from hdt_core.robust import huber_weights, spread
 
 DOOR_FREE = (0.08, 0.95)
 """Between these openings the door has authority: outside, the outlet may leave its target."""
@@ -183,7 +184,7 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
         normal = (x * weight[:, None]).T @ x + ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
         found = np.linalg.solve(normal, x.T @ (weight * d))
         miss = np.abs(d - x @ found)
-        weight = np.minimum(1.0, 1.5 * 1.4826 * float(np.median(miss)) / np.maximum(miss, 1e-12) + 1e-9)
+        weight = huber_weights(miss, spread(miss), 1.5)
     heights = found[:n] - found[:n].mean()
     return tuple(float(v) for v in heights), float(found[n])
 

@@ -7,6 +7,7 @@ import polars as pl
 
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.terms import within
+from hdt_core.robust import median_error
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.characterise import fit_compressor
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
@@ -169,7 +170,7 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[Level, ...]:
     )
     if not packs.height:
         return ()
-    error = 1.2533 * dsm.flight_sd / np.sqrt(packs["n"].to_numpy())
+    error = dsm.flight_sd * median_error(packs["n"].to_numpy())
     found = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
     named = packs.with_columns(
         value=pl.Series(packs["seen"].to_numpy() + found.wear),

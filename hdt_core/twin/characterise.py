@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.compressor import COMPRESSOR
+from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
 from hdt_core.twin.forms import FormFit, Rows, compare_forms
 from hdt_core.twin.pooling import Level, levels_of
@@ -24,7 +25,7 @@ MIN_POINTS = 30
 BLOCK_FLIGHTS = 20
 """Flights within which a compressor hardly wears; also those from which a level as built is taken."""
 VDA_NOISE_COUNTS = next(s.sigma for s in COMPRESSOR.inputs if s.name == "vda_counts") or 0.0
-HUBER_K, HUBER_STEPS = 1.345, 8
+HUBER_STEPS = 8
 FAR_SD = 4.0
 """Robust standard deviations beyond which a position is a spike of its sensor: one would turn a slope."""
 ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
@@ -103,7 +104,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
         intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * centre)),
         slope_m_per_count=slope,
         slope_sd_m_per_count=slope_sd,
-        scatter_m=float(1.4826 * np.median(np.abs(residual))),
+        scatter_m=spread(residual),
         mae_m=line.cv_mae_m if line else float(np.abs(residual).mean()),
         r_squared=line.r_squared if line else 0.0,
         group_m3=group,
@@ -128,8 +129,8 @@ def _prior(flights: int) -> CompressorFit:
 def _rows(samples: pl.DataFrame) -> Rows:
     known = samples.drop_nulls(["diameter_m", "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
     middle = pl.col("vda_counts").median().over(PACK)
-    spread = 1.4826 * (pl.col("vda_counts") - middle).abs().median().over(PACK)
-    known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * spread + VDA_NOISE_COUNTS)
+    scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
+    known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
     order = known.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
     turned = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
     block = turned.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
@@ -153,7 +154,7 @@ def _shared_slope(rows: Rows) -> tuple[float, Array, Array]:
         # wear takes its share of the whole diameter, of the slope too
         scale = level / level.mean()
         off = np.abs(dy - slope * dx)
-        weight = 1.0 / np.maximum(1.0, off / (HUBER_K * max(1.4826 * float(np.median(off)), 1e-9)))
+        weight = huber_weights(off, spread(off))
     return slope, level, weight
 
 
@@ -171,10 +172,10 @@ def _clustered_sd(inside: Array, residual: Array, flight: Array, weight: Array) 
 def _as_built(seen: Array, wear: float, wear_sd: float) -> tuple[float, float]:
     """Level as built of machines seen a little worn, and its standard error."""
     middle = float(np.median(seen))
-    spread = max(ENTRY_UNIT_SD * middle, 1.4826 * float(np.median(np.abs(seen - middle))))
+    scatter = max(ENTRY_UNIT_SD * middle, spread(seen - middle))
     # the median over machines whose wear is exponential: ln 2 times its mean
     raised = middle * (1.0 + float(np.log(2.0)) * wear)
-    return raised, float(np.hypot(1.2533 * spread / np.sqrt(len(seen)), wear_sd * middle))
+    return raised, float(np.hypot(scatter * median_error(float(len(seen))), wear_sd * middle))
 
 
 def _pooled(
@@ -191,8 +192,7 @@ def _pooled(
     )
     if not packs.height:
         return *prior, ()
-    spread = pl.coalesce("spread", 0.05 * pl.col("value"))
-    random = 1.2533 * spread / pl.col("n").sqrt()
+    random = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
     error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
     pooled, levels = levels_of(packs.with_columns(error_sd=error), parameter)
     if wear:

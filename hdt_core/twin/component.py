@@ -11,6 +11,7 @@ from hdt_core.estimation.estimate import Estimate, Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import Param, PhysicsModel
+from hdt_core.robust import spread
 from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.sequential import recorded_outputs, samples_problem
 
@@ -145,5 +146,5 @@ def _confirmed(seen: Array, jump: float) -> Array:
 def _scatter(seen: Array, sd: Array) -> float:
     """Standard deviation of one flight about the pack's health: what its steps show, at least what it says itself."""
     steps = np.abs(np.diff(seen[np.isfinite(seen)]))
-    shown = 1.4826 * float(np.median(steps)) / np.sqrt(2.0) if len(steps) >= LEAST_STEPS else 0.0
+    shown = spread(steps) / np.sqrt(2.0) if len(steps) >= LEAST_STEPS else 0.0
     return float(np.hypot(shown, np.median(sd[np.isfinite(sd)])))

@@ -6,6 +6,7 @@ import polars as pl
 
 from hdt_core.components import Component, Reading
 from hdt_core.flight.component_legs import LEG, MIN_SAMPLES, lacks_channel
+from hdt_core.robust import MAD_TO_SD
 
 HEALTH: dict[str, Any] = {
     "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32,
@@ -44,7 +45,7 @@ def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> p
     wanted = pl.lit(True) if reading.where is None else reading.where.fill_null(False)
     here = pl.col("reading").filter(pl.col("wanted") & pl.col("reading").is_finite())
     apart = (here - here.median()).abs()
-    sound = here.filter(apart <= STRAY_SD * 1.4826 * apart.median() + 1e-9 * here.median().abs())
+    sound = here.filter(apart <= STRAY_SD * MAD_TO_SD * apart.median() + 1e-9 * here.median().abs())
     marked = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), wanted.alias("wanted"))
     seen = marked.group_by(LEG, maintain_order=True).agg(
         pl.col("time_utc").min().alias("departed_at"),

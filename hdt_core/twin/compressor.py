@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
+from hdt_core.robust import median_error, spread_expr
 from hdt_core.twin.crossing import FLIGHT_PACK, LEVEL_M, PACK
 
 INLET_BIAS_SD_K, TAT_BIAS_SD_K = 1.0, 0.5
@@ -113,8 +114,8 @@ def compressor_flights(samples: pl.DataFrame) -> pl.DataFrame:
     columns = ("diameter_m", "group_m3", "efficiency", "vda_counts")
 
     def error(name: str) -> pl.Expr:
-        spread = 1.4826 * (pl.col(name) - pl.col(name).median()).abs().median()
-        return (1.2533 * spread / pl.col(name).count().sqrt()).alias(f"{name}_se")
+        spread = spread_expr(pl.col(name) - pl.col(name).median())
+        return (spread * median_error(pl.col(name).count())).alias(f"{name}_se")
 
     return samples.group_by(FLIGHT_PACK).agg(
         *(pl.col(c).median() for c in columns),

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 from polars.dataframe.group_by import GroupBy
 
+from hdt_core.robust import spread
 from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.renewals import REPLACED, log_flags
@@ -79,7 +80,7 @@ def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
     if not seen.height:
         return dsm
     steps = seen.with_columns((ratio.diff().over(PACK) / np.sqrt(2.0)).alias("step"))["step"].drop_nulls().to_numpy()
-    scatter = 1.4826 * float(np.median(np.abs(steps))) if len(steps) >= 20 else dsm.flight_sd
+    scatter = spread(steps) if len(steps) >= 20 else dsm.flight_sd
     sampling = float((seen["ln_ua_ratio_sd"].to_numpy() ** 2).mean())
     flight_sd = float(np.sqrt(max(scatter**2 - sampling, MIN_FLIGHT_SD**2)))
     first = seen.group_by(PACK, maintain_order=True).head(FIRST_FLIGHTS).group_by(PACK, maintain_order=True)

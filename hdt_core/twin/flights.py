@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.model import Array
+from hdt_core.robust import MAD_TO_SD, huber_weights
 from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_flights, compressor_samples
@@ -14,7 +15,7 @@ from hdt_core.twin.sensors import exit_differences
 
 SAMPLE_SD = 0.025
 """Noise of one sample's ln conductance, for flights too short to show their own."""
-HUBER, ROBUST_STEPS = 1.345, 6
+ROBUST_STEPS = 6
 ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
 """Height from which climb and descent count: ice and slow flight below, and a hot side that has not settled yet."""
 SLOPES = (
@@ -203,12 +204,11 @@ def _located(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
         .agg(pl.col("a").median())
     )
     # a short flight's own spread says little: shrink its variance to the usual one with the weight of five samples
-    spread2 = ((1.4826 * off["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
+    spread2 = ((MAD_TO_SD * off["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
     scale = np.sqrt(spread2)
     weight = np.ones(len(value))
     for _ in range(ROBUST_STEPS):
-        away = np.abs(value - centre[group]) / scale[group]
-        weight = 1.0 / np.maximum(1.0, away / HUBER)
+        weight = huber_weights(np.abs(value - centre[group]), scale[group])
         centre = np.bincount(group, weight * value) / np.bincount(group, weight)
     error = scale / np.sqrt(np.bincount(group, weight))
     return keys.select(*FLIGHT_PACK, pl.Series(name, centre), pl.Series(f"{name}_sd", error), "n")

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.compressor import exit_temperature_k
+from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
 from hdt_core.twin.sensors import DOOR_FREE
@@ -18,7 +19,7 @@ NOMINAL_EFFICIENCY = 0.75
 """Of a compressor whose discharge temperature is not recorded; what it is off by is the pack's own constant."""
 TERMS = ("discharge", "ram_outlet", "ln_ram", "ln_flow", "apart_by_ln_ram", "apart_by_ln_flow")
 """Effectiveness of the way there, linear in the logarithms of both flows, times the two streams' difference."""
-HUBER, HUBER_STEPS = 1.345, 8
+HUBER_STEPS = 8
 FEWEST = 200
 RIDGE = 1e-4
 
@@ -92,5 +93,5 @@ def _huber(x: Array, y: Array) -> Array:
         normal = unit.T @ (weight[:, None] * unit) + RIDGE * len(y) * np.eye(len(scale))
         slopes = np.linalg.solve(normal, unit.T @ (weight * y))
         miss = np.abs(y - unit @ slopes)
-        weight = np.minimum(1.0, HUBER * 1.4826 * np.median(miss) / np.maximum(miss, 1e-9) + 1e-9)
+        weight = huber_weights(miss, spread(miss))
     return np.asarray(slopes / scale)

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.model import Array
+from hdt_core.robust import median_error
 from hdt_core.twin.crossing import PACK
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.renewals import log_flags
@@ -52,7 +53,7 @@ def _positive(column: pl.Series) -> Array:
 
 def _diameter_sd(flights: pl.DataFrame) -> pl.Series:
     """Of the flight's median: what scatters from sample to sample is mostly the machine itself, and no error."""
-    noise = SAMPLE_SD * 1.2533 / np.sqrt(np.maximum(flights["cc_n_samples"].to_numpy(), 1))
+    noise = SAMPLE_SD * median_error(np.maximum(flights["cc_n_samples"].to_numpy(), 1.0))
     return flights["diameter_m"] * pl.Series(np.hypot(PROBE_SD, noise))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.terms import TERMS, corrected, within
+from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import IN_ORDER, PACK, Array
 from hdt_core.twin.dsm import Dsm
@@ -118,7 +119,7 @@ def _evidence(seen: _Seen, dsm: Dsm, name: str) -> tuple[object, ...]:
     fit, n = _fit(seen, dsm, (name,)), len(seen.fold)
     f = float((fit.terms[name] / fit.sd[0]) ** 2)
     in_service = seen.left({}, dsm.design)
-    limit = OUTLIER_SDS * _scale(in_service)
+    limit = OUTLIER_SDS * spread(in_service)
     held_out = _rms(_left_out(seen, dsm, name), limit) / _rms(in_service, limit) - 1.0
     moved = np.nanstd(seen.ratio(fit.terms, fit.design) - seen.ratio({}, dsm.design))
     return _row(name, fit, (f - float(np.log(n)), f, held_out, float(moved), n))
@@ -167,20 +168,15 @@ def _step(columns: Array, left: Array, instruments: Array, design: Array) -> tup
     explained = instruments @ np.linalg.lstsq(instruments, columns, rcond=None)[0]
     free = columns.shape[1] - len(design)
     prior, towards = np.r_[np.zeros(free), hx.SD**-2.0], np.r_[np.zeros(free), hx.MEAN - design]
-    weight, scale = np.ones(len(left)), _scale(left)
+    weight, scale = np.ones(len(left)), spread(left)
     for _ in range(ROBUST_STEPS):
         weighted = explained * weight[:, None] / (scale**2 * DESIGN_EFFECT)
         cov = np.linalg.pinv(weighted.T @ explained + np.diag(prior), hermitian=True)
         step = cov @ (weighted.T @ left + prior * towards)
         away = left - columns @ step
-        scale = _scale(away)
-        weight = 1.0 / np.maximum(1.0, np.abs(away) / (HUBER * scale))
+        scale = spread(away)
+        weight = huber_weights(np.abs(away), scale, HUBER)
     return step, np.sqrt(cov.diagonal())
-
-
-def _scale(left: Array) -> float:
-    """Robust standard deviation about 0."""
-    return float(1.4826 * np.nanmedian(np.abs(left))) + 1e-12
 
 
 def _rms(left: Array, limit: float) -> float:

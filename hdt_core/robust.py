@@ -1,0 +1,51 @@
+"""Robust statistics: spread by the median of absolute deviations, error of a median, Huber's weights.
+
+References
+----------
+.. [1] P. J. Huber and E. M. Ronchetti, Robust Statistics, 2nd ed., 2009, sections 1.2 and 4.5.
+"""
+
+from typing import Any, TypeVar
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Column = TypeVar("Column", float, Array, pl.Expr)
+
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal values over the median of their absolute deviations."""
+MEDIAN_SD = 1.2533
+"""Standard deviation of a median of normal values over that of their mean."""
+HUBER_K = 1.345
+"""Standard deviations from which a value loses weight: 95 % efficient on normal errors."""
+
+
+def spread(deviations: Array) -> float:
+    """Standard deviation that the deviations from a known centre show; unknown ones (NaN) are left out."""
+    return float(MAD_TO_SD * np.nanmedian(np.abs(deviations)))
+
+
+def spread_expr(deviations: pl.Expr) -> pl.Expr:
+    """The same of a column."""
+    return MAD_TO_SD * deviations.abs().median()
+
+
+def median_error(n: Column) -> Column:
+    """Standard error of the median of n normal values, over their standard deviation."""
+    error: Column = MEDIAN_SD / n**0.5
+    return error
+
+
+def huber_weights(off: Array, scale: Array | float, k: float = HUBER_K) -> Array:
+    """Weights of values by how far they are off: 1 within `k` of their `scale`, less beyond.
+
+    Parameters
+    ----------
+    off : array, shape (n,)
+        Absolute deviations.
+    scale : array, shape (n,), or float
+        Standard deviation of the values that are sound; zero counts as very small.
+    """
+    return np.asarray(1.0 / np.maximum(1.0, off / (k * np.maximum(scale, 1e-9))))
