@@ -5,7 +5,7 @@ HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
 
-.PHONY: run test soak audit check lint types imports sql docs setup lock clean ui
+.PHONY: run test real soak audit check lint types imports sql docs setup lock clean ui
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
@@ -13,6 +13,10 @@ run: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# real data sets, from the folder HDT_REFERENCE: docs/real.md says what belongs there; hours
+real: $(READY)
+	$(BIN)/python -m benchmarks.real --write
 
 # a thousand kills at random moments of a night; HDT_SOAK_KILLS=n for more
 soak: $(READY)

@@ -1,0 +1,1 @@
+"""Real data sets, one recipe each; `python -m benchmarks.real --data DIR`."""

@@ -1,0 +1,50 @@
+"""Every recipe whose folder is there: `python -m benchmarks.real --data DIR [--only NAME ...] [--write]`.
+
+DIR (else HDT_REFERENCE) holds a folder a data set; what is absent is told, with where to get it. `--write` puts table
+and plots into docs/real.md.
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+from benchmarks.page import write
+from benchmarks.real import cmapss, events, filters, hydraulic, lives, skab
+from benchmarks.real.page import DOCS, PAGE, described, plotted
+
+RECIPES = (
+    filters.RECIPE,
+    hydraulic.RECIPE,
+    cmapss.RECIPE,
+    skab.RECIPE,
+    events.PREDIST,
+    events.CARE,
+    lives.RECIPE,
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=os.environ.get("HDT_REFERENCE"))
+    parser.add_argument("--only", nargs="*", choices=[r.name for r in RECIPES])
+    parser.add_argument("--write", action="store_true")
+    asked = parser.parse_args()
+    if asked.data is None or not Path(asked.data).is_dir():
+        parser.error(
+            "name the folder that holds the data sets with --data DIR or HDT_REFERENCE; docs/real.md says which"
+        )
+    for recipe in RECIPES:
+        if asked.only and recipe.name not in asked.only:
+            continue
+        began, folder = time.monotonic(), recipe.found(Path(asked.data))
+        result = recipe.run(folder) if folder else None
+        text = described(recipe, result)
+        print(f"{text}\n\n({time.monotonic() - began:.0f} s)\n", flush=True)
+        if asked.write:
+            plot = plotted(recipe, result, DOCS / "plots") if result else None
+            write(recipe.name, described(recipe, result, plot), PAGE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""NASA's turbofans, C-MAPSS FD001 to FD004: engines run to failure teach, others are asked once each.
+
+One setting for all four. Only the health track is this file's own: sensors standardised within each operating regime,
+weighed, summed, learned from the engines that teach.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.real.lifetimes import (
+    Array,
+    Foretold,
+    Index,
+    Rows,
+    coverage,
+    expected_left,
+    foretell,
+    history_features,
+)
+from benchmarks.real.recipe import Recipe, Result, Score, scored
+from hdt_core.prognosis.metrics import interval_score
+
+SETS = ("FD001", "FD002", "FD003", "FD004")
+PUBLISHED = dict(zip(SETS, (16.2, 19.3, 16.8, 20.0), strict=True))
+HEALTHY_CYCLES = 125.0
+"""A remaining life beyond this can't be told from any other: the set's usual limit, used for training by everyone."""
+FOLDS = 5
+FIRST_CUT = 30
+"""Cycles that every test engine has flown. [cycle]"""
+STILL = 1e-6
+
+
+@dataclass(frozen=True)
+class Engines:
+    """Recorded rows: engine, cycle, operating regime, sensors; sorted by engine and cycle."""
+
+    unit: Index
+    cycle: Index
+    settings: Array
+    sensors: Array
+
+    @property
+    def last(self) -> Index:
+        """Row of each engine's last cycle."""
+        return np.append(np.nonzero(np.diff(self.unit))[0], self.unit.size - 1)
+
+    @property
+    def left(self) -> Array:
+        """Cycles to the last one recorded."""
+        count = np.diff(np.append(-1, self.last))
+        return np.repeat(self.cycle[self.last], count) - self.cycle.astype(float)
+
+
+@dataclass(frozen=True)
+class Track:
+    """How sensors become one health track. Learned from teaching engines only."""
+
+    regimes: Array
+    mean: Array
+    spread: Array
+    weight: Array
+    limit: float = 1.0
+    """Loss at which engines end: the middle of those that teach. [-]"""
+
+    def __call__(self, engines: Engines) -> tuple[Array, Array]:
+        """Smoothed loss (0 healthy, 1 failed) and smoothed standardised sensors, causal."""
+        z = self.standardised(engines)
+        loss = np.column_stack([z, np.ones(len(z))]) @ self.weight
+        return smoothed(loss[:, None], engines.unit, 0.12)[:, 0], smoothed(z, engines.unit, 0.1)
+
+    def standardised(self, engines: Engines) -> Array:
+        """Sensors against those of the nearest regime."""
+        far = np.abs(regime_of(engines.settings)[:, None, :] - self.regimes[None]).sum(axis=2)
+        near = far.argmin(axis=1)
+        return np.asarray((engines.sensors - self.mean[near]) / self.spread[near])
+
+
+def load(folder: Path, name: str) -> Engines:
+    """A file as published, packed or not."""
+    rows = np.loadtxt(next(folder.glob(f"{name}.txt*")))
+    return Engines(rows[:, 0].astype(int) - 1, rows[:, 1].astype(int) - 1, rows[:, 2:5], rows[:, 5:26])
+
+
+def regime_of(settings: Array) -> Array:
+    """Altitude in thousands of feet and throttle, rounded: the flight condition that the set holds apart."""
+    return np.round(settings[:, [0, 2]])
+
+
+def learn_track(train: Engines) -> Track:
+    """Least squares of the share of life used in the last 125 cycles on the sensors that move at all."""
+    regimes, own = np.unique(regime_of(train.settings), axis=0, return_inverse=True)
+    groups = [train.sensors[own.ravel() == k] for k in range(len(regimes))]
+    mean, spread = (np.array([f(g, axis=0) for g in groups]) for f in (np.mean, np.std))
+    spread = np.where(spread < STILL, np.inf, spread)
+    track = Track(regimes, mean, spread, np.empty(0))
+    z = track.standardised(train)
+    used = np.clip(1.0 - train.left / HEALTHY_CYCLES, 0.0, 1.0)
+    weight = np.linalg.lstsq(np.column_stack([z, np.ones(len(z))]), used, rcond=None)[0]
+    track = replace(track, weight=weight)
+    return replace(track, limit=float(np.median(track(train)[0][train.last])))
+
+
+def smoothed(values: Array, unit: Index, gain: float) -> Array:
+    """Exponential mean within an engine; the first cycles are averaged, not forgotten."""
+    out, count = np.empty_like(values), 0
+    for k in range(len(values)):
+        count = 1 if k == 0 or unit[k] != unit[k - 1] else count + 1
+        before = values[k] if count == 1 else out[k - 1]
+        out[k] = before + max(gain, 1.0 / count) * (values[k] - before)
+    return out
+
+
+def features(engines: Engines, track: Track) -> Array:
+    """One row a cycle: the layer's features of the health track, and the sensors themselves."""
+    loss, sensors = track(engines)
+    unit = np.unique(engines.unit, return_inverse=True)[1]
+    moves = np.isfinite(track.spread).any(axis=0)
+    return np.column_stack([history_features(loss, unit, engines.cycle, track.limit), sensors[:, moves]])
+
+
+def forecast(folder: Path, name: str) -> tuple[Foretold, Array]:
+    """What is said of the test engines of one set, and their true lives."""
+    train, test = load(folder, f"train_{name}"), load(folder, f"test_{name}")
+    truth = np.loadtxt(folder / f"RUL_{name}.txt")
+    track = learn_track(train)
+    teach = Rows(features(train, track), train.left, train.unit, train.unit % FOLDS)
+    return foretell(teach, features(test, track)[test.last], np.flatnonzero(train.cycle >= FIRST_CUT)), truth
+
+
+def scores(name: str, told: Foretold, truth: Array) -> list[Score]:
+    """Error against lives as published and capped, and the interval."""
+    said, engine = expected_left(told.by, HEALTHY_CYCLES), np.arange(truth.size)
+    covered, width = coverage(told, truth), told.high - told.low
+    each = interval_score(truth, told.low, told.high)
+
+    def rmse(target: Array, goal: str, how: str) -> Score:
+        squared = (said - target) ** 2
+        return scored(f"{name}: RMSE, {how} [cycles]", goal, engine, lambda i: float(np.sqrt(squared[i].mean())))
+
+    return [
+        rmse(truth, f"< {PUBLISHED[name]}", "lives as published"),
+        rmse(np.minimum(truth, HEALTHY_CYCLES), "", "lives capped at 125"),
+        scored(f"{name}: 90 % interval, coverage", "0.88-0.92", engine, lambda i: float(covered[i].mean())),
+        scored(f"{name}: 90 % interval, width [cycles]", "", engine, lambda i: float(width[i].mean())),
+        scored(f"{name}: 90 % interval score [cycles]", "", engine, lambda i: float(each[i].mean())),
+    ]
+
+
+def run(folder: Path) -> Result:
+    """All sets that are there."""
+    there = [name for name in SETS if (folder / f"RUL_{name}.txt").exists()]
+    told = {name: forecast(folder, name) for name in there}
+
+    def draw(figure: Figure) -> None:
+        for k, (name, (said, truth)) in enumerate(told.items()):
+            axes = figure.add_subplot(1, len(told), k + 1)
+            order = np.argsort(truth)
+            axes.fill_between(range(truth.size), said.low[order], said.high[order], alpha=0.3, label="90 % interval")
+            axes.plot(truth[order], "k.", ms=3, label="true")
+            axes.set(title=name, xlabel="engine, by true life", ylabel="cycles left")
+            axes.legend()
+
+    absent = [name for name in SETS if name not in there]
+    words = f"Not run here, their files are absent: {', '.join(absent)}." if absent else ""
+    return Result([s for name, (said, truth) in told.items() for s in scores(name, said, truth)], draw, words)
+
+
+RECIPE = Recipe(
+    name="cmapss",
+    title="Turbofans run to failure (NASA C-MAPSS FD001-FD004, a simulator of NASA's, not ours)",
+    folder="cmapss*",
+    wants="RUL_FD00*.txt",
+    source="NASA Prognostics Center of Excellence, data set 6 (Saxena and Goebel 2008)",
+    licence="work of the US Government",
+    anchor="RMSE 16.2 / 19.3 / 16.8 / 20.0 at a coverage of .94-.95 (arXiv 2511.19124)",
+    run=run,
+)

@@ -1,0 +1,118 @@
+"""The prognosis layer on any record of lives: causal features of a health track, hazard, conformal interval levels.
+
+Features, hazard and levels are those that the exchangers get (`history`, `hazard`, `recalibrate`); a recipe brings its
+health track and what its unit is asked to do.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.ensemble import HistGradientBoostingClassifier
+
+from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, quantile
+from hdt_core.prognosis.history import FEATURES, SEEN, Panel, feature_rows, record_rows
+from hdt_core.prognosis.metrics import constant_interval_score, interval_score
+from hdt_core.prognosis.recalibrate import learn_levels
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
+SAMPLES, CUTS = 200_000, 20
+"""Of (row, span) a model is fitted to; cuts of each life that levels are learned from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One row a unit and cycle: what is known by then, and cycles until its end."""
+
+    x: Array
+    left: Array
+    unit: Index
+    fold: Index
+    """Rows of one fold are foretold by models that saw none of it."""
+
+    def of(self, which: NDArray[np.bool_] | Index) -> "Rows":
+        """Some of the rows."""
+        return Rows(self.x[which], self.left[which], self.unit[which], self.fold[which])
+
+
+@dataclass(frozen=True, slots=True)
+class Foretold:
+    """What was said of some rows: P(end within `EDGES` cycles), and the interval."""
+
+    by: Array
+    low: Array
+    high: Array
+
+
+def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Array:
+    """The layer's features of one health track: 0 as new, units end about `limit`. (n, p)"""
+    level = np.full((unit.max() + 1, cycle.max() + 1), np.nan)
+    level[unit, cycle] = loss
+    age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
+    ratio, unknown = np.log1p(-np.minimum(level, 0.95)), np.full_like(level, np.nan)
+    panel = Panel(level, np.full_like(level, 0.1), age, ratio, unknown, unknown, unknown, unknown)
+    # nothing is asked that differs from cycle to cycle: a unit ends at a limit, as a compressor does
+    critical = np.full_like(level, np.log1p(-min(limit, 0.95)))
+    told = feature_rows(record_rows(panel, (unit, cycle)), critical, (unit, cycle))
+    return told[:, np.array([name not in SEEN for name in FEATURES])]
+
+
+def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0) -> Foretold:
+    """Remaining life of rows whose units teach nothing (cross-conformal: Vovk 2015).
+
+    Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval; those that are
+    asked are foretold by all of these models, and the ends of their intervals averaged.
+
+    Parameters
+    ----------
+    teach : Rows
+        Whole lives.
+    asked : array, shape (n, p)
+        Rows of other units.
+    seen : array of int, optional
+        Rows of `teach` that levels are learned from, such as those where a unit might be cut; all by default.
+    seed : int
+        Draws samples and cuts.
+    """
+    held, told = np.empty((teach.left.size, EDGES.size)), []
+    for fold in np.unique(teach.fold):
+        inside = teach.fold == fold
+        model = _fitted(teach.of(~inside), seed)
+        held[inside] = event_by(hazards([model], teach.x[inside]))
+        told.append(event_by(hazards([model], asked)))
+    chosen = np.arange(teach.left.size) if seen is None else seen
+    cut = _cuts(teach.unit[chosen], chosen, seed)
+    ended = np.ones(cut.size, dtype=bool)
+    levels = learn_levels(held[cut], teach.left[cut], ended, teach.unit[cut], prior_lives=0.0)
+    low, high = (np.mean([quantile(by, level) for by in told], axis=0) for level in (levels[0], levels[2]))
+    return Foretold(np.mean(told, axis=0), low, high)
+
+
+def _fitted(teach: Rows, seed: int) -> HistGradientBoostingClassifier:
+    share = min(1.0, SAMPLES / (teach.left.size * SPANS))
+    return fit_hazard(teach.x, teach.left, np.ones(teach.left.size, dtype=bool), seed, share=share)
+
+
+def _cuts(unit: Index, chosen: Index, seed: int) -> Index:
+    """As many rows of each unit, at random: what is asked is asked somewhere in a life."""
+    rng = np.random.default_rng(seed)
+    return np.concatenate([rng.choice(chosen[unit == u], CUTS) for u in np.unique(unit)])
+
+
+def expected_left(by: Array, most: float) -> Array:
+    """Mean of the remaining life, no more than `most`: the area under the survival curve up to there."""
+    inside = EDGES[most >= EDGES]
+    alive = 1.0 - by[:, : inside.size]
+    return np.asarray((0.5 * (alive[:, 1:] + alive[:, :-1]) * np.diff(inside)).sum(axis=1))
+
+
+def coverage(told: Foretold, left: Array) -> Array:
+    """Whether each row's life lies in its interval; 1 and 0."""
+    return ((told.low <= left) & (left <= told.high)).astype(float)
+
+
+def score_over_constant(told: Foretold, left: Array) -> float:
+    """Mean 90 % interval score over that of one interval for all rows, from their own quantiles."""
+    return float(interval_score(left, told.low, told.high).mean() / constant_interval_score(left))

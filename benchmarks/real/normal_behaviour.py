@@ -1,0 +1,62 @@
+"""Normal behaviour of any set of sensors, and the product's own detector on what departs from it.
+
+Each sensor is foretold from all others by their covariance on normal rows (shrunk, Ledoit and Wolf 2004); what is left,
+in standard deviations, goes to the CUSUM that watches a pack's witnesses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.covariance import LedoitWolf
+
+from hdt_core.health.detection import Cusum, watch
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LONG = 10**6
+"""Rows; the offset learned on normal rows is kept."""
+STILL = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """Learned from normal rows."""
+
+    mean: Array
+    spread: Array
+    precision: Array
+
+    def residuals(self, rows: Array) -> Array:
+        """Each sensor less what the others say of it, in standard deviations. NaN stays with its sensor."""
+        z = np.clip((rows - self.mean) / self.spread, -50.0, 50.0)
+        own = np.sqrt(np.diag(self.precision))
+        told = (np.nan_to_num(z) @ self.precision) / own
+        return np.where(np.isnan(z), np.nan, told)
+
+
+def learn(rows: Array) -> Normal:
+    """Mean, spread and precision of normal rows; a sensor that never moves says nothing."""
+    mean, spread = np.nanmean(rows, axis=0), np.nanstd(rows, axis=0)
+    spread = np.where(spread > STILL, spread, np.inf)
+    z = np.nan_to_num((rows - mean) / spread)
+    return Normal(mean, spread, LedoitWolf().fit(z + 1e-6 * _jitter(z.shape)).precision_)
+
+
+def alarms(train: Array, asked: Array, settings: Cusum | None = None, tail: int = 1000) -> Flags:
+    """Rows of `asked` on which a shift of some sensor is believed.
+
+    The detector learns offset and scatter on the last `tail` rows of `train`.
+    """
+    settings = settings or Cusum(memory_flights=LONG)
+    normal = learn(train)
+    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(asked)])[None]
+    prior = np.ones(z.shape[2])
+    said = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
+    return np.asarray(said.called[0, -len(asked) :].any(axis=1)) if len(asked) else np.zeros(0, dtype=bool)
+
+
+def _jitter(shape: tuple[int, ...]) -> Array:
+    """So that a sensor that stands still has a variance at all."""
+    return np.random.default_rng(0).standard_normal(shape)

@@ -1,0 +1,45 @@
+"""A recipe and what it found, as the page tells them."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.real.recipe import Recipe, Result, Score
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = DOCS / "real.md"
+HELD = {True: "yes", False: "**no**", None: ""}
+
+
+def described(recipe: Recipe, result: Result | None, plot: str | None = None) -> str:
+    """A section of the page."""
+    head = [
+        f"### {recipe.title}",
+        f"- **From**: {recipe.source}. Licence: {recipe.licence}. Folder `{recipe.folder}`.",
+        f"- **Published**: {recipe.anchor}.",
+    ]
+    if result is None:
+        return "\n".join([*head, "", "Not run here: its files are absent."])
+    lines = ["", "| figure | value | 90 % interval | goal | held |", "| --- | ---: | ---: | ---: | --- |"]
+    lines += [_row(s) for s in result.scores]
+    tail = ["", result.words] if result.words else []
+    return "\n".join([*head, *lines, *tail, *(["", f"![{recipe.title}](plots/{plot})"] if plot else [])])
+
+
+def plotted(recipe: Recipe, result: Result, folder: Path) -> str | None:
+    """The recipe's plot as a file, and its name."""
+    if result.draw is None:
+        return None
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    result.draw(figure)
+    name = f"real_{recipe.name}.png"
+    figure.savefig(folder / name, dpi=90, metadata={"Software": None})
+    return name
+
+
+def _row(s: Score) -> str:
+    interval = f"{s.low:.3g} to {s.high:.3g}" if np.isfinite(s.low) else ""
+    return (
+        f"| {s.name} | {s.value:.3g} | {interval} | {s.goal.replace('>=', '≥').replace('<=', '≤')} | {HELD[s.held]} |"
+    )

@@ -1,0 +1,202 @@
+"""Recipes for real data, rehearsed on files of the same layout that are made here; the real ones need their folders."""
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from benchmarks.real import cmapss, events, filters, lives, skab
+from benchmarks.real.__main__ import RECIPES
+from benchmarks.real.page import described
+from benchmarks.real.recipe import Score
+from hdt_core.prognosis.censored import life_bounds
+
+RNG = np.random.default_rng
+
+
+def process(rows: int, seed: int, drift: np.ndarray | float = 0.0) -> np.ndarray:
+    """Six sensors that follow two causes; the third one drifts."""
+    rng = RNG(seed)
+    cause = rng.standard_normal((rows, 2))
+    mix = RNG(1).uniform(0.5, 1.5, (2, 6))
+    values = 10.0 + cause @ mix + 0.2 * rng.standard_normal((rows, 6))
+    values[:, 2] += drift
+    return values
+
+
+def write_csv(frame: pl.DataFrame, file) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    frame.write_csv(file, separator=";")
+
+
+def table(values: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
+    return dict(zip(names, values.T, strict=True))
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """SKAB's layout: a valve shuts from row 600 to 900."""
+    folder = tmp_path_factory.mktemp("data") / "skab"
+    at = pl.datetime_range(datetime(2020, 3, 1), datetime(2020, 3, 2), "1s", eager=True)[:1100]
+    wrong = (np.arange(1100) >= 600) & (np.arange(1100) < 900)
+    names = ["Accelerometer1RMS", "Current", "Pressure", "Temperature", "Voltage", "Volume Flow RateRMS"]
+    for number, place in enumerate(("valve1/0", "valve2/0", "other/1", "other/2")):
+        rows = {"datetime": at} | table(process(1100, number, 1.5 * wrong), names)
+        labels = {"anomaly": wrong.astype(float), "changepoint": np.zeros(1100)}
+        write_csv(pl.DataFrame(rows | labels), folder / f"{place}.csv")
+    return folder
+
+
+def test_a_valve_that_shuts_is_found_while_it_is_shut(rig):
+    f1, false, missed = skab.run(rig).scores
+    assert f1.value > 0.9
+    assert false.value < 0.1
+    assert missed.value < 0.05
+    assert skab.RECIPE.found(rig.parent) == rig
+
+
+@pytest.fixture(scope="module")
+def turbines(tmp_path_factory):
+    """CARE's layout: two normal stretches, two faults that grow for a week."""
+    farm = tmp_path_factory.mktemp("data") / "care" / "Wind Farm A"
+    told, train, asked = [], 3000, 1440
+    for event in range(4):
+        fault, rows = event % 2 == 1, train + asked
+        begins = train + 432
+        drift = np.where(np.arange(rows) >= begins, 2.0, 0.0) if fault else 0.0
+        start = datetime(2022, 1, 1)
+        frame = pl.DataFrame(
+            {"time_stamp": [start + timedelta(minutes=10 * k) for k in range(rows)], "asset_id": 7, "id": range(rows)}
+            | {"train_test": ["train"] * train + ["prediction"] * asked, "status_type_id": 0}
+            | table(process(rows, event, drift), [f"sensor_{k}_avg" for k in range(6)])
+        )
+        write_csv(frame, farm / "datasets" / f"{event}.csv")
+        label = "anomaly" if fault else "normal"
+        told.append(
+            {"asset": 7, "event_id": event, "event_label": label, "event_start_id": begins, "event_end_id": rows - 1}
+        )
+    write_csv(pl.DataFrame(told), farm / "event_info.csv")
+    return farm.parent
+
+
+def test_turbines_that_fail_are_told_from_those_that_do_not(turbines):
+    care, by_event, found, accuracy, lead = events.CARE.run(turbines).scores
+    assert care.value > 0.9
+    assert (by_event.value, found.value) == (1.0, 1.0)
+    assert accuracy.value > 0.95
+    assert 100.0 < lead.value < 168.0
+
+
+def test_the_care_score_of_those_who_say_nothing_and_of_those_who_always_cry():
+    """By the paper: 0 where nothing is found; the accuracy itself where it is no better than chance."""
+    silent = [events.Judged(k % 2 == 1, False, 1.0, 0.0, 0.0, np.nan) for k in range(4)]
+    loud = [events.Judged(k % 2 == 1, True, 0.0, 0.5, 1.0, 100.0) for k in range(4)]
+    perfect = [events.Judged(k % 2 == 1, k % 2 == 1, 1.0, 1.0, 1.0, 100.0) for k in range(4)]
+    assert (events.care(silent), events.care(loud), events.care(perfect)) == (0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def substations(tmp_path_factory):
+    """PreDist's layout: one fault reported after five days of drift, one normal stretch."""
+    maker = tmp_path_factory.mktemp("data") / "predist" / "Manufacturer 1"
+    start, train, asked = datetime(2021, 1, 1), 3000, 1008
+    for number in (1, 2):
+        rows = train + asked
+        drift = np.where(np.arange(rows) >= train + 288, 2.0, 0.0) if number == 1 else 0.0
+        at = [f"{start + timedelta(minutes=10 * k):%Y-%m-%d %H:%M:%S}" for k in range(rows)]
+        mode = {"s_control_unit_mode": ["Tag"] * rows}
+        values = table(process(rows, number, drift), [f"sensor_{k}" for k in range(6)])
+        write_csv(
+            pl.DataFrame({"timestamp": at} | mode | values), maker / "operational_data" / f"substation_{number}.csv"
+        )
+    learned, end = (start + timedelta(minutes=10 * k) for k in (train - 1, train + asked - 1))
+    training = {"Training start": [start], "Training end": [learned]}
+    fault = {"Event ID": [1], "substation ID": [1], "Report date": [end], "efd_possible": [True]}
+    normal = {"Event ID": [2], "substation ID": [2], "Event start": [learned], "Event end": [end]}
+    write_csv(pl.DataFrame(fault | training), maker / "faults.csv")
+    write_csv(pl.DataFrame(normal | training), maker / "normal_events.csv")
+    return maker.parent
+
+
+def test_a_substation_is_found_before_its_report(substations):
+    _, by_event, found, accuracy, lead = events.PREDIST.run(substations).scores
+    assert (by_event.value, found.value) == (1.0, 1.0)
+    assert accuracy.value > 0.95
+    assert 60.0 < lead.value < 120.0
+
+
+@pytest.mark.parametrize("leave", [None, 900.0])
+def test_bounds_of_censored_lives_hold_as_often_as_they_say(leave):
+    """By the law that the lives were drawn from, over 100 tables."""
+    told = [lives.of_law("", leave, units) for units in (600, 3000)] if leave is None else [lives.of_law("", leave)]
+    assert all(score.value == pytest.approx(0.9, abs=0.01) for score in told)
+
+
+def test_a_table_of_lives_is_read_by_its_own_end(tmp_path):
+    rng = RNG(3)
+    start = rng.uniform(0.0, 500.0, 4000)
+    end = np.minimum(start + 400.0 * rng.weibull(2.0, 4000), 1000.0)
+    file = tmp_path / "lives" / "fleet.csv"
+    file.parent.mkdir()
+    pl.DataFrame({"unit": range(4000), "start": start, "end": end, "event": end < 1000.0}).write_csv(file)
+    assert lives.read(file)[2] is not None
+    assert lives.of_table(file).value == pytest.approx(0.9, abs=0.02)  # one table: its own scatter is .007
+
+
+def test_bounds_say_what_a_short_record_can_not_tell():
+    told = life_bounds(np.full(300, 50.0), np.zeros(300, bool), np.full(300, 50.0))
+    assert (told.low, told.high) == (50.0, np.inf)
+
+
+def test_a_flight_condition_that_differs_costs_the_turbofans_nothing(tmp_path):
+    """FD002's six conditions laid over FD001's own sensors: the health track stays, for regimes are told apart."""
+    folder = cmapss.Path(__file__).parents[1] / "data" / "cmapss"
+    plain = cmapss.load(folder, "train_FD001")
+    rng = RNG(5)
+    condition = rng.integers(0, 6, plain.unit.size)
+    altitude, throttle = (
+        np.array([0.0, 10.0, 20.0, 25.0, 35.0, 42.0]),
+        np.array([100.0, 100.0, 100.0, 60.0, 100.0, 100.0]),
+    )
+    settings = np.stack([altitude[condition], np.zeros(condition.size), throttle[condition]], axis=1)
+    settings += 0.002 * rng.standard_normal(settings.shape)
+    scale = rng.uniform(0.5, 2.0, (6, 21))
+    varied = cmapss.Engines(
+        plain.unit, plain.cycle, settings, plain.sensors * scale[condition] + 100.0 * condition[:, None]
+    )
+    tracks = [cmapss.learn_track(engines)(engines)[0] for engines in (plain, varied)]
+    assert np.corrcoef(*tracks)[0, 1] > 0.99
+
+
+def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
+    """A life falls to 0, a dust feed does not: whichever way the names stand."""
+    time = np.arange(1, 101) / 10.0
+    life, feed = 10.0 - time, np.full(100, 60.0)
+    own = {
+        "Data_No": 1,
+        "Differential_pressure": 5.0,
+        "Flow_rate": 80.0,
+        "Time": time,
+        "Sampling": 10,
+        "Bias_type": "a",
+    }
+    for names in (("RUL", "Dust_feed"), ("Dust_feed", "RUL")):
+        pl.DataFrame(own | dict(zip(names, (life, feed), strict=True))).write_csv(tmp_path / "train.csv")
+        read = filters.load(tmp_path)
+        assert (read["RUL"].min(), read["Dust_feed"].min()) == (pytest.approx(0.0), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "value", "held"), [("< 16.2", 16.2, False), ("0.88-0.92", 0.9, True), ("", 1.0, None)]
+)
+def test_a_goal_is_held_or_not(goal, value, held):
+    assert Score("", value, 0.0, 1.0, goal).held is held
+
+
+def test_what_is_absent_is_told_with_where_to_get_it(tmp_path):
+    for recipe in (r for r in RECIPES if r.wants):
+        assert recipe.found(tmp_path) is None
+        told = described(recipe, None)
+        assert recipe.source in told
+        assert "Not run here" in told
