@@ -132,6 +132,6 @@ RECIPE = Recipe(
     source="UCI repository 447 (Helwig, Pignanelli, Schuetze 2015, doi 10.1109/I2MTC.2015.7151267); "
     "TS3, TS4, CE, CP, FS2, profile",
     licence="CC BY 4.0",
-    anchor="cooler condition told without error by linear discriminants over features of all sensors (Helwig et al. 2015)",
+    anchor="condition told without error by linear discriminants over features of all sensors (Helwig et al. 2015)",
     run=run,
 )
