@@ -40,7 +40,7 @@ CAC = Component(
     model=PhysicsModel(
         name="cabin_air_compressor",
         inputs=(Signal("inlet_k", "K"), Signal("pressure_ratio", "-")),
-        outputs=(Signal("outlet_k", "K", sigma=1.0),),
+        outputs=(Signal("outlet_k", "K", sigma=3.0),),  # 1 K of a sensor; of samples a second apart each counts a tenth
         params=(
             Param("cac_efficiency", "-", 0.80, (0.4, 0.95), "design", sd=0.03),
             Param("cac_efficiency_loss", "-", 0.0, (-0.2, 0.7), "health", drift=0.002),

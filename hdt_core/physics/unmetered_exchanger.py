@@ -15,7 +15,8 @@ REFERENCE_FLUX_KG_S_M2 = 100.0
 SPEED_OF_SOUND_M_S_K = float(np.sqrt(1.4 * 287.05287))
 SPRAY = Param("hxt_water_spray", "-", 0.3, (-0.2, 1.0), "design", sd=0.2)
 NTU = Param("hxt_ntu", "-", 1.6, (0.3, 8.0), "design", sd=0.4)
-EXPONENT = Param("hxt_exponent", "-", 0.3, (0.0, 1.0), "design", sd=0.15)
+EXPONENT = Param("hxt_exponent", "-", 0.27, (0.0, 1.0), "design", sd=0.05)
+"""A film exponent of 0.6, of which the cold side's share of the resistance is left."""
 LOSS = Param("hxt_loss", "-", 0.0, (-1.0, 0.95), "health", drift=0.01)
 
 
@@ -90,7 +91,8 @@ _INPUTS = (
     Signal("total_pressure_pa", "Pa"),
     Signal("ram_flux_kg_s_m2", "kg/s/m2"),
 )
-_OUTPUTS = (Signal("hot_out_k", "K", sigma=1.0),)
+_OUTPUTS = (Signal("hot_out_k", "K", sigma=3.0),)
+"""A sensor's 1 K; of samples a second apart each counts a tenth."""
 UNMETERED = PhysicsModel("unmetered_exchanger", _INPUTS, _OUTPUTS, (NTU, EXPONENT, LOSS), hot_out_k)
 SPRAYED = PhysicsModel(
     "unmetered_exchanger_sprayed", _INPUTS, _OUTPUTS, (NTU, EXPONENT, SPRAY, LOSS), sprayed_hot_out_k

@@ -57,25 +57,25 @@ CONTRACT = Suite(SENSORS)
 _B787: Sensors = SENSORS | {
     "altitude_ft": Sensor(8.0, 0.14, False, 0.02),
     "mach": Sensor(0.001, 0.0005, False, 0.00025),
-    "tat_degc": Sensor(0.4, 0.006, False, 0.025),
+    "tat_degc": Sensor(0.4, 0.003, False, 0.025),
     "pt_psia": Sensor(0.001, 5e-6, True, 1e-5),
-    "hx_in_degc": Sensor(0.5, 0.5, False, 0.025),
+    "hx_in_degc": Sensor(0.5, 0.55, False, 0.025),
     "hx_out_degc": Sensor(0.5, 0.09, False, 0.125),
-    "ram_door_pct": Sensor(0.8, 0.01, False, 0.0625),
-    "pack_flow_lbpm": Sensor(0.015, 0.0035, True, 0.1),
-    "cc_speed_rpm": Sensor(0.0005, 0.00024, True, 1.0),
-    "cc_in_degc": Sensor(0.4, 0.006, False, 0.025),
+    "ram_door_pct": Sensor(0.8, 0.002, False, 0.0625),
+    "pack_flow_lbpm": Sensor(0.015, 0.0028, True, 0.1),
+    "cc_speed_rpm": Sensor(0.0005, 0.0002, True, 1.0),
+    "cc_in_degc": Sensor(0.4, 0.003, False, 0.025),
     "cc_in_psia": Sensor(0.002, 0.003, True, 1.0),
     "cc_out_degc": Sensor(0.6, 0.4, False, 0.025),
     "cc_out_psia": Sensor(0.002, 0.0015, True, 0.0125),
-    "vda_pos": Sensor(0.0, 1.8, False, 0.6),
+    "vda_pos": Sensor(0.0, 1.5, False, 0.6),
 }
 _A330: Sensors = SENSORS | {
     "altitude_ft": Sensor(8.0, 1.0, False, 4.0),
     "mach": Sensor(0.001, 0.0005, False, 0.004),
     "tat_degc": Sensor(0.4, 0.05, False, 0.25),
-    "hx_in_degc": Sensor(0.5, 0.2, False, 0.5),
-    "hx_out_degc": Sensor(0.5, 0.25, False, 0.75),
+    "hx_in_degc": Sensor(0.5, 0.3, False, 0.5),
+    "hx_out_degc": Sensor(0.5, 0.32, False, 0.75),
 }
 SUITES = {"contract": CONTRACT, "787": Suite(_B787, 1e-5, 0.0), "A330": Suite(_A330, 1e-5, 0.0)}
 """Sensors by type of aircraft: the contract's, and two as recordings of seconds show them (noise from one second to the

@@ -26,8 +26,8 @@ from hdt_core.simulate.shop import PackHistory
 Array = NDArray[np.float64]
 
 ZERO_C = 273.15
-WANDER_S = 120.0
-"""Seconds in which a 787's diffusers move by their own scatter, seen in one recording."""
+WANDER_S = 60.0
+"""Seconds in which diffusers move by their own scatter; within a second they hardly do, in one recording of a 787."""
 ACMS_COLUMNS = ("flight_id", "report_time", "phase_code", "pack", *SENSORS)
 _PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
 
@@ -198,11 +198,12 @@ def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Arra
 
 
 def _wandering(white: Array, dt_s: float) -> Array:
-    """Noise of unit variance with a memory of `WANDER_S`; white where the rows are no time series."""
+    """Smooth noise of unit variance with a memory of `WANDER_S`; white where the rows are no time series."""
     if dt_s == 0.0:
         return white
     keep = np.exp(-dt_s / WANDER_S)
-    return np.asarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white))
+    gain = np.sqrt((1.0 - keep**2) ** 3 / (1.0 + keep**2))
+    return np.asarray(lfilter([gain], [1.0, -2.0 * keep, keep**2], white))
 
 
 def _lagged(steady: Array, settling_s: Array, dt_s: float) -> Array:

@@ -1,0 +1,212 @@
+"""Claim: our simulator records as two real aircraft do, and an exchanger's outlet is foretold in time that no fit saw.
+
+The recordings are not ours to ship: `HDT_REFERENCE` names the folder that holds `recorder_787_a330`. Compared is how
+signals are recorded (last digit, noise from second to second, repeated values) and how the exchanger behaves, never
+a parameter's values. Run: `python -m benchmarks.recordings`; with `--write` the tables go to docs/recordings.md.
+"""
+
+import argparse
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from benchmarks.page import write
+from hdt_core.components import components
+from hdt_core.recorder.decode import Series
+from hdt_core.recorder.fit import decode
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.simulate.fleet import simulate_fleet
+from hdt_core.twin.component import calibrate_component
+from pipelines.aircraft_types import shipped
+from pipelines.intake.aircraft_types import AircraftType, read_type
+from pipelines.intake.recordings import open_recording
+from pipelines.intake.simulated_recordings import FULL_COUNTS
+
+ROOT = Path(__file__).parents[1]
+REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
+PAGE = ROOT / "docs/recordings.md"
+FILES = {"787": ("b787_767.zip", "b787_767"), "A330": ("a330_717.wgl.zip", "a330_717")}
+SHOWN = {
+    "hot_in_degc": "hot inlet [K]", "hot_out_degc": "hot outlet [K]", "tat_degc": "TAT [K]",
+    "pack_flow_lbpm": "pack flow [lb/min]", "ram_door_pct": "ram door [%]", "speed_rpm": "compressor speed [rpm]",
+    "outlet_psia": "compressor exit [psi]", "diffuser_pct": "diffuser [%]", "mach": "Mach",
+    "altitude_ft": "altitude [ft]",
+}  # fmt: skip
+SIMULATED = {
+    "hot_in_degc": "hx_in_degc", "hot_out_degc": "hx_out_degc", "speed_rpm": "cc_speed_rpm",
+    "outlet_psia": "cc_out_psia", "diffuser_pct": "vda_pos",
+}  # fmt: skip
+SPAN = {"787": slice(2000, 2168), "A330": slice(60, 352)}
+"""Seconds of a simulated flight that are held against a recording: of a steady cruise, of a climb from 3,000 ft."""
+
+
+def kind_of(name: str) -> AircraftType:
+    (file,) = (f for f in shipped() if f.stem == FILES[name][1])
+    return replace(found := read_type(file), map_file=REFERENCE / found.map_file.name)
+
+
+def recorded(name: str) -> dict[str, list[np.ndarray]]:
+    """Values of each column, one array a unit, in the column's unit."""
+    kind = kind_of(name)
+    recording, layout = open_recording(REFERENCE / FILES[name][0], kind.map_file)
+    stations = [s for table in kind.stations.values() for s in table]
+    wanted = {n for s in stations for n in s.parameters}
+    found = {s.parameter.name: s for s in decode(recording, [layout.parameters[n] for n in wanted])}
+    return {s.column: [_values(found[n]) * s.scale + s.offset for n in s.parameters] for s in stations}
+
+
+def _values(series: Series) -> np.ndarray:
+    assert series.value is not None
+    value = series.value[series.known]
+    return value[:: round(series.parameter.rate_hz)]
+
+
+def simulated(name: str) -> dict[str, list[np.ndarray]]:
+    """The same of both packs of a simulated flight."""
+    size = FleetSettings(operators=1, tails=1, flights=1, cpl_share=1.0, suite=name)
+    (flight,) = next(simulate_fleet(1, size)).cpl.values()
+    packs = [flight.filter(pl.col("pack") == p).sort("report_time")[SPAN[name]] for p in (1, 2)]
+    told = {}
+    for column in SHOWN:
+        scale = 100.0 / FULL_COUNTS if column == "diffuser_pct" else 1.0
+        told[column] = [
+            scale * p[SIMULATED.get(column, column)].cast(pl.Float64).drop_nulls().to_numpy() for p in packs
+        ]
+    return told
+
+
+def digit(values: list[np.ndarray]) -> float:
+    steps = [np.diff(np.unique(v)) for v in values]
+    return min((float(s.min()) for s in steps if s.size), default=float("nan"))
+
+
+def noise(values: list[np.ndarray]) -> float:
+    """From one second to the next, by second differences, which know no slow movement. Median of the units."""
+    return float(np.median([np.diff(v, 2).std() / 6**0.5 for v in values]))
+
+
+def repeated(values: list[np.ndarray]) -> float:
+    return float(np.mean([np.mean(np.diff(v) == 0.0) for v in values]))
+
+
+def signals() -> Iterator[str]:
+    yield "| type | signal | last digit, real | simulated | noise, real | simulated | repeated, real | simulated |"
+    yield "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+    for name in FILES:
+        real, ours = recorded(name), simulated(name)
+        for column, title in SHOWN.items():
+            if column in real:
+                pairs = [(f(real[column]), f(ours[column])) for f in (digit, noise, repeated)]
+                cells = [f"{_number(a)} | {_number(b)}" for a, b in pairs]
+                yield f"| {name} | {title} | {' | '.join(cells)} |"
+
+
+def _number(x: float) -> str:
+    return "one value" if np.isnan(x) else f"{x:.2g}"
+
+
+def samples(name: str, unit: int) -> pl.DataFrame:
+    """What the exchanger's component sees of a pack."""
+    kind, real = kind_of(name), recorded(name)
+    lengths = [len(v[min(unit, len(v) - 1)]) for v in real.values()]
+    n = min(n for n in lengths if n > 1)
+    at = {c: real[c][unit][:n] for c in ("hot_in_degc", "hot_out_degc", "tat_degc", "altitude_ft", "mach") if c in real}
+    channels = components()["HXT"].record.channels
+    frame = pl.DataFrame({c.signal: at[c.column] * c.scale + c.offset for c in channels})
+    assert kind.units
+    return components()["HXT"].record.derive(frame).with_row_index("second")
+
+
+def foretold(name: str, unit: int, terms: tuple[str, ...], seen: pl.Expr | int) -> float:
+    """Root mean square of the outlet foretold, of samples that the fit has not seen or of the other pack. [K]"""
+    own, component = samples(name, unit), components()["HXT"].with_terms(terms)
+    learned, rest = (own, samples(name, seen)) if isinstance(seen, int) else (own.filter(seen), own.filter(~seen))
+    model, _ = calibrate_component(component.model, learned)
+    told = model.predict({}, {s.name: rest[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
+    return float(np.sqrt(np.mean((told - rest["hot_out_k"].to_numpy()) ** 2)))
+
+
+def held_out() -> Iterator[str]:
+    """Halves, every other half minute, and the other pack."""
+    yield "| type | pack | model | second half by the first | first by the second | half minutes in turn | other pack |"
+    yield "| --- | --- | --- | ---: | ---: | ---: | ---: |"
+    for name in FILES:
+        for unit in (0, 1):
+            half = pl.col("second") < samples(name, unit).height // 2
+            ways: list[pl.Expr | int] = [half, ~half, pl.col("second") // 30 % 2 == 0]
+            for title, terms in (("no term", ()), ("water_spray", ("water_spray",))):
+                told = [f"{foretold(name, unit, terms, way):.2f}" for way in ways]
+                other = f"{foretold(name, unit, terms, 1 - unit):.2f}" if name == "A330" else "half the flow"
+                yield f"| {name} | {unit + 1} | {title} | {' | '.join([*told, other])} |"
+
+
+def scatter() -> Iterator[str]:
+    """Effectiveness over the time compared: all of its scatter, that within minutes, and from second to second."""
+    yield "| type | pack | scatter, real | simulated | within a minute, real | simulated | noise, real | simulated |"
+    yield "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+    for name in FILES:
+        real, ours = _effectiveness(recorded(name)), _effectiveness(simulated(name))
+        for unit, (a, b) in enumerate(zip(real, ours, strict=True), 1):
+            cells = [f"{f(x):.4f}" for f in (_scatter, _about_slow, _second_noise) for x in (a, b)]
+            yield f"| {name} | {unit} | {' | '.join(cells)} |"
+
+
+def _effectiveness(told: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
+    hot, out, tat = told["hot_in_degc"], told["hot_out_degc"], told["tat_degc"]
+    n = min(len(v) for v in (*hot, *out, *tat))
+    return [(hot[u][:n] - out[u][:n]) / (hot[u][:n] - tat[min(u, len(tat) - 1)][:n]) for u in (0, 1)]
+
+
+def _scatter(values: np.ndarray) -> float:
+    return float(values.std())
+
+
+def _about_slow(values: np.ndarray) -> float:
+    """Scatter about a straight line through each minute: a climb moves the level."""
+    parts = [values[i : i + 60] for i in range(0, len(values) - 59, 60)]
+    return float(np.mean([np.std(p - np.polyval(np.polyfit(np.arange(60), p, 1), np.arange(60))) for p in parts]))
+
+
+def _second_noise(values: np.ndarray) -> float:
+    return noise([values])
+
+
+def lags() -> Iterator[str]:
+    """Time constant by which the outlet of a climb follows what its inlets ask for, by the sprayed model."""
+    yield "| pack | time constant of the best fit [s] | rms at 0 s [K] | rms there [K] |"
+    yield "| --- | ---: | ---: | ---: |"
+    model = components()["HXT"].with_terms(("water_spray",)).model
+    for unit in (0, 1):
+        own = samples("A330", unit)
+        found = {}
+        for lag_s in range(41):
+            keep = np.exp(-1.0 / lag_s) if lag_s else 0.0
+            slow = own.with_columns(
+                pl.col(c).ewm_mean(alpha=1.0 - keep, adjust=False) for c in ("hot_in_k", "tat_k", "ram_flux_kg_s_m2")
+            )
+            fitted, _ = calibrate_component(model, slow)
+            told = fitted.predict({}, {s.name: slow[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
+            found[lag_s] = float(np.sqrt(np.mean((told - own["hot_out_k"].to_numpy()) ** 2)))
+        best = min(found, key=found.__getitem__)
+        yield f"| {unit + 1} | {best} | {found[0]:.2f} | {found[best]:.2f} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.recordings")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/recordings.md")
+    wanted = parser.parse_args().write
+    if not REFERENCE.is_dir():
+        raise SystemExit(f"no recordings in {REFERENCE}: set HDT_REFERENCE")
+    for mark, table in (("signals", signals()), ("scatter", scatter()), ("held out", held_out()), ("lags", lags())):
+        text = "\n".join(table)
+        print(f"{text}\n")
+        if wanted:
+            write(mark, text, PAGE)
+
+
+if __name__ == "__main__":
+    main()
