@@ -147,12 +147,19 @@ class _Description:
         stations = {c: tuple(self._stations(c, t, units[c])) for c, t in parts.items() if t}
         if not stations:
             raise self._wrong("", "component", "neither [pack] nor a [component.CODE]: nothing is described")
-        beside = self.file.parent / self._text("map")
         return AircraftType(
             name, str(self.said.get("title", "")), self.file,
-            beside if beside.is_file() else map_folder / self._text("map"),
+            self._map(map_folder),
             self._clock(), stations, units, {PACK: 1} | every_s, dict(self._absent(stations)),
         )  # fmt: skip
+
+    def _map(self, map_folder: Path) -> Path:
+        """Where the map lies, or should; never outside the folders that may hold it."""
+        named = self._text("map")
+        found = next((f for f in (self.file.parent / named, map_folder / named) if f.is_file()), map_folder / named)
+        if not any(found.resolve().is_relative_to(folder.resolve()) for folder in (self.file.parent, map_folder)):
+            raise self._wrong("", "map", f"{named} leads out of the folder")
+        return found
 
     def _stations(self, table: str, entries: dict[str, Any], units: int) -> Iterator[Station]:
         if table != PACK and table.lower() not in recorded_components():

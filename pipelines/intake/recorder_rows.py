@@ -16,7 +16,7 @@ from pipelines.intake.aircraft_types import UNITS, AircraftType, AircraftTypeErr
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault
 from pipelines.intake.names import flight_of_file
-from pipelines.intake.recordings import open_recording
+from pipelines.intake.recordings import open_recording, unpacked_bytes
 from pipelines.intake.types_of_zone import types_of
 
 Floats = npt.NDArray[np.float64]
@@ -26,6 +26,8 @@ MAP_UNITS = {"deg c": "degc", "degree c": "degc", "deg f": "degf", "mbar": "mbar
 RATE_OFF = 0.1
 SLACK_S = 0.5
 DAY_S = 86400.0
+MOST_BYTES = 512 << 20
+"""Ten hours of 2,048 words a second have 150 million."""
 MOST_ROWS = 1_000
 """Rows of a component and unit that say all of a flight."""
 MOST_S = 172_800.0
@@ -42,12 +44,10 @@ def recorder_rows(file: LandingFile, table: str) -> tuple[pl.DataFrame, int, lis
         component as often as the type says. None where nothing is known.
     """
     types = types_of(Path(file.landing))
-    kind = types.of(file.operator, file.tail)
+    kind, why = types.of(file.operator, file.tail), types.fault_of(file.operator, file.tail)
     flight = flight_of_file(file.name, file.tail)
-    if kind is None or types.fault_of(file.operator, file.tail):
-        return pl.DataFrame(), 0, [Fault("unknown_type", detail=types.fault_of(file.operator, file.tail))]
-    if flight is None:
-        return pl.DataFrame(), 0, [Fault("unexpected_name", detail="A recording is named after its flight.")]
+    if kind is None or why or flight is None or unpacked_bytes(Path(file.full_path)) > MOST_BYTES:
+        return pl.DataFrame(), 0, [_refused(why, flight)]
     try:
         recording, layout = open_recording(Path(file.full_path), kind.map_file)
         stations = kind.stations[table]
@@ -66,6 +66,15 @@ def recorder_rows(file: LandingFile, table: str) -> tuple[pl.DataFrame, int, lis
     moment = pl.lit(start).dt.cast_time_unit("us") + pl.duration(microseconds=(pl.col("t_s") * 1e6).round())
     named = rows.with_row_index("row", 1).with_columns(pl.lit(flight).alias("flight_id"), moment.alias("report_time"))
     return named.with_columns(pl.col("row").cast(pl.Int64)).drop("t_s"), rows.height, [*faults, *strange]
+
+
+def _refused(why: str, flight: str | None) -> Fault:
+    """What keeps a recording out before it is opened."""
+    if why:
+        return Fault("unknown_type", detail=f"{why}.")
+    if flight is None:
+        return Fault("unexpected_name", detail="A recording is named after its flight.")
+    return Fault("too_large", detail=f"A recording has {MOST_BYTES >> 20} MiB at most.")
 
 
 def check_type(kind: AircraftType, parameters: Mapping[str, Parameter], table: str) -> None:

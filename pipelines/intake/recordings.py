@@ -79,6 +79,17 @@ def read_map(path: Path) -> ParameterMap:
         raise MapError(f"{path.name}: {error}") from None
 
 
+def unpacked_bytes(path: Path) -> int:
+    """Size of a recording, of an archive that of its largest member as it claims; 0 where it can't be told."""
+    try:
+        if not zipfile.is_zipfile(path):
+            return path.stat().st_size
+        with zipfile.ZipFile(path) as archive:
+            return max((i.file_size for i in archive.infolist()), default=0)
+    except (OSError, zipfile.BadZipFile):
+        return 0
+
+
 def read_recording(path: Path, member: str = "") -> npt.NDArray[np.uint8]:
     """The bytes of a recording; of an archive, those of `member` if it has it, else of its largest."""
     if not zipfile.is_zipfile(path):

@@ -45,7 +45,8 @@ def read_by(landing: Path, operator: str, tail: str) -> tuple[Path, ...]:
 
 def types_of(landing: Path) -> Types:
     """Types of a landing zone; of a name that it describes itself, its own."""
-    files = (*shipped(), *sorted((landing / FOLDER).glob("*.toml")))
+    own = (f for f in sorted((landing / FOLDER).glob("*.toml")) if f.resolve().is_relative_to(landing.resolve()))
+    files = (*shipped(), *own)
     fleet = landing / "fleet.csv"
     moments = tuple((str(f), f.stat().st_mtime_ns) for f in (*files, fleet) if f.is_file())
     return _types(str(landing), moments)

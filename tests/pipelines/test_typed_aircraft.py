@@ -20,7 +20,10 @@ from pipelines.cli.doctor import examine
 from pipelines.intake.landing import list_landing
 from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.simulated import write_fleet
+from pipelines.lineage import STAGE
 from pipelines.storage.catalog import connect
+from pipelines.storage.ledger import Ledger
+from pipelines.versions import stale
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
@@ -120,6 +123,13 @@ def test_what_can_not_be_estimated_is_said(world):
 def test_every_status_is_explained(world):
     unknown = ask(world["home"], "select distinct status from health_parameters anti join statuses using (status)")
     assert unknown == []
+
+
+def test_an_accepted_spray_makes_the_calibration_of_components_stale(world):
+    ledger = Ledger(world["home"])
+    assert stale(ledger, STAGE["calibration_components"]).is_empty()
+    (world["home"] / "terms.txt").write_text("water_spray\n")
+    assert stale(ledger, STAGE["calibration_components"])["operator"].to_list() == ["SAA", "SAB"]
 
 
 @pytest.fixture(scope="module")

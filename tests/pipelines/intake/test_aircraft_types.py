@@ -1,10 +1,12 @@
 """Type descriptions: those that come with the project, and what is said of one with an error."""
 
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from pipelines.aircraft_types import shipped
+from pipelines.intake import recorder_rows
 from pipelines.intake.aircraft_types import PACK, AircraftTypeError, read_type
 from pipelines.intake.coverage import coverage_of
 from pipelines.intake.landing import list_landing
@@ -17,6 +19,7 @@ ERRORS = {
     ('unit = "mbar"', 'unit = "bar"'): "x.toml line 16: [pack] pt_psia: unit 'bar'; there are psia, mbar",
     ('unit = "mbar"', "lowest = true"): "x.toml line 16: [pack] pt_psia: lowest is a number, not True",
     ("[component.CAC]", "[component.CAX]"): "no component CAX has a record of its own; there are HXT, CAC",
+    ('map = "b787.vec"', 'map = "../b787.vec"'): "x.toml line 4: map: ../b787.vec leads out of the folder",
     ('mach = "MACH"', "mach = 3"): "x.toml line 14: [pack] mach: a parameter's name, or a list of them, one a unit",
     ("packs = 2", 'packs = "two"'): "x.toml line 5: packs: a number from 1 to 4, not 'two'",
     ('type = "B787-767"', ""): "x.toml: type: missing; it is a text",
@@ -67,3 +70,33 @@ def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
     refused = list_landing(tmp_path).quarantine
     reasons = dict(refused.select("file", "reason").rows())
     assert reasons == {"types/bad.toml": "bad_type", "AAA/T2/recorder/T2_20240101_01.dat": "unknown_type"}
+
+
+def test_links_out_of_the_zone_are_not_followed(tmp_path):
+    outside, zone = tmp_path / "outside", tmp_path / "zone"
+    outside.mkdir()
+    (zone / "types").mkdir(parents=True)
+    (outside / "t.toml").write_text('type = "OUT"\nmap = "m.toml"\n[pack]\nmach = "M"\n')
+    (zone / "types/linked.toml").symlink_to(outside / "t.toml")
+    (zone / "types/own.toml").write_text('type = "OWN"\nmap = "m.toml"\n[pack]\nmach = "M"\n')
+    (outside / "m.toml").write_text("x")
+    (zone / "types/m.toml").symlink_to(outside / "m.toml")
+    types = types_of(zone)
+    assert "OUT" not in types.known
+    assert types.faults["own.toml"] == "own.toml line 2: map: m.toml leads out of the folder"
+
+
+def test_an_archive_that_claims_too_much_is_not_unpacked(tmp_path, monkeypatch):
+    (tmp_path / "types").mkdir()
+    (tmp_path / "types/t.toml").write_text('type = "T"\nmap = "maps/m.toml"\n[pack]\nmach = "M"\n')
+    (tmp_path / "types/maps").mkdir()
+    (tmp_path / "types/maps/m.toml").write_text("")
+    (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,T-1,2,T\n")
+    path = tmp_path / "AAA/T-1/recorder/T-1_20240101_01.zip"
+    path.parent.mkdir(parents=True)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("flight.dat", bytes(3 << 20))
+    monkeypatch.setattr(recorder_rows, "MOST_BYTES", 1 << 20)
+    (file,) = (f for f in list_landing(tmp_path).files if f.is_recording)
+    _, n_rows, (fault,) = recorder_rows.recorder_rows(file, PACK)
+    assert (n_rows, fault.reason) == (0, "too_large")
