@@ -31,9 +31,9 @@ with explained as (
         (
             'one_or_more',
             'a tenth of the samples or more show a share above one: no fault, and no alert comes of it',
-            'water sprayed at the ram inlet (hdt terms --accept water_spray); a sensor that sits elsewhere than its name '
-            || 'says; another meaning of the parameter; a ground fan, or air of another source than TAT tells, in the ram '
-            || 'duct; a sensor that is off'
+            'water sprayed at the ram inlet (hdt terms --accept water_spray); a sensor that sits elsewhere than its '
+            || 'name says; another meaning of the parameter; a ground fan, or air of another source than TAT tells, '
+            || 'in the ram duct; a sensor that is off'
         )
     ) as v (status, meaning, causes)
 )
