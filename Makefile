@@ -18,9 +18,9 @@ test: $(READY)
 real: $(READY)
 	$(BIN)/python -m benchmarks.real --write
 
-# a thousand kills at random moments of a night; HDT_SOAK_KILLS=n for more
+# a thousand kills at random moments of a night, and damages; HDT_SOAK_KILLS=n, HDT_SOAK_DAMAGES=n for more
 soak: $(READY)
-	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} $(BIN)/python -m pytest tests/faults -s
+	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} HDT_SOAK_DAMAGES=$${HDT_SOAK_DAMAGES:-1000} $(BIN)/python -m pytest tests/faults -s
 
 # needs the index's advisories, so it is no part of `check`; writes sbom.json (CycloneDX) too
 audit: $(READY)

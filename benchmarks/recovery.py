@@ -94,7 +94,7 @@ def _fill_store(home: Path, days: list[date]) -> None:
             folder = home / "tables" / table / operator / tail
             folder.mkdir(parents=True)
             for shard in {"month": months, "all": ["all"], "flight": [f"{d:%Y%m%d}" for d in days[::7]]}[entry.shard]:
-                (folder / f"{shard}.parquet").touch()
+                (folder / f"{shard}.{0:020x}.parquet").touch()
 
 
 def _fill_history(home: Path, ids: list[str]) -> None:

@@ -1,6 +1,6 @@
 """Partitions along several dimensions of which a run takes a range of ten thousand cells."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, wraps
 from itertools import product
@@ -13,20 +13,30 @@ from dagster._core.definitions.partitions.utils.multi import PartitionDimensionK
 from dagster._core.execution.context.data_version_cache import DataVersionCache
 from dagster._core.instance import DynamicPartitionsStore
 
-_cached: list[dict[dg.PartitionKeyRange, Sequence[dg.MultiPartitionKey]]] = []
+_cached: list[dict[dg.PartitionKeyRange, Sequence[Any]]] = []
 
 
 @contextmanager
-def cached_ranges() -> Iterator[None]:
+def cached_ranges(scattered: Mapping[tuple[str, str], Sequence[str]] | None = None) -> Iterator[None]:
     """While a run is planned and made its range stays as it is, whatever partitions are added elsewhere.
 
-    Dagster asks for the cells of a run's range some fifteen times an asset: within the block they are made once.
+    Dagster asks for the cells of a run's range some fifteen times an asset: within the block they are made once. What a
+    range (first, last) is `scattered` to is all of it, and no other cell between: a run may take what lies far apart.
     """
-    _cached.append({})
+    _cached.append({dg.PartitionKeyRange(*ends): cells for ends, cells in (scattered or {}).items()})
     try:
         yield
     finally:
         _cached.pop()
+
+
+class RangeKeys(dg.DynamicPartitionsDefinition):
+    """Partitions along one dimension, of which a run may take some that are not neighbours."""
+
+    def get_partition_keys_in_range(self, partition_key_range: dg.PartitionKeyRange) -> Sequence[str]:
+        """All keys between two, or those that the run was given."""
+        found = _cached[-1].get(partition_key_range) if _cached else None
+        return found or super().get_partition_keys_in_range(partition_key_range)
 
 
 class RangePartitions(dg.MultiPartitionsDefinition):
@@ -37,7 +47,7 @@ class RangePartitions(dg.MultiPartitionsDefinition):
         partition_key_range: dg.PartitionKeyRange,
         dynamic_partitions_store: DynamicPartitionsStore | None = None,
     ) -> Sequence[dg.MultiPartitionKey]:
-        """All cells between two, in every dimension."""
+        """All cells between two, in every dimension, or those that the run was given."""
         known = _cached[-1] if _cached else {}
         if partition_key_range not in known:
             known[partition_key_range] = self._between(partition_key_range, dynamic_partitions_store)

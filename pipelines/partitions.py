@@ -6,13 +6,13 @@ from functools import lru_cache
 import dagster as dg
 import polars as pl
 
-from dagster_batched.partitions import RangePartitions, multi_key
+from dagster_batched.partitions import RangeKeys, RangePartitions, multi_key
 from hdt_core.tables import TABLES
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import FLEET, Store
 from pipelines.versions import CELL, expected
 
-AIRCRAFT = dg.DynamicPartitionsDefinition(name="aircraft")
+AIRCRAFT = RangeKeys(name="aircraft")
 FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
 AIRCRAFT_FLIGHTS = RangePartitions({"aircraft": AIRCRAFT, "flight": FLIGHTS})
 

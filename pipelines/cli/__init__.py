@@ -50,9 +50,15 @@ def _of_a_night(error: Exception) -> str:
 def _of_the_disk(error: Exception) -> str:
     """What SQLite says of a full or read-only disk, Dagster's storage included; any other error goes on its way."""
     cause = getattr(error, "orig", error)
+    if isinstance(cause, sqlite3.DatabaseError) and any(word in str(cause) for word in _DAMAGED):
+        what = "the ledger is damaged (%s); `hdt nightly`" if cause is error else "Dagster's history (%s); `hdt tidy`"
+        return f"{what % cause} mends it, `hdt doctor` says more"
     if isinstance(cause, sqlite3.OperationalError):
         return f"{cause}; make room in the home or leave to write there, the next run goes on from here"
     return _of_the_database(error)
+
+
+_DAMAGED = ("malformed", "not a database", "no such table", "no such column")
 
 
 def _of_the_database(error: BaseException) -> str:

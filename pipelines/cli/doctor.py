@@ -4,7 +4,6 @@ import importlib.metadata
 import os
 import platform
 import shutil
-import sqlite3
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,9 +12,13 @@ from pathlib import Path
 from pipelines.intake.coverage import coverage_of, faults_of, in_use
 from pipelines.intake.landing import list_landing
 from pipelines.intake.types_of_zone import types_of
-from pipelines.storage import sqlite_reader
+from pipelines.storage import history
 from pipelines.storage.catalog import CATALOG, connect, views
+from pipelines.storage.ledger import FILE, Ledger
+from pipelines.storage.ledger_copy import fault_of as ledger_fault
 from pipelines.storage.objects import StoreError
+from pipelines.storage.seal import NAME, changed, named, read
+from pipelines.storage.store import Store
 from pipelines.zone import fault_of
 
 _NEEDED_GB = 1.0
@@ -87,14 +90,31 @@ def _home(home: Path) -> Iterator[Check]:
     )
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
-    if (home / "ledger.sqlite").exists():
-        said = _ledger(home / "ledger.sqlite")
-        yield Check("ledger", said == "ok", said)
+    yield from _stored(home)
     if (home / CATALOG).exists():
         catalog = _catalog(home)
         yield catalog
         if catalog.well:
             yield _feed(home)
+
+
+def _stored(home: Path) -> Iterator[Check]:
+    """Whether what was written is still what was written: all of it is read."""
+    ledger = Ledger(home, looks=True)
+    if (home / FILE).exists() or (home / NAME).exists():
+        fault = ledger_fault(ledger)
+        yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} mends it" if fault else "ok")
+    if (home / "dagster").is_dir():
+        fault = history.fault_of(home)
+        yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
+    store, held = Store(home.resolve()), read(home)
+    if not store.remote and (held or (home / CATALOG).exists()):
+        lost = changed(store, held, held.files, whole=True) if held else [NAME]
+        said = f"{named(lost)} missing or not what was written; {_NIGHT} makes it again" if lost else ""
+        yield Check("tables", not lost, said or f"all {len(held.files) if held else 0} files are what was written")
+
+
+_NIGHT = "`hdt nightly`"
 
 
 def _catalog(home: Path) -> Check:
@@ -121,10 +141,3 @@ def _feed(home: Path) -> Check:
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
     said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
     return Check("units and wiring", not odd, said)
-
-
-def _ledger(path: Path) -> str:
-    try:
-        return str(sqlite_reader.read(path, lambda con: con.execute("pragma integrity_check").fetchone()[0]))
-    except sqlite3.DatabaseError as error:
-        return str(error)

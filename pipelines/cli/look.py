@@ -50,13 +50,19 @@ def report(
 
 
 @app.command()
-def query(sql: Annotated[str, typer.Argument(help="A select over the catalog's views.")], home: HomeDir = None) -> None:
-    """Ask the catalog, read only."""
+def query(
+    sql: Annotated[str, typer.Argument(help="A select over the catalog's views.")],
+    home: HomeDir = None,
+    as_of: Annotated[str | None, typer.Option(help="A date or time in UTC: what the last night by then said.")] = None,
+) -> None:
+    """Ask the catalog, read only; that of the last night, or of an earlier one."""
     import duckdb
 
+    from pipelines.storage.as_of import connect_as_of
     from pipelines.storage.catalog import ask, connect
 
-    with ends_at_once(lambda: say_error("stopped")), connect(home_folder(home)) as con:
+    where = home_folder(home)
+    with ends_at_once(lambda: say_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
         try:
             answer = ask(con, sql)
             if answer is not None:

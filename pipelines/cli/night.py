@@ -116,7 +116,7 @@ def tidy(
     home: HomeDir = None,
     keep_days: Annotated[int, typer.Option("--keep-days", min=0, help="Runs younger than so many days stay.")] = 90,
 ) -> None:
-    """Forget Dagster's history of runs that ended long ago.
+    """Forget Dagster's history of runs that ended long ago, or all of it where it is damaged.
 
     Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
     materialized on Dagster's page.
@@ -124,8 +124,12 @@ def tidy(
     from dagster_batched.history import forget
     from pipelines.orchestration.nightly import holding
     from pipelines.orchestration.runs import open_instance
+    from pipelines.storage.history import set_aside
 
     where = home_folder(home)
+    with holding(where):
+        if anew := set_aside(where):
+            out.print(anew, soft_wrap=True)
     with holding(where), open_instance(where) as instance:
         runs = forget(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
     out.print(f"{runs} runs forgotten")
@@ -177,11 +181,14 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
             night = run_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
-        fault = fault_of(home) if night.idle else None
+        fault = fault_of(home) if night.idle and not night.mended else None
+        fault = "tables were damaged" if night.idle and night.mended else fault
         if fault or not night.idle:
             publish(home)
         sealed, unsealed = _sealed(home)
     seconds = time.monotonic() - began
+    for line in night.mended:
+        err.print(f"mended: {line}", markup=False, soft_wrap=True)
     if as_json:
         told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed}
         out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__}))

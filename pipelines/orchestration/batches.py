@@ -15,16 +15,20 @@ CELLS_A_RUN = 1_000  # flights a run that reads files takes at most: memory grow
 
 @dataclass(frozen=True, slots=True)
 class PartitionBatch:
-    """One run's worth of cells: aircraft in partition order and, below them, flights from `first` to `last`."""
+    """One run's worth of cells: aircraft in partition order and, below them, flights from `first` to `last`.
+
+    Where it has `parts` it is these and nothing between them.
+    """
 
     cells: int = 1
     aircraft: tuple[str, ...] = ()
     first: str = ""
     last: str = ""
+    parts: tuple["PartitionBatch", ...] = ()
 
     def apart(self) -> list["PartitionBatch"]:
-        """The same, one aircraft at a time."""
-        return [PartitionBatch(1, (a,), self.first, self.last) for a in self.aircraft]
+        """The same in smaller runs: its parts, or one aircraft at a time."""
+        return [*self.parts] or [PartitionBatch(1, (a,), self.first, self.last) for a in self.aircraft]
 
     def joined(self, other: "PartitionBatch", place: dict[str, int]) -> "PartitionBatch":
         """Both in one range of flights."""
@@ -36,13 +40,15 @@ class PartitionBatch:
         """Dagster's range tags and, for whoever looks for an aircraft's runs, its name."""
         if not self.aircraft:
             return {}
-        start, end = self.aircraft[0], self.aircraft[-1]
-        named = {"hdt/aircraft": start} if start == end else {}
+        named = {"hdt/aircraft": self.aircraft[0]} if len(self.aircraft) == 1 else {}
         operators = {a.split(":")[0] for a in self.aircraft}
         named |= {"hdt/operator": operators.pop()} if len(operators) == 1 else {}
-        if self.first:
-            start, end = f"{start}|{self.first}", f"{end}|{self.last}"
-        return range_tags(start, end) | named
+        return range_tags(*self.ends()) | named
+
+    def ends(self) -> tuple[str, str]:
+        """Partition keys of the first and the last cell."""
+        start, end = self.aircraft[0], self.aircraft[-1]
+        return (f"{start}|{self.first}", f"{end}|{self.last}") if self.first else (start, end)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +70,8 @@ class PartitionIndex:
 
     def cells(self, block: PartitionBatch) -> list[str]:
         """Partition keys of the block that a flight, or an aircraft, can fill."""
+        if block.parts:
+            return [cell for part in block.parts for cell in self.cells(part)]
         if not block.first:
             return list(block.aircraft)
         span = set(self.flights[self.flights.index(block.first) : self.flights.index(block.last) + 1])
@@ -78,12 +86,42 @@ class PartitionIndex:
         parts = (own[: len(own) // 2], own[len(own) // 2 :]) if len(own) > 1 else ()
         return [PartitionBatch(len(part), block.aircraft, part[0], part[-1]) for part in parts]
 
-    def blocks(self, grain: str, wanted: pl.DataFrame, folded: int = 1) -> Iterator[PartitionBatch]:
-        """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`."""
+    def blocks(
+        self, grain: str, wanted: pl.DataFrame, folded: int = 1, *, scattered: bool = False
+    ) -> Iterator[PartitionBatch]:
+        """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`.
+
+        Where a run may take `scattered` cells, few runs make what is new of many aircraft on many days.
+        """
         if grain == "fleet":
             return iter([PartitionBatch()])
-        of = self._of_aircraft if grain == "aircraft" else self._of_flights
-        return of(by_aircraft(wanted), folded * CELLS_A_RUN)
+        of, most = self._of_aircraft if grain == "aircraft" else self._of_flights, folded * CELLS_A_RUN
+        found = of(by_aircraft(wanted), most)
+        return self._gathered(found, most) if scattered else found
+
+    def _gathered(self, blocks: Iterator[PartitionBatch], most: int) -> Iterator[PartitionBatch]:
+        """Blocks together in one as long as they hold no more flights than one may."""
+        waiting, held = list[PartitionBatch](), 0
+        for block in blocks:
+            size = block.cells if block.first else sum(len(self.flown.get(a, ())) for a in block.aircraft)
+            if waiting and held + size > most:
+                yield self._as_one(waiting)
+                waiting, held = [], 0
+            waiting.append(block)
+            held += size
+        if waiting:
+            yield self._as_one(waiting)
+
+    def _as_one(self, parts: list[PartitionBatch]) -> PartitionBatch:
+        if len(parts) == 1:
+            return parts[0]
+        named = {a for part in parts for a in part.aircraft}
+        aircraft = tuple(a for a in self.aircraft if a in named)
+        # a flight's key begins with its day, but a late one was added behind the others
+        place = {key: i for i, key in enumerate(self.flights)} if parts[0].first else {"": 0}
+        first = min((part.first for part in parts), key=place.__getitem__)
+        last = max((part.last for part in parts), key=place.__getitem__)
+        return PartitionBatch(sum(part.cells for part in parts), aircraft, first, last, tuple(parts))
 
     def _of_aircraft(self, asked: dict[str, set[str]], most: int) -> Iterator[PartitionBatch]:
         """Neighbours that are all wanted, as many as share a run without holding too many flights at once."""

@@ -18,8 +18,9 @@ import polars as pl
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
+from pipelines.orchestration.mend import mend
 from pipelines.orchestration.order import Step, steps
-from pipelines.storage import earlier, postgres
+from pipelines.storage import earlier, history, ledger_copy, postgres
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
@@ -60,6 +61,7 @@ class Night:
     runs: int
     cells: int
     failed: dict[str, str]
+    mended: tuple[str, ...] = ()
 
     @property
     def idle(self) -> bool:
@@ -125,14 +127,17 @@ def run_night(
         if sends_out(home):
             chain.send_out()  # first: what a killed night sent out may still be writing
         store.sweep()
+        chain.mended += mend(landing, store, ledger)
         found = scan(landing, ledger)
         made_as = digest(repr(STAGES), *accepted_terms(Path(home)))
         for step in () if ledger.is_settled(made_as) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(made_as)
-    night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed)
+    night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended))
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
+    if night.idle:  # else once the catalog is published
+        ledger_copy.keep_copy(ledger)
     return night
 
 
@@ -155,6 +160,7 @@ class _Chain:
     cells: int = 0
     flights: int = 0
     failed: dict[str, str] = field(default_factory=dict)
+    mended: list[str] = field(default_factory=list)
 
     def send_out(self) -> None:
         """Let other machines make the blocks, once what a killed night had sent them is done."""
@@ -177,7 +183,8 @@ class _Chain:
         if step.grain == "flight":
             self.flights = max(self.flights, wanted.height)
         self.progress.start(step.label, wanted.height)
-        blocks = self.runner.known().blocks(step.grain, wanted, step.folded if self.hands.folded else 1)
+        here = self.hands.folded
+        blocks = self.runner.known().blocks(step.grain, wanted, step.folded if here else 1, scattered=here)
         for made in self._make(tables, list(blocks), step):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
             self.failed |= made.failed
@@ -201,6 +208,8 @@ class _Chain:
         from pipelines.assets.location import asset_definitions
         from pipelines.orchestration.runs import Runner, open_instance
 
+        if self.instance is None and (anew := history.set_aside(self.home, whole=False)):
+            self.mended.append(anew)
         defs = asset_definitions(self.landing.resolve(), self.home.resolve())
         runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
         if not sends_out(self.home):

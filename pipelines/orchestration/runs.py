@@ -90,7 +90,7 @@ class Runner:
         why = self._run(tables, block)
         if why is None:
             return BatchResult(block, 1, {})
-        if len(block.aircraft) < 2:
+        if len(block.aircraft) < 2 and not block.parts:
             runs, told = self._pinned_down(tables, block, why)
             return BatchResult(block, 1 + runs, {f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}": told})
         alone = [self.make(tables, one, label) for one in block.apart()]
@@ -136,7 +136,7 @@ class Runner:
     def _run(self, tables: list[str], block: PartitionBatch) -> str | None:
         """Make `tables` for `block`; None, or why it failed."""
         job = self.job(tables)
-        with cached_ranges():
+        with cached_ranges({block.ends(): self.known().cells(block)} if block.parts else None):
             run = self.create(job, block)
             result = execute(job, run, self.instance)
         if result.success:

@@ -16,11 +16,15 @@ from pathlib import Path
 import duckdb
 
 from hdt_core.tables import TABLES
+from pipelines.storage import seal
 from pipelines.storage.files import replacing
 from pipelines.storage.hashes import digest
 from pipelines.storage.headers import Header, declared_columns, meanings, read_header
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger_copy import keep_copy
 from pipelines.storage.objects import StoreError
 from pipelines.storage.store import URL, Store
+from pipelines.storage.upkeep import keep_house
 
 CATALOG = "catalog.duckdb"
 # DuckDB tells no expression where a database lies, but keeps its own temporary files beside the file it was opened
@@ -38,23 +42,35 @@ _ELSEWHERE = "coalesce(getvariable('tables_folder'), {made})"
 def publish(home: Path) -> Path:
     """Build `<home>/catalog.duckdb` anew. A reader of the old one keeps it; nobody ever meets a lock."""
     store, path = Store(home.resolve()), home.resolve() / CATALOG
-    for table in TABLES:
-        store.declare(table)
     with replacing(path) as temporary:
         con = duckdb.connect(str(temporary))
         try:
             store.open_to(con)
             con.begin()  # a commit for every comment would take longer than all the rest
-            con.execute("create schema tables")
-            con.execute(f"create macro tables.folder() as {_folder(store)}")
-            con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
-            for table, files in store.snapshot().items():
-                _base_view(con, table, files)
-            add_views(con)
+            held = store.snapshot()
+            fill(con, store, held)
             con.commit()
         finally:
             con.close()
+    ledger = Ledger(store.home)
+    ledger.note_snapshot({table: version for table, (version, _) in held.items()})
+    keep_house(store, ledger)
+    keep_copy(ledger)
+    seal.seal(store, {table: files for table, (_, files) in held.items()})
     return path
+
+
+def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int, list[str]]]) -> None:
+    """Every view, over the files that each table was made of, and a list of those files."""
+    con.execute("create schema tables")
+    con.execute(f"create macro tables.folder() as {_folder(store)}")
+    con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
+    con.execute("create table tables.files (path varchar)")
+    paths = [path for _, files in held.values() for path in files]
+    con.execute("insert into tables.files select unnest($paths)", {"paths": paths})
+    for table, (_, files) in held.items():
+        _base_view(con, table, files)
+    add_views(con)
 
 
 def fault_of(home: Path) -> str | None:
@@ -64,6 +80,7 @@ def fault_of(home: Path) -> str | None:
     try:
         with _opened(home) as con:
             ((made_as,),) = con.execute("select tables.made_as()").fetchall()
+            con.execute("select max(path) from tables.files").fetchall()
             there = {v for (v,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
     except duckdb.Error as error:
         return f"it could not be read ({_first_line(error)})"
@@ -150,21 +167,31 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     try:
         con = _opened(home)
         ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
+        files = [path for (path,) in con.execute("select path from tables.files").fetchall()]
     except duckdb.Error as error:
         raise StoreError(
             f"the catalog in {home} can't be read ({_first_line(error)}); `hdt nightly` makes it anew"
         ) from None
     # connections of one process share one database, and who came first has locked it; each has variables of its own
-    folder = _held(con) if locked else _lock(con, Store(home.resolve()), made)
+    folder = _held(con) if locked else lock(con, Store(home.resolve()), made)
     con.execute(f"set variable tables_folder = {_quoted(folder)}")
+    _verify(con, home, files)
     return con
+
+
+def _verify(con: duckdb.DuckDBPyConnection, home: Path, files: list[str]) -> None:
+    """Raise where a file that the views read is not what was written."""
+    store = Store(home.resolve())
+    if not store.remote and (lost := seal.changed(store, seal.read(store.home), files)):
+        con.close()
+        raise StoreError(f"{seal.named(lost)} missing or not what was written; `hdt nightly` makes it again")
 
 
 def _opened(home: Path) -> duckdb.DuckDBPyConnection:
     return duckdb.connect(str(home / CATALOG), read_only=True)
 
 
-def _lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
+def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
     """Leave open the store's place and nothing else; that place."""
     if store.remote != made.startswith("s3://") or (store.remote and made != f"{store.root}/"):
         con.close()
@@ -179,7 +206,7 @@ def _lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
 
 
 def _held(con: duckdb.DuckDBPyConnection) -> str:
-    """The place that `_lock` left open; DuckDB adds that of its temporary files."""
+    """The place that `lock` left open; DuckDB adds that of its temporary files."""
     open_to = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
     return next(str(place) for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
 

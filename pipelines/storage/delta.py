@@ -7,7 +7,6 @@ A change is one commit: all of it or nothing. A commit that another has overtake
 Any version is readable until its files are vacuumed.
 """
 
-import hashlib
 import io
 import json
 import re
@@ -23,6 +22,7 @@ from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundErr
 from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
 from pipelines.storage.fault_points import fault_point
+from pipelines.storage.hashes import hash_of
 from pipelines.storage.objects import StoreError
 
 Held = Callable[[str], pl.DataFrame | None]
@@ -31,9 +31,10 @@ Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame]]]
 """Of what a table holds, the shards to write."""
 _NAMED = re.compile(r"(?P<shard>.+)\.(?P<hash>[0-9a-f]{20})\.parquet")
 _SKIPPED_BY = ("operator", "tail", "flight_id")  # whose span in each file lets a reader leave files out
-_ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here; upkeep has its own time
+QUIET = PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False)  # upkeep has its own time
+_ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
     "commit_properties": CommitProperties(max_commit_retries=0),
-    "post_commithook_properties": PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False),
+    "post_commithook_properties": QUIET,
 }
 
 
@@ -61,6 +62,9 @@ class Place(Protocol):
     def put(self, path: str, content: bytes) -> None:
         """Write a file that stays when this returns."""
 
+    def doubt(self, path: str) -> None:
+        """Let who looks at the file next read it whole."""
+
     def prepare(self, table: str) -> None:
         """Make room for a table's log."""
 
@@ -86,13 +90,13 @@ class Deltas:
     def shards(self, table: str, version: int | None = None) -> dict[str, str]:
         """The file of each shard, below the table's folder."""
         held = self.open(table, version)
-        return {} if held is None else _shards(held)
+        return {} if held is None else shards_of(held)
 
     def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
         """Places of the files of all or some shards; of a folder's name, all below it."""
         held = self.shards(table).items()
         wanted = None if shards is None else tuple(f"{s}/" for s in shards)
-        return sorted(self._sounded(f"{table}/{f}") for s, f in held if wanted is None or f"{s}/".startswith(wanted))
+        return sorted(self.sound(f"{table}/{f}") for s, f in held if wanted is None or f"{s}/".startswith(wanted))
 
     def scan(self, table: str, shards: Iterable[str] | None = None) -> pl.LazyFrame | None:
         """The table, or some folders of it, as one lazy frame; None where nothing is stored.
@@ -108,31 +112,38 @@ class Deltas:
         how = self.place.options() or None
         return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
 
-    def change(self, table: str, change: Change) -> None:
-        """Write shards of a table in one commit, all or none."""
-        done = False
-        while not done:
+    def change(self, table: str, change: Change) -> DeltaTable | None:
+        """Write shards of a table in one commit, all or none; the table then, or None where there still is none."""
+        while True:
             now = self.open(table)
-            files = {} if now is None else _shards(now)
+            files = {} if now is None else shards_of(now)
 
             def held(shard: str, files: dict[str, str] = files) -> pl.DataFrame | None:
                 return pl.read_parquet(io.BytesIO(self.read(f"{table}/{files[shard]}"))) if shard in files else None
 
             made = dict(change(held))
             if not made:
-                return
+                return now
             schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
             if now is None:
                 self._create(table, schema)
                 continue
             new = {s: a for s, f in made.items() if (a := self._write(table, s, f, files.get(s)))}
             gone = [_removed(files[s]) for s in new if s in files]
-            done = not new or self._commit(table, now, schema, [*new.values(), *gone])
+            if not new or self._commit(table, now, schema, [*new.values(), *gone]):
+                return now
+
+    def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> DeltaTable:
+        """Write some shards of a table whole, in one commit; the table then."""
+        held = self.change(table, lambda _: shards.items())
+        if held is None:
+            raise ValueError(f"no shard of {table} to write")
+        return held
 
     def drop(self, table: str, files: Iterable[str]) -> None:
         """Let the table be without some of its files, which are not what was written."""
         now, lost = self.open(table), set(files)
-        if now is not None and (left := lost & set(_shards(now).values())):
+        if now is not None and (left := lost & set(shards_of(now).values())):
             self._commit(table, now, now.schema(), [_removed(file) for file in sorted(left)])
 
     def read(self, path: str) -> bytes:
@@ -142,10 +153,11 @@ class Deltas:
         except OSError as error:
             raise DamageError(f"{path} can't be read ({error}); `hdt nightly` makes it again") from None
         if hash_of(content) != hash_in(path):
+            self.place.doubt(path)
             raise DamageError(f"{path} is not what was written; `hdt nightly` makes it again")
         return content
 
-    def _sounded(self, path: str) -> str:
+    def sound(self, path: str) -> str:
         """The place of a data file, whose content this process has seen to be what was written."""
         if path not in self._sound and not self.place.remote:
             self.read(path)
@@ -203,18 +215,14 @@ class Deltas:
 _KEPT: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
 
 
-def hash_of(content: bytes) -> str:
-    """What a file's name says of its content."""
-    return hashlib.sha256(content).hexdigest()[:20]
-
-
 def hash_in(path: str) -> str:
     """The hash that a data file's name holds."""
     named = _NAMED.fullmatch(path)
     return named["hash"] if named else ""
 
 
-def _shards(table: DeltaTable) -> dict[str, str]:
+def shards_of(table: DeltaTable) -> dict[str, str]:
+    """The file of each shard of a table, below its folder."""
     paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
     return {named["shard"]: path for path in paths if (named := _NAMED.fullmatch(path))}
 

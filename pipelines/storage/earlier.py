@@ -2,15 +2,14 @@
 
 import io
 import json
-from collections.abc import Iterable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.storage.delta import Held, hash_in
+from pipelines.storage.delta import hash_in
 from pipelines.storage.files import LOG, Folder
 from pipelines.storage.objects import Bucket
 from pipelines.storage.store import Store
@@ -51,15 +50,11 @@ def _take_over(store: Store, table: str) -> Iterator[int]:
     for _, found in groupby(sorted(old.items()), key=lambda item: item[0].rpartition("/")[0]):
         shards = dict(found)
         frames = {s: pl.read_parquet(io.BytesIO(place.get(path))) for s, path in shards.items()}
-        store.tables.change(table, partial(_all, frames))
+        store.tables.put(table, frames)
         if isinstance(place, Folder):
             for path in shards.values():
                 (place.root / path).unlink()
         yield len(shards)
-
-
-def _all(frames: dict[str, pl.DataFrame], _: Held) -> Iterable[tuple[str, pl.DataFrame]]:
-    return frames.items()
 
 
 def _old_files(place: Folder, table: str) -> dict[str, str]:

@@ -3,7 +3,7 @@
 import os
 import shutil
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -124,6 +124,11 @@ class Folder:
         with replacing(self.root / path) as temporary:
             temporary.write_bytes(content)
 
+    def doubt(self, path: str) -> None:
+        """Let who looks at the file next read it whole: its time is no more the one that was sealed."""
+        with suppress(OSError):
+            os.utime(self.root / path, (0, 0))
+
     def prepare(self, table: str) -> None:
         """Make the folder of a table's log, so that its name survives a power cut."""
         _make_folder(self.root / table / LOG)
@@ -131,7 +136,7 @@ class Folder:
     def settle(self, table: str, version: int) -> None:
         """Wait until a commit, and the one before it, are on the disk: who wrote the log did not."""
         log = self.root / table / LOG
-        for commit in (log / f"{v:020}.json" for v in (version - 1, version) if v >= 0):
+        for commit in (file for v in (version - 1, version) if v >= 0 for file in log.glob(f"{v:020}.*")):
             _sync(commit)
         _sync(log)
 

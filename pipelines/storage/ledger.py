@@ -3,8 +3,9 @@
 Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
 `files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
 cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
-moment costs work, never truth. `nights` says when the chain last ran, and what failed; `settled`, until something is
-noted, that nothing was stale after it: an idle night need not look at every cell.
+moment costs work, never truth. `snapshots` says which version of each table a night published. `nights` says when the
+chain last ran, and what failed; `settled`, until something is noted, that nothing was stale after it: an idle night
+need not look at every cell.
 """
 
 import os
@@ -13,6 +14,7 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -39,6 +41,9 @@ create table if not exists nights (
     began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
     runs integer not null, cells integer not null, failed text not null
 );
+create table if not exists snapshots (
+    night text not null, asset text not null, version bigint not null, primary key (night, asset)
+) without rowid;
 create table if not exists settled (made_as text not null);
 """
 NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
@@ -52,6 +57,7 @@ _SET_VERSION = (
     "insert into done values (?, ?, ?, ?, ?)"
     " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
 )
+FILE, SEALED = "ledger.sqlite", "ledger.sealed"
 Answer = TypeVar("Answer")
 _UNSETTLE = "delete from settled"
 
@@ -79,9 +85,19 @@ class Ledger:
             yield con
 
     @contextmanager
+    def _write(self, *, settled: bool = False) -> Iterator[Any]:
+        """A transaction that changes something; what was `settled` may not be any more."""
+        if not self.url:
+            (self.home / SEALED).unlink(missing_ok=True)
+        with self._open() as con:
+            if not settled:
+                con.execute(_UNSETTLE)
+            yield con
+
+    @contextmanager
     def _file(self) -> Iterator[sqlite3.Connection]:
         self.home.mkdir(parents=True, exist_ok=True)
-        con = sqlite3.connect(self.home / "ledger.sqlite", timeout=60)
+        con = sqlite3.connect(self.home / FILE, timeout=60)
         try:
             con.execute("pragma journal_mode=wal")
             con.execute("pragma synchronous=full")
@@ -93,7 +109,7 @@ class Ledger:
 
     def _ask(self, ask: Callable[[Any], Answer]) -> Answer:
         """What `ask` finds through a connection."""
-        path = self.home / "ledger.sqlite"
+        path = self.home / FILE
         if self.url or not self.looks:
             with self._open() as con:
                 return ask(con)
@@ -122,8 +138,7 @@ class Ledger:
         even where a killed night had stored its rows and no more.
         """
         rows = list(files)
-        with self._open() as con:
-            con.execute(_UNSETTLE)
+        with self._write() as con:
             con.executemany(_SET_FILE, rows)
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
             con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
@@ -154,16 +169,14 @@ class Ledger:
         """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
         wanted = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version")
         rows = sorted(wanted.rows(), key=lambda row: row[:4])  # in one order, or two who mark the same cells deadlock
-        with self._open() as con:
-            con.execute(_UNSETTLE)
+        with self._write() as con:
             con.executemany(_SET_VERSION, rows)
             fault_point("before_mark")
         fault_point("after_mark")
 
     def settle(self, made_as: str) -> None:
         """Note that nothing is stale where cells are made in this way."""
-        with self._open() as con:
-            con.execute(_UNSETTLE)
+        with self._write() as con:
             con.execute("insert into settled values (?)", (made_as,))
 
     def is_settled(self, made_as: str) -> bool:
@@ -172,12 +185,55 @@ class Ledger:
 
     def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
         """Note that a night ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""
-        with self._open() as con:
+        with self._write(settled=True) as con:
             con.execute("insert into nights values (?, ?, ?, ?, ?, ?, ?)", row)
 
     def nights(self) -> pl.DataFrame:
         """All nights, oldest first, counts as text."""
         return self._frame(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])
+
+    def note_snapshot(self, versions: dict[str, int]) -> None:
+        """Note which version of each table is published now."""
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        with self._write(settled=True) as con:
+            con.executemany("insert into snapshots values (?, ?, ?)", [(now, *row) for row in versions.items()])
+
+    def snapshots(self) -> dict[str, dict[str, int]]:
+        """Versions of the tables that each night published, oldest first."""
+        found: dict[str, dict[str, int]] = {}
+        rows = self._ask(lambda con: con.execute("select night, asset, version from snapshots").fetchall())
+        for night, asset, version in sorted(rows):
+            found.setdefault(night, {})[asset] = version
+        return found
+
+    def forget(
+        self, assets: Iterable[str], aircraft: tuple[str, str] | None = None, flights: Iterable[str] | None = None
+    ) -> None:
+        """Note that cells are not stored any more: of all or one aircraft, all or some of its flights."""
+        only = "" if aircraft is None else " and operator = ? and tail = ?"
+        only += "" if flights is None else " and flight_id = ?"
+        ids = [()] if flights is None else [(flight,) for flight in flights]
+        rows = [(asset, *(aircraft or ()), *flight) for asset in assets for flight in ids]
+        with self._write() as con:
+            con.executemany(f"delete from done where asset = ?{only}", rows)
+
+    def forget_nights(self, nights: Iterable[str]) -> None:
+        """Forget what some nights published."""
+        rows = [(night,) for night in nights]
+        if rows:
+            with self._write(settled=True) as con:
+                con.executemany("delete from snapshots where night = ?", rows)
+
+    def forget_snapshots(self, asset: str) -> None:
+        """Note that earlier versions of a table are lost."""
+        with self._write() as con:
+            con.execute("delete from snapshots where asset = ?", [asset])
+
+    def flush(self) -> None:
+        """Bring what was committed into the file itself; of a database server nothing is asked."""
+        if not self.url:
+            with self._open() as con:
+                con.execute("pragma wal_checkpoint(truncate)")
 
     def _cells(self, sql: str, table: str, arguments: Iterable[str] = ()) -> pl.DataFrame:
         """Rows of a query that ends in a condition, of the aircraft that it is about."""

@@ -62,6 +62,9 @@ class Bucket:
         with one_line():
             obstore.put(self.store, path, content)
 
+    def doubt(self, path: str) -> None:
+        """An object is read whole or not at all."""
+
     def prepare(self, table: str) -> None:
         """An object needs no folder."""
 

@@ -43,6 +43,14 @@ def read(path: Path, ask: Callable[[sqlite3.Connection], Answer]) -> Answer:
     return _asked(path, "mode=ro", ask)
 
 
+def says(path: Path, sql: str) -> str:
+    """The one value that a statement answers, or why there is none, as a text of one line."""
+    try:
+        return str(read(path, lambda con: con.execute(sql).fetchone()[0])).splitlines()[0]
+    except sqlite3.DatabaseError as error:
+        return str(error).splitlines()[0]
+
+
 def _asked(path: Path, how: str, ask: Callable[[sqlite3.Connection], Answer]) -> Answer:
     with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?{how}", uri=True, timeout=60)) as con:
         return ask(con)

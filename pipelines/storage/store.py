@@ -13,12 +13,13 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.storage.delta import Change, Deltas, Held
+from pipelines.storage.delta import Change, Deltas, Held, shards_of
 from pipelines.storage.files import Folder, sweep
 from pipelines.storage.objects import Bucket, StoreError, bucket
 
 if TYPE_CHECKING:
     import duckdb
+    from deltalake import DeltaTable
 
 Aircraft = tuple[str, str]
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
@@ -63,9 +64,16 @@ class Store:
         return self.place.remote
 
     def scan(self, table: str, aircraft: Iterable[Aircraft] | None = None) -> pl.LazyFrame:
-        """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored."""
+        """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored.
+
+        Columns that are declared since are null.
+        """
         stored = self.tables.scan(table, None if aircraft is None else [shard_of(a) for a in aircraft])
-        return TABLES[table].schema.create_empty().lazy() if stored is None else stored
+        if stored is None:
+            return TABLES[table].schema.create_empty().lazy()
+        held = stored.collect_schema()
+        new = {c: d.dtype for c, d in TABLES[table].schema.columns().items() if c not in held}
+        return stored.with_columns(pl.lit(None, dtype).alias(c) for c, dtype in new.items()) if new else stored
 
     def read(self, table: str, aircraft: Iterable[Aircraft] | None = None) -> pl.DataFrame:
         """The table, of the whole fleet or of some aircraft."""
@@ -75,20 +83,24 @@ class Store:
         """Let `frame` be all that the table holds of these aircraft, or of the `FLEET`."""
         entry, asked = TABLES[table], list(aircraft)
         frame = entry.conform(frame)
-        self.tables.change(table, lambda _: [(shard_of(a, "all"), _own(frame, a)) for a in asked])
+        self.tables.put(table, {shard_of(a, "all"): _own(frame, a) for a in asked})
 
     def merge(self, table: str, flights: Mapping[Aircraft, Iterable[str]], frame: pl.DataFrame) -> None:
         """Replace the rows of some flights of each aircraft by `frame`; other flights stay as they are."""
         changes = [_merged(table, a, ids, _own(frame, a)) for a, ids in flights.items()]
         self.tables.change(table, lambda held: chain.from_iterable(change(held) for change in changes))
 
-    def declare(self, table: str) -> None:
-        """Let the table have its columns even while nothing is stored."""
-        self.tables.change(table, lambda _: [(EMPTY, TABLES[table].schema.create_empty())])
+    def declare(self, table: str) -> "DeltaTable":
+        """The table now, which has its columns even while nothing is stored."""
+        return self.tables.put(table, {EMPTY: TABLES[table].schema.create_empty()})
 
-    def snapshot(self) -> dict[str, list[str]]:
-        """Of every table the files below `root` that it is now."""
-        return {t: sorted(f"{t}/{file}" for file in self.tables.shards(t).values()) for t in TABLES}
+    def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
+        """Of every table its version, and the files below `root` that it is; now, or of some at other versions."""
+        if versions is None:
+            held = {t: self.declare(t) for t in TABLES}
+        else:
+            held = {t: d for t in TABLES if t in versions and (d := self.tables.open(t, versions[t]))}
+        return {t: (d.version(), sorted(f"{t}/{f}" for f in shards_of(d).values())) for t, d in held.items()}
 
     def open_to(self, con: "duckdb.DuckDBPyConnection") -> None:
         """Let a DuckDB connection read what the catalog's views name; local files it reads by itself."""

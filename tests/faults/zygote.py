@@ -51,6 +51,7 @@ def work(asked: dict) -> None:
     with nightly.holding(home):
         night = nightly.run_night(landing, home, Silent(), only)
         publish(home)
+    os.write(2, "\n".join(night.mended).encode())
     if night.failed:
         sys.exit(f"failed: {night.failed}")
 

@@ -59,3 +59,25 @@ def test_a_long_history_takes_several_runs(monkeypatch):
         (FLIGHTS[2], FLIGHTS[3], 2),
         (FLIGHTS[4], FLIGHTS[4], 1),
     ]
+
+
+def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alone():
+    flown = {key: {*FLIGHTS} for key in KEYS}
+    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    wanted = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
+    cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+    assert len(list(known.blocks("flight", cells))) == 4
+    (one,) = known.blocks("flight", cells, scattered=True)
+    assert sorted(known.cells(one)) == sorted(f"{a}|{f}" for a, f in wanted)
+    assert one.ends() == (f"{KEYS[0]}|{FLIGHTS[0]}", f"{KEYS[-1]}|{FLIGHTS[4]}")
+    assert [part.aircraft for part in one.apart()] == [(key,) for key in KEYS]
+
+
+def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
+    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
+    cells = pl.DataFrame([("AAA", "T1", ""), ("AAA", "T3", "")], schema=["operator", "tail", "flight_id"], orient="row")
+    (one,) = known.blocks("aircraft", cells, scattered=True)
+    assert (one.aircraft, known.cells(one)) == (("AAA:T1", "AAA:T3"), ["AAA:T1", "AAA:T3"])
+    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
+    assert len(list(known.blocks("aircraft", cells, scattered=True))) == 2

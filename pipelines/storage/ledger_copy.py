@@ -1,0 +1,67 @@
+"""A copy of the ledger as the last night left it, by which damage is noticed and mended.
+
+The copy's name holds its hash. While `ledger.sealed` is there nobody has written to the ledger since, so it must be the
+same; else SQLite itself is asked. A database server looks after its own.
+"""
+
+from pathlib import Path
+
+from pipelines.storage import sqlite_reader
+from pipelines.storage.files import replacing
+from pipelines.storage.hashes import hash_of
+from pipelines.storage.ledger import FILE, SEALED, Ledger
+
+
+def keep_copy(ledger: Ledger) -> None:
+    """Copy the ledger as it is now."""
+    path, sealed = ledger.home / FILE, ledger.home / SEALED
+    if ledger.url or not path.exists():
+        return
+    sealed.touch()
+    ledger.flush()
+    content = path.read_bytes()
+    copy = ledger.home / f"ledger.{hash_of(content)}.copy"
+    with replacing(copy) as temporary:
+        temporary.write_bytes(content)
+    whole = sealed.exists()  # or someone has written meanwhile
+    for other in _copies(ledger.home):
+        if (other != copy) == whole:
+            other.unlink()
+
+
+def fault_of(ledger: Ledger) -> str | None:
+    """What is wrong with the ledger; None where it is whole, or where there is none yet."""
+    path, copies = ledger.home / FILE, _copies(ledger.home)
+    if ledger.url or not (path.exists() or copies):
+        return None
+    if not path.exists():
+        return "is gone"
+    if (ledger.home / SEALED).exists() and copies:
+        same = hash_of(path.read_bytes()) in map(_hash_in, copies)
+        return None if same else "is not what the last night wrote"
+    said = sqlite_reader.says(path, "pragma quick_check")
+    return None if said == "ok" else f"is damaged ({said})"
+
+
+def mend(ledger: Ledger) -> str | None:
+    """Put the last copy in the place of a ledger that is damaged; what was wrong, in words."""
+    fault = fault_of(ledger)
+    if fault is None:
+        return None
+    for left in ledger.home.glob(f"{FILE}*"):
+        left.unlink()
+    for copy in _copies(ledger.home):
+        content = copy.read_bytes()
+        if hash_of(content) == _hash_in(copy):
+            with replacing(ledger.home / FILE) as temporary:
+                temporary.write_bytes(content)
+            return f"the ledger {fault}; the copy of the last night's end takes its place"
+    return f"the ledger {fault}; all that lies in the landing zone is taken in again"
+
+
+def _copies(home: Path) -> list[Path]:
+    return sorted(home.glob("ledger.*.copy"), key=lambda copy: copy.stat().st_mtime_ns, reverse=True)
+
+
+def _hash_in(copy: Path) -> str:
+    return copy.name.split(".")[1]

@@ -1,0 +1,111 @@
+"""What the tables' files were when the last night ended: size, time and hash of each, so that damage is noticed.
+
+A data file's name holds its hash already; the seal adds what can be asked without reading a file, the hashes of the
+logs, and which files a table was made of. Objects have no seal: an object store keeps sums of its own.
+"""
+
+import json
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from pipelines.storage.delta import hash_in
+from pipelines.storage.files import LOG, replacing
+from pipelines.storage.hashes import hash_of
+from pipelines.storage.store import Store
+
+NAME = "seal.json"
+_HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
+
+
+class Entry(NamedTuple):
+    """A file as it was."""
+
+    size: int
+    mtime_ns: int
+    hash: str
+
+
+class Seal(NamedTuple):
+    """All files below the tables' root, and those that each table was made of."""
+
+    files: dict[str, Entry]
+    tables: dict[str, list[str]]
+
+
+def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
+    """Note what the tables' files are, and which of them each table `held` when it was published.
+
+    What was sealed before and is not the same now stays noted as it was.
+    """
+    if store.remote:
+        return
+    root, before = Path(store.root), read(store.home)
+    known = before.files if before else {}
+    names = (str(p.relative_to(root)) for p in root.rglob("[!.]*") if p.is_file() and p.name != _HINT)
+    files = {name: _entry(root / name, name, known.get(name)) for name in names}
+    _write(store.home, files, {table: list(paths) for table, paths in held.items()})
+
+
+def read(home: Path) -> Seal | None:
+    """The seal of the last night; None where there is none that is whole."""
+    try:
+        sum_, text = (home / NAME).read_bytes().split(b"\n", 1)
+    except (OSError, ValueError):
+        return None
+    if hash_of(text) != sum_.decode(errors="replace"):
+        return None
+    told = json.loads(text)
+    return Seal({path: Entry(*entry) for path, entry in told["files"].items()}, told["tables"])
+
+
+def forget(store: Store, held: Seal, paths: Collection[str], logs: Collection[str]) -> None:
+    """Take files out of the seal, and the whole logs of some tables: what was wrong with them has been mended."""
+    begins = tuple(f"{table}/{LOG}/" for table in logs)
+    files = {path: e for path, e in held.files.items() if path not in paths and not path.startswith(begins)}
+    _write(store.home, files, held.tables)
+
+
+def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: bool = False) -> list[str]:
+    """Which of some data files, or of logs that were sealed, are missing or not what was written.
+
+    A file whose size and time are those sealed is taken to be the same, unless all are to be read `whole`.
+    """
+    known, root = held.files if held else {}, Path(store.root)
+    return [path for path in paths if not _is_same(root / path, path, known.get(path), whole)]
+
+
+def _write(home: Path, files: dict[str, Entry], tables: dict[str, list[str]]) -> None:
+    text = json.dumps({"files": files, "tables": tables})
+    with replacing(home / NAME) as temporary:
+        temporary.write_text(f"{hash_of(text.encode())}\n{text}")
+
+
+def _entry(file: Path, name: str, before: Entry | None) -> Entry:
+    told = file.stat()
+    if before and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns):
+        return before
+    wanted, found = hash_in(name) or (before.hash if before else ""), hash_of(file.read_bytes())
+    if wanted and wanted != found:
+        return before or Entry(-1, 0, wanted)
+    return Entry(told.st_size, told.st_mtime_ns, found)
+
+
+def _is_same(file: Path, name: str, before: Entry | None, whole: bool) -> bool:
+    try:
+        told = file.stat()
+        if not whole and before and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns):
+            return True
+        return hash_of(file.read_bytes()) == (before.hash if before else hash_in(name))
+    except OSError:
+        return False
+
+
+def named(lost: list[str]) -> str:
+    """The first of some files and how many more there are, as the subject of a sentence."""
+    return f"{lost[0]} is" if len(lost) == 1 else f"{lost[0]} and {len(lost) - 1} more are"
+
+
+def is_log(path: str) -> bool:
+    """Whether a file belongs to a table's log."""
+    return LOG in Path(path).parts

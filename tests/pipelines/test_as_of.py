@@ -1,0 +1,118 @@
+"""Earlier nights: what was believed when, for how long it is kept, and what is told where it is not."""
+
+import re
+import shutil
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from hdt_core.tables import TABLES
+from pipelines.storage.as_of import connect_as_of
+from pipelines.storage.catalog import connect, publish
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.objects import StoreError
+from pipelines.storage.store import Store
+from pipelines.storage.upkeep import Retention, keep_house, night_by, retention
+
+AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240501_01"
+NIGHTS = 4
+
+
+def flight(n_snapshots: int) -> pl.DataFrame:
+    row = {"operator": "AQX", "tail": "LX-AAA", "flight_id": FLIGHT, "source": "acms", "n_snapshots": n_snapshots}
+    return TABLES["raw_flights"].conform(pl.DataFrame([row]))
+
+
+def said(con) -> int:
+    with con:
+        return con.execute("select n_snapshots from flights").fetchone()[0]
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory) -> Path:
+    """Four nights, each of which counts one snapshot more of one flight. Read only."""
+    home = tmp_path_factory.mktemp("four")
+    for n in range(NIGHTS):
+        Store(home).merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(n))
+        publish(home)
+    return home
+
+
+@pytest.fixture
+def home(four, tmp_path) -> Path:
+    return Path(shutil.copytree(four, tmp_path / "home"))
+
+
+def names(home: Path) -> list[str]:
+    return list(Ledger(home).snapshots())
+
+
+def test_each_night_says_what_it_said(four):
+    assert [said(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
+    assert said(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
+    assert said(connect(four)) == NIGHTS - 1
+
+
+def test_a_reader_of_an_earlier_night_can_reach_nothing_else(four):
+    with connect_as_of(four, names(four)[0]) as con, pytest.raises(Exception, match="disabled by configuration"):
+        con.execute("select * from read_text('/etc/passwd')").fetchall()
+
+
+def test_before_the_first_night_nothing_was_said(four):
+    with pytest.raises(StoreError, match=f"the first on record is {names(four)[0][:10]}"):
+        connect_as_of(four, "2001-01-01")
+    with pytest.raises(StoreError, match="none is on record"):
+        night_by({}, "2024-01-01")
+
+
+def test_the_last_night_by_a_day_or_an_hour_is_meant():
+    nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
+    for asked, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2)):
+        assert night_by(nights, asked)[0] == list(nights)[meant]
+
+
+def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
+    store, ledger, before = Store(home), Ledger(home), names(home)
+    keep_house(store, ledger, Retention(keep_days=0, hold=(before[1],)))
+    assert names(home) == [before[1]]
+    assert said(connect_as_of(home, before[1])) == 1
+    assert said(connect(home)) == NIGHTS - 1
+    files = list((home / "tables/raw_flights/AQX/LX-AAA").glob("*.parquet"))
+    assert len(files) == 2  # the night that is held, and now
+    with pytest.raises(StoreError, match="no night at or before"):
+        connect_as_of(home, before[0])
+    store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(9))
+    publish(home)
+    assert said(connect(home)) == 9
+
+
+def test_a_long_log_is_read_from_a_checkpoint_on(home):
+    store = Store(home)
+    for n in range(25):
+        store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(100 + n))
+    before = store.read("raw_flights")
+    keep_house(store, Ledger(home), Retention())
+    assert list((home / "tables/raw_flights/_delta_log").glob("*.checkpoint.parquet"))
+    assert store.read("raw_flights").equals(before)
+
+
+def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):
+    first = names(home)[0]
+    (file,) = Store(home).snapshot(Ledger(home).snapshots()[first])["raw_flights"][1][:1]
+    (home / "tables" / file).write_bytes(b"PAR1")
+    with pytest.raises(StoreError, match=f"the night of {re.escape(first)} is not kept whole"):
+        connect_as_of(home, first)
+
+
+@pytest.mark.parametrize("text", ["keep_days = 'x'", "keep_days = 0", "hold = 3", "keep = 3", "[", "keep_days = []"])
+def test_a_declaration_that_is_none_is_told(tmp_path, text):
+    (tmp_path / "retention.toml").write_text(text)
+    with pytest.raises(StoreError, match=r"retention\.toml"):
+        retention(tmp_path)
+
+
+def test_a_declaration_is_read(tmp_path):
+    assert retention(tmp_path) == Retention(30, ())
+    (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')
+    assert retention(tmp_path) == Retention(400, ("2024-03-01", "2024-05-01"))

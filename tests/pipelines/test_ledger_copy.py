@@ -1,0 +1,74 @@
+"""The ledger's copy: what the last night left is noticed to be changed, and put back."""
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger_copy import fault_of, keep_copy, mend
+
+CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"], "version": ["v1"]})
+
+
+@pytest.fixture
+def ledger(tmp_path, monkeypatch) -> Ledger:
+    monkeypatch.delenv("HDT_LEDGER_URL", raising=False)
+    ledger = Ledger(tmp_path)
+    ledger.mark("raw_flights", CELL)
+    keep_copy(ledger)
+    return ledger
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[content.index(b"LX-AAA")] ^= 1
+    path.write_bytes(content)
+
+
+DAMAGE = {
+    "gone": Path.unlink,
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("no database\n" * 100),
+    "flipped": flip,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_ledger_is_told_and_put_back(ledger, damage):
+    assert fault_of(ledger) is None
+    DAMAGE[damage](ledger.home / "ledger.sqlite")
+    assert fault_of(ledger)
+    assert "the copy of the last night's end" in str(mend(ledger))
+    assert ledger.done("raw_flights").equals(CELL)
+    assert fault_of(ledger) is None
+    assert mend(ledger) is None
+
+
+def test_what_was_written_since_is_no_damage(ledger):
+    ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+    assert fault_of(ledger) is None
+    keep_copy(ledger)
+    assert len(list(ledger.home.glob("*.copy"))) == 1
+    assert ledger.done("raw_flights")["version"].to_list() == ["v2"]
+
+
+def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
+    ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+    ledger.flush()
+    path = ledger.home / "ledger.sqlite"
+    path.write_bytes(path.read_bytes()[:5000])
+    assert mend(ledger)
+    assert ledger.done("raw_flights").equals(CELL)
+
+
+def test_without_a_whole_copy_all_is_taken_in_again(ledger):
+    for file in (*ledger.home.glob("*.copy"), ledger.home / "ledger.sqlite"):
+        file.write_bytes(b"nothing")
+    assert "taken in again" in str(mend(ledger))
+    assert ledger.done("raw_flights").is_empty()
+
+
+def test_a_home_that_has_no_ledger_yet_lacks_none(tmp_path):
+    assert fault_of(Ledger(tmp_path)) is None
+    assert mend(Ledger(tmp_path)) is None
