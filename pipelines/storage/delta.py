@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import polars as pl
 from deltalake import DeltaTable, Schema
@@ -22,8 +22,9 @@ from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundErr
 from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
 from pipelines.storage.fault_points import fault_point
+from pipelines.storage.files import Folder
 from pipelines.storage.hashes import hash_of
-from pipelines.storage.objects import StoreError
+from pipelines.storage.objects import Bucket, StoreError
 
 Held = Callable[[str], pl.DataFrame | None]
 """What a shard of a table holds, by the shard's name; None where there is none."""
@@ -42,41 +43,11 @@ class DamageError(StoreError):
     """A file is not what was written."""
 
 
-class Place(Protocol):
-    """Where files lie: a folder or an object store, which keeps sums of its own."""
-
-    @property
-    def remote(self) -> bool:
-        """Whether an object store."""
-
-    @property
-    def url(self) -> str:
-        """What the place of every file begins with."""
-
-    def options(self) -> dict[str, str]:
-        """What a client must be told beside the URL."""
-
-    def get(self, path: str) -> bytes:
-        """A file whole."""
-
-    def put(self, path: str, content: bytes) -> None:
-        """Write a file that stays when this returns."""
-
-    def doubt(self, path: str) -> None:
-        """Let who looks at the file next read it whole."""
-
-    def prepare(self, table: str) -> None:
-        """Make room for a table's log."""
-
-    def settle(self, table: str, version: int) -> None:
-        """Wait until a commit stays."""
-
-
 @dataclass(frozen=True)
 class Deltas:
     """All tables of one place."""
 
-    place: Place
+    place: Folder | Bucket
     _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:

@@ -3,32 +3,16 @@
 import io
 import re
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any
 
 import fsspec
 import obstore
 
+from pipelines.storage.objects import Bucket
+
 WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
 KEPT_BYTES = 64 << 20  # of what came is held in memory: DuckDB opens an object for its columns, and again for its rows
 _KEY = re.compile(r"[a-z]\w*(/[\w-]+)*/[\w.-]+\.parquet")
-
-
-class Source(Protocol):
-    """A store of objects."""
-
-    @property
-    def url(self) -> str:
-        """What the place of every object begins with."""
-
-    @property
-    def store(self) -> Any:
-        """The client."""
-
-    def get(self, key: str) -> bytes:
-        """One object."""
-
-    def sizes(self, prefix: str) -> dict[str, int]:
-        """Bytes of the objects below a prefix."""
 
 
 class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no types
@@ -37,7 +21,7 @@ class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no 
     protocol = "s3"
     cachable = False
 
-    def __init__(self, objects: Source) -> None:
+    def __init__(self, objects: Bucket) -> None:
         super().__init__()
         self._objects = objects
         self._root = objects.url.removeprefix("s3://") + "/"
