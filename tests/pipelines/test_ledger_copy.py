@@ -15,6 +15,7 @@ CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"
 def ledger(tmp_path, monkeypatch) -> Ledger:
     monkeypatch.delenv("HDT_LEDGER_URL", raising=False)
     ledger = Ledger(tmp_path)
+    ledger.register([("a/1.csv", "AQX", "LX-AAA", "acms", 1, 1, "d1")], {"a/1.csv": ["f1"]})
     ledger.mark("raw_flights", CELL)
     keep_copy(ledger)
     return ledger
