@@ -29,7 +29,7 @@ HEALTHY_CYCLES = 125.0
 """A remaining life beyond this can't be told from any other: the set's usual limit, used for training by everyone."""
 FOLDS = 5
 FIRST_CUT = 30
-"""Cycles that every test engine has flown. [cycle]"""
+"""Cycles that every test engine has flown. Levels are learned on cuts from there to the set's usual limit. [cycle]"""
 STILL = 1e-6
 
 
@@ -127,7 +127,8 @@ def forecast(folder: Path, name: str) -> tuple[Foretold, Array]:
     truth = np.loadtxt(folder / f"RUL_{name}.txt")
     track = learn_track(train)
     teach = Rows(features(train, track), train.left, train.unit, train.unit % FOLDS)
-    return foretell(teach, features(test, track)[test.last], np.flatnonzero(train.cycle >= FIRST_CUT)), truth
+    cuts = np.flatnonzero((train.cycle >= FIRST_CUT) & (train.left <= HEALTHY_CYCLES))
+    return foretell(teach, features(test, track)[test.last], cuts), truth
 
 
 def scores(name: str, told: Foretold, truth: Array) -> list[Score]:

@@ -60,10 +60,11 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
 
 
 def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0) -> Foretold:
-    """Remaining life of rows whose units teach nothing (cross-conformal: Vovk 2015).
+    """Remaining life of rows whose units teach nothing.
 
-    Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval; those that are
-    asked are foretold by all of these models, and the ends of their intervals averaged.
+    Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval. The interval is
+    that of one model of all folds: an average over models would be better than those that the levels were learned
+    from, and hold too often. The distribution, and so the middle, is the average.
 
     Parameters
     ----------
@@ -86,8 +87,8 @@ def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0
     cut = _cuts(teach.unit[chosen], chosen, seed)
     ended = np.ones(cut.size, dtype=bool)
     levels = learn_levels(held[cut], teach.left[cut], ended, teach.unit[cut], prior_lives=0.0)
-    low, high = (np.mean([quantile(by, level) for by in told], axis=0) for level in (levels[0], levels[2]))
-    return Foretold(np.mean(told, axis=0), low, high)
+    whole = event_by(hazards([_fitted(teach, seed)], asked))
+    return Foretold(np.mean([*told, whole], axis=0), quantile(whole, levels[0]), quantile(whole, levels[2]))
 
 
 def _fitted(teach: Rows, seed: int) -> HistGradientBoostingClassifier:

@@ -17,6 +17,8 @@ Flags = NDArray[np.bool_]
 
 LONG = 10**6
 """Rows; the offset learned on normal rows is kept."""
+LEARN_SHARE, BLOCKS = 0.5, (10, 30, 60)
+"""Of the normal rows the first teach what a sensor should say, the others how far its residual wanders in blocks."""
 STILL = 1e-9
 
 
@@ -50,11 +52,25 @@ def alarms(train: Array, asked: Array, settings: Cusum | None = None, tail: int 
     The detector learns offset and scatter on the last `tail` rows of `train`.
     """
     settings = settings or Cusum(memory_flights=LONG)
-    normal = learn(train)
-    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(asked)])[None]
+    split = int(LEARN_SHARE * len(train))
+    normal = learn(train[:split])
+    scale = wander(normal.residuals(train[split:]))
+    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(asked)])[None] / scale
     prior = np.ones(z.shape[2])
     said = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
     return np.asarray(said.called[0, -len(asked) :].any(axis=1)) if len(asked) else np.zeros(0, dtype=bool)
+
+
+def wander(residuals: Array) -> Array:
+    """How much more the mean of a block of rows scatters than independent rows would; at least 1, of each sensor.
+
+    A CUSUM takes rows for independent; those of a process seldom are.
+    """
+    told = np.ones(residuals.shape[1])
+    for rows in BLOCKS:
+        blocks = np.nan_to_num(residuals[: len(residuals) // rows * rows]).reshape(-1, rows, residuals.shape[1])
+        told = np.fmax(told, np.sqrt(rows * (blocks.mean(axis=1) ** 2).mean(axis=0)))
+    return told
 
 
 def _jitter(shape: tuple[int, ...]) -> Array:

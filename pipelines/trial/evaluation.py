@@ -1,5 +1,6 @@
 """What the page tells, as numbers: our figures, the operator's rules over the same flights, and what was kept back."""
 
+import re
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -12,11 +13,12 @@ import polars as pl
 from pipelines.storage.catalog import connect
 from pipelines.trial.declaration import Declaration, Rule, TrialError
 from pipelines.trial.figures import Figure, Judged, Teller, judge_alerts, judge_prognoses, kept_back
-from pipelines.trial.judgement import Judge, SealedAlert, place_of, sealed_span
+from pipelines.trial.judgement import Judge, SealedAlert, sealed_span
 from pipelines.trial.log import Entry, entries
 from pipelines.trial.outcomes import Outcomes, read_outcomes
-from pipelines.trial.seal import OURS, as_alerts, declaration_of, log_folder
+from pipelines.trial.seal import OURS, as_alerts, declaration_of, log_folder, place_of
 
+_RULE = re.compile(r"^(\[rule\.[^\]\n]*\])\n.*?(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 LATE_SEAL_DAYS = 3.0
 """A night sealed longer than this after its last flight is told: its outcomes may have been known."""
 
@@ -27,7 +29,7 @@ class Evaluation:
 
     declared: Declaration
     text: str
-    """The declaration as it was sealed."""
+    """The declaration as it was sealed, without what the operator's rules look at."""
     version: str
     head: str
     nights: int
@@ -96,7 +98,7 @@ def evaluated(
     after = kept_back({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
     return Evaluation(
         declared=declared,
-        text=log[0].body["declaration"],
+        text=_RULE.sub(r"\1\n# stays in the house\n", log[0].body["declaration"]),
         version=log[0].body["frozen"]["version"],
         head=log[-1].digest,
         nights=sum(e.kind == "night" for e in log),

@@ -17,12 +17,11 @@ from pipelines.trial.judgement import (
     SealedAlert,
     Tail,
     events_in,
-    place_of,
     sealed_alerts,
     sealed_span,
 )
 from pipelines.trial.log import Entry
-from pipelines.trial.seal import OURS
+from pipelines.trial.seal import OURS, place_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from typing import Any
 
 from pipelines.trial.declaration import Declaration
 from pipelines.trial.log import Entry
-from pipelines.trial.outcomes import Outcomes, Place
-from pipelines.trial.seal import PLACE
+from pipelines.trial.outcomes import Outcomes
+from pipelines.trial.seal import Place, place_of
 
 Tail = tuple[str, str]
 
@@ -175,12 +175,6 @@ def sealed_alerts(log: Sequence[Entry], components: Sequence[str]) -> list[Seale
         # what had closed before the trial began says nothing about it
         if not (entry.kind == "start" and row["closed_at"])
     ]
-
-
-def place_of(row: dict[str, Any]) -> Place:
-    """Operator, tail, pack and component of a row."""
-    operator, tail, pack, component = (row[c] for c in PLACE)
-    return str(operator), str(tail), int(pack), str(component)
 
 
 def sealed_span(log: Sequence[Entry]) -> dict[Tail, tuple[datetime, datetime]]:

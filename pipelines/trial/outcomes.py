@@ -11,11 +11,10 @@ import polars as pl
 
 from pipelines.trial.declaration import Declaration, TrialError
 from pipelines.trial.log import Entry, append, entries
-from pipelines.trial.seal import PLACE, declaration_of, log_folder
+from pipelines.trial.seal import PLACE, Place, declaration_of, log_folder
 
 COLUMNS = ("operator", "tail", "pack", "component", "at", "kind", "finding", "reference")
 KINDS = ("MESSAGE", "REPLACED", "INSPECTED")
-Place = tuple[str, str, int, str]
 
 _LOGGED = """
 select m.operator, m.tail, m.pack, c.component, m.message_time as at, 'MESSAGE' as kind, null as finding

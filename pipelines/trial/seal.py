@@ -18,6 +18,7 @@ from pipelines.trial.log import Entry, append, entries
 FOLDER = "trial"
 OURS = "hdt"
 PLACE = ("operator", "tail", "pack", "component")
+Place = tuple[str, str, int, str]
 
 _FLOWN = "select operator, tail, max(departed_at) as until from flights group by all order by all"
 _ALERTS = """
@@ -90,7 +91,7 @@ def _said(
     con: duckdb.DuckDBPyConnection,
     declared: Declaration,
     alerts: dict[str, dict[str, dict[str, Any]]],
-    prognoses: dict[tuple[Any, ...], dict[str, Any]],
+    prognoses: dict[Place, dict[str, Any]],
 ) -> dict[str, Any]:
     """What is said now and was not said so before: flights known, alerts by source, prognoses."""
     sources = {OURS: con.sql(_ALERTS).pl()}
@@ -100,7 +101,7 @@ def _said(
         before, now = alerts.get(source, {}), {row["alert_id"]: row for row in _rows(frame)}
         new[source] = [row for name, row in now.items() if before.get(name) != row]
         gone[source] = sorted(set(before) - set(now))
-    outlook = [row for row in _rows(con.sql(_PROGNOSES).pl()) if prognoses.get(_place(row)) != row]
+    outlook = [row for row in _rows(con.sql(_PROGNOSES).pl()) if prognoses.get(place_of(row)) != row]
     return {"flown": _rows(con.sql(_FLOWN).pl()), "alerts": new, "withdrawn": gone, "prognoses": outlook}
 
 
@@ -127,17 +128,17 @@ def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
 
 def _state(
     log: Iterable[Entry],
-) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[tuple[Any, ...], dict[str, Any]]]:
+) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[Place, dict[str, Any]]]:
     """The last that was sealed of each alert and of each unit's prognosis."""
     alerts: dict[str, dict[str, dict[str, Any]]] = {}
-    prognoses: dict[tuple[Any, ...], dict[str, Any]] = {}
+    prognoses: dict[Place, dict[str, Any]] = {}
     for entry in log:
         for source, rows in entry.body.get("alerts", {}).items():
             alerts.setdefault(source, {}).update({row["alert_id"]: row for row in rows})
         for source, names in entry.body.get("withdrawn", {}).items():
             for name in names:
                 alerts[source].pop(name, None)
-        prognoses |= {_place(row): row for row in entry.body.get("prognoses", [])}
+        prognoses |= {place_of(row): row for row in entry.body.get("prognoses", [])}
     return alerts, prognoses
 
 
@@ -145,8 +146,10 @@ def _last_frozen(log: Sequence[Entry]) -> dict[str, Any]:
     return next(dict(e.body["frozen"]) for e in reversed(log) if "frozen" in e.body)
 
 
-def _place(row: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(row[c] for c in PLACE)
+def place_of(row: dict[str, Any]) -> Place:
+    """Operator, tail, pack and component of a row."""
+    operator, tail, pack, component = (row[c] for c in PLACE)
+    return str(operator), str(tail), int(pack), str(component)
 
 
 def _rows(frame: pl.DataFrame) -> list[dict[str, Any]]:

@@ -162,6 +162,9 @@ def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
     told = evaluation.evaluate(world.home)
     assert set(told.figures) == {"hdt", "trend", "maker"}
     assert [a.verdict for a in world.judged("trend").alerts] == ["hit", "hit", "too_late", "after_event"]
+    assert "[rule.maker]" in told.text
+    assert str(file) not in told.text
+    assert "max(departed_at)" not in told.text
     assert told.verdicts["maker"]["too_late"] is None  # one alert: kept back
     assert told.agreement["maker"]["ours alone"] is None
 
