@@ -228,6 +228,7 @@ _LOCKS = (
     "autoload_known_extensions = false",
     "autoinstall_known_extensions = false",
     "enable_external_access = false",
+    "enable_progress_bar = false",  # a bar on stderr is no answer
     "lock_configuration = true",
 )
 
