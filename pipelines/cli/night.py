@@ -262,8 +262,7 @@ def _components(rows: list[dict[str, Any]]) -> None:
     for name in ("unit", "urgency", "lost", "flights left\n(90 %)", "failure\nin 50", "open alerts"):
         table.add_column(name, no_wrap=name != "open alerts")
     for r in rows:
-        lost = f"{r['lost']} {words.with_sd(r['loss'], r['loss_sd'])}"
-        outlook = lost, words.flights_left(r), words.chance(r["p_event_50"])
+        outlook = words.with_sd(r["loss"], r["loss_sd"]), words.flights_left(r), words.chance(r["p_event_50"])
         name, urgency = f"{r['operator']} {r['tail']} {r['component']} {r['pack']}", words.URGENCY[r["urgency"]]
         table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
     out.print(table)

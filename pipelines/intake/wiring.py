@@ -23,6 +23,7 @@ MOST, FEW = 0.7, 0.12
 """Share of a pack's rows from which on a law is broken, and up to which it holds."""
 ENOUGH = 5
 """Rows that must say something of a law, and readings a column must have, not all the same."""
+SWAPPED = "swapped_columns"
 
 Columns = Mapping[str, Array]
 Index = NDArray[np.int64]
@@ -54,7 +55,7 @@ def _unit(says: str, names: tuple[str, ...], scale: float, offset: float = 0.0, 
 
 
 def _swap(one: str, other: str) -> Change:
-    return Change("swapped_columns", "It fits once they change places.", {one: _take(other), other: _take(one)})
+    return Change(SWAPPED, "It fits once they change places.", {one: _take(other), other: _take(one)})
 
 
 def _take(name: str) -> Callable[[Columns], Array]:
@@ -175,6 +176,8 @@ def _cured(change: Change, columns: Columns, units: Index, flight_of: Index) -> 
         cured &= _in_all_packs(cured, flight_of)
     for name in change.made:
         cured &= _lively(columns[name], units, len(cured))
+        if change.reason == SWAPPED:  # with a column that is not recorded there is nothing to change places with
+            cured &= np.bincount(units[~np.isnan(columns[name])], minlength=len(cured)) > 0
     return cured[units]
 
 

@@ -1,0 +1,22 @@
+"""What physics refuses is not always another unit or another place."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pipelines.intake.columns import SIGNAL_NAMES
+from pipelines.intake.wiring import miswritten_rows
+
+OFF = {"tat_degc": -20.0, "hx_in_degc": -19.0, "hx_out_degc": -19.5, "altitude_ft": 35e3}
+"""A pack that is off shows outside air at every station."""
+SWAPPED = {"tat_degc": -20.0, "hx_in_degc": 30.0, "hx_out_degc": 15.0, "ram_out_degc": 110.0, "altitude_ft": 35e3}
+
+
+@pytest.mark.parametrize(("near", "told"), [(OFF, []), (SWAPPED, ["swapped_columns"])])
+def test_columns_change_places_only_where_both_are_recorded(near, told):
+    """A pack that is off says nothing of a sensor that nobody fitted."""
+    rng, n = np.random.default_rng(0), 60
+    read = {c: near[c] + rng.normal(0.0, 0.4, n) if c in near else pl.Series([None] * n, dtype=pl.Float64)
+            for c in SIGNAL_NAMES}  # fmt: skip
+    rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
+    assert miswritten_rows(rows)["reason"].unique().to_list() == told
