@@ -1,7 +1,7 @@
 """A copy of the ledger as the last night left it, by which damage is noticed and mended.
 
-The copy's name holds its hash. While `ledger.sealed` is there nobody has written to the ledger since, so it must be the
-same; else SQLite itself is asked. A database server looks after its own.
+The copy's name holds its hash. While `ledger.sealed` names that hash nobody has written to the ledger since, so it must
+be the same; else SQLite itself is asked. A database server looks after its own.
 """
 
 from pathlib import Path
@@ -17,13 +17,16 @@ def keep_copy(ledger: Ledger) -> None:
     path, sealed = ledger.home / FILE, ledger.home / SEALED
     if ledger.url or not path.exists():
         return
-    sealed.touch()
+    sealed.write_text("")  # it goes when someone writes; killed before the hash stands in it, it says nothing
     ledger.flush()
     content = path.read_bytes()
     copy = ledger.home / f"ledger.{hash_of(content)}.copy"
     with replacing(copy) as temporary:
         temporary.write_bytes(content)
     whole = sealed.exists()  # or someone has written meanwhile
+    if whole:
+        with replacing(sealed) as temporary:
+            temporary.write_text(_hash_in(copy))
     for other in _copies(ledger.home):
         if (other != copy) == whole:
             other.unlink()
@@ -36,9 +39,9 @@ def fault_of(ledger: Ledger) -> str | None:
         return None
     if not path.exists():
         return "is gone"
-    if (ledger.home / SEALED).exists() and copies:
-        same = hash_of(path.read_bytes()) in map(_hash_in, copies)
-        return None if same else "is not what the last night wrote"
+    sealed = ledger.home / SEALED
+    if sealed.exists() and (wanted := sealed.read_text(errors="replace")):
+        return None if hash_of(path.read_bytes()) == wanted else "is not what the last night wrote"
     # SQLite's quick check takes columns of a table without rowid for empty where their order is not the key's (3.40)
     said = sqlite_reader.says(path, "pragma integrity_check(1)")
     return None if said == "ok" else f"is damaged ({said})"

@@ -23,9 +23,11 @@ from pipelines.storage.files import LOG
 from pipelines.storage.history import set_aside
 from pipelines.storage.objects import StoreError
 
-DAMAGES = int(os.environ.get("HDT_SOAK_DAMAGES", "24"))
+DAMAGES = int(os.environ.get("HDT_SOAK_DAMAGES", "14"))
 KINDS = ("data", "log", "all files of a table", "ledger", "catalog", "history", "seal")
 WAYS = ("delete", "truncate", "swap", "flip")
+SILENT = ("catalog", "history")
+"""A bit of these may flip where nothing is read: DuckDB and SQLite leave room."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,9 @@ def targets(home: Path, kind: str) -> list[Path]:
     }[kind]
 
 
-def damage(chance: random.Random, home: Path) -> tuple[str, str, str]:
+def damage(chance: random.Random, home: Path, kind: str) -> tuple[str, str, str]:
     """Do one thing to a home; what, how, where."""
-    kind, way = chance.choice(KINDS), chance.choice(WAYS)
+    way = chance.choice(WAYS)
     files = targets(home, kind)
     file = chance.choice(files)
     if kind == "all files of a table":
@@ -110,17 +112,31 @@ def asked(home: Path) -> dict[str, int] | str:
         return str(error)
 
 
-@pytest.mark.parametrize("first", range(0, DAMAGES, 8))
-def test_no_damage_gives_a_wrong_answer_and_the_next_night_repairs_it(whole, children, tmp_path, first):
+def noticed(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str], list[str]]:
+    """What was done to a copy of the home, and the checks of `hdt doctor` that fail; no answer is wrong."""
+    shutil.copytree(whole.home, home)
+    done = damage(random.Random(trial), home, KINDS[trial % len(KINDS)])
+    said = asked(home)
+    assert isinstance(said, str) or said == whole.answers, done
+    wrong = [check.name for check in examine(None, home) if not check.well]
+    assert wrong or done[0] in SILENT, done
+    return done, wrong
+
+
+def test_no_damage_gives_a_wrong_answer_or_none_without_a_word(whole, tmp_path):
     tally = Counter[tuple[str, ...]]()
-    for trial in range(first, min(first + 8, DAMAGES)):
+    for trial in range(DAMAGES):
+        done, wrong = noticed(whole, tmp_path / "home", trial)
+        tally[(*done[:2], "told" if wrong else "of no effect")] += 1
+        shutil.rmtree(tmp_path / "home")
+    print(dict(sorted(tally.items())))
+
+
+@pytest.mark.parametrize("first", range(0, DAMAGES // 2, len(KINDS)))
+def test_the_next_night_repairs_it(whole, children, tmp_path, first):
+    for trial in range(first, first + len(KINDS)):
         home = tmp_path / f"home{trial}"
-        shutil.copytree(whole.home, home)
-        done = damage(random.Random(trial), home)
-        said = asked(home)
-        assert isinstance(said, str) or said == whole.answers, done
-        wrong = [check for check in examine(None, home) if not check.well]
-        assert wrong or done[0] in ("catalog", "history", "seal"), done
+        done, wrong = noticed(whole, home, trial)
         ended, told = children.night(whole.landing, home)
         assert ended == 0, (done, told)
         assert "Traceback" not in told
@@ -131,6 +147,4 @@ def test_no_damage_gives_a_wrong_answer_and_the_next_night_repairs_it(whole, chi
         assert asked(home) == whole.answers, (done, told)
         assert children.night(whole.landing, home) == (0, ""), done
         assert all(check.well for check in examine(None, home)), done
-        tally[done[:2]] += 1
         shutil.rmtree(home)
-    print(dict(tally))

@@ -54,6 +54,20 @@ def test_what_was_written_since_is_no_damage(ledger):
     assert ledger.done("raw_flights")["version"].to_list() == ["v2"]
 
 
+def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeypatch):
+    ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+
+    def killed(name: str) -> None:
+        raise RuntimeError(name)
+
+    monkeypatch.setattr("pipelines.storage.files.fault_point", killed)
+    with pytest.raises(RuntimeError, match="before_write"):
+        keep_copy(ledger)
+    monkeypatch.undo()
+    assert fault_of(ledger) is None
+    assert ledger.done("raw_flights")["version"].to_list() == ["v2"]
+
+
 def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
     ledger.flush()
