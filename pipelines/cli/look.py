@@ -55,7 +55,7 @@ def query(
     home: HomeDir = None,
     as_of: Annotated[str | None, typer.Option(help="A date or time in UTC: what the last night by then said.")] = None,
 ) -> None:
-    """Ask the catalog, read only; that of the last night, or of an earlier one."""
+    """Ask the catalog of the last night or an earlier one, read only."""
     import duckdb
 
     from pipelines.storage.as_of import connect_as_of

@@ -116,7 +116,7 @@ def tidy(
     home: HomeDir = None,
     keep_days: Annotated[int, typer.Option("--keep-days", min=0, help="Runs younger than so many days stay.")] = 90,
 ) -> None:
-    """Forget Dagster's history of runs that ended long ago, or all of it where it is damaged.
+    """Forget Dagster's history: what ended long ago, or what is damaged.
 
     Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
     materialized on Dagster's page.
@@ -137,7 +137,7 @@ def tidy(
 
 @app.command()
 def convert(home: HomeDir = None) -> None:
-    """Take over a home whose tables are of a version before Delta Lake.
+    """Take over a home of a version before Delta Lake.
 
     Nothing is made again. It may be stopped and started again; the next night goes on from there.
     """
