@@ -116,7 +116,7 @@ def tidy(
     home: HomeDir = None,
     keep_days: Annotated[int, typer.Option("--keep-days", min=0, help="Runs younger than so many days stay.")] = 90,
 ) -> None:
-    """Forget Dagster's history: what ended long ago, or what is damaged.
+    """Forget Dagster's history of long ago, or one that is damaged.
 
     Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
     materialized on Dagster's page.
