@@ -53,10 +53,10 @@ def publish(home: Path) -> Path:
         finally:
             con.close()
     ledger = Ledger(store.home)
-    ledger.note_snapshot({table: version for table, (version, _) in held.items()})
     keep_house(store, ledger)
-    keep_copy(ledger)
     seal.seal(store, {table: files for table, (_, files) in held.items()})
+    ledger.note_snapshot({table: version for table, (version, _) in held.items()})  # after the seal: it is missed then
+    keep_copy(ledger)
     return path
 
 

@@ -163,6 +163,7 @@ class Deltas:
         with self._one_line(table):
             where, how = f"{self.place.url}/{table}", self.place.options()
             DeltaTable.create(where, schema, "ignore", storage_options=how, configuration=_KEPT)
+        self.place.settle(table, 0)
 
     def _commit(self, table: str, now: DeltaTable, schema: Schema, actions: list[AddAction | RemoveAction]) -> bool:
         """One commit; False where another came first."""

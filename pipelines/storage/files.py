@@ -146,6 +146,8 @@ class Folder:
             last = max(log.glob("*.json"), default=None)
             if last is not None and not last.read_bytes().endswith((b"}", b"}\n")):
                 last.unlink()
+            if not any(log.glob("*.json")):  # its first commit was never made
+                shutil.rmtree(log)
         for left in self.root.glob(f"*/{LOG}/*#*"):
             left.unlink()
         return sweep(self.root)
