@@ -66,6 +66,7 @@ def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int
     con.execute(f"create macro tables.folder() as {_folder(store)}")
     con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
     con.execute("create table tables.files (path varchar)")
+    con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
     paths = [path for _, files in held.values() for path in files]
     con.execute("insert into tables.files select unnest($paths)", {"paths": paths})
     for table, (_, files) in held.items():

@@ -3,8 +3,8 @@
 Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
 `files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
 cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
-moment costs work, never truth. `snapshots` says which version of each table a night published. `nights` says when the
-chain last ran, and what failed; `settled`, until something is noted, that nothing was stale after it: an idle night
+moment costs work, never truth. `night_versions` says which version of each table a night published. `nights` says when
+the chain last ran, and what failed; `settled`, until something is noted, that nothing was stale after it: an idle night
 need not look at every cell.
 """
 
@@ -41,7 +41,7 @@ create table if not exists nights (
     began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
     runs integer not null, cells integer not null, failed text not null
 );
-create table if not exists snapshots (
+create table if not exists night_versions (
     night text not null, asset text not null, version bigint not null, primary key (night, asset)
 ) without rowid;
 create table if not exists settled (made_as text not null);
@@ -196,12 +196,12 @@ class Ledger:
         """Note which version of each table is published now."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         with self._write(settled=True) as con:
-            con.executemany("insert into snapshots values (?, ?, ?)", [(now, *row) for row in versions.items()])
+            con.executemany("insert into night_versions values (?, ?, ?)", [(now, *row) for row in versions.items()])
 
     def snapshots(self) -> dict[str, dict[str, int]]:
         """Versions of the tables that each night published, oldest first."""
         found: dict[str, dict[str, int]] = {}
-        rows = self._ask(lambda con: con.execute("select night, asset, version from snapshots").fetchall())
+        rows = self._ask(lambda con: con.execute("select night, asset, version from night_versions").fetchall())
         for night, asset, version in sorted(rows):
             found.setdefault(night, {})[asset] = version
         return found
@@ -222,12 +222,12 @@ class Ledger:
         rows = [(night,) for night in nights]
         if rows:
             with self._write(settled=True) as con:
-                con.executemany("delete from snapshots where night = ?", rows)
+                con.executemany("delete from night_versions where night = ?", rows)
 
     def forget_snapshots(self, asset: str) -> None:
         """Note that earlier versions of a table are lost."""
         with self._write() as con:
-            con.execute("delete from snapshots where asset = ?", [asset])
+            con.execute("delete from night_versions where asset = ?", [asset])
 
     def flush(self) -> None:
         """Bring what was committed into the file itself; of a database server nothing is asked."""

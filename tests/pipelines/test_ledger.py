@@ -18,7 +18,7 @@ from databases import SERVER, new_database
 
 from pipelines.orchestration import nightly
 from pipelines.storage import postgres
-from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger import NAMES, Ledger
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
@@ -183,3 +183,14 @@ def test_settled_lasts_until_something_is_noted(ledger):
         assert not ledger.is_settled("otherwise")
         note()
         assert not ledger.is_settled("so")
+
+
+def test_its_tables_are_named_otherwise_than_dagsters():
+    """In PostgreSQL both may live in one database, where `create table if not exists` would take the other's."""
+    from dagster._core.storage.event_log.schema import SqlEventLogStorageMetadata
+    from dagster._core.storage.runs.schema import RunStorageSqlMetadata
+    from dagster._core.storage.schedules.schema import ScheduleStorageSqlMetadata
+
+    theirs = [*SqlEventLogStorageMetadata.tables, *RunStorageSqlMetadata.tables, *ScheduleStorageSqlMetadata.tables]
+    assert "snapshots" in theirs
+    assert set(NAMES).isdisjoint(theirs)
