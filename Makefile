@@ -12,7 +12,7 @@ run: $(READY)
 	$(BIN)/hdt report --home $(HDT_HOME) --out $(HDT_HOME)/report.html
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # real data sets, from the folder HDT_REFERENCE: docs/real.md says what belongs there; hours
 real: $(READY)
