@@ -26,6 +26,7 @@ from hdt_core.twin.calibrate import baseline_flights
 from hdt_core.twin.calibrate import calibrate as fit
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.track import track
+from pipelines.baseline import told_by_then
 from pipelines.learned import shipped_base
 
 Made = dict[str, Any]
@@ -42,11 +43,7 @@ def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.Dat
     """From the commissioning window of each tail, and what the logs said until it ended."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
-    ends = verdicts.group_by("operator", "tail").agg(end=pl.col("departed_at").max().dt.date())
-    logs = [
-        log.join(ends, on=["operator", "tail"]).filter(day <= pl.col("end")).drop("end")
-        for log, day in ((maintenance, pl.col("done_on")), (messages, pl.col("message_time").dt.date()))
-    ]
+    logs = [told_by_then(log, verdicts) for log in (maintenance, messages)]
     norm = learn_norm(verdicts, samples, *logs)
     admitted = admit_by(norm, verdicts, leg_signs(samples, norm), *logs)
     return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_laws(samples)}

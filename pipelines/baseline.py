@@ -17,10 +17,15 @@ def baseline_cells(ledger: Ledger) -> pl.DataFrame:
 
 def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
     """Messages or maintenance up to the day of each aircraft's last baseline flight."""
-    on = pl.col("message_time").dt.date() if table == "raw_messages" else pl.col("done_on")
+    return told_by_then(store.read(table), cells)
+
+
+def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
+    """Of messages or maintenance what was on record by the day of each aircraft's last flight in `cells`."""
+    on = pl.col("message_time").dt.date() if "message_time" in records.columns else pl.col("done_on")
     day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
     last = cells.group_by("operator", "tail").agg(day)
-    return store.read(table).join(last, on=["operator", "tail"]).filter(on <= pl.col("last_day")).drop("last_day")
+    return records.join(last, on=["operator", "tail"]).filter(on <= pl.col("last_day")).drop("last_day")
 
 
 def baseline_inputs(ledger: Ledger) -> list[str]:
