@@ -5,7 +5,7 @@ HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
 
-.PHONY: run test real soak audit check lint types imports sql docs setup lock clean ui
+.PHONY: run test real soak audit check lint types imports sql docs setup lock clean ui words
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
@@ -61,7 +61,11 @@ $(READY): requirements.lock pyproject.toml
 # setuptools builds this project from the same pinned set, so it is named here and not in the dependencies
 lock:
 	$(BIN)/uv pip compile --quiet --custom-compile-command 'make lock' --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-strip-extras \
-	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra s3 --extra notebook --extra fmi --extra genetic --extra dev pyproject.toml build-requirements.in -o requirements.lock
+	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra serve --extra s3 --extra notebook --extra fmi --extra genetic --extra dev pyproject.toml build-requirements.in -o requirements.lock
+
+# every message of code, templates and declarations, into the catalog of each language
+words: $(READY)
+	$(BIN)/python -m pipelines.translations
 
 clean:
 	rm -rf $(VENV) $(HDT_HOME) .pytest_cache .mypy_cache .ruff_cache

@@ -98,7 +98,7 @@ class History:
         return PartitionBatch(CELLS_A_RUN, (aircraft(at),), FLIGHTS[first], FLIGHTS[first + CELLS_A_RUN - 1])
 
     def _run(self, runner: Runner) -> None:
-        why = runner._run(["empty"], self._block())
+        why = runner._run(["empty"], self._block(), "empty")
         assert why is None, why
 
     def _example(self, runner: Runner) -> EventLogEntry:

@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks import object_server, page
 from benchmarks.scale import SIZES, measured, ranking_ms
 from pipelines.intake.simulated import write_fleet
-from pipelines.report import write_report
+from pipelines.report.page import write_report
 from pipelines.storage.store import URL, Store
 
 PAGE = Path(__file__).parents[1] / "docs" / "storage.md"

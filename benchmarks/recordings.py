@@ -40,8 +40,8 @@ SIMULATED = {
     "hot_in_degc": "hx_in_degc", "hot_out_degc": "hx_out_degc", "speed_rpm": "cc_speed_rpm",
     "outlet_psia": "cc_out_psia", "diffuser_pct": "vda_pos",
 }  # fmt: skip
-SPAN = {"787": slice(2000, 2168), "A330": slice(60, 352)}
-"""Seconds of a simulated flight that are held against a recording: of a steady cruise, of a climb from 3,000 ft."""
+SPAN = {"787": slice(60, 228), "A330": slice(300, 592)}
+"""Seconds of a simulated recording that are held against a real one: of taxi, of a climb from 3,000 ft."""
 
 
 def kind_of(name: str) -> AircraftType:

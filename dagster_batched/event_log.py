@@ -11,9 +11,10 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from json.encoder import encode_basestring_ascii as _quoted
-from typing import Any
+from typing import Any, NamedTuple
 
 from dagster import AssetKey, DagsterEventType, MultiPartitionKey
 from dagster._core.events import (
@@ -39,14 +40,31 @@ _PATIENT = {
 """Always followed, in the same process, by the start, the end or a materialisation of a step."""
 
 
+APART_S = 0.001
+"""From one partition's event to the next: Dagster's pages tell times by the millisecond, and events by their times."""
+
+
+class Other(NamedTuple):
+    """An event of a group beside its first: partition, Dagster's own text, tags, when it is said to have happened."""
+
+    partition: str
+    event: str
+    tags: Mapping[str, str]
+    at: datetime
+
+
 @dataclass(frozen=True, slots=True)
 class EventGroup:
-    """Events that differ only in their partition: the first as it was handed over, its row, and all partitions."""
+    """Events that differ in their partition, its numbers and by milliseconds.
+
+    Held are the first as it was handed over, its row, and of all the partitions and, of a materialisation, numbers.
+    """
 
     event: EventLogEntry
     row: dict[str, Any]
     tags: Mapping[str, str]
     partitions: Sequence[str | None]
+    numbers: Sequence[Mapping[str, int]] = ()
 
     @property
     def type(self) -> DagsterEventType | None:
@@ -58,27 +76,54 @@ class EventGroup:
         """Whether it belongs into the index of all runs."""
         return self.type in ASSET_EVENTS | ASSET_CHECK_EVENTS or self.type in EVENT_TYPE_TO_PIPELINE_RUN_STATUS
 
-    def others(self) -> Iterator[tuple[str, str, Mapping[str, str]]]:
-        """Partition, event in Dagster's own text, and tags of all but the first."""
+    def others(self) -> Iterator[Other]:
+        """All but the first, each a millisecond before the one before it."""
         if len(self.partitions) < 2:
             return
-        pattern, names = _bare(str(self.row["event"])).replace("%", "%%"), {"partition": self.row["partition"]}
-        for key, value in (names | _dimensions(self.row["partition"])).items():
-            pattern = pattern.replace(f'"{key}": {json.dumps(value)}', f'"{key}": %({key})s')
-        for partition in filter(None, self.partitions[1:]):
-            own = _dimensions(partition)
-            quoted = {key: _quoted(value) for key, value in own.items()}
-            yield partition, pattern % (quoted | {"partition": _quoted(partition)}), self.tags and {**self.tags, **own}
+        pattern, at_s = self._pattern(), self.event.timestamp
+        for i, partition in enumerate(self.partitions[1:], 1):
+            if partition:
+                own, then_s = _dimensions(partition), at_s - i * APART_S
+                told = {key: _quoted(value) for key, value in own.items()} | {
+                    "partition": _quoted(partition), "timestamp": repr(then_s), _NUMBERS: self._numbers(i)
+                }  # fmt: skip
+                yield Other(partition, pattern % told, self.tags and {**self.tags, **own}, _moment(then_s))
+
+    def _pattern(self) -> str:
+        """Text of the first with a place for what differs."""
+        said = _bare(str(self.row["event"]))
+        names = {"partition": json.dumps(self.row["partition"]), "timestamp": json.dumps(said["timestamp"])}
+        names |= {key: json.dumps(value) for key, value in _dimensions(self.row["partition"]).items()}
+        pattern = json.dumps(said).replace("%", "%%").replace(f'"{_NUMBERS}"', f"[%({_NUMBERS})s]")
+        for key, value in names.items():
+            pattern = pattern.replace(f'"{key}": {value}', f'"{key}": %({key})s')
+        return pattern
+
+    def _numbers(self, place: int) -> str:
+        own = self.numbers[place] if self.numbers else {}
+        return ", ".join(_ENTRY % (_quoted(label), value) for label, value in own.items())
 
 
-def _bare(event: str) -> str:
-    """An event's text without the numbers of its run, which stand with the group's first: half of what is stored."""
-    said = json.loads(event)
+_NUMBERS = "numbers"
+_ENTRY = (
+    '{"__class__": "EventMetadataEntry", "label": %s, "description": null, '
+    '"entry_data": {"__class__": "IntMetadataEntryData", "value": %d}}'
+)
+
+
+def _moment(timestamp_s: float) -> datetime:
+    """As Dagster's tables hold it: UTC, without a zone."""
+    return datetime.fromtimestamp(timestamp_s, UTC).replace(tzinfo=None)
+
+
+def _bare(event: str) -> dict[str, Any]:
+    """An event without the numbers of its run, which stand with the group's first: half of what is stored."""
+    said: dict[str, Any] = json.loads(event)
     said["dagster_event"]["logging_tags"] = {}
     made = said["dagster_event"]["event_specific_data"].get("materialization")
     if made:
-        made["metadata_entries"] = []
-    return json.dumps(said)
+        made["metadata_entries"] = _NUMBERS
+    return said
 
 
 def _what(event: EventLogEntry) -> tuple[str, AssetKey]:
@@ -105,7 +150,7 @@ class CoalescingEventLog(SqlEventLogStorage):
     supports_partition_subset_in_asset_materialization_planned_events = True
 
     def __init__(self, *args: Any, **settings: Any) -> None:
-        self._alike: dict[tuple[str, AssetKey], Sequence[str]] = {}
+        self._alike: dict[tuple[str, AssetKey], tuple[Sequence[str], Sequence[Mapping[str, int]]]] = {}
         self._waiting: list[EventLogEntry] = []
         super().__init__(*args, **settings)  # type: ignore[no-untyped-call]
 
@@ -121,9 +166,14 @@ class CoalescingEventLog(SqlEventLogStorage):
     def _written(self, conn: Connection, one: EventGroup) -> int:
         """Id of the group's last row, once it is in the index."""
 
-    def represents(self, run_id: str, asset_key: AssetKey, partitions: Sequence[str]) -> None:
-        """Let the run's next materialisation of the asset, that of the first partition, count for all of these."""
-        self._alike[run_id, asset_key] = partitions
+    def represents(
+        self, run_id: str, asset_key: AssetKey, partitions: Sequence[str], numbers: Sequence[Mapping[str, int]] = ()
+    ) -> None:
+        """Let the run's next materialisation of the asset, that of the first partition, count for all of these.
+
+        `numbers` are what the others' events tell as metadata, one mapping a partition, the first's among them.
+        """
+        self._alike[run_id, asset_key] = partitions, numbers
 
     def mark_failed_partitions(self, run_id: str, partitions: Sequence[str]) -> None:
         """Show these partitions as planned for every asset that the failed run did not materialise."""
@@ -140,7 +190,7 @@ class CoalescingEventLog(SqlEventLogStorage):
         self._waiting += events
         if not all(e.dagster_event_type in _PATIENT for e in events):
             due, self._waiting = self._waiting, []
-            self._store([self._one(e, self._partitions(e)) for e in due])
+            self._store([self._one(e, *self._partitions(e)) for e in due])
 
     def _mirror(self, groups: Sequence[EventGroup]) -> None:
         """Write the groups into the index with their tags; of each asset the newest of a type counts."""
@@ -155,16 +205,19 @@ class CoalescingEventLog(SqlEventLogStorage):
             for event, event_id in newest.values():
                 self._store_asset_event(conn, event, event_id)
 
-    def _partitions(self, event: EventLogEntry) -> Sequence[str | None]:
+    def _partitions(self, event: EventLogEntry) -> tuple[Sequence[str | None], Sequence[Mapping[str, int]]]:
+        """Partitions that the event stands for, and their numbers."""
         if event.dagster_event_type not in ASSET_EVENTS:
-            return [None]
+            return [None], ()
         stands = self._alike.pop(_what(event), None) if event.dagster_event_type == _MADE else None
-        return stands or [event.get_dagster_event().partition]
+        return stands or ([event.get_dagster_event().partition], ())
 
-    def _one(self, event: EventLogEntry, partitions: Sequence[str | None]) -> EventGroup:
+    def _one(
+        self, event: EventLogEntry, partitions: Sequence[str | None], numbers: Sequence[Mapping[str, int]] = ()
+    ) -> EventGroup:
         if event.dagster_event_type == _PLANNED:
             event = _of(event, partitions[0])  # the run's tags name its range; its keys once more would be 100 kB
-        return EventGroup(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions)
+        return EventGroup(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions, numbers)
 
 
 def _of(event: EventLogEntry, partition: str | None) -> EventLogEntry:

@@ -19,15 +19,16 @@ from dagster_batched.event_log import CoalescingEventLog, EventGroup
 
 _ALIKE = text(
     "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
-    " select run_id, o.event, dagster_event_type, timestamp, step_key, asset_key, o.partition"
-    " from event_logs, unnest(cast(:events as text[]), cast(:partitions as text[])) as o (event, partition)"
+    " select run_id, o.event, dagster_event_type, o.at, step_key, asset_key, o.partition"
+    " from event_logs, unnest(cast(:events as text[]), cast(:partitions as text[]), cast(:times as timestamp[]))"
+    " as o (event, partition, at)"
     " where id = :first returning id, partition"
 )
 _ALIKE_TAGS = text(
     "insert into asset_event_tags (event_id, asset_key, key, value, event_timestamp)"
-    " select o.id, asset_key, key, o.value, event_timestamp from asset_event_tags"
+    " select o.id, e.asset_key, o.key, o.value, e.timestamp from event_logs as e"
     " join unnest(cast(:ids as bigint[]), cast(:keys as text[]), cast(:values as text[])) as o (id, key, value)"
-    " using (key) where event_id = :first"
+    " using (id)"
 )
 
 
@@ -63,11 +64,12 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
         others = list(one.others())
         if not others:
             return first
-        partitions, events, tags = zip(*others, strict=True)
-        made = conn.execute(_ALIKE, {"events": list(events), "partitions": list(partitions), "first": first})
+        partitions, events, tags, times = (list(column) for column in zip(*others, strict=True))
+        asked = {"events": events, "partitions": partitions, "times": times, "first": first}
+        made = conn.execute(_ALIKE, asked)
         ids = {partition: int(event_id) for event_id, partition in made}
         rows = [(ids[p], key, value) for p, own in zip(partitions, tags, strict=True) for key, value in own.items()]
         if rows:
             of, keys, values = (list(column) for column in zip(*rows, strict=True))
-            conn.execute(_ALIKE_TAGS, {"ids": of, "keys": keys, "values": values, "first": first})
+            conn.execute(_ALIKE_TAGS, {"ids": of, "keys": keys, "values": values})
         return max(ids.values())

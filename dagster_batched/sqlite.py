@@ -26,10 +26,10 @@ from sqlalchemy import Connection, Engine, create_engine
 from dagster_batched.event_log import CoalescingEventLog, EventGroup
 
 BATCH_EVENTS = 1000
-_SHARED = "run_id, dagster_event_type, timestamp, step_key, asset_key"
+_SHARED = "run_id, dagster_event_type, step_key, asset_key"
 # bound values cost half of what a copy of the first row within SQLite does
 _FIRST = f"select {_SHARED} from event_logs where id = ?"
-_ALIKE = f"insert into event_logs ({_SHARED}, partition, event) values (?, ?, ?, ?, ?, ?, ?)"
+_ALIKE = f"insert into event_logs ({_SHARED}, timestamp, partition, event) values (?, ?, ?, ?, ?, ?, ?)"
 _ALIKE_TAG = "insert into asset_event_tags (event_timestamp, asset_key, event_id, key, value) values (?, ?, ?, ?, ?)"
 
 
@@ -143,9 +143,11 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
         others = list(one.others())
         if others:
             shared = conn.exec_driver_sql(_FIRST, (first,)).one()
-            own = ((i, *tag) for i, (_, _, named) in enumerate(others, first + 1) for tag in named.items())
-            conn.exec_driver_sql(_ALIKE, [(*shared, partition, event) for partition, event, _ in others])
-            if tags := [(shared.timestamp, shared.asset_key, *tag) for tag in own]:
+            times = [f"{o.at:%Y-%m-%d %H:%M:%S.%f}" for o in others]
+            rows = [(*shared, at, o.partition, o.event) for o, at in zip(others, times, strict=True)]
+            conn.exec_driver_sql(_ALIKE, rows)
+            placed = enumerate(zip(others, times, strict=True), first + 1)
+            if tags := [(at, shared.asset_key, i, *tag) for i, (o, at) in placed for tag in o.tags.items()]:
                 conn.exec_driver_sql(_ALIKE_TAG, tags)
         return first + len(others)
 

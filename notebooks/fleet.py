@@ -15,7 +15,7 @@ with app.setup:
     import polars.selectors as cs
     from matplotlib.figure import Figure
 
-    from pipelines.report.svg import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+    from pipelines.report.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
     Z_90 = 1.645
 

@@ -16,13 +16,13 @@ def baseline_cells(ledger: Ledger) -> pl.DataFrame:
 
 
 def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
-    """Messages or maintenance up to the day of each aircraft's last baseline flight."""
+    """Messages, maintenance or printed reports up to the day of each aircraft's last baseline flight."""
     return told_by_then(store.read(table), cells)
 
 
 def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
-    """Of messages or maintenance what was on record by the day of each aircraft's last flight in `cells`."""
-    on = pl.col("message_time").dt.date() if "message_time" in records.columns else pl.col("done_on")
+    """Messages, maintenance or printed reports that were on record by the day of each aircraft's last flight."""
+    on = next(pl.col(c).cast(pl.Date) for c in ("message_time", "reported_at", "done_on") if c in records.columns)
     day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
     last = cells.group_by("operator", "tail").agg(day)
     return records.join(last, on=["operator", "tail"]).filter(on <= pl.col("last_day")).drop("last_day")
@@ -31,6 +31,6 @@ def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
 def baseline_inputs(ledger: Ledger) -> list[str]:
     """What the model is made of, as lines to be hashed."""
     store, cells = Store(ledger.home), baseline_cells(ledger)
-    records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance")]
+    records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance", "raw_reports")]
     terms = [f"term {name}" for name in accepted_terms(ledger.home)]
     return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))] + terms

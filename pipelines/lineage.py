@@ -16,7 +16,7 @@ Grain = Literal["flight", "aircraft", "fleet"]
 FOLDED = {"flight": 4, "aircraft": 20, "fleet": 1}
 PACK, COMPONENT = "pack", "component"
 FLIGHT_FILES = ("acms", "history", "cpl", "recorder")
-RECORD_FILES = ("messages", "maintenance")
+RECORD_FILES = ("messages", "maintenance", "reports")
 DECLARED = "1 " + " ".join(c.version for c in components().values())
 """Of what follows from the components that are declared: a change of one makes its results again."""
 
@@ -123,9 +123,14 @@ STAGES = (
         "raw",
         {
             **alike(
-                "raw_fleet", "raw_files_deliveries", "raw_files_quarantine", files=("fleet", "rejected", "refused")
+                "raw_fleet",
+                "raw_files_deliveries",
+                "raw_files_quarantine",
+                files=("fleet", "rejected", "refused", "checks", "costs"),
             ),
             "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
+            "raw_checks": Recipe(files=("checks",)),
+            "raw_costs": Recipe(files=("costs",), code=DECLARED),
         },
         label="fleet list and refused files",
     ),
@@ -134,7 +139,9 @@ STAGES = (
         "raw",
         {
             "raw_messages": Recipe(files=("messages",), code="2"),
-            "raw_maintenance": Recipe(files=("maintenance",), code="3"),
+            "raw_maintenance": Recipe(files=("maintenance", "findings"), code="4"),
+            "raw_cases": Recipe(files=("cases",)),
+            "raw_reports": Recipe(files=("reports",)),
             **alike("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="2"),
         },
         untracked=("raw_fleet",),
@@ -164,7 +171,8 @@ STAGES = (
             "calibration_dsm",
             "calibration_design",
             "calibration_laws",
-            parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages"),
+            "calibration_window",
+            parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"),
             baseline=True,
             code="11",
         ),
@@ -201,7 +209,7 @@ STAGES = (
         "legs",
         alike(
             "legs_admitted",
-            parents=("twin_health", "twin_flights", "legs_signs", "raw_messages", "raw_maintenance"),
+            parents=("twin_health", "twin_flights", "legs_signs", "raw_messages", "raw_maintenance", "raw_reports"),
             code="5",
         ),
     ),
@@ -218,7 +226,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="11"),
+        alike("features_alerts", parents=("features",), code="13"),
     ),
     Stage(
         "raw_components",
@@ -240,7 +248,7 @@ STAGES = (
         alike(
             "legs_components",
             "calibration_components",
-            parents=("raw_components", "raw_maintenance"),
+            parents=("raw_components", "raw_maintenance", "raw_reports"),
             terms=True,
             code=DECLARED,
         ),
@@ -255,7 +263,7 @@ STAGES = (
     Stage(
         "features_components",
         "features",
-        alike("features_components", "features_component_alerts", parents=("twin_components",)),
+        alike("features_components", "features_component_alerts", parents=("twin_components",), code="3"),
         road=COMPONENT,
     ),
     Stage("declared_components", "raw", alike("components", code=DECLARED)),
@@ -267,6 +275,7 @@ STAGES = (
         alike(
             "prognoses",
             "prognosis_model",
+            "prognosis_lives",
             parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
             code="6",
         ),
@@ -275,7 +284,11 @@ STAGES = (
     Stage(
         "prognoses_components",
         "prognosis",
-        alike("prognoses_components", parents=("features_components", "raw_messages", "raw_maintenance")),
+        alike(
+            "prognoses_components",
+            "prognoses_components_lives",
+            parents=("features_components", "raw_messages", "raw_maintenance"),
+        ),
     ),
 )
 

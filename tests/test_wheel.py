@@ -1,6 +1,8 @@
 """The wheel alone, on a base install without numba and away from the repository: its demo runs."""
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,6 +24,7 @@ for words in (
     "simulate --out fleet --operators 1 --tails 1 --flights 15",
     "nightly --landing fleet/landing --home home",
     "report --home home --out report.html",
+    "docs raw-data",
 ):
     app(words.split(), standalone_mode=False)
 """
@@ -54,6 +57,29 @@ def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
     assert len(wanted) > 30
     assert wanted <= held
     assert not {h for h in held if h.startswith(("tests", "benchmarks", "docs"))}
+
+
+def test_it_carries_every_page_that_a_message_points_at(wheel):
+    """Messages say `hdt docs PAGE`; none names a file that only a checkout has."""
+    held = set(zipfile.ZipFile(wheel).namelist())
+    sources = [*(ROOT / "hdt_core").rglob("*.py"), *(ROOT / "pipelines").rglob("*.py")]
+    texts = [
+        node.value
+        for file in sources
+        for node in _messages(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node.value, str)
+    ]
+    pages = {page for text in texts for page in re.findall(r"`hdt docs ([a-z0-9-]+)`", text)}
+    assert pages >= {"raw-data", "howto-recorder"}
+    assert {f"pipelines/docs/{page}.md" for page in pages} <= held
+    assert {Path(h).suffix for h in held if h.startswith("pipelines/docs/")} == {".md"}
+    assert [t for t in texts if re.search(r"\bsee docs/|\(docs/[a-z-]+\.md\)", t)] == []
+
+
+def _messages(tree: ast.Module) -> list[ast.Constant]:
+    """Texts of a module that are no docstring."""
+    told = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    return [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in told]
 
 
 def test_its_demo_runs_outside_the_repository(wheel, sample_home, tmp_path):

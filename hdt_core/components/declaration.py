@@ -151,6 +151,8 @@ class Component:
         What its record shows without a model.
     terms : mapping of str to PhysicsModel
         The model with a physical term of `hdt_core.physics.terms` in it, in service once an engineer accepts the term.
+    bleed_air : bool
+        Engine bleed air feeds it: flights with a bleed off or the cross-feed open are none of its normal ones.
     needs : mapping of str to tuple of str
         Columns of the default record without which a parameter can't be estimated; for the pack's parts.
     """
@@ -172,6 +174,7 @@ class Component:
     record: Record | None = None
     readings: tuple[Reading, ...] = ()
     terms: Mapping[str, PhysicsModel] = field(default_factory=dict)
+    bleed_air: bool = False
     needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,5 +1,7 @@
 """The pack's heat exchanger where neither pack flow nor ram door is recorded: its temperatures alone."""
 
+from math import pi
+
 import polars as pl
 
 from hdt_core.components.declaration import CLEANED, REPLACED, Channel, Component, Limit, Reading, Record
@@ -50,14 +52,24 @@ HXT = Component(
             Channel("tat_degc", "tat_k", "K", "total air temperature", offset=273.15, low=165.0, high=355.0),
             Channel("altitude_ft", "altitude_m", "m", "pressure altitude", scale=0.3048, low=-610.0, high=18300.0),
             Channel("mach", "mach", "-", "Mach number", low=-0.1, high=1.2),
+            Channel("fan_rpm", "fan_rad_s", "rad/s", "ram air fan", scale=pi / 30.0, low=-50.0, high=7000.0,
+                    needed=False),
+            Channel("acm_rpm", "acm_rad_s", "rad/s", "air cycle machine", scale=pi / 30.0, low=-50.0, high=12500.0,
+                    needed=False),
+            Channel("ram_exit_pct", "ram_exit_open", "-", "ram air exit door", scale=0.01, low=-0.1, high=1.1,
+                    needed=False),
         ),
         derive=_ram_air,
         nominal=(pl.col("mach") > MOVING_MACH) & pl.col("effectiveness").is_not_null(),
     ),
+    bleed_air=True,
     readings=(
         Reading("hxt_effectiveness", "-", "share of the way to TAT that the hot air is cooled", _SEEN, below=1.0),
         Reading("hxt_effectiveness_slow", "-", "of that, at 160 kt or less", _SEEN, _FLUX < SLOW, below=1.0),
         Reading("hxt_effectiveness_fast", "-", "of that, at 230 kt or more", _SEEN, _FLUX > FAST, below=1.0),
+        Reading("hxt_fan_rpm", "rpm", "ram air fan", pl.col("fan_rad_s") * 30.0 / pi),
+        Reading("hxt_acm_rpm", "rpm", "air cycle machine", pl.col("acm_rad_s") * 30.0 / pi),
+        Reading("hxt_ram_exit_open", "-", "ram air exit door, share open", pl.col("ram_exit_open")),
     ),
 )  # fmt: skip
 """Its signals come by a type description: `docs/howto-recorder.md`."""

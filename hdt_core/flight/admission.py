@@ -26,6 +26,7 @@ LOSSES = {
 }
 ENOUGH_SAMPLES = 8
 SECOND_LEVEL = {
+    "BLEED": "a printed report of the cruise says that a bleed or a pack was off, or the cross-feed open",
     "SENSOR_SHIFT": "a sensor left what it is tied to",
     "UNREST": "the exchanger changed within the cruise, as ice does",
     "STRAY": "the leg stands apart from those before and after it",

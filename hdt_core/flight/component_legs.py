@@ -15,6 +15,7 @@ REASONS = {
     "NOT_RECORDED": "a signal that the component's model needs is not recorded",
     "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
     "UNSTEADY": "a signal drifted through the flight, so the component was not in steady state",
+    "BLEED": "a printed report says that a bleed or a pack was off, or the cross-feed open",
     "STRAY": "the flight stands apart from the others the component was calibrated on",
     "NOT_COMMISSIONED": "too few steady flights of the component as built to know it by",
 }

@@ -1,21 +1,20 @@
 """Alerts: all cases of a fleet as rows of the catalog."""
 
-import hashlib
-from collections.abc import Iterable
-from datetime import datetime
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import polars as pl
 
+from hdt_core.health.detection import Array
 from hdt_core.health.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.health.doors import door_cases
-from hdt_core.health.episodes import Case, Limits, occupied
+from hdt_core.health.endings import answer_findings, end_with_the_unit
+from hdt_core.health.episodes import Case, Limits, case_id, occupied
 from hdt_core.health.grid import Grid
 from hdt_core.health.low_margin import low_margin_cases
+from hdt_core.health.repeats import action_of, count_units
 from hdt_core.health.sensors import feigns_wear, outlet_doubtful, sensor_cases
 from hdt_core.health.wear import cc_cases, hx_cases
-from hdt_core.records.unit_index import PACK, select_entries
 
 KEY = ["operator", "tail", "flight_id", "pack"]
 SCHEMA: dict[str, Any] = {
@@ -23,7 +22,7 @@ SCHEMA: dict[str, Any] = {
     "diagnosis": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
     "closed_at": pl.Datetime("us", "UTC"), "severity": pl.String, "evidence": pl.String,
     "recommended_action": pl.String, "raised_severity": pl.String, "now_flight_id": pl.String,
-    "evidence_now": pl.String,
+    "evidence_now": pl.String, "closed_reason": pl.String, "follows": pl.String, "units_in_90_days": pl.Int64,
 }  # fmt: skip
 
 
@@ -39,18 +38,36 @@ def raise_alerts(
     health_parameters : DataFrame
         Long form; fills in health where `features` carries none.
     maintenance : DataFrame
-        operator, tail, pack, done_on, component, action. Work on a component ends its cases.
+        operator, tail, pack, done_on, component, action, finding. Work on a component ends its cases, and an inspection
+        that found nothing answers them.
 
     Returns
     -------
     DataFrame
         The columns of the catalog's `alerts`. A case keeps its `alert_id` however much later data arrives.
     """
-    grid = Grid.cut(_with_health(features, health_parameters))
-    cases = end_with_the_unit(grid, maintenance, find_cases(grid, maintenance, limits)) if grid.rows.height else []
-    rows = [alert_row(grid, case, DIAGNOSES[case.diagnosis]) for case in cases]
+    grid = Grid.cut(with_health(features, health_parameters))
+    cases = find_cases(grid, maintenance, limits) if grid.rows.height else []
+    return as_alerts(grid, maintenance, cases, limits or Limits())
+
+
+def as_alerts(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> pl.DataFrame:
+    """Cases, each ended where work ends it and answered by what was found, as rows of the catalog."""
+    cases = answer_findings(grid, maintenance, end_with_the_unit(grid, maintenance, cases), limits)
+    rows = [alert_row(grid, maintenance, case, DIAGNOSES[case.diagnosis]) for case in cases]
     alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbances:
+    """Cases of doors and sensors, and where they leave wear in doubt. Flags are (units, flights) bool."""
+
+    doors: list[Case]
+    sensors: list[Case]
+    unclear: Array
+    feigned: Array
+    sick: Array
 
 
 def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = None) -> list[Case]:
@@ -59,6 +76,12 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     Doors are judged first, then sensors, then wear: what a faulty door or sensor explains is not called wear.
     """
     limits = limits or Limits()
+    found = find_disturbances(grid, maintenance, limits)
+    return found.doors + found.sensors + wear_cases(grid, maintenance, limits, found)
+
+
+def find_disturbances(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> Disturbances:
+    """What doors and sensors do."""
     doors = door_cases(grid, maintenance, limits)
     door_on = occupied(grid.shape, doors)
     jammed = occupied(grid.shape, [c for c in doors if c.facts["kind"] == "jam"])
@@ -67,51 +90,19 @@ def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = No
     # outlets that differ leave no doubt once it is known whose sensor or door is why
     named = door_on | occupied(grid.shape, [c for c in biased if c.facts["sensor"] == "hx_out_k"])
     unclear = door_on | (outlet_doubtful(grid) & ~named & ~grid.across(named))
-    compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, sensors))
     feigned = occupied(grid.shape, [c for c in biased if feigns_wear(c)])
-    low = low_margin_cases(grid, maintenance, limits, unclear | feigned)
-    sick = unclear | occupied(grid.shape, biased)
-    exchangers = hx_cases(grid, maintenance, limits, sick, occupied(grid.shape, low))
-    return doors + sensors + exchangers + low + compressors
+    return Disturbances(doors, sensors, unclear, feigned, unclear | occupied(grid.shape, biased))
 
 
-def end_with_the_unit(
-    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Iterable[Diagnosis] = tuple(DIAGNOSES.values())
-) -> list[Case]:
-    """Close every case where work on its component ends it, whatever is seen of the pack from then on.
-
-    The case ends on the first flight that counts as flown after the work (`records.unit_index`), however late the entry
-    came; where none has followed yet, at the moment from which the entry counts.
-    """
-    for said in diagnoses:
-        own = [case for case in cases if case.diagnosis == said.code]
-        if not own:
-            continue
-        ended = grid.worked_on(maintenance, (said.component,), said.ended_by)
-        waiting = _unflown(grid, maintenance, said.component, said.ended_by)
-        for case in own:
-            later = case.raised + 1 + np.flatnonzero(ended[case.unit, case.raised + 1 :])
-            if later.size and (case.closed is None or case.closed > later[0]):
-                case.closed = int(later[0])
-            case.ended_at = waiting.get(case.unit)
-    return cases
+def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, found: Disturbances) -> list[Case]:
+    """Wear, where no door and no sensor explains it."""
+    compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, found.sensors))
+    low = low_margin_cases(grid, maintenance, limits, found.unclear | found.feigned)
+    exchangers = hx_cases(grid, maintenance, limits, found.sick, occupied(grid.shape, low))
+    return exchangers + low + compressors
 
 
-def _unflown(grid: Grid, maintenance: pl.DataFrame, component: str, actions: tuple[str, ...]) -> dict[int, datetime]:
-    """Of units worked on since their last flight, the moment from which the first such entry counts."""
-    last = (
-        grid.rows.select(*PACK, "departed_at", pl.Series("unit", grid.unit))
-        .group_by(*PACK, "unit")
-        .agg(pl.col("departed_at").max())
-    )
-    entries = select_entries(maintenance, (component,), actions).join(last, on=PACK)
-    later = (
-        entries.filter(pl.col("counts_from") > pl.col("departed_at")).group_by("unit").agg(pl.col("counts_from").min())
-    )
-    return dict(later.select("unit", "counts_from").rows())
-
-
-def _with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
+def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
     """Features with the health columns that the rules need, taken from the long form where absent."""
     wide = features
     for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m"):
@@ -122,20 +113,20 @@ def _with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.
     return wide
 
 
-def alert_row(grid: Grid, case: Case, said: Diagnosis) -> tuple[Any, ...]:
+def alert_row(grid: Grid, maintenance: pl.DataFrame, case: Case, said: Diagnosis) -> tuple[Any, ...]:
     """A case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
-    flight_id = str(grid.at("flight_id", case.unit, case.raised))
-    name = "|".join((tail, str(pack), case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
     flown = int((grid.unit == case.unit).sum())
     closed = case.closed if case.closed is not None and case.closed < flown else None
     now = (flown if closed is None else closed) - 1
     since = str(grid.at("flight_id", case.unit, int(case.facts["since"])))
     then, latest = (said.facts(grid, case, flight) for flight in (case.raised, now))
+    units = count_units(grid, maintenance, case, said)
     return (
-        hashlib.sha256(name.encode()).hexdigest()[:16], operator, tail, pack, case.component, case.diagnosis, flight_id,
-        grid.at("departed_at", case.unit, case.raised),
+        case_id(grid, case), operator, tail, pack, case.component, case.diagnosis,
+        grid.at("flight_id", case.unit, case.raised), grid.at("departed_at", case.unit, case.raised),
         case.ended_at if closed is None else grid.at("departed_at", case.unit, closed),
-        said.severity(latest), said.evidence(then, since).text(), said.action + said.addendum(then),
+        said.severity(latest), said.evidence(then, since).text(), action_of(said, units) + said.addendum(then),
         said.severity(then), grid.at("flight_id", case.unit, now), said.evidence(latest, since).text(),
+        case.ended_reason if closed is None else case.closed_reason, case.facts.get("follows"), units,
     )  # fmt: skip

@@ -9,15 +9,17 @@ import numpy as np
 import polars as pl
 
 from hdt_core.components import Component
-from hdt_core.health.alerts import SCHEMA, alert_row, end_with_the_unit
+from hdt_core.health import phrases
+from hdt_core.health.alerts import SCHEMA, alert_row
 from hdt_core.health.detection import persistent
 from hdt_core.health.diagnoses import Diagnosis
+from hdt_core.health.endings import end_with_the_unit
 from hdt_core.health.episodes import Case, Limits, spells
 from hdt_core.health.evidence import NEUTRAL, SUPPORTS, Evidence, Witness
 from hdt_core.health.features import features
 from hdt_core.health.grid import Grid
 from hdt_core.health.wear import odds_above
-from hdt_core.health.wording import Facts, chance_above
+from hdt_core.health.wording import Facts, chance_above, within
 
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
 TRENDS = ("sd", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
@@ -80,7 +82,7 @@ def raise_component_alerts(
         return pl.DataFrame(schema=SCHEMA)
     grid, said = Grid.cut(own), diagnosis_of(component)
     cases = end_with_the_unit(grid, maintenance, _worn(grid, maintenance, component, limits or Limits()), [said])
-    rows = [alert_row(grid, case, said) for case in cases]
+    rows = [alert_row(grid, maintenance, case, said) for case in cases]
     return pl.DataFrame(rows, schema=SCHEMA, orient="row").sort("raised_at", "tail", "pack", "alert_id")
 
 
@@ -105,17 +107,21 @@ def _began(sure: np.ndarray, first: int) -> int:
 
 def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
     loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
-    above = chance_above(loss, component.warn_loss, sd)
-    moved = (
-        f"{component.lost} ({component.loss}) {100 * loss:.0f} +- {100 * sd:.0f} %, {loss / max(sd, 1e-6):.0f} sigma; "
-        f"above {100 * component.warn_loss:.0f} % since {since}, and with probability {above}"
-    )
+    moved = [
+        phrases.UNIT_LOST.format(
+            lost=component.lost,
+            name=component.loss,
+            loss=within(loss, sd),
+            sigma=f"{loss / max(sd, 1e-6):.0f}",
+            limit=f"{100 * component.warn_loss:.0f}",
+            since=since,
+            odds=chance_above(loss, component.warn_loss, sd),
+        )
+    ]
     if slope > 1e-5:
-        moved += f"; {1000 * slope:.1f} points more every ten flights (trend of 30)"
-    fails = f"it fails at about {100 * component.limit.mean:.0f} +- {100 * component.limit.unit_sd:.0f} %"
+        moved.append(phrases.TREND.format(points=f"{1000 * slope:.1f}"))
+    fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
     told = [Witness(SUPPORTS if loss > NEAR * component.limit.mean else NEUTRAL, fails)]
     if not math.isnan(facts["loss_step_3"]) and facts["loss_step_3"] > STEP:
-        told.append(
-            Witness(NEUTRAL, f"{100 * facts['loss_step_3']:.0f} points came within three flights: a sudden event")
-        )
-    return Evidence(moved, tuple(told), component.otherwise, component.waiting)
+        told.append(Witness(NEUTRAL, phrases.UNIT_STEP.format(points=f"{100 * facts['loss_step_3']:.0f}")))
+    return Evidence("; ".join(moved), tuple(told), component.otherwise, component.waiting)

@@ -36,6 +36,8 @@ class Diagnosis:
         Features that are facts of any moment, beside those the case was raised with.
     addendum : callable, optional
         What the facts add to the action.
+    ended_by_sound : bool
+        Whether an inspection of the component that found nothing ends the case.
     """
 
     code: str
@@ -47,6 +49,7 @@ class Diagnosis:
     evidence: Callable[[Facts, str], Evidence]
     measured: tuple[str, ...] = ()
     addendum: Callable[[Facts], str] = lambda facts: ""
+    ended_by_sound: bool = True
 
     def facts(self, grid: Grid, case: Case, flight: int) -> Facts:
         """What is known after a flight: what the case was raised with, and what has been measured since."""
@@ -105,6 +108,7 @@ DIAGNOSES = {
             severity=wording.margin_severity,
             evidence=wording.low_margin,
             measured=(*_EXCHANGER, *_MARGIN),
+            ended_by_sound=False,  # it says itself that wear is not why
         ),
         Diagnosis(
             code="CC_DEGRADED",

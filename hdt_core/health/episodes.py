@@ -1,5 +1,6 @@
 """A case: a belief about one pack from its first flight to its last, and the limits at which belief becomes a case."""
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -9,6 +10,7 @@ import numpy as np
 
 from hdt_core.components.exchanger import HX
 from hdt_core.health.detection import Array
+from hdt_core.health.grid import Grid
 
 REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
 """Actions after which a part is not the part it was."""
@@ -66,7 +68,8 @@ class Case:
     """One belief about a pack; `raised` and `closed` are the pack's flights, `closed` None while it holds.
 
     `facts` are those it was raised with; `at` gives, after any flight, what only its own rule can measure; `ended_at`
-    is when work ended a case that is open after the pack's last flight.
+    is when work ended a case that is open after the pack's last flight. `closed_reason` and `ended_reason` say why:
+    `recovered` (what was believed is no longer seen), `renewed` (another or a repaired part flies), `found_clean`.
     """
 
     unit: int
@@ -77,6 +80,16 @@ class Case:
     facts: dict[str, Any] = field(default_factory=dict)
     at: Callable[[int], dict[str, Any]] = lambda flight: {}
     ended_at: datetime | None = None
+    closed_reason: str = "recovered"
+    ended_reason: str | None = None
+
+
+def case_id(grid: Grid, case: Case) -> str:
+    """Name of a case in the catalog: it stays however much later data arrives."""
+    _, tail, pack = grid.units.row(case.unit)
+    flight_id = str(grid.at("flight_id", case.unit, case.raised))
+    name = "|".join((tail, str(pack), case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
+    return hashlib.sha256(name.encode()).hexdigest()[:16]
 
 
 def spells(active: Array, ended: Array) -> Iterator[tuple[int, int, int | None]]:

@@ -89,10 +89,10 @@ class Evidence:
 def _median_z(z: Array) -> tuple[Array, Array]:
     """Median of the flights, in standard deviations of that median, and flights it is worth; (channels,) each, NaN
     where never measured."""
-    seen = np.where(z != 0.0, z, np.nan)
-    n = np.isfinite(seen).sum(axis=0)
+    seen = np.where(np.isfinite(z) & (z != 0.0), z, np.nan)
+    # what was not measured comes last, and a row of it stands for no flights at all
+    ordered = np.sort(np.vstack([seen, np.full(z.shape[1], np.nan)]), axis=0)
+    n = np.isfinite(ordered).sum(axis=0)
     worth = np.maximum(np.where(n > 2, MEDIAN_WORTH * n, n), 1e-9)
-    middle = np.array(
-        [np.median(column[np.isfinite(column)]) if k else np.nan for column, k in zip(seen.T, n, strict=True)]
-    )
-    return middle * np.sqrt(worth), worth
+    low, high = (np.take_along_axis(ordered, k[None], axis=0)[0] for k in (np.maximum(n - 1, 0) // 2, n // 2 * (n > 0)))
+    return 0.5 * (low + high) * np.sqrt(worth), worth

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import threadpool_limits
 
+from hdt_core.prognosis.trees import probabilities
+
 Array = NDArray[np.float64]
 
 EDGES = np.array([0, 5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300], dtype=float)
 SPANS = EDGES.size - 1
 ROWS_AT_ONCE = 8_192
-"""Rows asked together: each becomes a row a span, so that memory does not grow with the fleet."""
+"""Rows asked together, so that memory does not grow with the fleet."""
 
 
 def at_risk(
@@ -98,9 +100,7 @@ def hazards(models: Sequence[HistGradientBoostingClassifier], features: Array) -
     with threadpool_limits(1, "openmp"):
         for first in range(0, len(told), ROWS_AT_ONCE):
             some = features[first : first + ROWS_AT_ONCE]
-            asked = with_span(np.repeat(some, SPANS, axis=0), np.tile(np.arange(SPANS), len(some)))
-            mean = sum(model.predict_proba(asked)[:, 1] for model in models) / len(models)
-            told[first : first + ROWS_AT_ONCE] = np.asarray(mean).reshape(-1, SPANS)
+            told[first : first + ROWS_AT_ONCE] = sum(probabilities(m, some, EDGES[1:]) for m in models) / len(models)
     return told
 
 

@@ -41,13 +41,51 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
     -------
     DataFrame
         operator, tail, pack, component, life (0..), first_row and end_row (the pack's flights counted from 0; the end
-        is the message's flight, or the last flight of the unit plus one), failed, age_known, mute (the operator has
-        given no message of any kind, so that its lives end unheard).
+        is the message's flight, or the last flight of the unit plus one), failed, removed (another unit came),
+        age_known, mute (the operator has given no message of any kind, so that its lives end unheard).
     """
     flights = flight_rows(features)
     parts = [_lives(flights, messages, maintenance, failure) for failure in FAILURES]
-    heard = pl.col("operator").is_in(messages["operator"].unique().implode())
-    return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=~heard)
+    return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=_mute(messages))
+
+
+def told_lives(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
+    """Lives as they are told to people: what ended each, and the flights between which it ran.
+
+    Parameters
+    ----------
+    features : DataFrame
+        As for `episodes`.
+    lives : DataFrame
+        From `episodes`, or from `component_lives`.
+
+    Returns
+    -------
+    DataFrame
+        operator, tail, pack, component, life, ended_by (message, replaced, unheard, or null while it flies), censored,
+        n_flights, first_row and end_row as in `episodes`, first_flight_id and first_departed_at, end_flight_id and
+        end_departed_at (the message's flight, else the unit's last).
+    """
+    flown = flight_rows(features).select(*PACK, "row", "flight_id", "departed_at")
+    last = pl.when("failed").then("end_row").otherwise(pl.col("end_row") - 1)
+    ends = lives.with_columns(last_row=last, ended_by=_ended_by(), censored=~pl.col("failed"))
+    first, end = (
+        flown.rename({"row": f"{at}_row", "flight_id": f"{name}_flight_id", "departed_at": f"{name}_departed_at"})
+        for at, name in (("first", "first"), ("last", "end"))
+    )
+    told = ends.join(first, on=[*PACK, "first_row"], how="left").join(end, on=[*PACK, "last_row"], how="left")
+    return told.with_columns(n_flights=pl.col("end_row") - pl.col("first_row"))
+
+
+def _ended_by() -> pl.Expr:
+    """`message` where the life is a failure; a unit that went without one was `replaced`, by a mute fleet `unheard`."""
+    went = pl.when("mute").then(pl.lit("unheard")).otherwise(pl.lit("replaced"))
+    return pl.when("failed").then(pl.lit("message")).when("removed").then(went)
+
+
+def _mute(messages: pl.DataFrame) -> pl.Expr:
+    """Whether an operator has given no message of any kind."""
+    return ~pl.col("operator").is_in(messages["operator"].unique().implode())
 
 
 def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
@@ -68,7 +106,7 @@ def component_lives(
     features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
 ) -> pl.DataFrame:
     """Lives of one component, as of `episodes`."""
-    return _lives(flight_rows(features), messages, maintenance, failure)
+    return _lives(flight_rows(features), messages, maintenance, failure).with_columns(mute=_mute(messages))
 
 
 def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure) -> pl.DataFrame:
@@ -92,6 +130,7 @@ def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFr
         "first_row",
         pl.coalesce("message_row", "next_row", "n_rows").alias("end_row"),
         pl.col("message_row").is_not_null().alias("failed"),
+        pl.col("next_row").is_not_null().alias("removed"),
         (pl.col("first_row") > 0).alias("age_known"),
     )
 

@@ -159,14 +159,14 @@ def _log_1hz(
 
     Both packs fly in the same air: what the first has drawn of a flight stands in `outside`.
     """
-    after_s = np.arange(0.0, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
+    after_s = np.arange(-plan.suite.taxi_s, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
     # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
     drawn = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
     now, known = outside.get(index, (drawn, None))
     true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
     read = recorded_air(now, missing)
     air = record(rng, air_data(read), plan.biases[0], plan.operator.temperature_step_k, plan.suite)
-    air = known or air
+    air = known or air | {"mach": np.maximum(air["mach"], plan.suite.least_mach)}
     outside[index] = now, air
     return pack_rows(rng, plan, now, true=recorded_pack(true, read, missing), history=history, pack=pack, air=air).drop(
         "phase_code"

@@ -16,6 +16,9 @@ from hdt_core.simulate.design import Operator
 Array = NDArray[np.float64]
 
 CLIMB_S, DESCENT_S = 1320.0, 1380.0
+TAXI_MACH = 0.02
+FAN_MACH = 0.25
+"""On the ground a fan draws as much ram air as an aircraft meets at this Mach number; assumed."""
 _PHASES = np.array(["TO", "CL", "CR", "DS", "AP"])
 
 
@@ -40,13 +43,17 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Outside conditions at recorded instants, one entry each; SI."""
+    """Outside conditions at recorded instants, one entry each; SI.
+
+    `ram_mach` is what the ram duct meets: the flight's Mach number, on the ground the fan's.
+    """
 
     flight: NDArray[np.int_]
     time_s: Array
     phase: NDArray[np.str_]
     altitude_m: Array
     mach: Array
+    ram_mach: Array
     tat_k: Array
     total_pressure_pa: Array
 
@@ -91,7 +98,10 @@ def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[NDArra
 
 
 def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.int_], after_s: Array) -> Conditions:
-    """Altitude, Mach number, temperature and pressure at instants of flights, rows of one flight in order of time."""
+    """Altitude, Mach number, temperature and pressure at instants of flights, rows of one flight in order of time.
+
+    Before 0 s the aircraft taxies.
+    """
     cruise_s, top_m = schedule.cruise_s[flight], schedule.cruise_m[flight]
     up = np.clip(after_s / CLIMB_S, 0.0, 1.0)
     down = np.clip((after_s - CLIMB_S - cruise_s) / DESCENT_S, 0.0, 1.0)
@@ -100,14 +110,17 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.
     altitude_m = top_m * (1.0 - (1.0 - up) ** 1.6) * (1.0 - down**1.15) + 3.0 * np.sin(after_s / 140.0 + wave)
     mach = 0.28 + (schedule.cruise_mach[flight] - 0.28) * np.clip(altitude_m / top_m, 0.0, 1.0) ** 0.75
     mach = mach + 0.002 * np.sin(after_s / 310.0 + 2.0 * wave)
+    taxies = after_s < 0.0
+    altitude_m, mach = np.where(taxies, 0.0, altitude_m), np.where(taxies, TAXI_MACH, mach)
     along_k = 1.5 * np.sin(after_s / 2400.0 + wave) - 1.5 * np.sin(wave)
     static_k = standard_temperature_k(altitude_m) + schedule.warmer_k[flight] + along_k
     return Conditions(
         flight=flight,
         time_s=schedule.departed_s[flight] + after_s,
-        phase=_phase(up, down),
+        phase=np.where(taxies, "GR", _phase(up, down)),
         altitude_m=altitude_m,
         mach=mach,
+        ram_mach=np.where(taxies, FAN_MACH, mach),
         tat_k=np.asarray(static_k * total_to_static_temperature(mach)),
         total_pressure_pa=np.asarray(standard_pressure_pa(altitude_m) * total_to_static_pressure(mach)),
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.physics.air import R_J_KG_K
+from hdt_core.physics.air import R_J_KG_K, total_to_static_pressure
 from hdt_core.physics.compressor import HEAD, exit_temperature_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
 from hdt_core.physics.ram_duct import ram_flow
@@ -63,15 +63,21 @@ def ram_flow_kg_s(design: PackDesign, now: Conditions, door: Array, blockage: Ar
     return np.asarray(
         ram_flow(
             ram_door_open=door,
-            total_pressure_pa=now.total_pressure_pa,
+            total_pressure_pa=now.total_pressure_pa * _raised(now),
             tat_k=now.tat_k,
             altitude_m=now.altitude_m,
-            mach=now.mach,
+            mach=now.ram_mach,
             ram_core_area_m2=design.ram_core_area_m2 * (1.0 - blockage),
             ram_flow_loss=np.zeros(1),
             **_values(design, _DUCT),
         )
     )
+
+
+def _raised(now: Conditions) -> Array:
+    """By what the fan raises total pressure; exactly 1 where it does not run."""
+    by_fan = total_to_static_pressure(now.ram_mach) / total_to_static_pressure(now.mach)
+    return np.where(now.ram_mach > now.mach, by_fan, 1.0)
 
 
 def conductance_w_k(design: PackDesign, demand: Demand, flow_kg_s: Array, cold_in_k: Array, wear: Wear) -> Array:
@@ -130,7 +136,8 @@ def sized_target_k(design: PackDesign) -> float:
 def reference(one: Array) -> Conditions:
     """Cruise at 37,000 ft, Mach 0.84, standard day: where conductance ratios are stated."""
     return Conditions(
-        flight=one.astype(int), time_s=one, phase=np.full(one.shape, "CR"), altitude_m=11277.6 * one, mach=0.84 * one,
+        flight=one.astype(int), time_s=one, phase=np.full(one.shape, "CR"), altitude_m=11277.6 * one,
+        mach=0.84 * one, ram_mach=0.84 * one,
         tat_k=247.2 * one, total_pressure_pa=34380.0 * one,
     )  # fmt: skip
 

@@ -46,11 +46,23 @@ Sensors = Mapping[str, Sensor]
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """Sensors of a type of aircraft, and how often a recorded value is a spike or empty."""
+    """Sensors of a type of aircraft, and what its recordings hold.
+
+    Attributes
+    ----------
+    spike_share, lost_share : float
+        How often a recorded value is a spike or empty.
+    taxi_s : float
+        Seconds before take-off that a 1 Hz log begins with.
+    least_mach : float
+        What air data computers say of a slower aircraft.
+    """
 
     sensors: Sensors
     spike_share: float = 0.001
     lost_share: float = 0.008
+    taxi_s: float = 0.0
+    least_mach: float = 0.0
 
 
 CONTRACT = Suite(SENSORS)
@@ -77,7 +89,11 @@ _A330: Sensors = SENSORS | {
     "hx_in_degc": Sensor(0.5, 0.3, False, 0.5),
     "hx_out_degc": Sensor(0.5, 0.32, False, 0.75),
 }
-SUITES = {"contract": CONTRACT, "787": Suite(_B787, 1e-5, 0.0), "A330": Suite(_A330, 1e-5, 0.0)}
+SUITES = {
+    "contract": CONTRACT,
+    "787": Suite(_B787, 1e-5, 0.0, taxi_s=240.0, least_mach=0.1),
+    "A330": Suite(_A330, 1e-5, 0.0, taxi_s=240.0, least_mach=0.1),
+}
 """Sensors by type of aircraft: the contract's, and two as recordings of seconds show them (noise from one second to the
 next and last digit, no spike and no gap in 15,000 values; biases are the contract's, of which one recording says
 nothing)."""

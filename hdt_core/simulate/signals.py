@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 ZERO_C = 273.15
 WANDER_S = 60.0
 """Seconds in which diffusers move by their own scatter; within a second they hardly do, in one recording of a 787."""
+GUST_SD = 0.03
+"""Of the ram flow while an aircraft taxies: with it the effectiveness scatters as one recording of a 787 has it."""
 ACMS_COLUMNS = ("flight_id", "report_time", "phase_code", "pack", *SENSORS)
 _PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
 
@@ -103,7 +105,7 @@ def true_signals(
     wobble = 0.004 * (rng.standard_normal(now.mach.size) if dt_s == 0.0 else np.sin(now.time_s / 37.0))
     wanted = np.clip(controlled_door(design, now, asked, wear) + wobble, design.door_least, 1.0)
     door = np.where(np.isnan(stuck), np.minimum(wanted, reach), stuck)
-    hot_k, ram_k, flow, ua = outlets(design, now, asked, door, wear)
+    hot_k, ram_k, flow, ua = outlets(design, _gusty(rng, now, dt_s), asked, door, wear)
     if dt_s > 0.0:
         settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(asked.hot_in_k) * (asked.flow_kg_s + flow))
         hot_k, ram_k = _lagged(hot_k, settling_s, dt_s), _lagged(ram_k, settling_s, dt_s)
@@ -195,6 +197,15 @@ def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Arra
     return {
         "cc_in_k": now.tat_k, "cc_in_pa": inlet_pa, "cc_out_pa": exit_pa, "cc_out_k": exit_k, "cc_speed_rad_s": speed
     }  # fmt: skip
+
+
+def _gusty(rng: np.random.Generator, now: Conditions, dt_s: float) -> Conditions:
+    """On the ground wind and turns move the ram flow, and the door does not follow."""
+    taxies = now.ram_mach > now.mach
+    if not taxies.any():
+        return now
+    gusts = 1.0 + GUST_SD * taxies * _wandering(rng.standard_normal(now.mach.size), dt_s)
+    return replace(now, ram_mach=now.ram_mach * gusts)
 
 
 def _wandering(white: Array, dt_s: float) -> Array:

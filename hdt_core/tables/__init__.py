@@ -63,8 +63,12 @@ TABLES: dict[str, Entry] = {
     "raw_flights": Entry(raw.RawFlights, "flight", ("flight_id",), "month"),
     "raw_deliveries": Entry(raw.RawDeliveries, "flight", ("file", "flight_id"), "month", whole=True),
     "raw_quarantine": Entry(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
+    "raw_reports": Entry(raw.RawReports, "aircraft", ("reported_at", "report", "file")),
     "raw_messages": Entry(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
     "raw_maintenance": Entry(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
+    "raw_checks": Entry(raw.RawChecks, "fleet", ("operator", "tail", "planned_on", "name")),
+    "raw_costs": Entry(raw.RawCosts, "fleet", ("component", "item")),
+    "raw_cases": Entry(raw.RawCases, "aircraft", ("line",)),
     "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_records_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
     "raw_fleet": Entry(raw.RawFleet, "fleet", ("operator", "tail")),
@@ -83,6 +87,7 @@ TABLES: dict[str, Entry] = {
         whole=True,
     ),
     "calibration_laws": Entry(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
+    "calibration_window": Entry(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
     "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
     "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
     "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
@@ -94,6 +99,7 @@ TABLES: dict[str, Entry] = {
     "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognoses": Entry(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
+    "prognosis_lives": Entry(prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")),
     "components": Entry(components.ComponentsDeclared, "fleet", ("component",)),
     "raw_components": Entry(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
     "raw_components_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
@@ -107,4 +113,7 @@ TABLES: dict[str, Entry] = {
     "features_components": Entry(components.FeaturesComponents, "aircraft", _COMPONENT),
     "features_component_alerts": Entry(components.FeaturesComponentAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognoses_components": Entry(components.PrognosesComponents, "fleet", ("operator", "tail", *_COMPONENT)),
+    "prognoses_components_lives": Entry(
+        components.PrognosesComponentsLives, "fleet", ("operator", "tail", "pack", "component", "life")
+    ),
 }

@@ -2,7 +2,7 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, count, flag, number, text
+from hdt_core.tables.base import Table, count, flag, moment, number, operator_key, tail_key, text
 
 
 class CalibrationDsm(Table):
@@ -20,6 +20,16 @@ class CalibrationLaws(Table):
         "legs: what legs are admitted by; controllers: what the witnesses lean on", nullable=False, primary_key=True
     )
     laws = text("the laws as JSON", nullable=False)
+
+
+class CalibrationWindow(Table):
+    """The commissioning window of an aircraft: the flights that the models rest on."""
+
+    operator = operator_key()
+    tail = tail_key()
+    n_flights = count("flights in it", "flights")
+    from_at = moment("departure of its first flight")
+    until_at = moment("departure of its last flight")
 
 
 class CalibrationDesign(Table):

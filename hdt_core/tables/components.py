@@ -7,7 +7,7 @@ import dataframely as dy
 from hdt_core.tables.base import Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
 from hdt_core.tables.calibration import CalibrationDesign
 from hdt_core.tables.features import FeaturesAlerts
-from hdt_core.tables.prognosis import Prognoses
+from hdt_core.tables.prognosis import Prognoses, PrognosisLives
 from hdt_core.tables.residuals import Residuals
 from hdt_core.tables.twin import TwinHealth
 
@@ -111,3 +111,7 @@ class PrognosesComponents(Prognoses):
 
     flight_id = _flight()
     component = _component()
+
+
+class PrognosesComponentsLives(PrognosisLives):
+    """One life of a unit of a declared component, from its first flight on record to the event that ended it."""

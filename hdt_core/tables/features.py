@@ -252,3 +252,16 @@ class FeaturesAlerts(Table):
     raised_severity = text("low, medium or high when raised", nullable=False)
     now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
     evidence_now = text("the same as evidence, after now_flight_id", nullable=False)
+    closed_reason = text(
+        "renewed (another or a repaired part flies), found_clean (an inspection found nothing) or recovered (what was "
+        "believed is no longer seen); null while open"
+    )
+    follows = text("alert that was found clean, of one that came back because the loss grew on")
+    units_in_90_days = dy.Int64(
+        nullable=True,
+        metadata={
+            "unit": "-",
+            "meaning": "units of the component on this position in the 90 days before it was raised, its own included; "
+            "null for sensors and doors",
+        },
+    )

@@ -2,7 +2,7 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import LegTable, Table, flag, moment, number, text
+from hdt_core.tables.base import LegTable, Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
 
 
 class PrognosisModel(Table):
@@ -34,3 +34,30 @@ class Prognoses(LegTable):
     beyond_horizon = flag("rul_flights lies beyond the horizon of 300 flights", nullable=True)
     model_version = text("model that says so", nullable=False)
     split = text("out_of_fold or live", nullable=False)
+
+
+class PrognosisLives(Table):
+    """One life of a unit, from its first flight on record to the event that ended it, or to the last flight."""
+
+    operator = operator_key()
+    tail = tail_key()
+    pack = pack_key()
+    component = text("code of the component", nullable=False, primary_key=True)
+    life = dy.Int64(
+        nullable=False,
+        primary_key=True,
+        metadata={"unit": "", "meaning": "number of the unit in that place, 0 where the record begins with it"},
+    )
+    ended_by = text(
+        "message (one that a replacement answered: a failure), replaced (without one), unheard (replaced, of an "
+        "operator that delivers no messages); null while the unit flies"
+    )
+    censored = flag("the life was cut short, or goes on: how long it would have lasted is not known")
+    n_flights = count("flights from the first on record to the end", "flights")
+    age_known = flag("the unit was new at its first flight on record")
+    first_row = count("number of its first flight among the pack's, from 0")
+    end_row = count("number of the message's flight, or of the flight after the unit's last")
+    first_flight_id = text("its first flight on record")
+    first_departed_at = moment("departure of that flight", nullable=True)
+    end_flight_id = text("flight of the message, else its last flight")
+    end_departed_at = moment("departure of that flight", nullable=True)

@@ -3,7 +3,7 @@
 import dataframely as dy
 import polars as pl
 
-from hdt_core.tables.base import Table, count, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import Table, count, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
 
 
 class Signals(Table):
@@ -120,6 +120,24 @@ class RawMessages(Table):
     text = text("message text")
 
 
+class RawReports(Table):
+    """What the head of one printed ACMS report says of bleed and packs."""
+
+    operator = operator_key(primary_key=False)
+    tail = tail_key(primary_key=False)
+    reported_at = moment("time printed in the head")
+    report = text("number of the report", nullable=False)
+    altitude_m = number("pressure altitude", "m")
+    mach = number("Mach number", "-")
+    pack_1_flow_kg_s = number("flow of pack 1", "kg/s")
+    pack_2_flow_kg_s = number("flow of pack 2", "kg/s")
+    bleed_1_open = flag("whether a bleed valve of engine 1 was open", nullable=True)
+    bleed_2_open = flag("whether a bleed valve of engine 2 was open", nullable=True)
+    crossfeed_open = flag("whether the cross-feed valve was open", nullable=True)
+    file = text("file below the landing zone", nullable=False)
+    file_version = text("digest of the file and of the layouts it was read by", nullable=False)
+
+
 class RawMaintenance(Table):
     """One piece of work that was done."""
 
@@ -133,6 +151,58 @@ class RawMaintenance(Table):
     reference = text("work order")
     done_at = moment("time of day, where the log gives one", nullable=True)
     counts_from = moment("flights that depart from then on count as flown after the work: `done_at`, or the day's end")
+    serial_off = text("serial number of the unit that came off, where the log gives it")
+    serial_on = text("serial number of the unit that went on, where the log gives it")
+    source = text("log: the maintenance log; case: an engineer who closed an alert")
+    closes_alert_id = text("alert that an engineer closed with this finding")
+
+
+class RawChecks(Table):
+    """One check that is planned for an aircraft."""
+
+    operator = operator_key()
+    tail = tail_key()
+    planned_on = dy.Date(nullable=False, primary_key=True, metadata={"unit": "UTC", "meaning": "day of the check"})
+    name = text("what it is called", nullable=False, primary_key=True)
+
+
+class RawCosts(Table):
+    """What one thing costs for a component: component, item."""
+
+    component = text("code of the component", nullable=False, primary_key=True)
+    item = text(
+        "wash, replace, at_check (either, when it waits for a check) or message", nullable=False, primary_key=True
+    )
+    cost = number("what it costs, in `currency`", "currency", 0, nullable=False)
+    currency = text("word that costs are told with", nullable=False)
+    horizon_days = count("how far ahead is looked where no check is planned", "days")
+    source = text("costs.toml of the home, or default: a round figure of ours", nullable=False)
+
+
+class RawCases(Table):
+    """One thing that somebody did about an alert; nothing is ever changed or taken out."""
+
+    line = dy.Int64(nullable=False, primary_key=True, metadata={"unit": "", "meaning": "line of the log, from 1"})
+    at = moment("when")
+    alert_id = text("stable name of the case", nullable=False)
+    operator = operator_key(primary_key=False)
+    tail = tail_key(primary_key=False)
+    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "air-conditioning pack, 1 left, 2 right"})
+    component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
+    diagnosis = text("what the alert says", nullable=False)
+    kind = text("acknowledge, assign, mute, watch, unwatch, close or reopen", nullable=False)
+    person = text("who", nullable=False)
+    assignee = text("assign: to whom")
+    until = moment("mute: until when", nullable=True)
+    note = text("why, or what else there is to say")
+    finding = text("close: FOULED, CLOGGED, CORRODED, DAMAGED or NO_FAULT_FOUND")
+    action = text("close: REPLACED, CLEANED, INSPECTED or ADJUSTED")
+    reference = text("close: work order")
+    done_on = dy.Date(nullable=True, metadata={"unit": "UTC", "meaning": "close: day of the work"})
+    done_at = moment("close: its time of day, where it was given", nullable=True)
+    severity_then = text("severity of the alert at that moment")
+    loss_then = number("loss of its component at that moment")
+    p_event_50_then = number("chance of an event within 50 flights, as told at that moment", "-", 0, 1)
 
 
 class RawCoverage(Table):

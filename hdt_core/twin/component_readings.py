@@ -53,7 +53,7 @@ def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> p
         sound.std().alias("sd"),
         here.len().alias("n"),
         (here >= reading.below).mean().alias("beyond"),
-        lacks_channel(component).alias("lacks"),
+        (lacks_channel(component) | pl.any_horizontal(_absent(component, reading))).alias("lacks"),
     )
     status = (
         pl.when((pl.col("n") == 0) & pl.col("lacks")).then(pl.lit("not_recorded"))
@@ -68,3 +68,10 @@ def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> p
         pl.lit(component.code).alias("component"), pl.lit(reading.name).alias("parameter"),
         pl.lit(reading.unit).alias("unit"), pl.lit("reading").alias("estimator"),
     ).select(pl.col(c).cast(t) for c, t in HEALTH.items())  # fmt: skip
+
+
+def _absent(component: Component, reading: Reading) -> list[pl.Expr]:
+    """Whether a flight has no value at all of each channel that the reading is made from."""
+    read = reading.value.meta.root_names()
+    own = [c.signal for c in component.record.channels if c.signal in read] if component.record else []
+    return [pl.lit(False), *(pl.col(c).is_null().all() for c in own)]

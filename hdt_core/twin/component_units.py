@@ -9,6 +9,7 @@ import polars as pl
 from scipy.stats import median_abs_deviation
 
 from hdt_core.components import Component
+from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.unit_index import PACK, number_units, select_entries
@@ -26,7 +27,7 @@ KEYS = [*PACK, "component"]
 
 
 def commission(
-    signals: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+    signals: pl.DataFrame, maintenance: pl.DataFrame, component: Component, reports: pl.DataFrame | None = None
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Judge the legs of a component and calibrate each pack on its first steady flights.
 
@@ -36,6 +37,8 @@ def commission(
         Long form, see `component_samples`; whole histories of some aircraft.
     maintenance : DataFrame
         Their log: flights about work on the component are left out, and those after it belong to another unit.
+    reports : DataFrame, optional
+        Heads of printed reports, table `raw_reports`; they count for a component that bleed air feeds.
 
     Returns
     -------
@@ -47,6 +50,8 @@ def commission(
     """
     samples = component_samples(signals, component)
     legs = component_legs(samples, component)
+    if component.bleed_air and reports is not None:
+        legs = turn_away_odd_bleed(legs, reports)
     chosen = _as_built(legs, maintenance, component)
     strays, rows = [], []
     for pack, flights in chosen.group_by(PACK, maintain_order=True):

@@ -10,6 +10,7 @@ from hdt_core.flight.component_legs import LEG, component_samples
 from hdt_core.health.component_cases import component_features, raise_component_alerts
 from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
+from hdt_core.prognosis.lives import Failure, component_lives, told_lives
 from hdt_core.records.unit_index import PACK
 from hdt_core.tables import TABLES
 from hdt_core.twin.component_readings import component_readings
@@ -60,10 +61,10 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
 
 @stage
 def calibration_components(
-    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame, raw_reports: pl.DataFrame, home: Home
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Which flights of a component are steady, and how each pack's first unit was built."""
-    told = [commission(raw_components, raw_maintenance, c) for c in in_service(home)]
+    told = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(home)]
     legs, design = _all("legs_components", [x for x, _ in told]), _all("calibration_components", [d for _, d in told])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
 
@@ -118,13 +119,21 @@ def features_components(
 @stage
 def prognoses_components(
     features_components: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame
-) -> pl.DataFrame:
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     """How long each component has left: its trend until the loss at which others failed, or that it declares."""
-    told = [
-        component_prognoses(features_components, raw_messages, raw_maintenance, c)
-        for c in recorded_components().values()
-    ]
-    return _all("prognoses_components", told)
+    known = (features_components, raw_messages, raw_maintenance)
+    declared = recorded_components().values()
+    outlook = _all("prognoses_components", [component_prognoses(*known, c) for c in declared])
+    return outlook, _all("prognoses_components_lives", [_lives(*known, c) for c in declared])
+
+
+def _lives(
+    described: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+) -> pl.DataFrame:
+    """Lives of a component's units; without a message of its own none of them is seen to fail."""
+    rows = described.filter(component=component.code)
+    failure = Failure(component.code, component.message_code or "")
+    return told_lives(rows, component_lives(rows, messages, maintenance, failure))
 
 
 def _all(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:

@@ -3,6 +3,7 @@
 import polars as pl
 
 from hdt_core.flight.admission import admit_by
+from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.norm import Norm
 from hdt_core.tables.raw import RawMaintenance, RawMessages
@@ -27,11 +28,13 @@ def legs_admitted(
     legs_verdicts: pl.DataFrame,
     legs_signs: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
+    raw_reports: pl.DataFrame,
     raw_messages: pl.DataFrame,
     twin_health: pl.DataFrame,
     twin_flights: pl.DataFrame,
     calibration_laws: pl.DataFrame,
 ) -> pl.DataFrame:
-    """The final verdict, with hindsight: what logs, cross checks and the twin say of each leg."""
+    """The final verdict, with hindsight: what logs, printed reports, cross checks and the twin say of each leg."""
     norm = Norm.from_json(laws_of(calibration_laws, LEGS))
-    return admit_by(norm, legs_verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)
+    verdicts = turn_away_odd_bleed(legs_verdicts, raw_reports)
+    return admit_by(norm, verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)

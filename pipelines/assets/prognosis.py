@@ -6,6 +6,7 @@ import polars as pl
 
 from hdt_core.health.asks import CRITICAL
 from hdt_core.prognosis.card import model_card, taught, to_lessons
+from hdt_core.prognosis.lives import told_lives
 from hdt_core.prognosis.record import Record
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
@@ -39,10 +40,12 @@ def prognosis(
     features = described.join(asks, on=[*PACK, "flight_id"], how="left").collect()
     stored = home.store.read("prognosis_model")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
-    served = serve(candidate, last, Record(features, raw_messages, raw_maintenance))
+    record = Record(features, raw_messages, raw_maintenance)
+    served = serve(candidate, last, record)
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
     base = prognosis_base if served.model.hazard is candidate.hazard else stored
-    return StageResult((served.prognoses, _kept(served, base["model"][0])), pictures)
+    lives = told_lives(features, record.lives())
+    return StageResult((served.prognoses, _kept(served, base["model"][0]), lives), pictures)
 
 
 READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))

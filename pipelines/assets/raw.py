@@ -6,18 +6,25 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.records.unit_index import date_entries
-from hdt_core.tables.raw import RawFleet
+from hdt_core.tables.raw import RawChecks, RawFleet
 from pipelines.assets.stage import stage
 from pipelines.intake.components import Delivered
+from pipelines.intake.costs import NAME as COSTS_FILE
+from pipelines.intake.costs import costs_or_fault
 from pipelines.intake.coverage import coverage
+from pipelines.intake.findings import CASE, with_findings
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import LandingFile, list_landing
-from pipelines.intake.logs import Log, read_fleet, read_maintenance, read_messages
+from pipelines.intake.ledger import quarantine
+from pipelines.intake.logs import Log, read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.printed_reports import read_printed
 from pipelines.intake.scan import REJECTED
 from pipelines.intake.snapshots import read_snapshots
-from pipelines.intake.types_of_zone import types_of
+from pipelines.intake.types_of_zone import REPORTS, types_of
+from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.store import Store
 
 
@@ -26,35 +33,43 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     """The fleet list, and files that hold no flight at all."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
     lists = [(f, read_fleet(f, now)) for f in landing_files(landing, ledger.files(["fleet"]))]
+    checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
+    costs, wrong = costs_or_fault(Path(home.home))
     rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
     left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
     refused = [list_landing(landing).quarantine, rejected.quarantine]
     return (
         pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed"),
-        pl.concat([left, *(account(f, x) for f, x in lists)], how="vertical_relaxed"),
-        pl.concat([*refused, *(x.quarantine for _, x in lists)]),
+        pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
+        pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
         coverage(types_of(landing.resolve())),
+        pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
+        costs,
     )
 
 
 @stage
 def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
-    """Maintenance messages the aircraft raised and work that was done on them."""
-    landing, now, aircraft = Path(home.landing), datetime.now(UTC), list(scope.aircraft or {})
-    listed = home.ledger.files(list(RECORDS)).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
-    here = landing_files(landing, listed)
-    fleet = home.store.read("raw_fleet")
-    read = [(f, RECORDS[f.kind][1](f, now, fleet)) for f in here]
+    """Messages the aircraft raised, work done on them, what people did about alerts, heads of printed reports."""
+    aircraft = list(scope.aircraft or {})
+    listed = home.ledger.files([*RECORDS, REPORTS]).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
+    read = [*_logs(listed, home), *_printed(listed, scope, home)]
+    paths = [f.path for f, _ in read]
+
     tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS]
+    cases = told_cases(scope, home)
+    tables[1] = date_entries(with_findings(tables[1], cases))
+
+    def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
+        return pl.concat([left(table, paths, scope, home.store), *frames], how="diagonal")
+
     deliveries = [of_aircraft(f, account(f, x)) for f, x in read]
-    quarantine = [of_aircraft(f, x.quarantine) for f, x in read]
-    paths = [f.path for f in here]
     return (
         *tables,
-        pl.concat([left("raw_records_deliveries", paths, scope, home.store), *deliveries], how="diagonal").with_columns(
-            _COUNTED
-        ),
-        pl.concat([left("raw_records_quarantine", paths, scope, home.store), *quarantine], how="diagonal"),
+        cases,
+        with_stored("raw_reports", [x.rows for f, x in read if f.kind == REPORTS]),
+        with_stored("raw_records_deliveries", deliveries).with_columns(_COUNTED),
+        with_stored("raw_records_quarantine", [of_aircraft(f, x.quarantine) for f, x in read]),
     )
 
 
@@ -66,12 +81,37 @@ def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
     return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
+def _logs(listed: pl.DataFrame, home: Home) -> list[tuple[LandingFile, Log]]:
+    """Messages and maintenance: one file an aircraft."""
+    now, fleet = datetime.now(UTC), home.store.read("raw_fleet")
+    files = landing_files(Path(home.landing), listed.filter(pl.col("kind") != REPORTS))
+    return [(f, RECORDS[f.kind][1](f, now, fleet)) for f in files]
+
+
+def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+    """Files of printed reports that are not stored as they are now: there is one a flight."""
+    version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
+    known = scope.read(home.store, "raw_reports").select(path="file", version="file_version")
+    unread = listed.filter(pl.col("kind") == REPORTS).with_columns(version)
+    unread = unread.join(known, on=["path", "version"], how="anti")
+    versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
+    return [(f, read_printed(f, now, versions[f.path])) for f in landing_files(Path(home.landing), unread)]
+
+
 def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
     table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
     stored = scope.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
-    rows = pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
-    return date_entries(rows) if kind == "maintenance" else rows
+    if kind == "maintenance":
+        stored = stored.filter(pl.col("source") != CASE)
+    return pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
+
+
+def told_cases(scope: PartitionScope, home: Home) -> pl.DataFrame:
+    """What people did about alerts of these aircraft: the log of cases, and what is stored should the log be lost."""
+    told, stored = CaseLog(Path(home.home)).entries(), scope.read(home.store, "raw_cases")
+    both = pl.concat([told, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
+    return both.filter(pl.struct("operator", "tail").is_in(_keys(list(scope.aircraft or {})))).sort("line", "at")
 
 
 def left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:

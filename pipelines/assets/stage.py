@@ -103,7 +103,7 @@ def _out(table: str, own: Stage, description: str) -> dg.AssetOut:
     return dg.AssetOut(
         group_name=own.group,
         owners=OWNERS,
-        kinds={"polars", "parquet"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
+        kinds={"polars", "deltalake"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
         description=f"{first}\n\n{description}",
         code_version=own.tables[table].code,
         freshness_policy=FRESH if table == own.fresh else None,

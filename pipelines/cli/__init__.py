@@ -3,11 +3,11 @@
 import sqlite3
 import sys
 
-from pipelines.cli import look, make, night, recorder, share, trial
+from pipelines.cli import cases, digest, look, make, night, recorder, serve, share, trial
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.orchestration.stops import StoppedError, ends_in_order
 
-__all__ = ["app", "look", "main", "make", "night", "recorder", "share", "trial"]
+__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder", "serve", "share", "trial"]
 
 
 def main() -> None:

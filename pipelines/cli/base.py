@@ -4,6 +4,8 @@ Heavy imports wait until a command needs them, so that `--help` and an idle nigh
 """
 
 import importlib.metadata
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +18,13 @@ ORDER = (
     "backfill",
     "status",
     "explain",
+    "close",
+    "case",
+    "serve",
+    "user",
     "report",
+    "digest",
+    "orders",
     "query",
     "terms",
     "export",
@@ -26,6 +34,7 @@ ORDER = (
     "ui",
     "simulate",
     "doctor",
+    "docs",
     "tidy",
     "convert",
     "benchmark",
@@ -71,6 +80,7 @@ LandingDir = Annotated[
 HomeDir = Annotated[
     Path | None, typer.Option(envvar="HDT_HOME", help="Folder that holds tables, catalog and run history.")
 ]
+Language = Annotated[str | None, typer.Option(envvar="HDT_LANGUAGE", help="Language to speak: en, de.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 UsageError: Any = typer.BadParameter.__base__  # of the click that typer carries
@@ -78,6 +88,17 @@ UsageError: Any = typer.BadParameter.__base__  # of the click that typer carries
 
 class StopError(Exception):
     """Ends the command with one line that says what to do."""
+
+
+@contextmanager
+def spoken(language: str | None) -> Iterator[None]:
+    """Speak a language, or end with a line that lists them."""
+    from pipelines.words import languages, speaking
+
+    if language and language not in languages():
+        raise StopError(f"no language {language}; there are {', '.join(languages())}")
+    with speaking(language):
+        yield
 
 
 def say_error(words: str) -> None:

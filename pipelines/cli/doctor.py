@@ -9,15 +9,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipelines.digest import NotifyError, receivers_of
+from pipelines.intake.costs import NAME as NAME_OF_COSTS
+from pipelines.intake.costs import CostError, read_costs
 from pipelines.intake.coverage import coverage_of, faults_of, in_use
 from pipelines.intake.landing import list_landing
 from pipelines.intake.types_of_zone import types_of
 from pipelines.storage import history
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect, views
 from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.ledger_copy import fault_of as ledger_fault
 from pipelines.storage.objects import StoreError
 from pipelines.storage.seal import NAME, changed, named, read
+from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
 from pipelines.zone import fault_of
 
@@ -53,7 +58,11 @@ def _packages() -> Iterator[Check]:
     try:
         yield Check("numba (optional)", True, importlib.metadata.version("numba"))
     except importlib.metadata.PackageNotFoundError:
-        yield Check("numba (optional)", True, "absent, so fits take the slower NumPy path; pip install '.[speed]'")
+        yield Check(
+            "numba (optional)",
+            True,
+            "absent, so fits take the slower NumPy path; pip install 'hybrid-digital-twin[speed]'",
+        )
 
 
 def _landing(landing: Path) -> Check:
@@ -62,7 +71,7 @@ def _landing(landing: Path) -> Check:
     listing = list_landing(landing)
     files, refused = len(listing.files), listing.quarantine.height
     said = f"{files} files to take in, {refused} that are none of the contract's"
-    return Check("landing zone", files > 0, said if files else f"{said}; see docs/raw-data.md for the layout")
+    return Check("landing zone", files > 0, said if files else f"{said}; `hdt docs raw-data` shows the layout")
 
 
 def _types(landing: Path) -> Iterator[Check]:
@@ -90,12 +99,36 @@ def _home(home: Path) -> Iterator[Check]:
     )
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
+    yield _costs(home)
     yield from _stored(home)
+    yield from _receivers(home)
     if (home / CATALOG).exists():
         catalog = _catalog(home)
         yield catalog
         if catalog.well:
             yield _feed(home)
+
+
+def _receivers(home: Path) -> Iterator[Check]:
+    """Who is told after a night, where a home declares it."""
+    if not notify_file(home).exists():
+        return
+    try:
+        names = ", ".join(r.name for r in receivers_of(home))
+    except NotifyError as error:
+        yield Check("receivers", False, str(error))
+    else:
+        yield Check("receivers", True, f"{names or 'none'}; `hdt digest --try` sends to each")
+
+
+def _costs(home: Path) -> Check:
+    try:
+        own = read_costs(home).filter(source=NAME_OF_COSTS).height
+    except CostError as error:
+        return Check("costs", False, str(error))
+    return Check(
+        "costs", True, f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
+    )
 
 
 def _stored(home: Path) -> Iterator[Check]:
@@ -104,6 +137,8 @@ def _stored(home: Path) -> Iterator[Check]:
     if (home / FILE).exists() or (home / NAME).exists():
         fault = ledger_fault(ledger)
         yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} mends it" if fault else "ok")
+    if fault := CaseLog(home).fault():
+        yield Check("cases", False, f"the log of cases {fault}; {_NIGHT} mends it")
     if (home / "dagster").is_dir():
         fault = history.fault_of(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")

@@ -3,12 +3,24 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, home_folder, landing_folder, out, say_error
+from pipelines.cli.base import (
+    AsJson,
+    HomeDir,
+    LandingDir,
+    Language,
+    StopError,
+    app,
+    home_folder,
+    landing_folder,
+    out,
+    say_error,
+    spoken,
+)
 from pipelines.orchestration.stops import ends_at_once
 
 
@@ -38,14 +50,22 @@ def status(home: HomeDir = None, as_json: AsJson = False) -> None:
 def report(
     home: HomeDir = None,
     target: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("report.html"),
+    units: Annotated[
+        Literal["si", "us"], typer.Option(help="Units it opens in, degC and kg/s or degF and lb/min; a switch on it.")
+    ] = "si",
+    thresholds: Annotated[
+        bool, typer.Option("--thresholds", help="And how alerts would have fared at other thresholds: 3 s an aircraft.")
+    ] = False,
+    language: Language = None,
 ) -> None:
     """Write the fleet's health as one page that needs no network."""
-    from pipelines.report import write_report
+    from pipelines.report.page import write_report
 
     where = home_folder(home)
     if not target.resolve().parent.is_dir():
         raise StopError(f"no folder {target.resolve().parent} to write {target.name} into")
-    write_report(where, target)
+    with spoken(language):
+        write_report(where, target, units, thresholds)
     out.print(f"Report: {target}", soft_wrap=True)
 
 
@@ -78,6 +98,7 @@ def explain(
         typer.Argument(metavar="PACK", help="TAIL for its most urgent pack, TAIL PACK or TAIL/PACK, or an alert's id."),
     ],
     home: HomeDir = None,
+    language: Language = None,
 ) -> None:
     """One pack or one alert in words: when it was raised, and now.
 
@@ -87,7 +108,8 @@ def explain(
 
     where, named = home_folder(home), " ".join(asked)
     try:
-        told = told_of(where, named)
+        with spoken(language):
+            told = told_of(where, named)
     except ValueError as error:
         raise StopError(str(error)) from None
     if told is None:
@@ -116,7 +138,8 @@ def ui(
     """
     where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
     try:
-        from pipelines.web.page import listening, serve
+        from pipelines.web.address import listening
+        from pipelines.web.page import serve
     except ImportError:
         raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
     try:

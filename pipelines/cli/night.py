@@ -16,6 +16,7 @@ from pipelines.cli.base import (
     AsJson,
     HomeDir,
     LandingDir,
+    Language,
     StopError,
     app,
     err,
@@ -23,6 +24,7 @@ from pipelines.cli.base import (
     landing_folder,
     out,
     say_error,
+    spoken,
 )
 from pipelines.orchestration.local_executor import cores
 from pipelines.orchestration.stops import ends_at_once
@@ -68,6 +70,7 @@ def nightly(
     dry_run: DryRun = False,
     jobs: Jobs = cores(),  # noqa: B008  the machine's, and it does not change
     as_json: AsJson = False,
+    language: Language = None,
 ) -> None:
     """Take in what is new and say which packs need attention.
 
@@ -77,7 +80,8 @@ def nightly(
     if dry_run:
         _say_what_is_new(zone, where, as_json)
     else:
-        _bring_up_to_date(zone, where, as_json, jobs)
+        with spoken(language):
+            _bring_up_to_date(zone, where, as_json, jobs)
 
 
 @app.command()
@@ -186,11 +190,13 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         if fault or not night.idle:
             publish(home)
         sealed, unsealed = _sealed(home)
+        untold = _untold(home)
     seconds = time.monotonic() - began
     for line in night.mended:
         err.print(f"mended: {line}", markup=False, soft_wrap=True)
     if as_json:
-        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed}
+        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed,
+                "untold": untold}  # fmt: skip
         out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__}))
     elif night.idle:
         said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
@@ -200,6 +206,8 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         _say(home, night, seconds)
     if sealed and not as_json:
         out.print(f"Trial: sealed, {sealed}", soft_wrap=True)
+    for line in untold:
+        say_error(line)
     if unsealed:
         say_error(f"the trial was not sealed: {unsealed}")
     if night.failed or unsealed:
@@ -218,6 +226,17 @@ def _sealed(home: Path) -> tuple[str | None, str | None]:
     return entry.digest if entry else None, None
 
 
+def _untold(home: Path) -> list[str]:
+    """A line for each receiver of the night's digest that could not be told; a home without receivers costs nothing."""
+    from pipelines.storage.settings import notify_file
+
+    if not notify_file(home).exists():
+        return []
+    from pipelines.digest import tell_night
+
+    return tell_night(home)
+
+
 def _say(home: Path, night: Any, seconds: float) -> None:
     _ranking(home)
     for where, why in night.failed.items():
@@ -232,22 +251,20 @@ def _ranking(home: Path) -> None:
     """The packs most in need of attention, as the engineer reads them; in the words and the order of the report."""
     from pipelines.report import words
     from pipelines.storage.catalog import connect
+    from pipelines.words import _
 
     with connect(home) as con:
-        rows = con.sql("select * from fleet_ranking order by place limit 10").pl().to_dicts()
-        units = (
-            con.sql("select * from component_ranking where urgency <> 'unknown' order by place limit 10")
-            .pl()
-            .to_dicts()
+        rows, units = (
+            con.sql(f"select * from {view} order by place limit 10").pl().to_dicts()
+            for view in ("fleet_ranking", "component_ranking where urgency <> 'unknown'")
         )
-    table = Table(title="Packs most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
-    for name in ("pack", "urgency", "UA lost", "flights left\n(90 %)", "message\nin 50", "open alerts"):
-        right = name.startswith(("UA", "message"))
-        table.add_column(name, justify="right" if right else "left", no_wrap=name != "open alerts")
+    table = Table(title=_("Packs most in need of attention"), box=SIMPLE_HEAD, pad_edge=False)
+    names = (_("pack"), _("urgency"), _("UA lost\n(90 %)"), _("flights left\n(90 %)"), _("message\nin 50"))
+    for k, name in enumerate((*names, _("open alerts"))):
+        table.add_column(name, justify="right" if k in (2, 4) else "left", no_wrap=k not in (3, 5))
     for r in rows:
-        name, urgency = f"{r['operator']} {r['tail']} {r['pack']}", words.URGENCY[r["urgency"]]
         outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
-        table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
+        table.add_row(f"{r['operator']} {r['tail']} {r['pack']}", words.urgency(r), *outlook, r["diagnoses"] or "")
     out.print(table)
     _components(units)
 
@@ -255,14 +272,16 @@ def _ranking(home: Path) -> None:
 def _components(rows: list[dict[str, Any]]) -> None:
     """The units of other components most in need of attention; nothing where none is declared."""
     from pipelines.report import words
+    from pipelines.words import _
 
     if not rows:
         return
-    table = Table(title="Other components most in need of attention", box=SIMPLE_HEAD, pad_edge=False)
-    for name in ("unit", "urgency", "lost", "flights left\n(90 %)", "failure\nin 50", "open alerts"):
-        table.add_column(name, no_wrap=name != "open alerts")
+    table = Table(title=_("Other components most in need of attention"), box=SIMPLE_HEAD, pad_edge=False)
+    names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("failure\nin 50"))
+    for k, name in enumerate((*names, _("open alerts"))):
+        table.add_column(name, no_wrap=k not in (3, 5))
     for r in rows:
-        outlook = words.with_sd(r["loss"], r["loss_sd"]), words.flights_left(r), words.chance(r["p_event_50"])
-        name, urgency = f"{r['operator']} {r['tail']} {r['component']} {r['pack']}", words.URGENCY[r["urgency"]]
-        table.add_row(name, urgency, *outlook, r["diagnoses"] or "")
+        outlook = words.share(r["loss"], r["loss_sd"]), words.flights_left(r), words.chance(r["p_event_50"])
+        name = f"{r['operator']} {r['tail']} {r['component']} {r['pack']}"
+        table.add_row(name, words.urgency(r), *outlook, r["diagnoses"] or "")
     out.print(table)

@@ -17,7 +17,7 @@ from pipelines.intake.names import MAX_PACKS
 
 PACK = "pack"
 CLOCK = ("hour", "minute", "second")
-HEAD = {"type", "title", "map", "packs", "clock", PACK, "component", "absent"}
+HEAD = {"type", "title", "map", "reports", "packs", "clock", PACK, "component", "absent"}
 ENTRY = {"parameter", "unit", "lowest", "highest", "rate_hz"}
 UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "degc": {"degc": (1.0, 0.0), "degf": (5 / 9, -160 / 9), "k": (1.0, -273.15)},
@@ -74,6 +74,8 @@ class AircraftType:
         `name` is what `fleet.csv` calls it.
     map_file : Path
         Parameter map.
+    reports_file : Path, optional
+        Layouts of its printed reports; those of the A330 where not given.
     clock : mapping
         Parameters of UTC hour, minute and second; empty where the recorder has none.
     stations : mapping
@@ -88,6 +90,7 @@ class AircraftType:
     title: str
     file: Path
     map_file: Path
+    reports_file: Path | None
     clock: Mapping[str, str]
     stations: Mapping[str, tuple[Station, ...]]
     units: Mapping[str, int]
@@ -149,16 +152,16 @@ class _Description:
             raise self._wrong("", "component", "neither [pack] nor a [component.CODE]: nothing is described")
         return AircraftType(
             name, str(self.said.get("title", "")), self.file,
-            self._map(map_folder),
+            self._file("map", map_folder), self._file("reports", map_folder) if "reports" in self.said else None,
             self._clock(), stations, units, {PACK: 1} | every_s, dict(self._absent(stations)),
         )  # fmt: skip
 
-    def _map(self, map_folder: Path) -> Path:
-        """Where the map lies, or should; never outside the folders that may hold it."""
-        named = self._text("map")
+    def _file(self, key: str, map_folder: Path) -> Path:
+        """Where the map or the layouts lie, or should; never outside the folders that may hold them."""
+        named = self._text(key)
         found = next((f for f in (self.file.parent / named, map_folder / named) if f.is_file()), map_folder / named)
         if not any(found.resolve().is_relative_to(folder.resolve()) for folder in (self.file.parent, map_folder)):
-            raise self._wrong("", "map", f"{named} leads out of the folder")
+            raise self._wrong("", key, f"{named} leads out of the folder")
         return found
 
     def _stations(self, table: str, entries: dict[str, Any], units: int) -> Iterator[Station]:

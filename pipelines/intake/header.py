@@ -21,16 +21,20 @@ class Header:
 
 
 def judge_header(
-    found: Sequence[str], required: Collection[str], optional: Collection[str], core: Collection[str] = ()
+    found: Sequence[str],
+    required: Collection[str],
+    optional: Collection[str],
+    core: Collection[str] = (),
+    extra: Collection[str] = (),
 ) -> Header:
     """Match the names found with those of the contract.
 
     Case and blanks around a name are forgiven. A required name that is missing refuses the file. An optional one may be
     missing for an operator, unless the file holds a stranger that looks like it (`T_HX_IN` for `hx_in_degc`), or two or
     more of `core` are missing and as many strangers there: then columns were renamed, and taking the rest would lose a
-    sensor silently.
+    sensor silently. Of `extra` names none is missed.
     """
-    known = {*required, *optional}
+    known = {*required, *optional, *extra}
     clean = [name.strip().strip('"').strip().lower() for name in found]
     names = tuple(name if name in known else None for name in clean)
     counts = Counter(n for n in names if n)
@@ -46,7 +50,7 @@ def judge_header(
             fault=Fault("repeated_column", column_name=", ".join(repeated), detail=f"Twice: {', '.join(repeated)}.")
         )
     lost = [n for n in required if n not in counts] or _renamed(missing, strangers, core)
-    if lost or not any(n in counts for n in optional):
+    if lost or (optional and not any(n in counts for n in optional)):
         lost = lost or missing
         detail = f"Missing: {', '.join(lost)}." + (f" Not known: {_shown(strangers)}." if strangers else "")
         return Header(fault=Fault("missing_columns", column_name=", ".join(lost), detail=detail))

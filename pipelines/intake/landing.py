@@ -13,9 +13,11 @@ import polars as pl
 from hdt_core.components import recorded_components
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import is_operator, is_tail
-from pipelines.intake.types_of_zone import FOLDER, RECORDER, Types, read_by, types_of
+from pipelines.intake.types_of_zone import FOLDER, RECORDER, REPORTS, Types, read_by, types_of
 
-Kind = Literal["acms", "history", "cpl", "component", "recorder", "type", "messages", "maintenance", "fleet"]
+Kind = Literal[
+    "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
+]
 PART = ".part"
 
 
@@ -139,7 +141,7 @@ class _Listing:
         read_by = [p.stat() for p in also if p.exists()]
         written = max(status.st_mtime_ns, *(s.st_mtime_ns for s in read_by), 0)
         touched = max(status.st_ctime_ns, written, *(s.st_ctime_ns for s in read_by))
-        keys = ("", "") if kind in ("fleet", "type") else (operator, tail)
+        keys = ("", "") if kind in ("fleet", "type", "checks") else (operator, tail)
         self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, written, touched))
 
     def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
@@ -157,6 +159,8 @@ class _Listing:
 
 _LOGS: dict[tuple[int, str], Kind] = {
     (0, "fleet.csv"): "fleet",
+    (0, "checks.csv"): "checks",
+    (0, "checks.parquet"): "checks",
     (2, "messages.csv"): "messages",
     (2, "maintenance.csv"): "maintenance",
 }
@@ -170,10 +174,10 @@ def list_landing(landing: Path) -> Landing:
     """
     walk = _Listing(landing)
     _descriptions(walk)
-    for operator in walk.folders("", is_operator, "fleet.csv or an airline code"):
+    for operator in walk.folders("", is_operator, "fleet.csv, checks.csv or an airline code"):
         for tail in walk.folders(operator, is_tail, "a registration"):
             aircraft = f"{operator}/{tail}"
-            known = {"acms", "cpl", RECORDER, *recorded_components()}
+            known = {"acms", "cpl", RECORDER, REPORTS, *recorded_components()}
             for folder in walk.folders(aircraft, known.__contains__, "a file or folder of the contract"):
                 _flights(walk, f"{aircraft}/{folder}", folder)
     frames = [quarantine(path, at, [fault]) for path, fault, at in walk.faults]
@@ -195,20 +199,21 @@ def _flights(walk: _Listing, below: str, folder: str) -> None:
     if folder == RECORDER:
         _recordings(walk, below)
         return
+    also = read_by(Path(walk.root), *below.split("/")) if folder == REPORTS else ()
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
         kind = _kind(entry.name, folder)
         if kind is None or _printable(entry.name) != entry.name or entry.is_dir():
-            walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, "neither .csv nor .parquet"))
+            walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, _OTHERWISE))
         else:
-            walk.take(entry, path, kind)
+            walk.take(entry, path, kind, also)
 
 
 def _recordings(walk: _Listing, below: str) -> None:
     """Recordings of an aircraft whose type says how to read them."""
     aircraft = below.split("/", maxsplit=1)[0], below.split("/")[1]
     kind, fault = walk.types.of(*aircraft), walk.types.fault_of(*aircraft)
-    also = read_by(Path(walk.root), *aircraft)
+    also = read_by(Path(walk.root), *aircraft, RECORDER)
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
         if entry.is_dir() or _printable(entry.name) != entry.name:
@@ -219,8 +224,11 @@ def _recordings(walk: _Listing, below: str) -> None:
             walk.take(entry, path, "recorder" if kind.has_packs else "component", also)
 
 
-_EXPECTED = dict.fromkeys(("acms", "cpl"), "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet")
-_KINDS: dict[str, dict[str, Kind]] = {"acms": {"csv": "acms", "parquet": "history"}, "cpl": {"parquet": "cpl"}}
+_OTHERWISE = "neither .csv nor .parquet"
+_NAMED = "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet"
+_EXPECTED = {"acms": _NAMED, "cpl": _NAMED, REPORTS: "neither .dat, .txt nor .zip"}
+_KINDS: dict[str, dict[str, Kind]] = {"acms": {"csv": "acms", "parquet": "history"}, "cpl": {"parquet": "cpl"},
+                                       REPORTS: dict.fromkeys(("dat", "txt", "zip"), "reports")}  # fmt: skip
 _COMPONENT: dict[str, Kind] = {"csv": "component", "parquet": "component"}
 
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 
 import polars as pl
 
@@ -13,11 +13,13 @@ from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import EARLIEST, MAX_PACKS, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.opening import read_bytes
+from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.row_validation import PACKS
 from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_day, to_utc, zone_note
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
+SERIALS = ("serial_off", "serial_on")
 FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 
 _UTC = pl.Datetime("us", "UTC")
@@ -32,7 +34,10 @@ MESSAGES: Schema = {
     "text": pl.String,
 }
 MAINTENANCE: Schema = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
-               "finding": pl.String, "reference": pl.String, "done_at": _UTC}  # fmt: skip
+               "finding": pl.String, "reference": pl.String, "done_at": _UTC, "serial_off": pl.String,
+               "serial_on": pl.String}  # fmt: skip
+CHECKS: Schema = {**_KEYS, "planned_on": pl.Date, "name": pl.String}
+FARTHEST = timedelta(days=3660)
 FLEET: Schema = {**_KEYS, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32, "type": pl.String}
 
 Row = tuple[object, ...]
@@ -64,7 +69,7 @@ def read_messages(file: LandingFile, now: datetime, fleet: pl.DataFrame | None =
 
     def judge(words: Words, moment: datetime | None) -> Row | Fault:
         pack = _pack(words["pack"], packs)
-        if fault := _bad_moment(moment, now, "message_time") or _bad_flight(words["flight_id"], file.tail):
+        if fault := bad_moment(moment, now, "message_time") or _bad_flight(words["flight_id"], file.tail):
             return fault
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
@@ -84,7 +89,7 @@ def read_messages(file: LandingFile, now: datetime, fleet: pl.DataFrame | None =
 
 
 def read_maintenance(file: LandingFile, now: datetime, fleet: pl.DataFrame | None = None) -> Log:
-    """Work done on one aircraft: `operator, tail, done_on, pack, component, action, finding, reference, done_at`.
+    """Work done on one aircraft: the columns of `MAINTENANCE`.
 
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work from before the first flight in store is
     as good as any; from before the aircraft was delivered it is noted.
@@ -94,7 +99,7 @@ def read_maintenance(file: LandingFile, now: datetime, fleet: pl.DataFrame | Non
 
     def judge(words: Words, moment: datetime | None) -> Row | Fault:
         day, pack = moment.date() if moment else to_day(words["done_on"]), _pack(words["pack"], packs)
-        if fault := _bad_moment(moment, now, "done_on") if moment else _bad_moment(day, now.date(), "done_on"):
+        if fault := bad_moment(moment, now, "done_on") if moment else bad_moment(day, now.date(), "done_on"):
             return fault
         early.extend([day] if delivered_on and day and day < delivered_on else [])
         if pack == 0:
@@ -114,10 +119,12 @@ def read_maintenance(file: LandingFile, now: datetime, fleet: pl.DataFrame | Non
             finding,
             words["reference"] or None,
             moment,
+            words["serial_off"] or None,
+            words["serial_on"] or None,
         )
 
     required = ("done_on", "pack", "component", "action")
-    log = _read(file, judge, MAINTENANCE, required, ("finding", "reference"), timed="done_on")
+    log = _read(file, judge, MAINTENANCE, required, ("finding", "reference"), timed="done_on", extra=SERIALS)
     if not early:
         return log
     said = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
@@ -149,6 +156,24 @@ def read_fleet(file: LandingFile, now: datetime) -> Log:
     return _read(file, judge, FLEET, ("operator", "tail"), ("msn", "delivered_on", "packs", "type"), unique=2)
 
 
+def read_checks(file: LandingFile, now: datetime) -> Log:
+    """Planned checks: `operator, tail, planned_on, name`; from CSV or Parquet, columns `operator, tail, date, name`."""
+
+    def judge(words: Words, _: datetime | None) -> Row | Fault:
+        if not is_operator(words["operator"]) or not is_tail(words["tail"]):
+            return Fault("bad_key", column_name="operator, tail")
+        day = to_day(words["date"])
+        if day is None or not EARLIEST <= day <= now.date() + FARTHEST:
+            return Fault("unreadable_time", column_name="date", detail="A day (2024-06-19) within the next ten years.")
+        return (words["operator"], words["tail"], day, words["name"] or "check")
+
+    required = ("operator", "tail", "date")
+    if file.is_text:
+        return _read(file, judge, CHECKS, required, (), extra=("name",))
+    log = _read(file, judge, CHECKS, required, (), extra=("name",), convert=parquet_as_text)
+    return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header stands before row 1
+
+
 def _read(
     file: LandingFile,
     judge: Callable[[Words, datetime | None], Row | Fault],
@@ -158,17 +183,21 @@ def _read(
     *,
     timed: str | None = None,
     unique: int = 0,
+    extra: tuple[str, ...] = (),
+    convert: Callable[[bytes], tuple[bytes | None, list[Fault]]] | None = None,
 ) -> Log:
     """Open a log, judge its lines, drop those that stand twice; with `unique`, so many leading fields are a key."""
     content, faults = read_bytes(file)
+    if content is not None and convert:
+        content, faults = convert(content)
     if content is None:
         return Log(pl.DataFrame(schema=schema), quarantine(file.path, file.received_at, faults), 0, 0)
-    text = open_text(content, lambda found: judge_header(found, required, optional))
+    text = open_text(content, lambda found: judge_header(found, required, optional, extra=extra))
     lines, line_faults = to_columns([text], ())
     nothing_happened = () if unique else ("no_rows",)  # an aircraft without messages has a log of a header alone
     faults = [f for f in (*text.faults, *line_faults[0]) if f.reason not in nothing_happened]
     good: dict[Row, int] = {}
-    for row, words, moment in _lines(lines, (*required, *optional), timed, faults):
+    for row, words, moment in _lines(lines, (*required, *optional, *extra), timed, faults):
         verdict = judge(words, moment)
         if isinstance(verdict, Fault):
             faults.append(_placed(verdict, row, text))
@@ -191,10 +220,11 @@ def _lines(
         moments = parsed.get_column(timed).to_list()
         faults.extend(zone_note(naive, timed))
     rows = lines.iter_rows(named=True)
-    return [(r["row"], {c: _clean(r.get(c)) for c in columns}, m) for r, m in zip(rows, moments, strict=True)]
+    return [(r["row"], {c: printable(r.get(c)) for c in columns}, m) for r, m in zip(rows, moments, strict=True)]
 
 
-def _clean(field: str | None) -> str:
+def printable(field: str | None) -> str:
+    """A field without what can't be printed, cut at 500 characters."""
     return "".join(c for c in (field or "").strip() if c.isprintable())[:500]
 
 
@@ -221,7 +251,7 @@ def _pack(word: str, packs: int) -> int | None:
     return int(word) if word in {str(n) for n in range(1, packs + 1)} else 0
 
 
-def _bad_moment(moment: date | None, now: date, column: str) -> Fault | None:
+def bad_moment(moment: date | None, now: date, column: str) -> Fault | None:
     """What is wrong with a day or a time, by what is now of the same kind."""
     if moment is None:
         return Fault("unreadable_time", column_name=column)

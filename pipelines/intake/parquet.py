@@ -1,7 +1,9 @@
 """Parquet files become columns: read by Arrow, within a memory limit, whatever was done to the bytes."""
 
+import csv
 import io
 from collections.abc import Collection, Sequence
+from datetime import datetime
 
 import polars as pl
 import pyarrow as pa
@@ -17,6 +19,8 @@ from pipelines.storage.panics import first_line, panics_as_errors
 MAX_ROWS = 2_000_000
 MAX_BYTES = 1 << 30
 """What one file may hold once unpacked; a small file that claims more is refused before any of it is unpacked."""
+MAX_LISTED = 100_000
+"""Rows of a list that is read whole."""
 MAX_WORD = 200
 """Longest text in a column, in bytes: one long word repeated by a dictionary unpacks to gigabytes."""
 
@@ -148,3 +152,28 @@ def _utc(times: pa.ChunkedArray) -> pa.ChunkedArray:
 
 def _damaged(error: Exception, n_rows: int = 0) -> Fault:
     return Fault("cannot_read_parquet", detail=first_line(error), n_rows=n_rows)
+
+
+def parquet_as_text(content: bytes) -> tuple[bytes | None, list[Fault]]:
+    """A small list that came as Parquet, as the CSV it could have been; or the fault that kept it out.
+
+    Line 2 of the CSV is row 1 of the file.
+    """
+    try:
+        with pq.ParquetFile(io.BytesIO(content), page_checksum_verification=True) as parquet:
+            if parquet.metadata.num_rows > MAX_LISTED:
+                return None, [Fault("too_large", detail=f"It claims {parquet.metadata.num_rows} rows.")]
+            columns = parquet.read(use_threads=False).to_pydict()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        return None, [_damaged(error)]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_as_word(v) for v in row] for row in zip(*columns.values(), strict=True))
+    return out.getvalue().encode(), []
+
+
+def _as_word(value: object) -> str:
+    """A value of a list as text, on one line; of a time at midnight the day."""
+    text = "" if value is None else " ".join(str(value).split())[:MAX_WORD]
+    return text.partition(" ")[0] if isinstance(value, datetime) else text

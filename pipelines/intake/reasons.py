@@ -49,7 +49,7 @@ REASONS: dict[str, Reason] = {
     "unknown_type": Reason(
         "file",
         "The file is a flight recorder's, and nothing says how it is to be read.",
-        "Give the aircraft a type in fleet.csv, and describe the type (docs/howto-recorder.md).",
+        "Give the aircraft a type in fleet.csv, and describe the type (`hdt docs howto-recorder`).",
     ),
     "bad_type": Reason(
         "file", "The type description can't be used, or the recorder's map contradicts it.", "Correct the description."
@@ -59,6 +59,7 @@ REASONS: dict[str, Reason] = {
         "The parameter map of the type does not fit the recording, so nothing of it was decoded.",
         "Find the map of this recorder, or the type of this aircraft.",
     ),
+    "no_report": Reason("file", "The file holds no printed report that is known.", "Check what was sent."),
     "cannot_process": Reason(
         "file",
         "Taking in the file failed in a way that was not foreseen; other files went on.",
@@ -129,7 +130,16 @@ REASONS: dict[str, Reason] = {
         "Deliver the file whole.",
     ),
     "bad_code": Reason("row", "A code is missing or not one of those agreed.", "Use the codes of the data contract."),
-    "bad_key": Reason("row", "The operator or tail is missing, malformed or listed twice.", "Correct the fleet list."),
+    "bad_cost": Reason("file", "The cost table can't be used, so no cost is told.", "Correct the key that is named."),
+    "bad_key": Reason("row", "The operator or tail is missing, malformed or listed twice.", "Correct the list."),
+    "report_without_head": Reason(
+        "row",
+        "The head of a printed report can't be read: aircraft, date and time are not known.",
+        "Read the recorder again, if it can be.",
+    ),
+    "other_aircraft": Reason(
+        "row", "The head of a printed report names another aircraft.", "Deliver it in that aircraft's folder."
+    ),
     # a value
     "not_a_number": Reason(
         "value", "Text, NaN or infinity stands where a number belongs.", "Leave the field empty when there is no value."
@@ -183,6 +193,12 @@ REASONS: dict[str, Reason] = {
         "note",
         "Over the flight, total pressure is not what the standard atmosphere gives for altitude and Mach.",
         "Check the units of all three.",
+    ),
+    "damaged_line": Reason(
+        "note", "A line of a printed report is not as its layout has it; the report's head counts.", "Nothing."
+    ),
+    "unknown_report": Reason(
+        "note", "No layout declares this printed report.", "Declare it, or let it be (`hdt docs howto-recorder`)."
     ),
     "recording_damaged": Reason(
         "note", "A part of the recording is damaged; what it held is null.", "Read the recorder again, if it can be."

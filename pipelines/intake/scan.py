@@ -1,19 +1,24 @@
 """What is new in the landing zone, noted in the ledger by content so that a touched file is not a new one."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from pipelines.intake.costs import COSTS
+from pipelines.intake.costs import NAME as COSTS_FILE
+from pipelines.intake.findings import case_files
 from pipelines.intake.landing import LandingFile, list_landing
 from pipelines.intake.snapshots import flights_in
 from pipelines.intake.types_of_zone import read_by
 from pipelines.lineage import FLIGHT_FILES
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.ledger import Ledger
 
 APART = timedelta(hours=1)
 REJECTED = "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows go on
+Row = tuple[str, str, str, str, int, int, str]
 REFUSED = "refused"  # kind of what lies in the landing zone and is no file of the contract
 
 
@@ -28,15 +33,24 @@ class Scan:
 def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights each holds."""
     listing = list_landing(landing)
-    known = ledger.known_files()
+    known, digests = ledger.known_files(), ledger.digests()
     new = _new(listing.files, ledger)
     held = {f.path: flights_in(f) for f in new if f.kind in FLIGHT_FILES}
     rows = [(f.path, f.operator, f.tail, _kind(f, held), f.size, f.mtime_ns, _digest(f)) for f in new]
     refused = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
     rows += [r for r in refused if r[0] not in known]
+    told = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, digests)]
+    rows += [r for r in told if digests.get(r[0]) != r[6]]
     if rows:
         ledger.register(rows, held)
     return Scan(len(listing.files), len(new))
+
+
+def _settings(home: Path, digests: Mapping[str, str]) -> Iterator[Row]:
+    """What the home itself declares, as the ledger knows a delivered file; one that is gone has no content."""
+    file = home / COSTS_FILE
+    if file.exists() or COSTS_FILE in digests:
+        yield COSTS_FILE, "", "", COSTS, 0, 0, _of_content(file) if file.exists() else ""
 
 
 def unseen(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:
@@ -70,7 +84,7 @@ def _kind(file: LandingFile, held: dict[str, list[str]]) -> str:
 
 def _digest(file: LandingFile) -> str:
     """Hash of the content, and of what a recording is read by; empty where it cannot be read, which intake tells."""
-    also = read_by(Path(file.landing), file.operator, file.tail) if file.is_recording else ()
+    also = read_by(Path(file.landing), file.operator, file.tail, file.folder)
     try:
         digests = [_of_content(path) for path in (Path(file.full_path), *also)]
     except OSError:

@@ -25,7 +25,8 @@ FULL_COUNTS = 950.0
 """Counts of the simulated diffuser that are 100 % of its travel."""
 COLUMN_OF: Mapping[str, str] = {
     "hot_in_degc": "hx_in_degc", "hot_out_degc": "hx_out_degc", "speed_rpm": "cc_speed_rpm", "inlet_degc": "cc_in_degc",
-    "inlet_psia": "cc_in_psia", "outlet_degc": "cc_out_degc", "outlet_psia": "cc_out_psia",
+    "inlet_psia": "cc_in_psia", "outlet_degc": "cc_out_degc", "outlet_psia": "cc_out_psia", "acm_rpm": "cc_speed_rpm",
+    "ram_exit_pct": "ram_door_pct",
 }  # fmt: skip
 """The contract's column that a component's column shows of the same pack."""
 WORDS_A_PARAMETER = 2
@@ -98,14 +99,16 @@ def _places(kind: AircraftType) -> dict[str, tuple[Station, int, int]]:
 
 
 def _values(packs: list[pl.DataFrame], station: Station, unit: int, units: int) -> Floats:
-    """What a parameter shows, in the recorder's unit; units of a component are shared out among the packs."""
+    """What a parameter shows, in the recorder's unit; 0 of what is not simulated, as the fan.
+
+    Units of a component are shared out among the packs.
+    """
     rows, column = packs[unit * len(packs) // units], station.column
     if column == "diffuser_pct":
         told = rows["vda_pos"].cast(pl.Float64).to_numpy() * (100.0 / FULL_COUNTS)
-    elif column == "return_pct":
-        told = np.zeros(rows.height)
     else:
-        told = rows[COLUMN_OF.get(column, column)].cast(pl.Float64).to_numpy()
+        known = COLUMN_OF.get(column, column)
+        told = rows[known].cast(pl.Float64).to_numpy() if known in rows.columns else np.zeros(rows.height)
     return np.asarray((told - station.offset) / station.scale)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from pipelines.aircraft_types import shipped
 from pipelines.intake.aircraft_types import AircraftType, AircraftTypeError, read_type
 
-FOLDER, RECORDER = "types", "recorder"
-"""Folder of the landing zone that holds descriptions and maps; folder of an aircraft that holds recordings."""
+FOLDER, RECORDER, REPORTS = "types", "recorder", "reports"
+"""Folder of the landing zone that holds descriptions and maps; folders of an aircraft: recordings, printed reports."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,13 @@ class Types:
         return "" if found.map_file.is_file() else f"{found.file.name} names the map {found.map_file.name}: not there"
 
 
-def read_by(landing: Path, operator: str, tail: str) -> tuple[Path, ...]:
-    """Files without which a recording of an aircraft can't be read: description and map."""
-    kind = types_of(landing).of(operator, tail)
-    return (kind.file, kind.map_file) if kind else ()
+def read_by(landing: Path, operator: str, tail: str, folder: str) -> tuple[Path, ...]:
+    """Files by which those of a folder of an aircraft are read: description and map, or layouts of printed reports."""
+    kind = types_of(landing).of(operator, tail) if folder in (RECORDER, REPORTS) else None
+    if kind is None:
+        return ()
+    other = kind.map_file if folder == RECORDER else kind.reports_file
+    return (kind.file, other) if other else ()
 
 
 def types_of(landing: Path) -> Types:

@@ -53,11 +53,17 @@ class PartitionBatch:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """What came of a block: how many runs it took, and what failed, with why."""
+    """What came of a block: how many runs it took, what failed, with why, and what went well only at the second try."""
 
     block: PartitionBatch
     runs: int
     failed: dict[str, str]
+    mended: tuple[str, ...] = ()
+
+
+def made_apart(label: str, block: PartitionBatch, why: str) -> tuple[str, ...]:
+    """The line about a run of several aircraft that failed: that each is made alone must not hide it."""
+    return (f"{label}: a run of {len(block.aircraft)} aircraft stopped, so each was made alone; report it: {why}",)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import dagster as dg
 
+from pipelines.digest import tell_night
 from pipelines.intake.scan import unseen
 from pipelines.orchestration.nightly import holding, run_night
 from pipelines.resources import Home
@@ -41,6 +42,8 @@ def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
         night = run_night(Path(home.landing), where, _Log(context.log), instance=context.instance)
         publish(where)
         seal_night(where)
+        for line in tell_night(where):
+            context.log.warning(line)
     context.add_output_metadata({"new_files": night.new_files, "cells": night.cells, "runs": night.runs})
     if night.failed:
         raise dg.Failure("; ".join(f"{where}: {why}" for where, why in night.failed.items()))

@@ -12,8 +12,11 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.tables import TABLES
+from pipelines.intake.costs import COSTS
+from pipelines.intake.findings import CASES, FINDINGS
 from pipelines.lineage import MAKER, Stage
 from pipelines.storage import ledger_copy, seal
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.delta import DamageError, hash_in, shards_of
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
@@ -21,7 +24,13 @@ from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store
 
 
 def mend(landing: Path, store: Store, ledger: Ledger) -> list[str]:
-    """Make stale what is damaged; a line for each thing that was."""
+    """Make stale what is damaged, put back what people said; a line for each thing that was."""
+    told = _mend_tables(landing, store, ledger)
+    log = CaseLog(store.home).mend(store.read("raw_cases"))  # of tables that are whole again
+    return [*told, log] if log else told
+
+
+def _mend_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
     told = [fault] if (fault := ledger_copy.mend(ledger)) else []
     if store.remote:
         return told
@@ -113,7 +122,7 @@ def _flights(ledger: Ledger, table: str, aircraft: Aircraft, name: str) -> list[
 
 def _absent(landing: Path, ledger: Ledger, stage: Stage, aircraft: Aircraft, flights: Iterable[str] | None) -> set[str]:
     own = ledger.of([aircraft])
-    kinds = {kind for recipe in stage.tables.values() for kind in recipe.files}
+    kinds = {kind for recipe in stage.tables.values() for kind in recipe.files} - {CASES, FINDINGS, COSTS}
     held = own.flight_files() if flights is not None else own.files(kinds)
     held = held.filter(pl.col("kind").is_in(kinds), operator=aircraft[0], tail=aircraft[1])
     if flights is not None:

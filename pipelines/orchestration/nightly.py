@@ -188,6 +188,7 @@ class _Chain:
         for made in self._make(tables, list(blocks), step):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
             self.failed |= made.failed
+            self.mended += made.mended
             self.progress.advance(made.block.cells)
 
     def _wanted(self, stage: Stage) -> pl.DataFrame:

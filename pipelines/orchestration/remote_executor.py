@@ -14,13 +14,12 @@ import dagster as dg
 
 from dagster_batched import remote
 from dagster_batched.runs import failure_of
-from pipelines.orchestration.batches import BatchResult, PartitionBatch
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, made_apart
 from pipelines.orchestration.local_executor import EngineError
-from pipelines.orchestration.runs import NIGHT, Runner
+from pipelines.orchestration.runs import LOCATION, NIGHT, Runner
 
 LOOK_S = 0.5
 AHEAD = 500  # runs that are sent before those before them are done: Dagster looks at its whole queue each time
-LOCATION = "pipelines.definitions"
 
 
 class RemoteExecutor:
@@ -55,26 +54,27 @@ class RemoteExecutor:
         while unsent or waiting:
             while unsent and len(waiting) < AHEAD:
                 block = unsent.popleft()
-                waiting[self._send(job, block)] = block
+                waiting[self._send(job, block, label)] = block
             for run in remote.ended(self.instance, waiting):
                 block = waiting.pop(run.run_id)
                 if again := remote.successor(run):
                     waiting[again] = block
                     continue
                 why = None if run.is_success else self._why(run, block)
+                told: tuple[str, ...] = ()
                 if why and len(block.aircraft) > 1:  # their cells count once: as their block's
                     unsent.extend(replace(one, cells=0) for one in block.apart())
-                    why = None
+                    told, why = made_apart(label, block, why), None
                 where = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
-                yield BatchResult(block, 1, {where: why} if why else {})
+                yield BatchResult(block, 1, {where: why} if why else {}, told)
             time.sleep(LOOK_S)
 
     def stop(self) -> None:
         """They are not ours to stop."""
 
-    def _send(self, job: dg.JobDefinition, block: PartitionBatch) -> str:
+    def _send(self, job: dg.JobDefinition, block: PartitionBatch, label: str) -> str:
         """Submit one run; its id."""
-        run = self.runner.create(job, block, **remote.origins(job, LOCATION))
+        run = self.runner.create(job, block, label)
         remote.submit(self.instance, run)
         return run.run_id
 

@@ -2,22 +2,24 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import dagster as dg
 import polars as pl
 
 from dagster_batched.event_log import CoalescingEventLog
 from dagster_batched.partitions import cached_ranges, skip_input_versions
+from dagster_batched.remote import origins
 from dagster_batched.runs import InterruptedRunError, execute, failure_of, was_interrupted
 from dagster_batched.sqlite import batch_events
 from pipelines import partitions
-from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, made_apart
 from pipelines.storage.ledger import Ledger
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
 NIGHT = {"hdt/night": "yes"}  # a run of the chain, and none that someone started from the page
+BY = {"user": "hdt nightly"}  # what the list of runs names as who launched it
+LOCATION = "pipelines.definitions"
 MOST_PINNED = 3
 _OURS = "# Written by hdt."
 _INSTANCE = """\
@@ -87,17 +89,18 @@ class Runner:
 
     def make(self, tables: list[str], block: PartitionBatch, label: str) -> BatchResult:
         """One run. If it fails, each of its aircraft alone, and of one aircraft halves: one flight stops no other."""
-        why = self._run(tables, block)
+        why = self._run(tables, block, label)
         if why is None:
             return BatchResult(block, 1, {})
         if len(block.aircraft) < 2 and not block.parts:
-            runs, told = self._pinned_down(tables, block, why)
+            runs, told = self._pinned_down(tables, block, why, label)
             return BatchResult(block, 1 + runs, {f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}": told})
         alone = [self.make(tables, one, label) for one in block.apart()]
         failed = {where: why for one in alone for where, why in one.failed.items()}
-        return BatchResult(block, 1 + sum(one.runs for one in alone), failed)
+        mended = sum((one.mended for one in alone), () if failed else made_apart(label, block, why))
+        return BatchResult(block, 1 + sum(one.runs for one in alone), failed, mended)
 
-    def _pinned_down(self, tables: list[str], block: PartitionBatch, why: str) -> tuple[int, str]:
+    def _pinned_down(self, tables: list[str], block: PartitionBatch, why: str, label: str) -> tuple[int, str]:
         """Make what can be made of an aircraft's block that failed, half by half; how many runs, and what fails why.
 
         After `MOST_PINNED` flights the rest is left as it is: then it is not the flights.
@@ -109,7 +112,7 @@ class Runner:
             if not halves:
                 told.append(self._named(one, said))
             runs += len(halves)
-            left += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half))]
+            left += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half, label))]
         return runs, "; ".join(told)
 
     def _named(self, block: PartitionBatch, why: str) -> str:
@@ -128,16 +131,20 @@ class Runner:
         keys = frozenset(dg.AssetKey(t) for t in tables)
         return self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
 
-    def create(self, job: dg.JobDefinition, block: PartitionBatch, **origins: Any) -> dg.DagsterRun:
-        """A run for `block` that is yet to begin; `origins` say where another process finds its code."""
-        tags, asked = block.tags() | NIGHT, job.asset_selection
-        return self.instance.create_run_for_job(job, tags=tags, asset_selection=asked, run_config=_QUIET, **origins)
+    def create(self, job: dg.JobDefinition, block: PartitionBatch, label: str) -> dg.DagsterRun:
+        """A run for `block` that is yet to begin. `label` is what its step is called.
 
-    def _run(self, tables: list[str], block: PartitionBatch) -> str | None:
+        It says where its code is found: another process may need it, and Dagster's timeline shows no run without.
+        """
+        tags, asked = block.tags() | NIGHT | BY | {"hdt/step": label}, job.asset_selection
+        where = origins(job, LOCATION)
+        return self.instance.create_run_for_job(job, tags=tags, asset_selection=asked, run_config=_QUIET, **where)
+
+    def _run(self, tables: list[str], block: PartitionBatch, label: str) -> str | None:
         """Make `tables` for `block`; None, or why it failed."""
         job = self.job(tables)
         with cached_ranges({block.ends(): self.known().cells(block)} if block.parts else None):
-            run = self.create(job, block)
+            run = self.create(job, block, label)
             result = execute(job, run, self.instance)
         if result.success:
             return None

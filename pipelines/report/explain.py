@@ -8,6 +8,7 @@ import duckdb
 
 from pipelines.report import words
 from pipelines.storage.catalog import connect
+from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
 _PACK = re.compile(
@@ -60,11 +61,13 @@ def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
     """A unit of another component and its open alerts."""
     sql = "select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component = $4"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"], row["component"])
-    head = (
-        f"{row['operator']} {words.unit_name(row)}: {words.URGENCY[row['urgency']]}. "
-        f"{row['lost']} {words.with_sd(row['loss'], row['loss_sd'])}, flights left {words.flights_left(row)}, chance "
-        f"of a failure within 50 flights {words.chance(row['p_event_50'])}; after {row['last_flight_id']}, "
-        f"{words.clock(row['last_departed_at'])}."
+    head = _(
+        "{unit}: {urgency}. {lost} {loss}, flights left {left}, chance of a failure within 50 flights {chance}; after "
+        "{flight}, {time}.",
+        unit=f"{row['operator']} {words.unit_name(row)}",
+        lost=_(row["lost"]),
+        loss=words.share(row["loss"], row["loss_sd"]),
+        **_last(row),
     )
     opened = [a for a in alerts if a["closed_at"] is None]
     return "\n".join([head, *(line for a in opened for line in ("", *_alert_told(a)))])
@@ -78,44 +81,63 @@ def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> s
     lines = [_head(row), *(line for a in opened for line in ("", *_alert_told(a)))]
     if not opened:
         last = max(alerts, key=lambda a: a["closed_at"], default=None)
-        before = (
-            f" The last, {words.diagnosis(last['diagnosis'])}, closed {words.day(last['closed_at'])}" if last else ""
-        )
-        lines.append("No alert is open." + (f"{before}: alert {last['alert_id']}." if last else ""))
+        lines.append(_("No alert is open.") + (f" {_before(last)}" if last else ""))
     return "\n".join([*lines, *(["", *map(_beside, others)] if others else [])])
 
 
+def _before(last: Row) -> str:
+    named = {"diagnosis": words.diagnosis(last["diagnosis"]), "day": words.day(last["closed_at"])}
+    return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **named)
+
+
+def _last(row: Row) -> Row:
+    """What is true of a pack or unit after its last flight."""
+    return {
+        "urgency": words.urgency(row),
+        "left": words.flights_left(row),
+        "chance": words.chance(row["p_event_50"]),
+        "flight": row["last_flight_id"],
+        "time": words.clock(row["last_departed_at"]),
+    }
+
+
 def _head(row: Row) -> str:
-    left, chance = words.flights_left(row), words.chance(row["p_event_50"])
-    return (
-        f"{row['operator']} {words.pack_name(row)}: {words.URGENCY[row['urgency']]}. UA lost {words.loss(row)}, "
-        f"flights left {left}, chance of a message within 50 flights {chance}; "
-        f"after {row['last_flight_id']}, {words.clock(row['last_departed_at'])}."
+    return _(
+        "{pack}: {urgency}. UA lost {loss}, flights left {left}, chance of a message within 50 flights {chance}; after "
+        "{flight}, {time}.",
+        pack=f"{row['operator']} {words.pack_name(row)}",
+        loss=words.loss(row),
+        **_last(row),
     )
 
 
 def _beside(row: Row) -> str:
-    said = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else "no open alert"
-    return f"Also {words.pack_name(row)}: {words.URGENCY[row['urgency']]}, {said}."
+    said = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else _("no open alert")
+    return _("Also {pack}: {urgency}, {said}.", pack=words.pack_name(row), urgency=words.urgency(row), said=said)
 
 
 def _alert_told(a: Row) -> list[str]:
     """The alert's name and state, both of its moments, and what to do."""
-    state = words.URGENCY[a["urgency"]] if a["closed_at"] is None else f"closed {words.clock(a['closed_at'])}"
-    now = "Now" if a["closed_at"] is None else "At its end"
-    same = a["evidence"] == a["evidence_now"]
+    ended = a["closed_at"] is not None
+    state = _("closed {time}", time=words.clock(a["closed_at"])) if ended else words.urgency(a)
+    same, severity, at_first = a["evidence"] == a["evidence_now"], a["severity"], a["raised_severity"]
+    then = words.tidy(a["evidence"]) if same else words.finding(a["evidence"])
+    now = _("as then.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
+    at_last = _("At its end") if ended else _("Now")
     return [
-        f"{a['operator']} {words.pack_name(a)}: {words.diagnosis(a['diagnosis'])} ({a['diagnosis']}), {state}. "
-        f"Alert {a['alert_id']}.",
-        f"When raised ({words.clock(a['raised_at'])}, after {a['raised_flight_id']}, {a['raised_severity']}): "
-        f"{_numbers(a, 'raised')}{words.tidy(a['evidence']) if same else words.finding(a['evidence'])}",
-        f"{now} (after {a['now_flight_id']}, {a['severity']}): "
-        + ("as then." if same else _numbers(a, "now") + words.tidy(a["evidence_now"])),
-        f"To do: {a['recommended_action']}",
-    ]
+        _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.pack_name(a)}", state=state,
+          diagnosis=f"{words.diagnosis(a['diagnosis'])} ({a['diagnosis']})", id=a["alert_id"]),
+        _("When raised ({time}, after {flight}, {severity}): {told}", time=words.clock(a["raised_at"]),
+          flight=a["raised_flight_id"], severity=_(at_first), told=_numbers(a, "raised") + then),
+        _("{moment} (after {flight}, {severity}): {told}", moment=at_last, flight=a["now_flight_id"],
+          severity=_(severity), told=now),
+        _("To do: {action}", action=words.action(a["recommended_action"])),
+    ]  # fmt: skip
 
 
 def _numbers(a: Row, moment: str) -> str:
     """What the evidence does not say: what was expected."""
     told = words.alert_state(a, moment)[1:]
-    return "; ".join(f"{name[0].lower()}{name[1:]} {value}" for name, value in told) + ". " if told else ""
+    small = language() == ENGLISH
+    names = [f"{name[0].lower()}{name[1:]}" if small else name for name, _value in told]
+    return "; ".join(f"{name} {value}" for name, (_name, value) in zip(names, told, strict=True)) + ". " if told else ""

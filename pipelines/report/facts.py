@@ -25,8 +25,14 @@ _FRAMES = {
             and departed_at >= (select max(departed_at) from flights) - interval 400 days
         order by departed_at, flight_id""",
     "alerts": """
-        select s.*, o.place from alert_states as s left join open_alerts as o on s.alert_id = o.alert_id
+        select s.*, o.place, b.found_on as opened_on
+        from alert_states as s left join open_alerts as o on s.alert_id = o.alert_id
+        left join alert_outcomes as b on s.follows = b.alert_id
         order by s.closed_at is not null, o.place, s.raised_at desc, s.alert_id""",
+    "cases": "select alert_id, state, owner, muted_until, finding, found_by, found_on from cases",
+    "due": "select * from due_dates",
+    "stops": "select * from next_stop order by place nulls last, choice",
+    "hit_rates": "select * from alert_hit_rates order by component, diagnosis",
     "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
     "messages": "select * from tables.raw_messages order by message_time, code",
     "design": "select * from design_parameters order by scope, component, parameter, operator, tail, pack",

@@ -1,66 +1,93 @@
-"""How each pack has worn, what was done to it, and what is expected: one chart a pack."""
+"""How each unit has worn, what was done to it, and what is expected: what its chart and its card show."""
 
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import Any
 
 import polars as pl
 
-from pipelines.report import svg, words
+from hdt_core.health.wording import Z_90
+from pipelines.report import words
+from pipelines.report.charts import GREEN, PURPLE, VERMILLION
 from pipelines.report.facts import Facts
-from pipelines.report.html import Html, anchor, join, tag
+from pipelines.report.templating import anchor
+from pipelines.words import _
 
-POINTS = 180  # a chart is some 350 pixels wide
-Z_90 = 1.645
+POINTS = 180
+"""Flights that a chart draws: it is some 350 pixels wide."""
+BANDS = 60
+"""Steps of the fleet's band in time."""
+LEAST_PACKS = 4
+"""A band of fewer packs would only be those packs."""
 DAY_S = 86_400.0
+Row = dict[str, Any]
+Columns = dict[str, list[Any]]
 
 
-def tracks(facts: Facts) -> Html:
-    """A section with a chart for every pack, the most urgent first."""
-    rows = facts["ranking"].to_dicts()
-    if not rows:
-        return tag("p", "No flight has given a health estimate yet.", class_="empty")
-    return join(_LEGEND, tag("div", *(_card(facts, row) for row in rows), class_="cards"))
+def fleet_band(facts: Facts) -> Columns:
+    """What nine of ten packs had lost, by time: 5 and 95 % points over packs of each pack's median of a stretch."""
+    seen = facts["health"].filter(parameter="hx_fouling")
+    pack = ["operator", "tail", "pack"]
+    if seen.select(pack).n_unique() < LEAST_PACKS:
+        return {"x": [], "low": [], "high": []}
+    at = _ms("departed_at")
+    first, last = seen.select(at.min().alias("a"), at.max().alias("b")).row(0)
+    step = max(last - first, 1) / BANDS
+    stretch = ((pl.col("at") - first) // step).cast(pl.Int64).alias("stretch")
+    of_pack = seen.with_columns(at=at).group_by(stretch, *pack).agg(pl.col("value").median())
+    points = [(100 * pl.col("value").quantile(q, "linear")).alias(n) for q, n in ((0.05, "low"), (0.95, "high"))]
+    band = of_pack.group_by("stretch").agg(*points, n=pl.len()).filter(pl.col("n") >= LEAST_PACKS).sort("stretch")
+    middle = [round(first + (k + 0.5) * step) for k in band["stretch"]]
+    return {"x": middle, **{n: [round(v, 1) for v in band[n]] for n in ("low", "high")}}
 
 
-def _key(colour: str, sign: str, says: str) -> Html:
-    return tag("span", tag("b", sign, style=f"color:{colour}"), " ", says)
+def pack_tracks(facts: Facts) -> dict[str, Row]:
+    """What each pack's chart shows, by the id of its card."""
+    drawn = {}
+    for row in facts["ranking"].to_dicts():
+        key = words.unit_key(row)
+        parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
+        if not parts["health"].height:
+            continue
+        hx = parts["health"].filter(parameter="hx_fouling").rename({"value": "loss", "sd": "loss_sd"})
+        own = _track(hx, parts, row, _pace_ms(facts, row))
+        cc = thin(parts["health"].filter(parameter="cc_efficiency_loss"))
+        own["cc"] = {"x": cc.select(_ms("departed_at")).to_series().to_list(), "y": _percent(cc["value"])}
+        drawn[anchor("pack", *key)] = own | {"tail": f"{row['operator']} {row['tail']}"}
+    for tail in {t["tail"] for t in drawn.values()}:  # two packs, each with the other
+        for a, b in pairwise([*(names := [k for k, t in drawn.items() if t["tail"] == tail]), names[0]]):
+            if a != b:
+                drawn[a]["other"] = b
+    return drawn
 
 
-_LEGEND = tag(
-    "p",
-    _key(svg.BLUE, "━", "heat exchanger: conductance lost, with its 90 % band"),
-    _key(svg.ORANGE, "╍", "compressor: efficiency lost"),
-    _key(svg.PURPLE, "◆", "alert"),
-    _key(svg.VERMILLION, "✕", "message from the aircraft"),
-    _key(svg.GREEN, "▲", "work (R replaced, C cleaned, I inspected, A adjusted)"),
-    _key(svg.VERMILLION, "├●┤", "message expected: median and 90 % interval"),
-    class_="legend",
-)
+def unit_tracks(facts: Facts) -> dict[str, Row]:
+    """What the chart of each unit of another component shows."""
+    drawn = {}
+    for row in facts["components"].to_dicts():
+        own = facts.of_pack("component_losses", *words.unit_key(row)).filter(component=row["component"])
+        alerts = facts.of_pack("alerts", *words.unit_key(row)).filter(component=row["component"])
+        if own.height:
+            none = {name: facts[name].clear() for name in ("maintenance", "messages")}
+            drawn[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, {"alerts": alerts} | none)
+    return drawn
 
 
-def _card(facts: Facts, row: dict[str, Any]) -> Html:
-    key = row["operator"], row["tail"], row["pack"]
-    parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
-    urgency = words.URGENCY[row["urgency"]]
-    head = tag("h3", words.pack_name(row), " ", tag("span", urgency, class_=f"tag {row['urgency']}"))
-    left = words.flights_left(row)
-    chance = words.chance(row["p_event_50"])
-    state = f"UA lost {words.loss(row)}; flights left {left}; chance of a message within 50 flights {chance}."
-    return tag(
-        "article",
-        head,
-        tag("p", state),
-        _chart(facts, row, parts),
-        _recent(parts),
-        id=anchor("pack", *key),
-        class_="card",
-        data_find=words.found_by(row, row["diagnoses"]),
-    )
-
-
-def seconds(column: pl.Series) -> list[float]:
-    """Moments as seconds from 1970."""
-    return (column.dt.epoch("ms") / 1000.0).to_list()
+def _track(seen: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float = 0.0) -> Row:
+    """Columns of the chart's sources, and its ranges. Moments are ms since 1970, losses per cent."""
+    worn = thin(seen)
+    at = worn.select(_ms("departed_at")).to_series().to_list()
+    around = Z_90 * worn["loss_sd"].fill_null(0.0)
+    low, high = (_percent(worn["loss"] + side * around) for side in (-1, 1))
+    whole = parts.get("health", worn).select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
+    start, now = whole.row(0)
+    own = {"x": at, "y": _percent(worn["loss"]), "low": low, "high": high}
+    y = (-10.0, max([45.0, *(v + 5.0 for v in own["y"])]))
+    ahead = _ahead(row, pace_ms, now, own["y"][-1] if own["y"] else 0.0) if row else {}
+    span = now - start
+    until = min(max([0.22 * span, *(v - now for v in ahead.get("high", ()))]), 0.5 * span)
+    x = (start, now + (max(1.03 * until, 5e3 * DAY_S) if row else 6e4))
+    return {"own": own, "ahead": ahead, "events": _events(parts, start, y), "x": x, "y": y}
 
 
 def thin(rows: pl.DataFrame) -> pl.DataFrame:
@@ -75,90 +102,83 @@ def thin(rows: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _chart(facts: Facts, row: dict[str, Any], parts: dict[str, pl.DataFrame]) -> Html | None:
-    hx = parts["health"].filter(parameter="hx_fouling")
-    if not parts["health"].height:
-        return tag("p", "No estimate yet: no flight with steady cruise.", class_="empty")
-    when = seconds(parts["health"]["departed_at"])
-    start, now = min(when), max(when)
-    ahead = max(0.22 * (now - start), 5 * DAY_S)
-    top = max([45.0, *(100 * hx["value"] + 5).to_list()])
-    chart = svg.Chart((start, now + ahead), (-10.0, top), f"Health of {words.pack_name(row)} over time")
-    _lines(chart, hx, parts["health"].filter(parameter="cc_efficiency_loss"))
-    _events(chart, parts, start)
-    # at which loss the message comes differs from flight to flight, so it has no line: only its time is drawn
-    _expected(chart, facts, row, now, 100 * hx["value"][-1] if hx.height else 0.0)
-    return chart.svg(svg.month_ticks(start, now + ahead, 5), "% lost")
+def _ms(moment: str) -> pl.Expr:
+    return pl.col(moment).dt.epoch("ms")
 
 
-def _lines(chart: svg.Chart, hx: pl.DataFrame, cc: pl.DataFrame) -> None:
-    worn = thin(hx)
-    when = seconds(worn["departed_at"])
-    low = (100 * (worn["value"] - Z_90 * worn["sd"].fill_null(0.0))).to_list()
-    high = (100 * (worn["value"] + Z_90 * worn["sd"].fill_null(0.0))).to_list()
-    chart.band(list(zip(when, low, high, strict=True)), svg.BLUE)
-    worn_cc = thin(cc)
-    chart.line(
-        list(zip(seconds(worn_cc["departed_at"]), (100 * worn_cc["value"]).to_list(), strict=True)),
-        svg.ORANGE,
-        dash="5 2",
-    )
-    chart.line(list(zip(when, (100 * worn["value"]).to_list(), strict=True)), svg.BLUE)
-    if len(when) == 1:
-        chart.dots([(when[0], 100 * worn["value"][0])], svg.BLUE, size=6, opacity=1)
+def _percent(shares: pl.Series) -> list[float]:
+    return (100 * shares).round(1).to_list()
+
+
+def _events(parts: dict[str, pl.DataFrame], start: int, y: tuple[float, float]) -> Columns:
+    """Work, messages and alerts as marks with words."""
+    told: list[tuple[Any, ...]] = [
+        (1e3 * _midnight(w["done_on"]), "triangle", GREEN, w["action"][:1], _work(w))
+        for w in parts["maintenance"].to_dicts()
+    ]
+    told += [
+        (1e3 * m["message_time"].timestamp(), "x", VERMILLION, "", f"{words.clock(m['message_time'])}: {_message(m)}")
+        for m in parts["messages"].to_dicts()
+    ]
+    inside = [e for e in told if e[0] >= start - 1e3 * DAY_S]
+    inside += [(1e3 * a["raised_at"].timestamp(), "diamond", PURPLE, "", _alert(a)) for a in parts["alerts"].to_dicts()]
+    bottom, top = y[0] + 0.04 * (y[1] - y[0]), y[1] - 0.04 * (y[1] - y[0])
+    return {
+        "x": [round(e[0]) for e in inside],
+        "y": [bottom if e[1] == "triangle" else top for e in inside],
+        "bottom": [y[0]] * len(inside),
+        "top": [y[1]] * len(inside),
+        **{name: [e[k] for e in inside] for k, name in enumerate(("marker", "colour", "letter"), start=1)},
+        "text": [words.visible(e[4]) for e in inside],
+    }
 
 
 def _midnight(day: Any) -> float:
     return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
 
 
-def _events(chart: svg.Chart, parts: dict[str, pl.DataFrame], start: float) -> None:
-    for w in parts["maintenance"].to_dicts():
-        if (at := _midnight(w["done_on"])) >= start - DAY_S:
-            chart.mark(at, "work", svg.GREEN, _work(w), w["action"][:1])
-    for m in parts["messages"].to_dicts():
-        if (at := m["message_time"].timestamp()) >= start:
-            chart.mark(at, "message", svg.VERMILLION, f"{words.clock(m['message_time'])}: {_message(m)}")
-    for a in parts["alerts"].to_dicts():
-        chart.mark(a["raised_at"].timestamp(), "alert", svg.PURPLE, _alert(a))
+def _work(w: Row) -> str:
+    finding = f" ({_(w['finding'].lower().replace('_', ' '))})" if w["finding"] else ""
+    part = _(str(words.PARTS.get(w["component"], w["component"])))
+    return f"{words.day(w['done_on'])}: {part} {_(w['action'].lower())}{finding}"
 
 
-def _work(w: dict[str, Any]) -> str:
-    finding = f" ({w['finding'].lower().replace('_', ' ')})" if w["finding"] else ""
-    return (
-        f"{words.day(w['done_on'])}: {words.PARTS.get(w['component'], w['component'])} {w['action'].lower()}{finding}"
-    )
+def _message(m: Row) -> str:
+    return _("message {code}", code=m["code"]) + (f", {m['text']}" if m["text"] else "")
 
 
-def _message(m: dict[str, Any]) -> str:
-    return f"message {m['code']}" + (f", {m['text']}" if m["text"] else "")
+def _alert(a: Row) -> str:
+    return _("{day}: alert, {diagnosis}", day=words.day(a["raised_at"]), diagnosis=words.diagnosis(a["diagnosis"]))
 
 
-def _alert(a: dict[str, Any]) -> str:
-    return f"{words.day(a['raised_at'])}: alert, {words.diagnosis(a['diagnosis'])}"
+def _pace_ms(facts: Facts, row: Row) -> float:
+    """Time from flight to flight, by the last thirty."""
+    own = facts["flights"].filter(operator=row["operator"], tail=row["tail"]).tail(31)["departed_at"]
+    return max(1e3 * float((own[-1] - own[0]).total_seconds()) / max(own.len() - 1, 1), 36e5)
 
 
-def _expected(chart: svg.Chart, facts: Facts, row: dict[str, Any], now: float, height: float) -> None:
-    """When the message is expected, flights turned into days at the pace of the last thirty."""
-    low, mid, high, p = row["rul_low"], row["rul_flights"], row["rul_high"], row["p_event_50"]
-    if None in (low, mid, high, p) or p < 0.05:
-        return
-    own = facts["flights"].filter(operator=row["operator"], tail=row["tail"]).tail(31)
-    pace_s = max((own["departed_at"][-1] - own["departed_at"][0]).total_seconds() / max(own.height - 1, 1), 3600.0)
-    chart.line([(now + low * pace_s, height), (now + high * pace_s, height)], svg.VERMILLION, width=3)
-    chart.dots([(now + mid * pace_s, height)], svg.VERMILLION, size=8, opacity=1)
+def _ahead(row: Row, pace_ms: float, now: int, loss: float) -> Columns:
+    """When the message is expected, flights turned into days.
+
+    At which loss it comes differs from flight to flight, so it has no line: only its time is drawn.
+    """
+    points = {name: row[of] for name, of in (("low", "rul_low"), ("mid", "rul_flights"), ("high", "rul_high"))}
+    p = row["p_event_50"]
+    if None in points.values() or p is None or p < 0.05:
+        return {}
+    return {name: [round(now + n * pace_ms)] for name, n in points.items()} | {"y": [loss]}
 
 
-def _recent(parts: dict[str, pl.DataFrame]) -> Html | None:
+def recent(facts: Facts, row: Row) -> list[str]:
     """The last events in words, for who can't hover and for print."""
+    parts = {name: facts.of_pack(name, *words.unit_key(row)) for name in ("alerts", "maintenance", "messages")}
     events = [(words.day(w["done_on"]), _work(w)) for w in parts["maintenance"].to_dicts()]
     events += [
-        (words.day(a["raised_at"]), _alert(a) + ("" if a["closed_at"] is None else ", closed"))
+        (words.day(a["raised_at"]), _alert(a) + ("" if a["closed_at"] is None else _(", closed")))
         for a in parts["alerts"].to_dicts()
     ]
     events += [
         (words.day(m["message_time"]), f"{words.day(m['message_time'])}: {_message(m)}")
         for m in parts["messages"].to_dicts()
     ]
-    last = sorted(set(events), reverse=True)[:3]
-    return tag("p", "Last events: ", "; ".join(says for _, says in last), ".", class_="small") if last else None
+    return [says for _when, says in sorted(set(events), reverse=True)[:3]]

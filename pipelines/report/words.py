@@ -1,5 +1,7 @@
-"""Numbers and cases as the night shift says them."""
+"""Numbers and cases as the night shift says them. Every interval is one of 90 %."""
 
+import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,7 +9,10 @@ from hdt_core.components import components
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.health.diagnoses import DIAGNOSES
+from hdt_core.health.wording import Z_90
 from hdt_core.prognosis.model import HORIZON
+from pipelines.words import _, grouped, number, several
+from pipelines.words.evidence import retold
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
@@ -18,17 +23,30 @@ WEARS = {c.code: (c.lost, int(c.warn_loss < 0.1)) for c in components().values()
 """Components that wear: what they lose, and the digits that its percentage is told with."""
 NAMES = {**{c.diagnosis: f"{c.name} worn" for c in components().values()}, **{c: d.name for c, d in DIAGNOSES.items()}}
 """Diagnoses as the night shift says them."""
+THRESHOLDS = {
+    "fouling": ("conductance lost above", "%"),
+    "clog": ("lost within three flights above", "%"),
+    "passage": ("chance of the message within 300 flights above", "%"),
+    "compressor": ("efficiency lost above", "%"),
+    "peg_k": ("outlet above its target by", "K"),
+}
+"""What the limit of each diagnosis is on, and its unit."""
+FEW = 10
+"""Judged cases below which a share is told to rest on few."""
+DASH = "\N{EN DASH}"
+# control characters and those that turn the direction of text: a name must not reorder the sentence it stands in
+_HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
 
 
 def pack_name(row: Row) -> str:
     """`LX-AAC pack 2 (right)`."""
-    side = SIDES.get(row["pack"])
-    return f"{row['tail']} pack {row['pack']}" + (f" ({side})" if side else "")
+    name = _("{tail} pack {pack}", tail=row["tail"], pack=row["pack"])
+    return f"{name} ({_(SIDES[row['pack']])})" if row["pack"] in SIDES else name
 
 
 def unit_name(row: Row) -> str:
     """`LX-AAC hydraulic oil cooler 2`."""
-    return f"{row['tail']} {row['name']} {row['pack']}"
+    return f"{row['tail']} {_(row['name'])} {row['pack']}"
 
 
 def unit_key(row: Row) -> tuple[Any, ...]:
@@ -36,35 +54,46 @@ def unit_key(row: Row) -> tuple[Any, ...]:
     return row["operator"], row["tail"], row["pack"]
 
 
-def found_by(row: Row, diagnoses: str | None) -> str:
+def urgency(row: Row) -> str:
+    """How urgent it is."""
+    return _(URGENCY[row["urgency"]])
+
+
+def found_by(row: Row, diagnoses: str | None = None) -> str:
     """What the page's search finds a row or a card by."""
-    urgency = URGENCY.get(row.get("urgency", ""), "")
+    name = unit_name(row) if "name" in row else pack_name(row)
     said = f"{diagnoses} {diagnosis(diagnoses)}" if diagnoses else ""
-    return f"{row['operator']} {pack_name(row)} {said} {urgency}".lower()
+    return f"{row['operator']} {name} {said} {urgency(row) if row.get('urgency') else ''}".lower()
 
 
 def percent(value: float | None, digits: int = 0) -> str:
     """A share in percent; a dash where there is none."""
-    return "\N{EN DASH}" if value is None else f"{100 * value:.{digits}f} %".replace("-", "\N{MINUS SIGN}")
+    return DASH if value is None else f"{number(100 * value, digits)} %"
 
 
 def chance(value: float | None) -> str:
     """A probability; one in hundreds is not told from nothing."""
     if value is None:
-        return "\N{EN DASH}"
+        return DASH
     return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else percent(value)
 
 
 def loss(row: Row) -> str:
-    """Conductance lost, with its standard deviation."""
-    return with_sd(row["hx_fouling"], row["hx_fouling_sd"])
+    """Conductance lost, with its interval."""
+    return share(row["hx_fouling"], row["hx_fouling_sd"])
 
 
-def with_sd(value: float | None, sd: float | None, digits: int = 0) -> str:
-    """A share in percent with its standard deviation: `34 ± 1 %`."""
+def share(value: float | None, sd: float | None, digits: int = 0) -> str:
+    """A share in percent with its interval: `34 % (32 to 36)`."""
     if value is None:
-        return "not known"
-    return percent(value, digits) if sd is None else f"{percent(value, digits)[:-2]} ± {100 * sd:.{digits}f} %"
+        return _("not known")
+    return percent(value, digits) if sd is None else f"{percent(value, digits)} ({span(value, sd, digits, 100.0)})"
+
+
+def span(value: float, sd: float, digits: int, scale: float = 1.0) -> str:
+    """The interval about an estimate: `32 to 36`."""
+    low, high = (number(scale * (value + side * Z_90 * sd), digits) for side in (-1, 1))
+    return _("{low} to {high}", low=low, high=high)
 
 
 def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
@@ -77,9 +106,9 @@ def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
     lost, digits = WEARS[alert["component"]]
     outlook = {k: alert[f"{moment}_{k}"] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50")}
     return [
-        (lost, with_sd(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
-        ("Flights left (90 %)", flights_left(outlook)),
-        ("Message in 50 flights", chance(outlook["p_event_50"])),
+        (_(lost), share(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
+        (_("Flights left (90 %)"), flights_left(outlook)),
+        (_("Message in 50 flights"), chance(outlook["p_event_50"])),
     ]
 
 
@@ -90,39 +119,87 @@ def flights_left(row: Row) -> str:
     """
     rul, low, high, p = (row[k] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50"))
     if rul is None:
-        return "not known"
+        return _("not known")
     if low is None or high is None:
-        return f"about {rul:.0f}"
+        return _("about {n}", n=number(rul))
     if rul >= HORIZON or (p is not None and p < 0.05):
-        return f"more than {low:.0f}"
-    return f"{rul:.0f} ({low:.0f} to {high:.0f}{' or more' if high >= HORIZON else ''})"
+        return _("more than {n}", n=number(low))
+    ends = {"low": number(low), "high": number(high)}
+    told = _("{low} to {high} or more", **ends) if high >= HORIZON else _("{low} to {high}", **ends)
+    return f"{number(rul)} ({told})"
 
 
 def diagnosis(code: str) -> str:
     """A diagnosis code, or several with commas between, in words."""
-    return ", ".join(NAMES.get(c, c) for c in map(str.strip, code.split(",")))
+    return ", ".join(_(NAMES.get(c, c)) for c in map(str.strip, code.split(",")))
+
+
+def hit_rate(row: Row | None) -> str:
+    """How often alerts of a kind were right: `3 of 4 confirmed (75 %, 37 to 94); 2 still open. Few cases.`"""
+    if row is None or not row["n_judged"]:
+        return _("no case of it has been judged yet")
+    told = _(
+        "{right} of {judged} confirmed ({share}, {low} to {high})",
+        right=count(row["n_right"]),
+        judged=count(row["n_judged"]),
+        share=percent(row["hit_rate"]),
+        low=number(100 * row["hit_rate_low"]),
+        high=number(100 * row["hit_rate_high"]),
+    )
+    left = several("; {n} still open", "; {n} still open", row["n_open"]) if row["n_open"] else ""
+    few = _("; few cases") if row["n_judged"] < FEW else ""
+    return told + left + few
 
 
 def day(value: Any) -> str:
     """`2024-06-17`."""
-    return "\N{EN DASH}" if value is None else f"{value:%Y-%m-%d}"
+    return DASH if value is None else f"{value:%Y-%m-%d}"
 
 
 def clock(value: Any) -> str:
     """`2024-06-17 09:29 UTC`."""
-    return "\N{EN DASH}" if value is None else f"{value:%Y-%m-%d %H:%M} UTC"
+    return DASH if value is None else f"{value:%Y-%m-%d %H:%M} UTC"
 
 
-def count(n: int, noun: str) -> str:
+def figures(value: float | None, digits: int = 4) -> str:
+    """Some significant digits, without an exponent where the number is of common size."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if value == 0 or not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits}g}"
+    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
+
+
+def count(n: int) -> str:
+    """A number of things, thousands apart."""
+    return grouped(n)
+
+
+def packs(n: int) -> str:
     """`1 pack`, `3 packs`."""
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"
+    return several("{n} pack", "{n} packs", n)
+
+
+def visible(text: str) -> str:
+    """Text whose hidden characters show."""
+    return _HIDDEN.sub("\ufffd", text)
 
 
 def tidy(sentence: str) -> str:
-    """Evidence as typed by a program, with the signs a reader expects."""
-    return sentence.replace("+-", "±")
+    """Evidence or an action in the language spoken, with the signs a reader expects."""
+    return retold(sentence.replace("+-", "±"))
+
+
+def plain(sentence: str) -> str:
+    """Evidence without the names that columns have in the catalog."""
+    return re.sub(r" \((?:[a-z]+\d*_)+[a-z0-9]+\)", "", tidy(sentence))
 
 
 def finding(evidence: str) -> str:
     """Evidence up to its witnesses: for where alternatives and cost are told beside it already."""
-    return tidy(evidence).partition(" Else:")[0]
+    return tidy(evidence.partition(" Else:")[0])
+
+
+def action(sentence: str) -> str:
+    """What to do."""
+    return plain(sentence)

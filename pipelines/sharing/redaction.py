@@ -20,12 +20,12 @@ from pipelines.storage.catalog import add_meanings, add_views, connect, tables_r
 
 WITHHELD = "[withheld]"
 _TAILS = ("tail",)
-_FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id")
-_IDENTITIES = ("alert_id", "reference", "msn", "file")
+_FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id", "first_flight_id", "end_flight_id")
+_IDENTITIES = ("alert_id", "follows", "closes_alert_id", "reference", "msn", "file", "serial_off", "serial_on")
 """Told by a keyed hash: names of parts, papers and files, each of which leads to one aircraft."""
-_VERBATIM = ("detail", "content", "delivered_on", "origin", "destination")
+_VERBATIM = ("detail", "content", "delivered_on", "origin", "destination", "person", "assignee", "note")
 """Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was
-delivered; from where to where it flew."""
+delivered; from where to where it flew; who did something about an alert, and why."""
 _OUR_WORDS = (
     *("operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase"),
     *(
@@ -33,10 +33,13 @@ _OUR_WORDS = (
         "reason",
         "severity",
         "raised_severity",
+        "severity_then",
         "urgency",
         "diagnosis",
         "action",
         "finding",
+        "ended_by",
+        "closed_reason",
         "split",
         "dsm_version",
         "model_version",
@@ -45,6 +48,8 @@ _OUR_WORDS = (
 """Text columns that hold the project's own codes and no name of anything. All others are searched for tails."""
 _OF_NO_AIRCRAFT = {"components"}
 """Tables that hold declarations and no operator's rows. Any other without an operator is refused."""
+_STAYS_HOME = {"raw_costs"}
+"""Tables of which no row is given to an operator: what the home's owner pays."""
 _BATCH_ROWS = 200_000
 KEY_BYTES = 16
 
@@ -78,7 +83,12 @@ class AccessScope:
             frame = frame.with_columns(pl.lit(None, frame.schema[c]).alias(c) for c in _VERBATIM if c in frame.columns)
             for columns, rename in ((_TAILS, self.pseudonym), (_FLIGHTS, self._flight), (_IDENTITIES, self._identity)):
                 frame = frame.with_columns(_renamed(frame[c], rename) for c in columns if c in frame.columns)
-        told = {*_TAILS, *_FLIGHTS, *_OUR_WORDS, *(_IDENTITIES if self.key is not None else ("alert_id",))}
+        told = {
+            *_TAILS,
+            *_FLIGHTS,
+            *_OUR_WORDS,
+            *(_IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")),
+        }
         words = [c for c, t in frame.schema.items() if t == pl.String and c not in told and not c.endswith("_status")]
         return frame.with_columns(self._said(pl.col(c)) for c in words) if words else frame
 
@@ -130,7 +140,11 @@ def access_scope(home: Path, operator: str | None, key: bytes | None) -> AccessS
 def _aircraft(home: Path) -> set[tuple[str, str]]:
     """Every aircraft that left a trace in the home: on the fleet list, among the flights, among the rejected files."""
     with connect(home) as con:
-        held = [f"select operator, tail from tables.{t}" for t in tables_read() if t.startswith("raw_")]
+        held = [
+            f"select operator, tail from tables.{t}"
+            for t in tables_read()
+            if t.startswith("raw_") and t not in _STAYS_HOME
+        ]
         return {(o, t) for o, t in con.execute(" union ".join(held)).fetchall() if o and t}
 
 
@@ -150,7 +164,9 @@ def build(con: duckdb.DuckDBPyConnection, home: Path, sight: AccessScope) -> Non
 def _copy(source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, sight: AccessScope) -> None:
     everything = source.sql(f"select * from tables.{table}")
     seen = everything
-    if sight.operator is not None and table not in _OF_NO_AIRCRAFT:
+    if sight.operator is not None and table in _STAYS_HOME:
+        seen = everything.limit(0)
+    elif sight.operator is not None and table not in _OF_NO_AIRCRAFT:
         own = "operator = $1"
         if "file" in everything.columns:  # files refused before anyone knew whose they are lie in the operator's folder
             own = "operator = $1 or (coalesce(operator, '') = '' and starts_with(file, $1 || '/'))"

@@ -138,16 +138,17 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> 
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
     """What each declared column of `tables.<table>` means, as its comment."""
-    for column, means in declared_columns(table).items():
-        con.execute(f"comment on column tables.{table}.{column} is {_quoted(means)}")
+    told = (f"comment on column tables.{table}.{c} is {_quoted(m)}" for c, m in declared_columns(table).items())
+    con.execute("; ".join(told))
 
 
 def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]) -> None:
     """The question on the view, the meaning on each of its columns."""
-    con.execute(f"comment on view {name} is {_quoted(known[name].question)}")
     columns = [column for column, *_ in con.execute(f"describe {name}").fetchall()]
-    for column, means in meanings(name, columns, known).items():
-        con.execute(f'comment on column {name}."{column}" is {_quoted(means)}')
+    told = (f'comment on column {name}."{c}" is {_quoted(m)}' for c, m in meanings(name, columns, known).items())
+    con.execute(
+        "; ".join([f"comment on view {name} is {_quoted(known[name].question)}", *told])
+    )  # at once: half the time
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:

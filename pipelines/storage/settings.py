@@ -13,3 +13,8 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     file = terms_file(home)
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     return tuple(sorted({line.strip() for line in lines if line.strip() and not line.startswith("#")}))
+
+
+def notify_file(home: Path) -> Path:
+    """Where it is declared who is told of what a night changed; none need be there."""
+    return home / "notify.toml"

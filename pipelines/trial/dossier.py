@@ -15,12 +15,11 @@ from pathlib import Path
 import duckdb
 
 from pipelines.lineage import STAGES
-from pipelines.report.html import Html, join, tag
 from pipelines.storage.catalog import connect
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
-from pipelines.trial.document import bullets, document, section, table
+from pipelines.trial.document import Part, bullets, code, document, heading, section, table, verbatim
 from pipelines.trial.frozen import frozen
 from pipelines.trial.log import entries
 from pipelines.trial.log import faults as faults_of_log
@@ -121,7 +120,7 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
     )
 
 
-def _contents() -> Html:
+def _contents() -> Part:
     rows = (
         ("data sources, their integrity and traceability", "1, 2"),
         ("assumptions, operating limits, what can't be told", "3, attached limits"),
@@ -134,7 +133,7 @@ def _contents() -> Html:
     return table(("asked for", "section"), rows)
 
 
-def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Html:
+def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Part:
     answer = con.sql(sql)
     columns, rows = [c.replace("_", " ") for c in answer.columns], answer.fetchall()
     return table(columns, ([_said(v) for v in row] for row in rows))
@@ -148,11 +147,11 @@ def _said(value: object) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _named(title: str, content: Html) -> tuple[Html, Html]:
-    return tag("h3", title), content
+def _named(title: str, content: Part) -> tuple[Part, Part]:
+    return heading(title), content
 
 
-def _stages() -> Html:
+def _stages() -> Part:
     rows = (
         (
             s.name,
@@ -175,12 +174,12 @@ def _rows_of(con: duckdb.DuckDBPyConnection, sql: str) -> int:
     return len(con.execute(sql).fetchall())
 
 
-def _card(cards: list[tuple[str]]) -> Html:
+def _card(cards: list[tuple[str]]) -> Part:
     card = json.loads(cards[0][0]) if cards else {}
-    return table(("", ""), ((k, tag("code", json.dumps(v)) if isinstance(v, dict) else v) for k, v in card.items()))
+    return table(("", ""), ((k, code(json.dumps(v)) if isinstance(v, dict) else v) for k, v in card.items()))
 
 
-def _configuration(now: dict[str, object]) -> Html:
+def _configuration(now: dict[str, object]) -> Part:
     rows = []
     for name, value in now.items():
         inner = value if isinstance(value, dict) else {"": value}
@@ -190,32 +189,30 @@ def _configuration(now: dict[str, object]) -> Html:
     return table(("what", "as it is"), rows)
 
 
-def _nights(home: Path) -> Html:
+def _nights(home: Path) -> Part:
     """The last hundred nights, and every one that failed."""
     told = Ledger(home, looks=True).nights().rows()
     kept = [row for k, row in enumerate(told) if k >= len(told) - 100 or row[-1] not in ("{}", "")]
     return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), kept)
 
 
-def _trial(home: Path) -> tuple[Html, ...]:
+def _trial(home: Path) -> tuple[Part, ...]:
     """What a shadow trial sealed, where there is one."""
     log = entries(log_folder(home))
     if not log:
-        return _named("Shadow trial", tag("p", "None was held."))
+        return _named("Shadow trial", "None was held.")
     faults = list(faults_of_log(log_folder(home)))
     said = f"{len(log)} entries since {log[0].sealed_at:%Y-%m-%d}; last digest {log[-1].digest}."
     changes = [f"{e.sealed_at:%Y-%m-%d}: {line}" for e in log for line in e.body.get("changes", [])]
-    return _named(
-        "Shadow trial", join(tag("p", said), bullets(faults or changes or ["nothing changed since it began"]))
-    )
+    return heading("Shadow trial"), said, bullets(faults or changes or ["nothing changed since it began"])
 
 
 def _own_papers() -> list[Path]:
-    """The project's own words on limits and changes; a wheel lacks them, and then they are to be attached."""
-    root = Path(__file__).parents[2]
-    return [path for path in (root / "docs/limits.md", root / "CHANGELOG.md") if path.is_file()]
+    """The project's own words on limits and changes; a wheel lacks the latter, and then it is to be attached."""
+    package = Path(__file__).parents[1]
+    return [path for path in (package / "docs/limits.md", package.parent / "CHANGELOG.md") if path.is_file()]
 
 
-def _attachment(path: Path) -> Html:
+def _attachment(path: Path) -> Part:
     text = path.read_text("utf-8")
-    return section(f"Attached: {path.name}", f"SHA-256 {sha256(path.read_bytes()).hexdigest()}.", tag("pre", text))
+    return section(f"Attached: {path.name}", f"SHA-256 {sha256(path.read_bytes()).hexdigest()}.", verbatim(text))

@@ -1,7 +1,6 @@
 """The one page that may leave: figures with intervals and n, definitions, costs, what was not judged; no raw row."""
 
-from pipelines.report.html import Html, tag
-from pipelines.trial.document import bullets, document, section, table
+from pipelines.trial.document import Part, bullets, document, section, table, verbatim
 from pipelines.trial.evaluation import LATE_SEAL_DAYS, Evaluation
 from pipelines.trial.figures import Figure
 from pipelines.trial.seal import OURS
@@ -22,18 +21,18 @@ def page(e: Evaluation) -> str:
     share = f"{e.declared.confidence:.0%} intervals"
     return document(
         f"{e.declared.name}: {e.began} to {e.ended}",
-        tag("p", f"{e.flights:,} flights of {e.aircraft} aircraft, {e.nights} nights sealed. Version {e.version}."),
+        f"{e.flights:,} flights of {e.aircraft} aircraft, {e.nights} nights sealed. Version {e.version}.",
         section("How it went", _figures(e, OURS), f"{share}; flights of one aircraft are not taken for independent."),
         *(section(f"The operator's rule {name}", _figures(e, name), _agreement(e, name)) for name in e.agreement),
         section("What came of the alerts", table(("", *e.verdicts), _verdict_rows(e)), *_left(e)),
         section("What changed during the trial", bullets(e.changes) if e.changes else "Nothing.", _models(e)),
-        section("What was declared before the first night", tag("pre", e.text)),
+        section("What was declared before the first night", verbatim(e.text)),
         section("What proves it", *_proof(e)),
         section("What was kept back", _kept_back(e)),
     )  # fmt: skip
 
 
-def _figures(e: Evaluation, source: str) -> Html:
+def _figures(e: Evaluation, source: str) -> Part:
     return table(("", "value", "interval", "n"), map(_row, e.figures[source]))
 
 
@@ -59,7 +58,7 @@ def _count(n: int | None) -> str:
     return "kept back" if n is None else f"{n:,}"
 
 
-def _agreement(e: Evaluation, rule: str) -> Html:
+def _agreement(e: Evaluation, rule: str) -> Part:
     told = [(who, _count(n)) for who, n in e.agreement[rule].items()]
     return table(("events foretold in time by", "events"), told)
 

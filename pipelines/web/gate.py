@@ -8,7 +8,6 @@ address that `hdt ui` prints was opened, a program sends it as `X-HDT-Token`.
 
 import json
 import os
-import re
 import secrets
 from collections.abc import Collection
 from pathlib import Path
@@ -20,7 +19,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LOCAL = frozenset({"127.0.0.1", "localhost", "[::1]"})
+from pipelines.web.address import is_stranger
+
 COOKIE, HEADER = "hdt_token", "x-hdt-token"
 _NEEDS_TOKEN = "only with the home's token may anything be changed; open the page by the address that `hdt ui` prints"
 
@@ -55,7 +55,7 @@ class Gate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, or let Dagster do it."""
         if scope["type"] == "websocket":  # subscriptions, which only tell
-            if self._is_stranger(Headers(scope=scope)):
+            if is_stranger(Headers(scope=scope), self.names):
                 await send({"type": "websocket.close", "code": 1008})
                 return
         elif scope["type"] == "http":
@@ -67,16 +67,9 @@ class Gate:
                 receive = _again(await request.body(), receive)
         await self.app(scope, receive, send)
 
-    def _is_stranger(self, headers: Headers) -> bool:
-        """Whether the request came by another name than ours, or from another page."""
-        hosts, origin = headers.getlist("host"), headers.get("origin")
-        if len(hosts) != 1 or re.sub(r":\d+$", "", hosts[0]).lower() not in self.names:
-            return True
-        return origin is not None and origin not in {f"http://{hosts[0]}", f"https://{hosts[0]}"}
-
     def _at_the_door(self, request: Request) -> Response | None:
         """Turn away strangers and methods that nothing here needs; take a token that an address brings."""
-        if self._is_stranger(request.headers):
+        if is_stranger(request.headers, self.names):
             return _refused(403, "this page answers under its own address only; `hdt ui --name` adds a proxy's")
         if request.method not in {"GET", "HEAD", "POST"} or (
             request.method != "POST" and request.url.path == "/graphql"

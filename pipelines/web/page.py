@@ -11,20 +11,11 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from dagster_batched.webserver import application, daemon_command
-from pipelines.orchestration.runs import open_instance
-from pipelines.web.gate import LOCAL, Gate, token_of
+from pipelines.orchestration.runs import LOCATION, open_instance
+from pipelines.web.address import LOCAL
+from pipelines.web.gate import Gate, token_of
 
-_DEFINITIONS = "pipelines.definitions"
 _DAEMON_ENDS_S = 20
-
-
-def listening(address: str, port: int) -> socket.socket:
-    """A socket at an address; OSError where it is taken."""
-    sock = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    sock.bind((address, port))
-    sock.listen()  # who comes before the server is ready waits
-    return sock
 
 
 def serve(
@@ -48,14 +39,14 @@ def serve(
 @contextmanager
 def page(home: Path, names: tuple[str, ...], read_only: bool) -> Iterator[ASGIApp]:
     """Dagster's application with the gate before it."""
-    with open_instance(home) as instance, application(instance, _DEFINITIONS, read_only) as app:
+    with open_instance(home) as instance, application(instance, LOCATION, read_only) as app:
         yield Gate(app, LOCAL | set(names), None if read_only else token_of(home))
 
 
 @contextmanager
 def _daemon() -> Iterator[None]:
     """What runs schedules, sensors and queued runs."""
-    started = subprocess.Popen(daemon_command(_DEFINITIONS))
+    started = subprocess.Popen(daemon_command(LOCATION))
     try:
         yield
     finally:

@@ -1,18 +1,32 @@
 -- What came of each alert?
--- Work counts from the day of the alert until 14 days after it closed, a message until it closed.
+-- Work counts for the alert that an engineer closed with it; else for those of its pack and component that were open on
+-- its day, and for one that an inspection had closed as clean up to 14 days before, if it found something after all;
+-- else for the one that closed last, up to 14 days before, unless another part had come with that: the alert spoke of
+-- the part before it. A message counts while the alert was open.
 -- outcome: open; confirmed (work on the component found something, or replaced it after a message); message (the
 -- aircraft raised its own, no work is logged yet); replaced (without a finding); no_fault_found; nothing
 -- n_messages: messages of the component while the alert was open
 -- work_orders: references of the work that counts
+-- finding: what the last of that work found
+-- found_on: its day
 -- Grain: alert. Reads: alerts, tables.raw_maintenance, tables.raw_messages, tables.components.
 create or replace view alert_outcomes as
-with work as (
+with near as (
     select
         a.alert_id,
-        bool_or(coalesce(w.finding, '') not in ('', 'NO_FAULT_FOUND')) as found,
-        bool_or(w.action = 'REPLACED') as replaced,
-        bool_or(w.finding = 'NO_FAULT_FOUND') as no_fault_found,
-        string_agg(distinct w.reference, ', ' order by w.reference) as work_orders
+        w.done_on,
+        w.action,
+        w.finding,
+        w.reference,
+        a.closed_at,
+        case
+            when w.closes_alert_id is not null then if(a.alert_id = w.closes_alert_id, 1, null)
+            when coalesce(a.closed_on, w.done_on) >= w.done_on then 2
+            when a.closed_reason = 'renewed' then null
+            when a.closed_reason = 'found_clean' and coalesce(w.finding, '') not in ('', 'NO_FAULT_FOUND') then 2
+            else 3
+        end as claim,
+        [w.operator, w.tail, w.pack::varchar, w.component, w.action, w.counts_from::varchar, w.reference] as work
     from alerts as a
     inner join tables.raw_maintenance as w
         on
@@ -20,9 +34,30 @@ with work as (
             and a.tail = w.tail
             and a.pack = w.pack
             and a.component = w.component
-            and w.done_on >= (a.raised_at at time zone 'UTC')::date
-            and w.done_on <= (coalesce(a.closed_at, now()) at time zone 'UTC')::date + 14
-    group by a.alert_id
+            and a.raised_on <= w.done_on
+            and (w.closes_alert_id is not null or coalesce(a.closed_on, w.done_on) + 14 >= w.done_on)
+),
+
+credited as (
+    select *
+    from near
+    where claim is not null
+    qualify
+        claim = min(claim) over (partition by work)
+        and (claim < 3 or closed_at = max(closed_at) over (partition by work))
+),
+
+work as (
+    select
+        alert_id,
+        bool_or(coalesce(finding, '') not in ('', 'NO_FAULT_FOUND')) as found,
+        bool_or(action = 'REPLACED') as replaced,
+        bool_or(finding = 'NO_FAULT_FOUND') as no_fault_found,
+        string_agg(distinct reference, ', ' order by reference) as work_orders,
+        arg_max(finding, done_on) filter (where finding is not null) as finding,
+        max(done_on) filter (where finding is not null) as found_on
+    from credited
+    group by alert_id
 ),
 
 messages as (
@@ -61,7 +96,9 @@ select
         else 'nothing'
     end as outcome,
     coalesce(m.n_messages, 0) as n_messages,
-    w.work_orders
+    w.work_orders,
+    w.finding,
+    w.found_on
 from alerts as a
 left join work as w on a.alert_id = w.alert_id
 left join messages as m on a.alert_id = m.alert_id;

@@ -2,7 +2,7 @@
 -- Now is the pack's last flight or, of a closed alert, the last while it was open. Loss: the one that ends the life of
 -- the alert's component (exchanger: conductance, compressor: efficiency); NULL for doors and sensors.
 -- urgency: act (open, and of high severity now or a message of its component within 50 flights more likely than not),
--- plan (open), none (closed)
+-- plan (open), none (closed); what an inspection contradicts does not say act
 -- now_departed_at: departure of now_flight_id
 -- raised_loss: loss when raised [-]
 -- raised_loss_sd: its standard deviation [-]
@@ -43,7 +43,7 @@ joined as (
         p1.p_event_50 as now_p_event_50,
         case
             when a.closed_at is not null then 'none'
-            when a.severity = 'high' or p1.p_event_50 >= 0.5 then 'act'
+            when a.severity = 'high' or (p1.p_event_50 >= 0.5 and p1.status = 'ok') then 'act'
             else 'plan'
         end as urgency
     from alerts as a

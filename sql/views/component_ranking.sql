@@ -32,7 +32,8 @@ outlook as (
         arg_max(rul_flights, departed_at) as rul_flights,
         arg_max(rul_low, departed_at) as rul_low,
         arg_max(rul_high, departed_at) as rul_high,
-        arg_max(p_event_50, departed_at) as p_event_50
+        arg_max(p_event_50, departed_at) as p_event_50,
+        arg_max(status, departed_at) as status
     from prognoses
     group by operator, tail, pack, component
 ),
@@ -68,7 +69,7 @@ judged as (
         l.last_flight_id,
         l.last_departed_at,
         case
-            when coalesce(a.any_act, false) or o.p_event_50 >= 0.5 then 'act'
+            when coalesce(a.any_act, false) or (o.p_event_50 >= 0.5 and o.status = 'ok') then 'act'
             when a.diagnoses is not null or o.p_event_50 >= 0.1 then 'plan'
             when l.loss is null then 'unknown'
             else 'none'

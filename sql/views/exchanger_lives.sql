@@ -1,6 +1,8 @@
 -- Which heat exchangers were fitted, for how long, and how fast did each foul?
 -- A unit's life runs from one replacement in the log to the next. The log may be some flights late, so a unit's last
 -- six flights, which may be the next unit's, do not count towards its slope.
+-- serial: serial number of the unit, where the log gives it
+-- came_from: operator, tail and pack where a unit of this serial number flew before, NULL where it did not
 -- unit: number of the exchanger in that place, 0 for the one fitted when the record begins
 -- installed_on: day of the log on which it came, NULL where the record begins with it
 -- removed_on: day of the log on which it went, NULL while it is fitted
@@ -19,7 +21,9 @@ with removals as (
         pack,
         counts_from,
         any_value(done_on) as done_on,
-        any_value(finding) as finding
+        any_value(finding) as finding,
+        any_value(serial_on) as serial_on,
+        any_value(serial_off) as serial_off
     from tables.raw_maintenance
     where component = 'HX' and action = 'REPLACED' and pack is not null
     group by operator, tail, pack, counts_from
@@ -34,7 +38,8 @@ flown as (
         h.departed_at,
         h.value as hx_fouling,
         count(r.counts_from) as unit,
-        max(r.done_on) as installed_on
+        max(r.done_on) as installed_on,
+        arg_max(r.serial_on, r.counts_from) as serial_on
     from health_parameters as h
     left join removals as r
         on
@@ -61,6 +66,7 @@ lives as (
         pack,
         unit,
         any_value(installed_on) as installed_on,
+        any_value(serial_on) as serial_on,
         min(departed_at) as first_flight_at,
         max(departed_at) as last_flight_at,
         count(*) as n_flights,
@@ -84,7 +90,13 @@ select
     l.n_flights,
     l.first_hx_fouling,
     l.greatest_hx_fouling,
-    l.fouling_per_100_flights
+    l.fouling_per_100_flights,
+    coalesce(l.serial_on, r.serial_off) as serial,
+    case
+        when serial is not null
+            then lag(l.operator || ' ' || l.tail || ' ' || l.pack)
+                over (partition by serial order by l.first_flight_at asc)
+    end as came_from
 from lives as l
 asof left join removals as r
     on

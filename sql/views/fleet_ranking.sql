@@ -1,7 +1,7 @@
 -- Which packs are most in need of attention tonight?
 -- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none. Units of
--- other declared components stand in component_ranking.
+-- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none. A prognosis
+-- that an inspection contradicts does not say act. Units of other declared components stand in component_ranking.
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first
@@ -47,7 +47,9 @@ outlook as (
         arg_max(rul_high, departed_at) filter (where component = 'HX') as rul_high,
         arg_max(p_event_50, departed_at) filter (where component = 'HX') as p_event_50,
         arg_max(rul_flights, departed_at) filter (where component = 'CC') as cc_rul_flights,
-        arg_max(p_event_50, departed_at) filter (where component = 'CC') as cc_p_event_50
+        arg_max(p_event_50, departed_at) filter (where component = 'CC') as cc_p_event_50,
+        arg_max(status, departed_at) filter (where component = 'HX') as status,
+        arg_max(status, departed_at) filter (where component = 'CC') as cc_status
     from prognoses
     group by operator, tail, pack
 ),
@@ -98,6 +100,9 @@ judged as (
         o.cc_rul_flights,
         o.cc_p_event_50,
         greatest(coalesce(o.p_event_50, 0), coalesce(o.cc_p_event_50, 0)) as p_event,
+        greatest(
+            if(o.status = 'ok', coalesce(o.p_event_50, 0), 0), if(o.cc_status = 'ok', coalesce(o.cc_p_event_50, 0), 0)
+        ) as p_believed,
         coalesce(a.any_act, false) as any_act
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
@@ -108,7 +113,7 @@ urgent as (
     select
         *,
         case
-            when any_act or p_event >= 0.5 then 'act'
+            when any_act or p_believed >= 0.5 then 'act'
             when diagnoses is not null or p_event >= 0.1 then 'plan'
             when hx_fouling is null then 'unknown'
             else 'none'

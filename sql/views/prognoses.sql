@@ -1,14 +1,58 @@
 -- How long is left, and how sure?
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
--- Grain: flight, pack, component. Reads: tables.prognoses, tables.prognoses_components.
+-- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
+-- inspection did not see)
+-- Grain: flight, pack, component. Reads: alerts, tables.prognoses, tables.prognoses_components, tables.raw_maintenance.
 create or replace view prognoses as
 with outlook as (
     select * from tables.prognoses
     union all by name
     select * from tables.prognoses_components
+),
+
+findings as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        closed_at as counts_from,
+        'contradicted' as status
+    from alerts
+    where closed_reason = 'found_clean' and diagnosis != 'HX_LOW_MARGIN'
+    union all
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        counts_from,
+        'ok' as status
+    from tables.raw_maintenance
+    where action in ('REPLACED', 'CLEANED') and pack is not null
+),
+
+said as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        counts_from,
+        min(status) as status
+    from findings
+    group by operator, tail, pack, component, counts_from
 )
 
 select
-    *,
-    (departed_at at time zone 'UTC')::date as departed_on
-from outlook;
+    o.*,
+    (o.departed_at at time zone 'UTC')::date as departed_on,
+    coalesce(s.status, 'ok') as status
+from outlook as o
+asof left join said as s
+    on
+        o.operator = s.operator
+        and o.tail = s.tail
+        and o.pack = s.pack
+        and o.component = s.component
+        and o.departed_at >= s.counts_from;

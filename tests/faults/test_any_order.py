@@ -145,7 +145,7 @@ def test_what_a_killed_night_stored_is_accounted_for_though_its_file_goes(childr
     landing, home = tmp_path / "landing", children.home(tmp_path / "home")
     drop_fleet(landing, [ZONE])
     ZONE.drop_history(landing)
-    assert children.night(landing, home, steps=INTAKE, fault="before_mark:5")[0] == signal.SIGKILL
+    assert children.night(landing, home, steps=INTAKE, fault="before_mark:7")[0] == signal.SIGKILL
     stored = Store(home).read("raw_snapshots").height
     assert (stored, Store(home).read("raw_deliveries").height) == (ZONE.snapshots.height, 0)
     (file,) = ZONE.folder(landing).glob("acms/*.parquet")

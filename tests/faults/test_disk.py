@@ -148,7 +148,7 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
     """The simulated cut bites: with syncing off, the ledger speaks of files that are gone."""
     home = children.home(tmp_path / "home")
     cut = {"sync": False}
-    assert children.night(tiny.landing, home, fault="before_mark:14", steps=3, cut=cut)[0] == signal.SIGKILL
+    assert children.night(tiny.landing, home, fault="before_mark:18", steps=3, cut=cut)[0] == signal.SIGKILL
     children.night(tiny.landing, home, steps=3)
     assert fingerprint(home)["raw_snapshots"] != tiny.end["raw_snapshots"]
 

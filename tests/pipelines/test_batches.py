@@ -4,6 +4,7 @@ import polars as pl
 import pytest
 
 from pipelines.orchestration import batches
+from pipelines.orchestration.runs import Runner
 
 KEYS = ["AAA:T1", "AAA:T2", "AAA:T3", "BBB:T4"]
 FLIGHTS = [f"2026010{day}_01" for day in range(1, 6)]
@@ -81,3 +82,25 @@ def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
     assert (one.aircraft, known.cells(one)) == (("AAA:T1", "AAA:T3"), ["AAA:T1", "AAA:T3"])
     known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
     assert len(list(known.blocks("aircraft", cells, scattered=True))) == 2
+
+
+class Together(Runner):
+    """Fails where several aircraft share a run, and for some aircraft always."""
+
+    bad: tuple[str, ...] = ()
+
+    def _run(self, tables, block, label):
+        return "no" if len(block.aircraft) > 1 or set(block.aircraft) & set(self.bad) else None
+
+    def _pinned_down(self, tables, block, why, label):
+        return 0, why
+
+
+def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch):
+    block = batches.PartitionBatch(8, tuple(KEYS))
+    done = Together(None, None, None).make([], block, "alerts")
+    assert (done.runs, done.failed) == (5, {})
+    assert done.mended == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
+    monkeypatch.setattr(Together, "bad", (KEYS[1],))
+    done = Together(None, None, None).make([], block, "alerts")
+    assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())

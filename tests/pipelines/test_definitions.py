@@ -45,7 +45,7 @@ def test_all_seven_stages_are_groups(specs):
 def test_an_asset_says_what_it_is(specs, table):
     spec = specs[table]
     assert spec.owners
-    assert "parquet" in spec.kinds
+    assert "deltalake" in spec.kinds
     assert len(spec.description or "") > 30
     assert spec.code_version == LINEAGE[table].code
     partitions = {"flight": dg.MultiPartitionsDefinition, "aircraft": dg.DynamicPartitionsDefinition}

@@ -52,7 +52,8 @@ class OneStandsForAll(dg.IOManager):
     """Reports one cell for all where the log can, as the pipeline's own IO manager does."""
 
     def handle_output(self, context, obj) -> None:
-        report_partitions(context, list(context.asset_partition_keys))
+        keys = list(context.asset_partition_keys)
+        report_partitions(context, keys, [{"rows": 10 + i} for i, _ in enumerate(keys)])
 
     def load_input(self, context) -> None:
         """Nothing is stored."""
@@ -163,8 +164,9 @@ def test_stock_dagster_reads_what_the_batch_wrote(new_log, monkeypatch):
     assert {p: r.asset_materialization.tags["dagster/partition/flight"] for p, r in newest.items()} == {
         f"{a}|{f}": f for a in "AB" for f in "123"
     }
-    told = [{k: v.value for k, v in r.asset_materialization.metadata.items()} for r in newest.values()]
-    assert [once["rows"] for once in told if once] == [6]
+    told = [r.asset_materialization.metadata["rows"].value for r in newest.values()]
+    assert sorted(told) == [6, 11, 12, 13, 14, 15]  # the first has the run's numbers, each other its own
+    assert len({round(1000 * r.timestamp) for r in newest.values()}) == 6, "a page tells events by their milliseconds"
     instance.dispose()
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from pipelines.orchestration.runs import open_instance
-from pipelines.web.gate import HEADER, LOCAL, Gate, only_asks, token_of
+from pipelines.web.address import LOCAL
+from pipelines.web.gate import HEADER, Gate, only_asks, token_of
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 TOKEN = "the-token-of-the-home"

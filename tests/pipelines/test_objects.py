@@ -15,7 +15,7 @@ from nights import run
 from soundness import faults
 
 from benchmarks.fingerprint import fingerprint
-from pipelines.report import write_report
+from pipelines.report.page import write_report
 from pipelines.sharing.export import export
 from pipelines.sharing.redaction import access_scope
 from pipelines.storage.catalog import connect, publish, views

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 import pytest
 from nights import run
+from recordings import message_file, printed_report
 
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
@@ -62,7 +63,7 @@ def world(tmp_path_factory) -> dict[str, Any]:
     """A 787 and an A330 in one zone; a damaged recording, one of another map, a description with an error."""
     top = tmp_path_factory.mktemp("typed")
     landing, _ = write(top / "a", "787", "767")
-    other, _ = write(top / "b", "A330", "717")
+    other, flown = write(top / "b", "A330", "717")
     shutil.move(other / "SAA", landing / "SAB")
     shutil.copytree(other / "types", landing / "types", dirs_exist_ok=True)
     lines = (other / "fleet.csv").read_text().splitlines()
@@ -75,9 +76,14 @@ def world(tmp_path_factory) -> dict[str, Any]:
     stranger = landing / "SAB/AA-0000/recorder" / second.name.replace("_0", "_9")
     shutil.copy(second, stranger)
     (landing / "types/slip.toml").write_text('type = "SLIP"\nmap = "m.toml"\n[pack]\nmahc = "M"\n')
+    cruise = flown.filter(pl.col("altitude_ft") == pl.col("altitude_ft").max())
+    crossfed = {"flight": cruise["flight_id"][0], "at": cruise["report_time"][0]}
+    (landing / "SAB/AA-0000/reports").mkdir()
+    told = printed_report("AA-0000", crossfed["at"], 35_000, "1.20 111 11 1 00 111 1.20")
+    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(message_file(told, told.replace("AA-0000", "AA-0001")))
     night = run(landing, top / "home")
     assert not night.failed, night.failed
-    return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name}
+    return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed
 
 
 def test_both_types_reach_the_catalog(world):
@@ -110,6 +116,18 @@ def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
     assert (world["stranger"].removesuffix(".dat"),) not in legs
 
 
+def test_a_printed_report_of_odd_bleed_turns_the_flight_away(world):
+    legs = ask(world["home"], "select distinct flight_id, reason from component_legs where operator = 'SAB' "
+                              "and reason in ('', 'BLEED', 'NOT_COMMISSIONED') order by all")  # fmt: skip
+    assert {reason for flight, reason in legs if flight == world["flight"]} == {"BLEED"}
+    assert {reason for flight, reason in legs if flight != world["flight"]} == {"NOT_COMMISSIONED"}
+    (report,) = ask(world["home"], "select report, reported_at, bleed_2_open, crossfeed_open from reports")
+    assert report == ("08", world["at"], False, True)
+    (other,) = ask(world["home"], "select row, detail, n_rows from quarantine where reason = 'other_aircraft'")
+    assert "is of AA-0001" in other[1]
+    assert other[2] == 1
+
+
 def test_what_can_not_be_estimated_is_said(world):
     lacks = dict(ask(world["home"], "select parameter, missing from coverage where operator = 'SAB' "
                                     "and status = 'not_recorded'"))  # fmt: skip
@@ -138,15 +156,16 @@ def real(tmp_path_factory) -> Path:
     if not REFERENCE.is_dir():
         pytest.skip(f"no real recordings in {REFERENCE}: set HDT_REFERENCE")
     top = tmp_path_factory.mktemp("real")
-    names = {"XXA/B-6789": "b787_767.zip", "XXB/B-1234": "a330_717.wgl.zip"}
+    names = {"XXA/B-6789": "b787_767.zip", "XXB/B-8888": "a330_717.wgl.zip"}
     for aircraft, name in names.items():
         folder = top / "landing" / aircraft / "recorder"
         folder.mkdir(parents=True)
         shutil.copy(REFERENCE / name, folder / f"{aircraft[4:]}_20240203_01.zip")
+    shutil.copytree(top / "landing/XXB/B-8888/recorder", top / "landing/XXB/B-8888/reports")
     (top / "landing/types").mkdir()
     for name in ("b787.vec", "a330.vec"):
         shutil.copy(REFERENCE / name, top / "landing/types" / name)
-    (top / "landing/fleet.csv").write_text("operator,tail,packs,type\nXXA,B-6789,2,B787-767\nXXB,B-1234,2,A330-717\n")
+    (top / "landing/fleet.csv").write_text("operator,tail,packs,type\nXXA,B-6789,2,B787-767\nXXB,B-8888,2,A330-717\n")
     night = run(top / "landing", top / "home")
     assert not night.failed, night.failed
     return top / "home"
@@ -174,10 +193,20 @@ def test_real_recordings_reach_the_catalog(real):
         assert 0.785 < told["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
         assert told["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
     for pack in (1, 2):
-        assert 0.85 < told["B-1234", pack, "hxt_effectiveness_slow"][0] < 0.90
-        assert told["B-1234", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
-        assert told["B-1234", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
+        assert 0.85 < told["B-8888", pack, "hxt_effectiveness_slow"][0] < 0.90
+        assert told["B-8888", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
+        assert told["B-8888", pack, "hxt_fan_rpm"][2] == "not_recorded"
+        assert told["B-6789", pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
+        assert told["B-8888", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
     assert told["B-6789", 1, "hx_fouling"][2] == "predicted"
     assert ask(real, "select count(*) from alerts") == [(0,)]
-    assert ask(real, "select count(*) from quarantine") == [(0,)]
+    assert ask(real, "select distinct reason from quarantine order by 1") == [("unknown_report",)]
     assert np.isfinite([v for v, _, s in told.values() if s in {"prior_only", "measured"}]).all()
+
+
+def test_the_heads_of_real_reports_are_stored_and_turn_no_leg_away(real):
+    told = ask(real, "select report, count(*), bool_or(crossfeed_open) from reports group by 1 order by 1")
+    assert [r for r, _, _ in told] == ["08", "10", "13", "15", "18", "37", "50"]
+    assert {r: c for r, _, c in told}["10"]  # an engine is started by the other's air
+    assert ask(real, "select * from component_legs where reason = 'BLEED'") == []
+    assert ask(real, "select * from quarantine where file like '%reports%' and scope <> 'note'") == []

@@ -150,7 +150,7 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(sample_home, tmp_path
 
 
 def test_the_report_of_a_home_without_a_flight_is_a_page(sample_home, tmp_path):
-    from pipelines.report import write_report
+    from pipelines.report.page import write_report
 
     landing, home = tmp_path / "landing", tmp_path / "home"
     landing.mkdir()

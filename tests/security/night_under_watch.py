@@ -28,7 +28,7 @@ def main(landing: Path, home: Path, told: Path) -> None:
 
     import pipelines.definitions
     import pipelines.orchestration.runs  # noqa: F401
-    from pipelines.report import write_report
+    from pipelines.report.page import write_report
 
     sys.addaudithook(watch)
     night = run(landing, home)

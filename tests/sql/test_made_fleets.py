@@ -6,6 +6,7 @@ import polars as pl
 import pytest
 from answers import CHECKS, rows
 from made_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
+from scipy.stats import binomtest
 
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.storage.catalog import views
@@ -54,6 +55,17 @@ def test_outcomes_of_alerts():
     found = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
     assert found == {"found": "confirmed", "spare": "replaced", "none": "nothing", "told": "message", "still": "open"}
     assert rows(con, "select alert_id, open_days from false_alarms") == [("none", 5.0)]
+    counts = "n_alerts, n_judged, n_right, n_open, n_unjudged"
+    assert rows(con, f"select {counts} from alert_hit_rates") == [(5, 3, 2, 1, 1)]
+    ((rate, low, high),) = rows(con, "select hit_rate, hit_rate_low, hit_rate_high from alert_hit_rates")
+    ends = proportion_interval(2, 3)
+    assert (rate, low, high) == pytest.approx((2 / 3, *ends), abs=1e-3)
+
+
+def proportion_interval(right: int, n: int) -> tuple[float, float]:
+    """Wilson's interval of 90 %, as SciPy has it."""
+    told = binomtest(right, n).proportion_ci(0.9, "wilson")
+    return told.low, told.high
 
 
 def test_lives_and_their_slopes():
@@ -146,3 +158,88 @@ def test_an_empty_catalog_answers_every_question():
     con = catalog()
     assert all(rows(con, f"select count(*) from {name}") == [(0,)] for name in views())
     assert all(rows(con, sql) == [] for sql in CHECKS.values())
+
+
+def inspected(n: int, finding: str | None = "NO_FAULT_FOUND", **more: object) -> dict:
+    return replaced(n, finding) | {"action": "INSPECTED", "reference": f"WO{n}"} | more
+
+
+def credited(*work: dict, **alerts: dict) -> dict[str, tuple]:
+    con = catalog(raw_maintenance=list(work), features_alerts=[a | {"alert_id": n} for n, a in alerts.items()])
+    return {n: tuple(r) for n, *r in rows(con, "select alert_id, outcome, work_orders from alert_outcomes")}
+
+
+def test_an_inspection_is_credited_to_the_alert_that_was_open_on_its_day():
+    """Not to one that had closed twelve days before."""
+    clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
+    told = credited(inspected(42), old=alert("", 10, 30), open=clean)
+    assert told == {"old": ("nothing", None), "open": ("no_fault_found", "WO42")}
+
+
+def test_without_an_open_alert_work_is_credited_to_the_one_that_closed_last():
+    told = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
+    assert told == {"older": ("nothing", None), "last": ("no_fault_found", "WO42"), "long": ("nothing", None)}
+
+
+def test_work_on_the_next_unit_says_nothing_of_an_alert_that_ended_with_the_last():
+    ended = alert("", 10, 31) | {"closed_reason": "renewed"}
+    assert credited(replaced(30), inspected(40), one=ended) == {"one": ("confirmed", "WO30")}
+
+
+def test_an_inspection_that_missed_it_is_corrected_by_what_was_found_soon_after():
+    clean = alert("", 10, 31) | {"closed_reason": "found_clean"}
+    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("confirmed", "WO30, WO33")
+
+
+def test_what_an_engineer_closed_is_credited_to_that_alert_alone():
+    told = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
+    assert told == {"mine": ("confirmed", "WO42"), "beside": ("open", None)}
+
+
+def test_the_published_hit_rate_follows_what_was_found():
+    known = [alert(f"a{n}", 10 * n, 10 * n + 5) | {"closed_reason": "found_clean"} for n in range(1, 5)]
+    work = [inspected(10 * n + 4, "FOULED" if n < 4 else "NO_FAULT_FOUND") for n in range(1, 5)]
+    con = catalog(raw_maintenance=work, features_alerts=[*known, alert("open", 59)])
+    ((n, still, hits, misses, rate, low, high),) = rows(
+        con,
+        """select n_alerts, n_open, n_right, n_judged - n_right, hit_rate, hit_rate_low, hit_rate_high
+        from alert_hit_rates""",
+    )
+    assert (n, still, hits, misses, rate) == (5, 1, 3, 1, 0.75)
+    assert (low, high) == pytest.approx((0.356, 0.942), abs=1e-3), "Wilson's interval at 90 %"
+
+
+def test_a_prognosis_that_an_inspection_contradicts_says_so_until_the_part_is_renewed():
+    said = [flight(n) | {"pack": 1, "component": "HX", "p_event_50": 0.9} for n in range(60)]
+    found = alert("a", 10, 20) | {"closed_reason": "found_clean"}
+    con = catalog(
+        raw_flights=[flight(n) for n in range(60)],
+        twin_health=[fouling(n, 0.2) for n in range(60)],
+        prognoses=said,
+        features_alerts=[found],
+        raw_maintenance=[replaced(39)],
+    )
+    assert [f[:2] for f in rows(con, "select status, count(*)::int from prognoses group by 1 order by 1")] == [
+        ("contradicted", 20),
+        ("ok", 40),
+    ]
+    assert rows(con, "select urgency from fleet_ranking") == [("act",)]
+    con.execute("delete from tables.raw_maintenance")
+    assert rows(con, "select urgency from fleet_ranking") == [("plan",)]
+
+
+def test_loss_and_margin_by_route_and_air():
+    """Ten flights to the hot place gain 1 % each, ten to the cold one nothing; the exchanger changes in between."""
+    hot = [flight(n) | {"origin": "AAAA", "destination": "HHHH"} for n in range(10)]
+    cold = [flight(n) | {"origin": "AAAA", "destination": "CCCC"} for n in range(10, 20)]
+    air = {"HHHH": (291.0, 5.0), "CCCC": (262.0, 25.0)}
+    said = []
+    for n, flown in enumerate([*hot, *cold]):
+        loss, seen = (0.01 * n, n) if n < 10 else (0.0, n - 10)
+        tat, margin = air[flown["destination"]]
+        own = {"pack": 1, "hx_fouling": loss, "flights_seen_of_unit": seen, "tat_cruise_k": tat, "hx_margin_k": margin}
+        said.append(flight(n) | own)
+    con = catalog(raw_flights=[*hot, *cold], features=said)
+    asked = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
+    found = rows(con, f"select {asked} from routes order by destination")
+    assert found == [("CCCC", 260.0, 10, 0.0, 25.0), ("HHHH", 290.0, 10, 1.0, 5.0)]

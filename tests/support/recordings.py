@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,17 @@ def message_file(*texts: str) -> bytes:
     blocks = [stream[i : i + 1000].ljust(1000, b"F") for i in range(0, len(stream), 1000)]
     heads = (b"".join(n.to_bytes(4, "little") for n in (7, 1022 * i, 2, 1002, 0)) for i in range(1, len(blocks) + 1))
     return b"".join(head + b"\x11" + block + b"\x12" for head, block in zip(heads, blocks, strict=True)) + b"\r\n"
+
+
+def printed_report(aircraft: str, at: datetime, altitude_ft: float, fed: str = "1.20 111 11 0 11 111 1.20") -> str:
+    """A report of the A330 that is a head and no more; `fed` is what it says of flow, valves and cross-feed."""
+    return f"""
+               A330 ENGINE TRIM BALANCE REPORT <08>       PAGE 01 OF 01
+
+C1 .{aircraft} {at:%d%b%y} {at:%H.%M.%S} ZJHK ZGSZ TST1234    4000 114
+C2 010 06.0 000000 D1033PW04C_TST       000 000 000
+C3 -21.7 {altitude_ft:05.0f} 0.801 11- {fed} 0
+""".upper()
 
 
 def vec(**files: str) -> bytes:

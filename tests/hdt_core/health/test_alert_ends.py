@@ -1,59 +1,21 @@
-"""An alert ends with the unit it speaks of, and says what was true when it was raised and what is true now."""
+"""An alert ends with its unit, says what was true when raised and what is now, and fares otherwise at other limits."""
 
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
+from one_pack import FLIGHTS, START, alerts, departure, features, work
 
-from hdt_core.health.alerts import end_with_the_unit, raise_alerts
 from hdt_core.health.diagnoses import DIAGNOSES
+from hdt_core.health.endings import end_with_the_unit
 from hdt_core.health.episodes import Case
 from hdt_core.health.evidence import ROLES
 from hdt_core.health.grid import Grid
+from hdt_core.health.thresholds import VARIED, trials
 from hdt_core.tables.features import FeaturesAlerts
-
-FLIGHTS, A_DAY = 100, 4
-START = datetime(2024, 3, 1, 1, tzinfo=UTC)
-OWN = {"operator": "TST", "tail": "T-AAA", "pack": 1}
-
-
-def departure(k: int) -> datetime:
-    """Four flights a day, five hours apart."""
-    return START + timedelta(days=k // A_DAY, hours=5 * (k % A_DAY))
-
-
-def features(loss: np.ndarray, **columns: float | np.ndarray) -> pl.DataFrame:
-    """Features of one pack that has lost so much after each flight."""
-    n = len(loss)
-    at = [departure(k) for k in range(n)]
-    frame = pl.DataFrame({"departed_at": at, "hx_fouling": loss, "hx_fouling_flight": loss} | columns).with_columns(
-        *(pl.lit(v).alias(k) for k, v in OWN.items()),
-        pl.Series("flight_id", [f"T-AAA_{a:%Y%m%d}_{k % A_DAY + 1:02d}" for k, a in enumerate(at)]),
-        pl.lit(0.01).alias("hx_fouling_sd"),
-        pl.lit(True).alias("running"),
-        pl.col("departed_at").cast(pl.Datetime("us", "UTC")),
-    )
-    slope = pl.Series(np.gradient(loss))
-    return frame.with_columns(
-        pl.col("pack").cast(pl.Int32),
-        *(slope.alias(f"hx_fouling_slope_{h}_per_flight") for h in (30, 100)),
-        hx_fouling_step_3=pl.col("hx_fouling") - pl.col("hx_fouling").shift(3),
-    )
-
-
-def work(at: datetime, component: str = "HX", action: str = "REPLACED", *, timed: bool = False) -> pl.DataFrame:
-    row = OWN | {"component": component, "action": action, "finding": None, "done_on": at.date()}
-    schema = {"pack": pl.Int32, "finding": pl.String, "done_at": pl.Datetime("us", "UTC")}
-    return pl.DataFrame([row | {"done_at": at if timed else None}], schema_overrides=schema)
-
-
-def alerts(seen: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    out = raise_alerts(seen, pl.DataFrame(), maintenance)
-    assert FeaturesAlerts.faults(out) == []
-    return out
-
 
 NOTHING = work(START).clear()
 
@@ -109,8 +71,8 @@ def test_when_raised_and_now_are_told_apart() -> None:
     seen = features(np.linspace(0.0, 0.35, FLIGHTS), door_full_open_share=np.linspace(0.0, 0.4, FLIGHTS) ** 2)
     (alert,) = alerts(seen, NOTHING).to_dicts()
     raised = seen.filter(flight_id=alert["raised_flight_id"])["hx_fouling"].item()
-    assert f"UA lost (hx_fouling) {100 * raised:.0f} +- 1 %" in alert["evidence"]
-    assert "UA lost (hx_fouling) 35 +- 1 %" in alert["evidence_now"]
+    assert f"UA lost (hx_fouling) {100 * raised:.0f} % ({100 * raised - 1.6:.0f} to" in alert["evidence"]
+    assert "UA lost (hx_fouling) 35 % (33 to 37)" in alert["evidence_now"]
     assert (alert["raised_severity"], alert["severity"]) == ("medium", "high")
     assert alert["now_flight_id"] == seen["flight_id"][-1]
 
@@ -169,3 +131,27 @@ def test_a_busier_aircraft_beside_it_changes_nothing() -> None:
     busier = features(np.linspace(0.0, 0.35, FLIGHTS)).with_columns(tail=pl.lit("T-BBB"))
     both = alerts(pl.concat([seen, busier], how="diagonal"), NOTHING)
     assert both.equals(pl.concat([alerts(seen, NOTHING), alerts(busier, NOTHING)]))
+
+
+def three_packs() -> pl.DataFrame:
+    """Packs that lose 12, 18 and 35 per cent over their flights."""
+    worn = (features(np.linspace(0.0, most, FLIGHTS)) for most in (0.12, 0.18, 0.35))
+    return pl.concat(f.with_columns(tail=pl.lit(f"T-{k}")) for k, f in enumerate(worn))
+
+
+def test_the_limit_in_service_says_what_was_said() -> None:
+    seen = three_packs()
+    told = {t.diagnosis: t.alerts for t in trials(seen, pl.DataFrame(), NOTHING) if t.in_service}
+    assert set(told) == set(VARIED)
+    for diagnosis in set(VARIED) - {"RAM_DOOR_FAULT"}:
+        assert told[diagnosis].sort("alert_id").equals(alerts(seen, NOTHING).sort("alert_id"))
+
+
+def test_a_lower_limit_hears_of_more_packs_and_earlier() -> None:
+    found = [t for t in trials(three_packs(), pl.DataFrame(), NOTHING) if t.diagnosis == "HX_FOULING"]
+    assert [t.value for t in found] == sorted(t.value for t in found)
+    packs = [set(t.alerts["tail"]) for t in found]
+    assert all(later <= earlier for earlier, later in pairwise(packs))
+    raised = [t.alerts.filter(tail="T-2")["raised_at"].min() for t in found]
+    assert raised == sorted(raised)
+    assert len(packs[-1]) < len(packs[0])

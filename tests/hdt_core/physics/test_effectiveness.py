@@ -76,7 +76,8 @@ def test_inverse_to_the_digits_that_the_effectiveness_holds():
     balanced = np.geomspace(1e-6, 1e6, 500)
     np.testing.assert_allclose(crossflow_ntu(crossflow_effectiveness(balanced, balanced), 1.0), balanced, rtol=1e-12)
     rough = ~held & (left < 1e-3) & np.isfinite(back)
-    assert np.all(np.abs(back[rough] / ntu[rough] - 1.0) < 40.0 * left[rough])
+    # the rounding of ntu * ratio comes on top, which `left` leaves out: 40 times on one processor, 61 on another
+    assert np.all(np.abs(back[rough] / ntu[rough] - 1.0) < 100.0 * left[rough])
 
 
 def test_handbook_formula_and_how_far_it_is_off():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, fit_hazard, hazards, position, quantile
+from hdt_core.prognosis.trees import _by_tree, _row_by_row
 
 
 def test_every_failure_is_one_hit_and_no_censored_row_is():
@@ -39,3 +40,11 @@ def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
         near = np.log(asked) + np.linspace(-0.2, 0.2, 200)[:, None]
         p_50 = event_by(hazards([model], near))[:, EDGES.tolist().index(50.0)].mean()
         assert p_50 == pytest.approx(1.0 - np.exp(-asked * 50.0), abs=0.04)
+
+
+def test_trees_asked_once_a_cut_say_what_each_row_and_span_asked_alone_says():
+    rng = np.random.default_rng(4)
+    rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 4000))
+    model = fit_hazard(np.log(rate)[:, None], rng.exponential(1.0 / rate), np.ones(4000, bool), seed=0)
+    features = np.where(rng.random((500, 1)) < 0.1, np.nan, np.log(rng.choice(rate, (500, 1))))
+    assert np.array_equal(_by_tree(model, features, EDGES[1:]), _row_by_row(model, features, EDGES[1:]))

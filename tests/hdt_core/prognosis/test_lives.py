@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.lives import episodes, told_lives
 
 
 def test_failed_lives_end_on_the_message_flight(fleet):
@@ -36,3 +36,14 @@ def test_lives_of_a_pack_follow_each_other(fleet):
     lives = episodes(*fleet).filter(pl.col("component") == "HX").sort("tail", "pack", "life")
     following = lives.with_columns(before=pl.col("end_row").shift(1).over("tail", "pack")).drop_nulls("before")
     assert (following["first_row"] >= following["before"]).all()
+
+
+def test_a_life_is_told_with_what_ended_it(fleet):
+    features, messages, maintenance = fleet
+    told = told_lives(features, episodes(*fleet)).filter(component="HX")
+    named = messages.select("tail", "pack", end_flight_id="flight_id")
+    assert told.filter(ended_by="message").join(named, on=named.columns, how="semi").height == messages.height
+    assert told.filter(pl.col("censored") == pl.col("ended_by").eq_missing(pl.lit("message"))).is_empty()
+    unheard = told_lives(features, episodes(features, messages.clear(), maintenance)).filter(component="HX")
+    assert unheard.filter(ended_by="unheard").height == maintenance.height
+    assert unheard["ended_by"].null_count() == 16

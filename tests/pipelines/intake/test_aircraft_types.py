@@ -15,7 +15,7 @@ from pipelines.intake.types_of_zone import types_of
 B787 = next(f for f in shipped() if f.stem == "b787_767")
 ERRORS = {
     ("hx_in_degc =", "hx_inn_degc ="): "x.toml line 17: [pack] hx_inn_degc: no such column; hx_in_degc is near",
-    ("units = 4", "units = 3"): "x.toml line 31: [CAC] speed_rpm: 4 parameters for 3 units",
+    ("units = 4", "units = 3"): "x.toml line 34: [CAC] speed_rpm: 4 parameters for 3 units",
     ('unit = "mbar"', 'unit = "bar"'): "x.toml line 16: [pack] pt_psia: unit 'bar'; there are psia, mbar",
     ('unit = "mbar"', "lowest = true"): "x.toml line 16: [pack] pt_psia: lowest is a number, not True",
     ("[component.CAC]", "[component.CAX]"): "no component CAX has a record of its own; there are HXT, CAC",

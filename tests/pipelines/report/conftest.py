@@ -25,11 +25,16 @@ class Reader(HTMLParser):
             self.crossed.append(tag)
 
     def handle_data(self, data):
-        self.words.append(data)
+        if not self.open or self.open[-1] not in {"script", "style"}:
+            self.words.append(data)
 
     def values(self, name: str) -> list[str]:
         """Values of one attribute wherever it stands."""
         return [value for _, attribute, value in self.attributes if attribute == name]
+
+    def text(self) -> str:
+        """Words, those between which no line breaks as others."""
+        return "".join(self.words).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.fixture(scope="session")

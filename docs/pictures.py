@@ -1,0 +1,69 @@
+"""`python docs/pictures.py HOME [FOLDER]`: pictures of the report of a home, into docs/images."""
+
+import shutil
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
+
+from pipelines.report.page import write_report
+
+IMAGES = Path(__file__).parent / "images"
+WIDTH, COLOURS = 960, 200
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+def take(home: Path, folder: Path) -> list[Path]:
+    """Pictures of the page's head and of a pack with its alert.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no Chromium.
+    """
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise FileNotFoundError(f"none of {', '.join(BROWSERS)} is installed")
+    with TemporaryDirectory() as scratch, sync_playwright() as started:
+        page = Path(scratch) / "report.html"
+        write_report(home, page)
+        shown = started.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+        told = shown.new_page(viewport={"width": WIDTH, "height": 900})
+        told.goto(page.as_uri())
+        return [_small(_head(told, folder / "report.png")), _small(_alert(told, folder / "alert.png"))]
+
+
+def _small(picture: Path) -> Path:
+    """In as few colours as it has need of."""
+    few = Image.open(picture).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(picture, optimize=True)
+    return picture
+
+
+def _head(page: Page, target: Path) -> Path:
+    page.screenshot(path=target, clip={"x": 0, "y": 0, "width": WIDTH, "height": 640})
+    return target
+
+
+def _alert(page: Page, target: Path) -> Path:
+    """The first alert, and under it its pack's chart."""
+    page.evaluate(
+        """() => {
+            const alert = document.querySelector(".alert"), link = document.querySelector("#tonight li a");
+            document.querySelector("main").replaceChildren(alert, document.querySelector(link.hash));
+            document.querySelector("header").remove();
+            scrollTo(0, 0);
+        }"""
+    )
+    page.locator("[data-chart] .bk-Figure").first.wait_for()
+    page.wait_for_timeout(500)
+    height = page.locator("main").evaluate("main => main.getBoundingClientRect().bottom")
+    page.screenshot(path=target, clip={"x": 0, "y": 0, "width": WIDTH, "height": height + 8}, full_page=True)
+    return target
+
+
+if __name__ == "__main__":
+    for made in take(Path(sys.argv[1]), Path(*sys.argv[2:]) if sys.argv[2:] else IMAGES):
+        print(made)

@@ -1,0 +1,165 @@
+"""The phrases that evidence is made of, each declared once, with its values as `{name}`; and signals by plain names.
+
+Who says evidence in another language finds them here: `PHRASES`. A value is a number, a name or a phrase of its own.
+"""
+
+UA_LOST = "UA lost (hx_fouling) {loss}, {sigma} sigma; above {limit} % since {since}, and with probability {odds}"
+WITHIN = "{value} % ({low} to {high})"
+ABOVE = "above {value}"
+TREND = "{points} points more every ten flights (trend of 30)"
+RISEN = "its last ten flights alone lie {points} % above the best ten of this unit"
+EXCHANGER_ELSE = "a door or outlet sensor at fault, but their checks are quiet; icing would go by the next flight"
+EXCHANGER_COSTS = "Waiting costs ram drag and, when the door has no travel left, the message 21-52-HXTEMP"
+JUMP = "{points} points of it within three flights, which wear doesn't do"
+DOOR_UNKNOWN = "door position unknown"
+DOOR_SPARE = "ram door full open in {share} % of cruise: it can still make up for the loss"
+DOOR_FULL = "ram door full open in {share} % of cruise"
+DOOR_ALIKE = "ram door about as wide as that of the other pack, which has lost less"
+DOOR_WIDER = "ram door {points} points wider than that of the other pack"
+DOOR_NARROWER = "ram door {points} points narrower than that of the other pack, which has lost less"
+OTHER_LESS = "the other pack has lost {points} points less on the same flights"
+OTHER_ALIKE = "the other pack has lost as much: the same dust, or an error both share"
+FLOW_STARVED = "ram flow {share} % below a clean duct's, as a blocked core has it"
+FLOW_CLEAN = "ram flow that of a clean duct: no blockage"
+
+MARGIN = (
+    "With the ram door full open the outlet would stand {margin} its level in the hottest fifth of the last flight, "
+    "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds}, believed "
+    "since {since}"
+)
+BELOW_BY = "{k} K below"
+ABOVE_BY = "{k} K above"
+FAR_UNKNOWN = "at an unknown distance from"
+MARGIN_PARTS = "what makes the margin: {parts}"
+DESIGN_GIVES = "the design gives {k} K"
+TARGET_GIVES = "target {k} K"
+FLOW_GIVES = "flow {k} K"
+AIR_GIVES = "air outside {k} K"
+WEAR_GIVES = "wear and build {k} K"
+NOT_WEAR_ALONE = "UA lost (hx_fouling) {loss}: wear alone does not explain it"
+WARM_OUTLET = "on the last flight the outlet was {k} K above its level, door full open"
+MARGIN_ELSE = "a cooler season, or an outlet sensor that reads high"
+MARGIN_COSTS = "Waiting costs the message on a hot day, and an exchanger that is taken off in vain"
+
+COMPRESSOR = (
+    "Compressor efficiency (cc_efficiency_loss) lost {loss} against expectation, {sigma} sigma, believed since "
+    "{since}; worn at all (above {limit} %) with probability {odds}"
+)
+COMPRESSOR_ELSE = "a drifting exit temperature sensor"
+COMPRESSOR_COSTS = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
+SHRUNK = (
+    "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} sigma of a "
+    "flight and summed up beyond doubt (CUSUM), believed since {since}"
+)
+NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
+SHRUNK_ELSE = "a drifting speed or pressure sensor"
+DIAMETER_LOST = "effective diameter lost (cc_diameter_loss) {share} %"
+
+JAMMED = (
+    "The ram door (ram_door_open) stays at {stop} % from climb to descent since {since} while its controller's need "
+    "changes: less than 7 sigma of its sensor's noise, on two of three flights"
+)
+FLICKERS = "its reading flickers, which that of a frozen sensor would not"
+JAMMED_ELSE = "a frozen sensor"
+JAMMED_COSTS = "Until repaired the outlet runs warm or cold, and the door can't make up for fouling"
+STOPPED = (
+    "The ram door (ram_door_open) goes no further than {stop} %: since {since} the outlet ran up to {k} K ({sigma} "
+    "sigma of a sound flight) above its target there"
+)
+ON_TARGET = "the outlet was on target wherever the door was not at that stop"
+STOPPED_ELSE = "a fouled exchanger, which would open the door fully first"
+STOPPED_COSTS = "Waiting costs temperature control on hot days"
+
+EMPTY = (
+    "{sensor} is empty in {share} % of its readings since {since}, on two of three flights; a sound sensor loses about "
+    "1 %"
+)
+EMPTY_ELSE = "a loose connector or the recorder's bus"
+FROZEN = (
+    "{sensor} shows one value, or none that can be true, from climb to descent since {since}, though what it measures "
+    "moves, on two of three flights"
+)
+FROZEN_ELSE = "its converter or the recorder's bus"
+SHIFTED = "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} sigma of the mean) since {since}"
+SENSOR_FITS = "the pattern over all cross checks fits this sensor with probability {odds}"
+SENSOR_ELSE = "another sensor of the same checks; wear leaves them alone"
+SENSOR_COSTS = "Until it is replaced the pack's health is judged without it, and less surely"
+SENSOR_NAMED = "; sensor: {sensor}"
+
+UPSTREAM = (
+    "Find the cause upstream before another unit goes on, this is number {units} here in {days} days: ram inlet and "
+    "duct, the air it is fed (bleed, filter), flow and temperature control, its sensors"
+)
+THEN = ". Only then: "
+COMPARE = (
+    "; found clean on {day}, so neither wash nor new part yet: compare what the loss stands on with the other pack's "
+    "on one flight; where all agree, wash, for a film inside is not seen from outside"
+)
+_GREW = "was found clean on {day} at a loss of {level} %, and the loss has grown to {loss} % since {since}"
+EXCHANGER_CLEAN = (
+    f"The heat exchanger {_GREW}: check the sensors it stands on (inlet and outlet temperature of the exchanger, pack "
+    "flow, total air temperature)"
+)
+COMPRESSOR_CLEAN = (
+    f"The compressor {_GREW}: check the sensors it stands on (temperatures and pressures at its inlet and exit)"
+)
+FOUND_CLEAN = {"HX": EXCHANGER_CLEAN, "CC": COMPRESSOR_CLEAN}
+CLEAN_LOSES_NOTHING = "the inspection: a clean part loses nothing more"
+CLEAN_ELSE = "a film that the inspection could not see, or dust since"
+
+UNIT_LOST = "{lost} ({name}) {loss}, {sigma} sigma; above {limit} % since {since}, and with probability {odds}"
+UNIT_FAILS = "it fails at about {loss}"
+UNIT_STEP = "{points} points came within three flights: a sudden event"
+
+PHRASES = {
+    name: said for name, said in globals().items() if name[0].isupper() and name.isupper() and isinstance(said, str)
+}
+
+SIGNALS = {
+    "altitude_m": "pressure altitude",
+    "mach": "Mach number",
+    "tat_k": "total air temperature",
+    "total_pressure_pa": "total air pressure",
+    "hx_in_k": "inlet temperature of the exchanger",
+    "hx_out_k": "outlet temperature of the exchanger",
+    "ram_door_open": "ram door position",
+    "pack_flow_kg_s": "pack flow",
+    "ram_out_k": "ram air temperature behind the exchanger",
+    "cc_speed_rad_s": "compressor speed",
+    "cc_in_k": "compressor inlet temperature",
+    "cc_in_pa": "compressor inlet pressure",
+    "cc_out_k": "compressor exit temperature",
+    "cc_out_pa": "compressor exit pressure",
+    "cc_flow_kg_s": "compressor flow",
+    "vda_counts": "diffuser position",
+}
+"""Signals of the recorder as the night shift calls them."""
+CHECKS = {
+    "inlet_minus_tat_k": "compressor inlet against total air temperature",
+    "inlet_over_total_pressure_ln": "compressor inlet against total air pressure",
+    "total_over_pitot_pressure_ln": "total air pressure against speed and altitude",
+    "pack_over_compressor_flow_ln": "pack flow against compressor flow",
+    "tat_between_packs_k": "total air temperature between the packs",
+    "total_pressure_between_packs_ln": "total air pressure between the packs",
+    "pack_flow_between_packs_ln": "pack flow between the packs",
+    "compressor_flow_between_packs_ln": "compressor flow between the packs",
+    "cc_out_pressure_between_packs_ln": "compressor exit pressure between the packs",
+    "cc_out_pressure_over_schedule_ln": "compressor exit pressure against its schedule",
+    "hx_out_minus_target_k": "outlet temperature against its target",
+    "hx_out_between_packs_k": "outlet temperature between the packs",
+    "hx_in_over_discharge_k": "inlet temperature of the exchanger against the compressor's exit",
+    "hx_in_over_pressure_k": "inlet temperature of the exchanger against the pressure ratio",
+    "conductance_off_cruise_ln": "conductance in climb and descent against cruise",
+}
+"""Cross checks of sensors."""
+
+
+def named(code: str) -> str:
+    """A signal or a cross check by its plain name, with the name that it has in the catalog.
+
+    Examples
+    --------
+    >>> named("hx_out_k")
+    'outlet temperature of the exchanger (hx_out_k)'
+    """
+    return f"{(SIGNALS | CHECKS)[code]} ({code})"

@@ -1,0 +1,71 @@
+"""How every case stands at this moment: the last night's alerts, and all that was said of them since."""
+
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+
+from pipelines.storage.cases import CaseLog
+from pipelines.storage.catalog import connect, views
+
+_MADE = "create or replace view cases as"
+OPEN = "state != 'closed'"
+
+
+def list_cases(home: Path, where: str = OPEN, arguments: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    """Rows of the view `cases` as of now, the most urgent first.
+
+    Parameters
+    ----------
+    home : Path
+        Holds the catalog and the log of cases.
+    where : str
+        SQL condition over the view's columns and those of `alert_states`, written by us; values go in `arguments`.
+    arguments : dict, optional
+        Values of its `$name` places.
+    """
+    asked = views()["cases"].partition(_MADE)[2].strip().removesuffix(";").replace("tables.raw_cases", "told_cases")
+    with connect(home) as con:
+        con.register("told_cases", CaseLog(home).entries().to_arrow())
+        found = con.execute(
+            f"""select c.*, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows
+            from ({asked}) as c join alert_states as s using (alert_id) where {where}
+            order by list_position(['act', 'plan', 'none'], c.urgency), c.raised_at, c.alert_id""",
+            arguments or {},
+        )
+        return _rows(found)
+
+
+def find_case(home: Path, alert_id: str) -> dict[str, Any]:
+    """One case by its alert's id, or by the first digits of it.
+
+    Raises
+    ------
+    LookupError
+        No alert, or several, begin like that.
+    """
+    found = list_cases(home, "starts_with(c.alert_id, $id)", {"id": alert_id}) if alert_id else []
+    if len(found) != 1:
+        raise LookupError(f"{'several alerts' if found else 'no alert'} {alert_id}; `hdt case list` names them")
+    return found[0]
+
+
+def outlook_of(home: Path, case: dict[str, Any]) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
+    """When the message of a case's component is due (row of `due_dates`), and the choices (of `next_stop`) by cost."""
+    place = {c: case[c] for c in ("operator", "tail", "pack", "component")}
+    where = " and ".join(f"{c} = ${c}" for c in place)
+    with connect(home) as con:
+        due = _rows(con.execute(f"select * from due_dates where {where}", place))
+        choices = f"select * from next_stop where {where} order by place nulls last, choice"
+        return next(iter(due), None), _rows(con.execute(choices, place))
+
+
+def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:
+    """What was said of an alert, oldest first: rows of `raw_cases`."""
+    return CaseLog(home).entries().filter(pl.col("alert_id") == alert_id).sort("line").to_dicts()
+
+
+def _rows(found: duckdb.DuckDBPyConnection) -> list[dict[str, Any]]:
+    names = [c[0] for c in found.description or ()]
+    return [dict(zip(names, row, strict=True)) for row in found.fetchall()]

@@ -1,0 +1,26 @@
+"""After the night: what changed since the last one, told to who wants to know, and work orders."""
+
+from pipelines.digest.changes import Digest, compare
+from pipelines.digest.declaration import NotifyError
+from pipelines.digest.nights import changes_since
+from pipelines.digest.orders import work_orders, write_orders
+from pipelines.digest.render import as_html, as_json, as_text
+from pipelines.digest.state import EMPTY, read_state
+from pipelines.digest.told import receivers_of, tell_night, try_out
+
+__all__ = [
+    "EMPTY",
+    "Digest",
+    "NotifyError",
+    "as_html",
+    "as_json",
+    "as_text",
+    "changes_since",
+    "compare",
+    "read_state",
+    "receivers_of",
+    "tell_night",
+    "try_out",
+    "work_orders",
+    "write_orders",
+]

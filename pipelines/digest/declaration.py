@@ -1,0 +1,150 @@
+"""Who is told: receivers as `notify.toml` in the home declares them."""
+
+import os
+import tomllib
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+
+class NotifyError(Exception):
+    """What is wrong with a declaration or a receiver, in one line and without a secret."""
+
+
+@dataclass(frozen=True, slots=True)
+class Receiver:
+    """One receiver.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in lines and in the record of what was sent.
+    kind : str
+        mail, slack, teams, webhook or file.
+    operator : str or None
+        Tell of this operator alone.
+    settings : dict
+        What its kind needs, see `KINDS`; what was left out is as there.
+    """
+
+    name: str
+    kind: str
+    operator: str | None
+    settings: dict[str, Any]
+
+    def secret(self, setting: str) -> str:
+        """Value of the environment variable that a setting names; empty where it names none."""
+        variable = self.settings[setting]
+        if not variable:
+            return ""
+        if not (value := os.environ.get(variable, "")):
+            raise NotifyError(f"the environment has no {variable}")
+        return value
+
+
+NEEDED = object()
+_WEB: dict[str, Any] = {"url": "", "url_env": ""}
+KINDS: dict[str, dict[str, Any]] = {
+    "mail": {
+        "host": NEEDED,
+        "port": 587,
+        "security": "starttls",
+        "from": NEEDED,
+        "to": [],
+        "user_env": "",
+        "password_env": "",
+        "ca_file": "",
+    },
+    "slack": _WEB,
+    "teams": _WEB,
+    "webhook": _WEB,
+    "file": {"folder": NEEDED},
+}
+_OWN = ("name", "kind", "operator")
+_SECURITY = ("starttls", "tls", "none")
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def read_receivers(text: str) -> list[Receiver]:
+    """Receivers of a TOML text, one `[[receiver]]` each.
+
+    Raises
+    ------
+    NotifyError
+        It is no TOML, or a key is missing, unknown or can't be; the key and its receiver are named.
+    """
+    try:
+        given = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise NotifyError(f"no TOML: {error}") from None
+    if unknown := sorted(set(given) - {"receiver"}):
+        raise NotifyError(f"unknown key {unknown[0]}; receivers stand below [[receiver]]")
+    entries = given.get("receiver", [])
+    if not isinstance(entries, list):
+        raise NotifyError("receiver is no list; write [[receiver]] with two brackets")
+    found = [_receiver(entry, f"receiver {n}") for n, entry in enumerate(entries, 1)]
+    names = [r.name for r in found]
+    if double := sorted({n for n in names if names.count(n) > 1}):
+        raise NotifyError(f"two receivers are called {double[0]!r}")
+    return found
+
+
+def _receiver(entry: dict[str, Any], where: str) -> Receiver:
+    name = entry.get("name", "")
+    if not isinstance(name, str) or not name:
+        raise NotifyError(f"{where}: name is missing")
+    where, kind = f"{where} ({name})", entry.get("kind")
+    if kind not in KINDS:
+        raise NotifyError(f"{where}: kind is {kind!r}; there are {', '.join(KINDS)}")
+    known = KINDS[kind]
+    if unknown := sorted(set(entry) - set(known) - set(_OWN)):
+        raise NotifyError(f"{where}: unknown key {unknown[0]}; a receiver of kind {kind} has {', '.join(known)}")
+    settings = {key: _value(entry, key, default, where) for key, default in known.items()}
+    _check(kind, settings, where)
+    operator = _value(entry, "operator", "", where)
+    return Receiver(name, kind, operator or None, settings)
+
+
+def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
+    if key not in entry:
+        if default is NEEDED:
+            raise NotifyError(f"{where}: {key} is missing")
+        return default
+    value, like = entry[key], str if default is NEEDED else type(default)
+    if not isinstance(value, like) or isinstance(value, bool) or (like is str and "\n" in value):
+        raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_LIKE[like]}")
+    return value
+
+
+_LIKE = {str: "a text of one line", int: "a number", list: "a list of texts"}
+
+
+def _check(kind: str, settings: dict[str, Any], where: str) -> None:
+    if kind == "mail":
+        _check_mail(settings, where)
+    elif kind != "file":
+        if bool(settings["url"]) == bool(settings["url_env"]):
+            raise NotifyError(f"{where}: give either url or url_env, the variable that holds it")
+        if settings["url"]:
+            checked_url(settings["url"], where)
+
+
+def _check_mail(settings: dict[str, Any], where: str) -> None:
+    if not settings["to"] or not all(isinstance(to, str) and "@" in to for to in settings["to"]):
+        raise NotifyError(f"{where}: to is a list of addresses, one at least")
+    if settings["security"] not in _SECURITY:
+        raise NotifyError(f"{where}: security is {settings['security']!r}; there are {', '.join(_SECURITY)}")
+    if bool(settings["user_env"]) != bool(settings["password_env"]):
+        raise NotifyError(f"{where}: give both user_env and password_env, or neither")
+    if settings["password_env"] and settings["security"] == "none":
+        raise NotifyError(f"{where}: a password goes over an encrypted line alone; set security to starttls or tls")
+
+
+def checked_url(url: str, where: str) -> str:
+    """`url`, if it is one that a digest may go to; it may hold a secret, so what is wrong is told without it."""
+    parts = urlsplit(url)
+    if parts.scheme == "https" and parts.hostname:
+        return url
+    if parts.scheme == "http" and parts.hostname in _LOOPBACK:
+        return url
+    raise NotifyError(f"{where}: the url has to begin with https:// (http:// only to this machine)")

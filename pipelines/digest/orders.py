@@ -1,0 +1,60 @@
+"""Open alerts as work orders: CSV and JSON for a maintenance system, and a page to print."""
+
+import json
+from pathlib import Path
+
+import duckdb
+import polars as pl
+
+from pipelines.digest.render import PAGES
+from pipelines.report import words
+from pipelines.sharing.export import safe
+from pipelines.storage.files import replacing
+
+COLUMNS = ("reference", "operator", "tail", "pack", "component", "action", "due", "reason", "alert_id")
+
+_ORDERS = """
+select
+    'HDT-' || a.alert_id as reference, a.operator, a.tail, a.pack, a.component, a.diagnosis,
+    a.recommended_action as action, a.urgency, a.now_rul_flights as rul_flights, a.now_rul_low as rul_low,
+    a.now_rul_high as rul_high, a.now_p_event_50 as p_event_50, a.raised_on, a.alert_id,
+    case
+        when d.status = 'ok' then d.due_low_on
+        when d.status is null and a.urgency = 'act' then (r.last_departed_at at time zone 'UTC')::date + 1
+    end as due
+from open_alerts as a
+inner join cases as c on a.alert_id = c.alert_id
+left join due_dates as d
+    on a.operator = d.operator and a.tail = d.tail and a.pack = d.pack and a.component = d.component
+left join flight_rates as r on a.operator = r.operator and a.tail = r.tail
+where c.state not in ('muted', 'answered')
+order by a.place
+"""
+
+
+def work_orders(con: duckdb.DuckDBPyConnection, operator: str | None = None) -> pl.DataFrame:
+    """One order an open alert that nobody has muted or answered, the most urgent first, columns `COLUMNS`.
+
+    `due` is the first day of `due_dates`: by then the component's message has come with a chance of one in twenty; the
+    day after the last flight where an alert that can't wait has no outlook; else null: the next check.
+    """
+    rows = con.sql(_ORDERS).pl()
+    rows = rows if operator is None else rows.filter(operator=operator)
+    told = [row | {"reason": _reason(row), "action": words.action(row["action"])} for row in rows.to_dicts()]
+    schema = rows.schema | {"reason": pl.String}
+    return pl.DataFrame(told, schema=schema).select(COLUMNS)
+
+
+def write_orders(orders: pl.DataFrame, folder: Path, until: str) -> None:
+    """`orders.csv`, `orders.json` and `orders.html` in a folder."""
+    rows = json.loads(orders.write_json())
+    page = PAGES.get_template("orders.html").render(orders=rows, until=until)
+    made = {"orders.csv": safe(orders).write_csv(), "orders.json": json.dumps(rows, indent=1), "orders.html": page}
+    for name, text in made.items():
+        with replacing(folder / name) as file:
+            file.write_text(text, encoding="utf-8")
+
+
+def _reason(row: dict[str, object]) -> str:
+    outlook = f"; flights left {words.flights_left(row)}" if row["rul_flights"] is not None else ""
+    return f"{words.diagnosis(str(row['diagnosis']))} since {row['raised_on']}{outlook}"

@@ -1,0 +1,136 @@
+"""How a digest gets there: e-mail, webhook, file. A receiver that is slow or busy is asked three times."""
+
+import json
+import smtplib
+import ssl
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from email.message import EmailMessage
+from email.utils import formatdate
+from pathlib import Path
+from typing import Any
+
+from pipelines.digest.changes import Digest
+from pipelines.digest.declaration import NotifyError, Receiver, checked_url
+from pipelines.digest.render import as_html, as_json, as_slack, as_teams, as_text, subject
+from pipelines.storage.files import replacing
+
+TIMEOUT_S = 20.0
+WAITS_S = (2.0, 8.0)
+"""Before the second and the third attempt."""
+_PAYLOADS: dict[str, Callable[[Digest], Any]] = {
+    "slack": as_slack,
+    "teams": as_teams,
+    "webhook": lambda digest: json.loads(as_json(digest)),
+}
+
+
+def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
+    """Send a digest to one receiver, or raise.
+
+    Parameters
+    ----------
+    name : str
+        Of this digest: the same when it is sent again, so that a mail system can tell a repeated one.
+    home : Path
+        What a relative folder is below.
+
+    Raises
+    ------
+    NotifyError
+        It did not get there; the line tells no secret.
+    """
+    if receiver.kind == "file":
+        _attempt(lambda: _write(home / receiver.settings["folder"], digest))
+    elif receiver.kind == "mail":
+        user, password = receiver.secret("user_env"), receiver.secret("password_env")
+        message = _message(receiver, digest, name)
+        _attempt(lambda: _mail(receiver.settings, message, user, password), user, password)
+    else:
+        url = receiver.settings["url"] or checked_url(receiver.secret("url_env"), receiver.settings["url_env"])
+        body = json.dumps(_PAYLOADS[receiver.kind](digest)).encode()
+        _attempt(lambda: _post(url, body, name), url)
+
+
+def _attempt(send_once: Callable[[], None], *secrets: str) -> None:
+    """Again where that may help; what is wrong in the end as one line."""
+    for wait in (*WAITS_S, None):
+        try:
+            return send_once()
+        except (OSError, ValueError) as error:  # smtplib's and urllib's are kinds of OSError
+            if wait is None or not _passes(error):
+                raise NotifyError(_told(error, secrets)) from None
+            time.sleep(wait)
+    return None
+
+
+def _passes(error: Exception) -> bool:
+    """Whether the same may go well a little later."""
+    if isinstance(error, urllib.error.HTTPError):
+        return error.code == 429 or error.code >= 500
+    if isinstance(error, smtplib.SMTPResponseException):
+        return 400 <= error.smtp_code < 500
+    if isinstance(error, smtplib.SMTPRecipientsRefused | smtplib.SMTPNotSupportedError | ssl.SSLCertVerificationError):
+        return False
+    return isinstance(error, OSError)
+
+
+def _told(error: Exception, secrets: tuple[str, ...]) -> str:
+    said = " ".join(str(error).split())[:200] or type(error).__name__
+    for secret in filter(None, secrets):
+        said = said.replace(secret, "***")
+    return said
+
+
+def _message(receiver: Receiver, digest: Digest, name: str) -> EmailMessage:
+    message = EmailMessage()
+    message["Subject"] = subject(digest)
+    message["From"] = receiver.settings["from"]
+    message["To"] = ", ".join(receiver.settings["to"])
+    message["Date"] = formatdate()
+    message["Message-ID"] = f"<{name}@hybrid-digital-twin>"
+    message["Auto-Submitted"] = "auto-generated"
+    message.set_content(as_text(digest))
+    message.add_alternative(as_html(digest), subtype="html")
+    message.add_attachment(as_json(digest).encode(), maintype="application", subtype="json", filename="digest.json")
+    return message
+
+
+def _mail(settings: dict[str, Any], message: EmailMessage, user: str, password: str) -> None:
+    context = ssl.create_default_context(cafile=settings["ca_file"] or None)
+    place = settings["host"], settings["port"]
+    if settings["security"] == "tls":
+        server: smtplib.SMTP = smtplib.SMTP_SSL(*place, timeout=TIMEOUT_S, context=context)
+    else:
+        server = smtplib.SMTP(*place, timeout=TIMEOUT_S)
+    try:
+        if settings["security"] == "starttls":
+            server.starttls(context=context)
+        if user:
+            server.login(user, password)
+        server.send_message(message)
+    finally:
+        server.close()  # without a QUIT, whose answer would be waited for where the line is broken
+
+
+class _Unmoved(urllib.request.HTTPRedirectHandler):
+    """What is sent goes where it was declared to go, and nowhere else."""
+
+    def redirect_request(self, *_: Any, **__: Any) -> None:
+        return None
+
+
+def _post(url: str, body: bytes, name: str) -> None:
+    headers = {"Content-Type": "application/json", "Idempotency-Key": name, "User-Agent": "hybrid-digital-twin"}
+    request = urllib.request.Request(url, data=body, headers=headers, method="POST")
+    with urllib.request.build_opener(_Unmoved).open(request, timeout=TIMEOUT_S) as answer:
+        answer.read(1000)
+
+
+def _write(folder: Path, digest: Digest) -> None:
+    stem = "digest-" + (digest.until or "none").replace(" ", "-").replace(":", "")
+    for ending, form in {"txt": as_text, "html": as_html, "json": as_json}.items():
+        with replacing(folder / f"{stem}.{ending}") as file:
+            file.write_text(form(digest), encoding="utf-8")

@@ -1,0 +1,92 @@
+"""What a stop, a part and a message cost: `costs.toml` in the home, over defaults that stand here.
+
+The defaults are round figures of ours to be replaced, in no operator's books; `source` says which a figure is.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from hdt_core.components import components
+from hdt_core.tables import TABLES
+from pipelines.intake.ledger import Fault
+
+NAME, COSTS = "costs.toml", "costs"
+"""File in the home, and the kind under which the ledger knows it."""
+ITEMS = ("wash", "replace", "at_check", "message")
+"""A wash or a replacement at the next stop; the same work when it waits for a check; what one message costs."""
+DEFAULTS: dict[str, Any] = {
+    "currency": "USD",
+    "horizon_days": 30,
+    "HX": {"wash": 3_000, "replace": 30_000, "at_check": 2_000, "message": 40_000},
+    "CC": {"replace": 90_000, "at_check": 75_000, "message": 40_000},
+}
+"""`horizon_days`: how far ahead is looked where no check is planned. [days]"""
+
+
+class CostError(ValueError):
+    """The cost table can't be used; says the file, the key and what it must be."""
+
+    def __init__(self, key: str, why: str) -> None:
+        super().__init__(f"{NAME}: {key}: {why}" if key else f"{NAME}: {why}")
+        self.key = key
+
+
+def read_costs(home: Path) -> pl.DataFrame:
+    """Rows of `raw_costs`: the home's file over the defaults.
+
+    Raises
+    ------
+    CostError
+        The file is no TOML, or holds a key or value that means nothing.
+    """
+    file, told = home / NAME, dict[str, Any]()
+    if file.exists():
+        try:
+            told = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            raise CostError("", f"can't be read: {error}") from None
+    own = list(_rows(told, {}, NAME))  # judged before anything is read from it
+    rows = [*own, *_rows(DEFAULTS, told, "default")]
+    general = {k: told.get(k, DEFAULTS[k]) for k in ("currency", "horizon_days")}
+    _check_general(general)
+    frame = pl.DataFrame(rows, schema=["component", "item", "cost", "source"], orient="row")
+    return TABLES["raw_costs"].schema.conform(
+        frame.with_columns(pl.lit(general["currency"]).alias("currency"), horizon_days=pl.lit(general["horizon_days"]))
+    )
+
+
+def _rows(told: Mapping[str, Any], over: Mapping[str, Any], source: str) -> Iterator[tuple[str, str, float, str]]:
+    """Component, item, cost, source of what one table says and none says `over` it."""
+    for component, costs in told.items():
+        if component in {"currency", "horizon_days"}:
+            continue
+        if component not in components() or not isinstance(costs, dict):
+            raise CostError(component, f"is no table of a component; there are {', '.join(sorted(components()))}")
+        for item, cost in costs.items():
+            if item not in ITEMS:
+                raise CostError(f"{component}.{item}", f"means nothing; there are {', '.join(ITEMS)}")
+            if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost < math.inf:
+                raise CostError(f"{component}.{item}", f"is a number of 0 or more, not {cost!r}")
+            if item not in over.get(component, {}):
+                yield component, item, float(cost), source
+
+
+def _check_general(general: Mapping[str, Any]) -> None:
+    days, currency = general["horizon_days"], general["currency"]
+    if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= 366:
+        raise CostError("horizon_days", f"is a whole number of days from 1 to 366, not {days!r}")
+    if not isinstance(currency, str) or not 1 <= len(currency) <= 8 or not currency.isprintable():
+        raise CostError("currency", f"is a word of up to 8 letters, not {currency!r}")
+
+
+def costs_or_fault(home: Path) -> tuple[pl.DataFrame, list[Fault]]:
+    """The cost table; where the file is wrong none, and why: a night goes on without costs, not with others."""
+    try:
+        return read_costs(home), []
+    except CostError as error:
+        return TABLES["raw_costs"].schema.create_empty(), [Fault("bad_cost", None, error.key or None, f"{error}.")]

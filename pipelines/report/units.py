@@ -1,0 +1,87 @@
+"""Quantities in SI and, where the reader asks for them, in the units of a cockpit in the United States."""
+
+import re
+from typing import Any
+
+from markupsafe import Markup, escape
+
+from hdt_core.health.wording import Z_90
+from pipelines.report.words import THRESHOLDS, figures, percent, visible
+from pipelines.words import _, number
+
+SYSTEMS = ("si", "us")
+_US = {
+    "K": ("°F", 1.8, 0.0),
+    "°C": ("°F", 1.8, 32.0),
+    "kg/s": ("lb/min", 132.277, 0.0),
+    "W/K": ("Btu/(h·°F)", 1.895634, 0.0),
+    "m": ("in", 39.37008, 0.0),
+    "m2": ("in²", 1550.003, 0.0),
+    "mm": ("in", 0.03937008, 0.0),
+    "m/count": ("in/count", 39.37008, 0.0),
+    "m3": ("in³", 61_023.74, 0.0),
+    "10⁻³ m³": ("in³", 61.02374, 0.0),
+    "Pa": ("psi", 1.450377e-4, 0.0),
+}
+"""What a unit becomes: its name, factor and offset. A temperature in K is a difference."""
+_IN_WORDS = re.compile(r"([+\-\N{MINUS SIGN}]?\d+(?:[.,](\d+))?) (K|kg/s)(?!\w)")
+
+
+def to_us(value: float, unit: str) -> tuple[float, str]:
+    """A value and its unit in the other system; as they are where it has none of its own.
+
+    Examples
+    --------
+    >>> to_us(100.0, "°C")
+    (212.0, '°F')
+    """
+    name, factor, offset = _US.get(unit, (unit, 1.0, 0.0))
+    return value * factor + offset, name
+
+
+def both(si: Any, us: Any) -> Markup:
+    """The same thing said in both systems; the page shows one of them."""
+    one, other = escape(si), escape(us)
+    return one if one == other else Markup('<span class="si">{}</span><span class="us">{}</span>').format(one, other)
+
+
+def quantity(value: float, unit: str, digits: int = 0) -> Markup:
+    """A number with its unit, in both systems."""
+    other, name = to_us(value, unit)
+    return both(f"{number(value, digits)} {unit}", f"{number(other, digits)} {name}")
+
+
+def threshold(limit: str, value: float) -> Markup:
+    """What an alert's rule asks for."""
+    name, unit = THRESHOLDS[limit]
+    return Markup("{} {}").format(_(name), percent(value, 1) if unit == "%" else quantity(value, unit, 1))
+
+
+def estimate(value: float | None, sd: float | None, unit: str) -> Markup:
+    """An estimate with its interval and unit, in both systems; what stands after the unit is said after all."""
+    if value is None:
+        return escape(figures(None))
+    unit, at, condition = visible(unit).partition(" at ")
+    ends = [value] if sd is None else [value, value - Z_90 * sd, value + Z_90 * sd]
+    us, name = [to_us(v, unit)[0] for v in ends], to_us(0.0, unit)[1]
+    return both(_estimate(ends, unit), _estimate(us, name)) + in_words(at + condition)
+
+
+def _estimate(ends: list[float], unit: str) -> str:
+    told = f"{figures(ends[0])} {unit}".removesuffix(" -")
+    return f"{told} ({_('{low} to {high}', low=figures(ends[1]), high=figures(ends[2]))})" if len(ends) > 1 else told
+
+
+def in_words(text: str) -> Markup:
+    """Text with the quantities in it in both systems; a temperature in K is a difference."""
+    parts, last = [], 0
+    for found in _IN_WORDS.finditer(text):
+        parts += [escape(text[last : found.start()]), both(found[0], _other(*found.groups()))]
+        last = found.end()
+    return Markup("").join([*parts, escape(text[last:])])
+
+
+def _other(figures: str, decimals: str | None, unit: str) -> str:
+    value, name = to_us(float(figures.replace("\N{MINUS SIGN}", "-").replace(",", ".")), unit)
+    sign = "+" if figures.startswith("+") else ""
+    return f"{sign}{number(value, len(decimals or ''))} {name}"

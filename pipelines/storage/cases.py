@@ -1,0 +1,169 @@
+"""What people did about alerts, for good: a log in `<home>/cases.sqlite` to which lines are only added.
+
+Where HDT_LEDGER_URL names a PostgreSQL database the log is a table `cases` there, as the ledger is: several machines
+may work for one fleet. A line is written in a transaction that sees all lines before it, so of two people who change
+one case at the same time the second is told, and nobody's line is lost. Each night copies the log into `raw_cases`.
+"""
+
+import json
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from hdt_core.tables import TABLES
+from pipelines.storage import postgres, sqlite_reader
+
+FILE = "cases.sqlite"
+_SCHEMA = """
+create table if not exists cases (
+    line bigint primary key, at text not null, alert_id text not null, operator text not null, tail text not null,
+    pack integer, component text not null, diagnosis text not null, kind text not null, person text not null,
+    body text not null
+);
+"""
+_NEVER = "".join(
+    f"create trigger if not exists no_{what} before {what} on cases"
+    " begin select raise(abort, 'the log of cases is only added to'); end;"
+    for what in ("update", "delete")
+)
+_OWN = ("line", "at", "alert_id", "operator", "tail", "pack", "component", "diagnosis", "kind", "person")
+_ADD = f"insert into cases ({', '.join(_OWN)}, body) values ({', '.join('?' * (len(_OWN) + 1))})"
+
+
+class ConflictError(Exception):
+    """Somebody else changed the case since it was looked at; says who, when and how."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One thing that somebody did about an alert.
+
+    Attributes
+    ----------
+    alert : mapping
+        `alert_id, operator, tail, pack, component, diagnosis`.
+    kind : str
+        acknowledge, assign, mute, watch, unwatch, close or reopen.
+    person : str
+        Who.
+    body : mapping
+        What belongs to the kind, columns of `raw_cases`; text, numbers, days and times as text.
+    """
+
+    alert: Mapping[str, Any]
+    kind: str
+    person: str
+    body: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CaseLog:
+    """The log of one home."""
+
+    home: Path
+    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+
+    def append(self, entry: Entry, seen: int | None = None) -> int:
+        """Add one line; its number.
+
+        Parameters
+        ----------
+        entry : Entry
+            What was done.
+        seen : int, optional
+            Number of the last line about this alert that its writer knew, 0 for none; None writes in any case.
+
+        Raises
+        ------
+        ConflictError
+            There is a later line about the alert.
+        """
+        name = entry.alert["alert_id"]
+        with self._writing() as con:
+            last = con.execute(
+                "select line, person, kind, at from cases where alert_id = ? order by line desc limit 1", (name,)
+            ).fetchone()
+            if seen is not None and last is not None and last[0] > seen:
+                raise ConflictError(
+                    f"{last[1]} changed this case in the meantime ({last[2]}, {last[3][:16]}); look again"
+                )
+            number = 1 + int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
+            at = datetime.now(UTC).isoformat(timespec="microseconds")
+            own = (entry.alert[c] for c in _OWN[2:8])
+            body = json.dumps(dict(entry.body), ensure_ascii=False, sort_keys=True, default=str)
+            con.execute(_ADD, (number, at, *own, entry.kind, entry.person, body))
+        return number
+
+    def entries(self) -> pl.DataFrame:
+        """All lines as rows of `raw_cases`, in order."""
+        told = [dict(zip(_OWN, row, strict=False)) | json.loads(row[-1]) for row in self._lines()]
+        schema = TABLES["raw_cases"].schema
+        if not told:
+            return schema.create_empty()
+        frame = pl.DataFrame(told, infer_schema_length=None)
+        times = [c for c in ("at", "until", "done_at") if c in frame.columns]
+        days = [c for c in ("done_on",) if c in frame.columns]
+        return schema.conform(
+            frame.with_columns(
+                pl.col(times).cast(pl.String).str.to_datetime("%+", time_unit="us", time_zone="UTC"),
+                pl.col(days).cast(pl.String).str.to_date(),
+            )
+        )
+
+    def fault(self) -> str | None:
+        """What is wrong with the file; None where it is whole, or where there is none. A server looks after its own."""
+        path = self.home / FILE
+        if self.url or not path.exists():
+            return None
+        said = sqlite_reader.says(path, "pragma integrity_check(1)")
+        return None if said == "ok" else f"is damaged ({said})"
+
+    def mend(self, stored: pl.DataFrame) -> str | None:
+        """Put lines back that the nights have stored, where the log is gone or damaged; what was wrong, in words."""
+        fault, path = self.fault(), self.home / FILE
+        if fault:
+            path.rename(path.with_name(f"{FILE}.damaged"))
+        if stored.is_empty() or self._lines():
+            return f"the log of cases {fault}; it begins anew, the old one is {FILE}.damaged" if fault else None
+        with self._writing() as con:
+            for row in stored.sort("line").iter_rows(named=True):
+                body = {k: v for k, v in row.items() if k not in _OWN and v is not None}
+                own = [row["at"].isoformat(timespec="microseconds") if c == "at" else row[c] for c in _OWN]
+                con.execute(_ADD, (*own, json.dumps(body, ensure_ascii=False, sort_keys=True, default=str)))
+        what = f"{fault} ({FILE}.damaged)" if fault else "was gone"
+        return f"the log of cases {what}; {stored.height} lines are put back, those since the last night are lost"
+
+    def _lines(self) -> list[tuple[Any, ...]]:
+        ask = f"select {', '.join(_OWN)}, body from cases order by line"
+        if self.url:
+            with postgres.session(self.url, _SCHEMA) as con:
+                return list(con.execute(ask).fetchall())
+        path = self.home / FILE
+        return sqlite_reader.read(path, lambda con: con.execute(ask).fetchall()) if path.exists() else []
+
+    @contextmanager
+    def _writing(self) -> Iterator[Any]:
+        """A transaction that no other writer's overlaps."""
+        if self.url:
+            with postgres.session(self.url, _SCHEMA) as session:
+                session.execute("lock table cases in share row exclusive mode")
+                yield session
+            return
+        with closing(sqlite3.connect(self.home / FILE, timeout=60, isolation_level=None)) as con:
+            con.execute("pragma synchronous=full")
+            con.execute("begin immediate")
+            for statement in (_SCHEMA, *(f"{s} end;" for s in _NEVER.split(" end;")[:-1])):
+                con.execute(statement)
+            try:
+                yield con
+            except BaseException:
+                con.execute("rollback")
+                raise
+            con.execute("commit")

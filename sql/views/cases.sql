@@ -1,0 +1,116 @@
+-- How does each alert's case stand: who has it in hand, until when is it muted, what was found?
+-- As of the last night; `hdt case list` and `hdt serve` ask the same of all that was said since.
+-- state: closed (the alert is); answered (an engineer found it clean or had the part changed: the next night closes
+-- it); confirmed (found, but not mended yet); muted; worsened (was muted, and is worse by a class of severity, by 0.05
+-- of loss or by 0.2 of the chance of an event within 50 flights); acknowledged (someone has said that it is seen, or
+-- has it in hand); new
+-- owner: to whom it was assigned last
+-- acknowledged_by: who acknowledged it first
+-- muted_until: until when it is muted, where it was not taken back
+-- muted_by: who muted it
+-- mute_note: why
+-- watched_by: who watches it
+-- finding: what the engineer who closed it found
+-- found_by: who that was
+-- found_on: day of the work
+-- work: what was done: REPLACED, CLEANED, INSPECTED or ADJUSTED
+-- last_line: number of the last line of the log about it, 0 for none
+-- last_at: when that was
+-- last_by: who wrote it
+-- last_kind: what it said
+-- last_note: why
+-- Grain: alert. Reads: alert_states, tables.raw_cases.
+create or replace view cases as
+with told as (
+    select
+        *,
+        max(line) filter (where kind = 'reopen') over (partition by alert_id) as reopened
+    from tables.raw_cases
+),
+
+watched as (
+    select
+        alert_id,
+        person,
+        arg_max(kind, line) as kind
+    from told
+    where kind in ('watch', 'unwatch')
+    group by alert_id, person
+),
+
+watchers as (
+    select
+        alert_id,
+        string_agg(person, ', ' order by person) as watched_by
+    from watched
+    where kind = 'watch'
+    group by alert_id
+),
+
+folded as (
+    select
+        alert_id,
+        arg_max(assignee, line) filter (where kind = 'assign') as owner,
+        arg_min(person, line) filter (where kind = 'acknowledge') as acknowledged_by,
+        max(line) filter (where kind = 'mute' and line > coalesce(reopened, 0)) as muted,
+        max(line) filter (where kind = 'close' and line > coalesce(reopened, 0)) as found,
+        max(line) as last_line
+    from told
+    group by alert_id
+),
+
+stood as (
+    select
+        a.alert_id,
+        a.operator,
+        a.tail,
+        a.pack,
+        a.component,
+        a.diagnosis,
+        a.severity,
+        a.urgency,
+        a.raised_at,
+        a.closed_at,
+        a.closed_reason,
+        f.owner,
+        f.acknowledged_by,
+        m.until as muted_until,
+        m.person as muted_by,
+        m.note as mute_note,
+        w.watched_by,
+        c.finding,
+        c.person as found_by,
+        c.done_on as found_on,
+        c.action as work,
+        coalesce(f.last_line, 0) as last_line,
+        l.at as last_at,
+        l.person as last_by,
+        l.kind as last_kind,
+        l.note as last_note,
+        coalesce(
+            list_position(['low', 'medium', 'high'], a.severity)
+            > list_position(['low', 'medium', 'high'], m.severity_then)
+            or a.now_loss >= m.loss_then + 0.05
+            or a.now_p_event_50 >= m.p_event_50_then + 0.2,
+            false
+        ) as worse
+    from alert_states as a
+    left join folded as f on a.alert_id = f.alert_id
+    left join watchers as w on a.alert_id = w.alert_id
+    left join told as m on f.muted = m.line and f.alert_id = m.alert_id
+    left join told as c on f.found = c.line and f.alert_id = c.alert_id
+    left join told as l on f.last_line = l.line and f.alert_id = l.alert_id
+)
+
+select
+    * exclude (worse),
+    case
+        when closed_at is not null then 'closed'
+        when work in ('REPLACED', 'CLEANED', 'ADJUSTED') or finding = 'NO_FAULT_FOUND' then 'answered'
+        when finding is not null then 'confirmed'
+        when muted_until > now() and worse then 'worsened'
+        when muted_until > now() then 'muted'
+        when acknowledged_by is not null or owner is not null then 'acknowledged'
+        else 'new'
+    end as state
+from stood;

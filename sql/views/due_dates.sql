@@ -1,0 +1,68 @@
+-- On what day is each pack's failure message to be expected, at the rate at which its aircraft flies?
+-- Flights left of the last prognosis over flights a day; days count from the aircraft's last flight.
+-- days_left: 50 % point [days]
+-- days_left_low: 5 % point [days]
+-- days_left_high: 95 % point; NULL where that lies beyond the prognosis's horizon of 300 flights [days]
+-- due_on: day of days_left
+-- due_low_on: day of days_left_low
+-- due_high_on: day of days_left_high
+-- flights_per_day: as in flight_rates
+-- n_weeks: weeks that rate rests on
+-- status: ok; contradicted (the part was found clean since); beyond_horizon (more flights are left than the prognosis
+-- looks ahead: days_left is the least it can be); no_rate (how often it flies is not known); not_known (no prognosis)
+-- Grain: operator, tail, pack, component. Reads: prognoses, flight_rates.
+create or replace view due_dates as
+with latest as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        max(departed_at) as said_at,
+        arg_max(rul_flights, departed_at) as rul_flights,
+        arg_max(rul_low, departed_at) as rul_low,
+        arg_max(rul_high, departed_at) as rul_high,
+        arg_max(coalesce(beyond_horizon, false), departed_at) as beyond_horizon,
+        arg_max(status, departed_at) as said_status
+    from prognoses
+    where rul_flights is not null
+    group by operator, tail, pack, component
+),
+
+dated as (
+    select
+        l.*,
+        r.last_departed_at,
+        r.flights_per_day,
+        r.n_weeks,
+        l.rul_flights / r.flights_per_day as days_left,
+        l.rul_low / r.flights_per_day as days_left_low,
+        if(l.rul_high < 300, l.rul_high / r.flights_per_day, null) as days_left_high
+    from latest as l
+    left join flight_rates as r on l.operator = r.operator and l.tail = r.tail
+)
+
+select
+    operator,
+    tail,
+    pack,
+    component,
+    rul_flights,
+    rul_low,
+    rul_high,
+    days_left,
+    days_left_low,
+    days_left_high,
+    (last_departed_at at time zone 'UTC')::date + round(days_left)::integer as due_on,
+    (last_departed_at at time zone 'UTC')::date + round(days_left_low)::integer as due_low_on,
+    (last_departed_at at time zone 'UTC')::date + round(days_left_high)::integer as due_high_on,
+    flights_per_day,
+    n_weeks,
+    last_departed_at,
+    case
+        when flights_per_day is null then 'no_rate'
+        when said_status != 'ok' then said_status
+        when beyond_horizon then 'beyond_horizon'
+        else 'ok'
+    end as status
+from dated;

@@ -1,0 +1,55 @@
+-- What do loss and margin do on each route, and in which air?
+-- Routes are those of operators that give origin and destination; of the others the air alone is told. Compare bins of
+-- one route, or routes within one bin: hot air takes margin from a sound exchanger, too.
+-- ambient_k: lower end of a bin of 10 K of the total air temperature in cruise; NULL where that is not known [K]
+-- n_packs: packs that flew it
+-- n_flights: flights of packs, each pack counted
+-- hx_fouling: median loss after the flight [-]
+-- gained_per_100_flights: mean gain of loss over the same exchanger's flight before, times a hundred [1/100 flights]
+-- margin_k: median margin [K]
+-- margin_worst_tenth_k: margin that a tenth of the flights stay below [K]
+-- margin_ambient_k: median of what the air outside adds to the margin [K]
+-- door_median: median ram door position in cruise [-]
+-- Grain: operator, origin, destination, ambient_k. Reads: features, flights.
+create or replace view routes as
+with followed as (
+    select
+        *,
+        lag(hx_fouling) over own as last_fouling,
+        lag(flights_seen_of_unit) over own as last_seen
+    from features
+    window own as (partition by operator, tail, pack order by departed_at asc, flight_id asc)
+),
+
+flown as (
+    select
+        f.operator,
+        f.tail,
+        f.pack,
+        k.origin,
+        k.destination,
+        10 * floor(f.tat_cruise_k / 10) as ambient_k,
+        f.hx_fouling,
+        case when f.flights_seen_of_unit > f.last_seen then f.hx_fouling - f.last_fouling end as gained,
+        f.hx_margin_k,
+        f.hx_margin_ambient_k,
+        f.door_median
+    from followed as f
+    inner join flights as k on f.operator = k.operator and f.tail = k.tail and f.flight_id = k.flight_id
+)
+
+select
+    operator,
+    origin,
+    destination,
+    ambient_k,
+    count(distinct tail || '/' || pack) as n_packs,
+    count(*) as n_flights,
+    median(hx_fouling) as hx_fouling,
+    100 * avg(gained) as gained_per_100_flights,
+    median(hx_margin_k) as margin_k,
+    quantile_cont(hx_margin_k, 0.1) as margin_worst_tenth_k,
+    median(hx_margin_ambient_k) as margin_ambient_k,
+    median(door_median) as door_median
+from flown
+group by operator, origin, destination, ambient_k;

@@ -1,0 +1,60 @@
+"""Legs whose printed reports tell of odd bleed are turned away, and no others."""
+
+from datetime import UTC, datetime, timedelta
+
+import polars as pl
+import pytest
+
+from hdt_core.flight.bleed import BLEED, turn_away_odd_bleed
+from hdt_core.tables.raw import RawReports
+
+DAY = datetime(2026, 3, 5, 6, tzinfo=UTC)
+SOUND = {"pack_1_flow_kg_s": 1.2, "pack_2_flow_kg_s": 1.2, "bleed_1_open": True, "bleed_2_open": True,
+         "crossfeed_open": False, "altitude_m": 10_000.0, "report": "08", "file": "f", "file_version": "v",
+         "operator": "AAA", "tail": "X-1"}  # fmt: skip
+
+
+def reports(hours: float, **said: object) -> pl.DataFrame:
+    """One report, so many hours after the first departure."""
+    row = SOUND | {"reported_at": DAY + timedelta(hours=hours), "mach": 0.8} | said
+    return pl.DataFrame([row], schema=dict(RawReports.create_empty().schema))
+
+
+@pytest.fixture
+def legs() -> pl.DataFrame:
+    """Two flights of an aircraft and one of another, two packs each; one leg was turned away already."""
+    flights = [("X-1", "a", 0), ("X-1", "b", 5), ("X-2", "c", 0)]
+    rows = [("AAA", t, f, p, DAY + timedelta(hours=h)) for t, f, h in flights for p in (1, 2)]
+    frame = pl.DataFrame(rows, schema=["operator", "tail", "flight_id", "pack", "departed_at"], orient="row")
+    sick = (pl.col("flight_id") == "a") & (pl.col("pack") == 2)
+    return frame.with_columns(reason=pl.when(sick).then(pl.lit("ICING")).otherwise(pl.lit(""))).with_columns(
+        admitted=pl.col("reason") == "", n_nominal=pl.lit(7, pl.Int64)
+    )
+
+
+ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0.02}]
+
+
+@pytest.mark.parametrize("said", ODD)
+def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(legs, said):
+    told = turn_away_odd_bleed(legs, reports(1.5, **said))
+    assert told["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
+    assert told["admitted"].to_list() == [False, False, True, True, True, True]
+    assert told["n_nominal"].to_list() == [0, 7, 7, 7, 7, 7]
+    assert told.columns == legs.columns
+
+
+@pytest.mark.parametrize(
+    "said",
+    [{}, {"crossfeed_open": True, "altitude_m": 3_000.0}, {"crossfeed_open": True, "altitude_m": None},
+     {"crossfeed_open": True, "tail": "X-9"}, dict.fromkeys(("bleed_1_open", "crossfeed_open", "pack_2_flow_kg_s"))],
+)  # fmt: skip
+def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(legs, said):
+    assert turn_away_odd_bleed(legs, reports(1.5, **said)).equals(legs)
+
+
+def test_a_report_belongs_to_the_last_departure_before_it(legs):
+    told = turn_away_odd_bleed(legs, reports(6.0, crossfeed_open=True))
+    assert told.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
+    assert turn_away_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)
+    assert turn_away_odd_bleed(legs, reports(-1.0, crossfeed_open=True)).equals(legs)

@@ -1,0 +1,100 @@
+"""What an inspection finds answers an alert; a position that wears unit after unit is asked another question."""
+
+from datetime import timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+from one_pack import FLIGHTS, alerts, departure, features, work
+
+LOOKED_AFTER = 60
+
+
+def looked(at: int = LOOKED_AFTER, finding: str | None = "NO_FAULT_FOUND", **more: object) -> pl.DataFrame:
+    """An inspection of the exchanger just before a flight."""
+    entry = work(departure(at) - timedelta(minutes=5), action="INSPECTED", timed=True)
+    return entry.with_columns(pl.lit(finding).alias("finding"), *(pl.lit(v).alias(k) for k, v in more.items()))
+
+
+def worn(after: float) -> np.ndarray:
+    """A loss that rises to 0.2 until the inspection, and by `after` in the flights that follow."""
+    flight = np.arange(FLIGHTS)
+    return np.where(
+        flight < LOOKED_AFTER, 0.2 * flight / LOOKED_AFTER, 0.2 + after * (flight - LOOKED_AFTER) / (FLIGHTS - 60)
+    )
+
+
+def test_found_clean_it_closes_and_stays_closed_while_the_loss_stays() -> None:
+    (alert,) = alerts(features(worn(0.0)), looked()).to_dicts()
+    assert (alert["closed_at"], alert["closed_reason"]) == (departure(LOOKED_AFTER), "found_clean")
+
+
+def test_a_loss_that_grows_on_comes_back_as_the_sensors() -> None:
+    first, second = alerts(features(worn(0.1)), looked()).to_dicts()
+    assert (first["diagnosis"], first["closed_reason"]) == ("HX_FOULING", "found_clean")
+    assert (second["diagnosis"], second["component"], second["follows"]) == (
+        "SENSOR_FAULT",
+        "SENSOR",
+        first["alert_id"],
+    )
+    assert second["closed_at"] is None
+    assert second["severity"] == "medium"
+    assert f"found clean on {departure(LOOKED_AFTER).date()}" in second["evidence"]
+    assert "check the sensors" in second["evidence"]
+    assert "neither wash nor new part yet" in second["recommended_action"]
+
+
+def test_a_loss_that_grows_by_a_whole_limit_is_wear_again() -> None:
+    found = alerts(features(worn(0.25)), looked())
+    assert found["diagnosis"].to_list() == ["HX_FOULING", "SENSOR_FAULT"], "one spell is told once"
+    gap = worn(0.25)
+    gap[LOOKED_AFTER + 1 : LOOKED_AFTER + 20] = 0.0  # the belief ends, and comes back higher
+    found = alerts(features(gap), looked())
+    assert found["diagnosis"].to_list()[0] == "HX_FOULING"
+
+
+@pytest.mark.parametrize("finding", [None, "FOULED"])
+def test_an_inspection_that_found_something_or_says_nothing_ends_nothing(finding: str | None) -> None:
+    (alert,) = alerts(features(worn(0.1)), looked(finding=finding)).to_dicts()
+    assert (alert["closed_at"], alert["closed_reason"]) == (None, None)
+
+
+def test_the_sensors_case_ends_with_the_next_unit_and_with_a_new_sensor() -> None:
+    for component in ("HX", "SENSOR"):
+        new = work(departure(90) - timedelta(minutes=5), component, timed=True)
+        loss = np.where((component == "HX") & (np.arange(FLIGHTS) >= 90), 0.0, worn(0.1))
+        found = alerts(features(loss), pl.concat([looked(), new], how="diagonal"))
+        assert found["closed_at"].to_list() == [departure(LOOKED_AFTER), departure(90)]
+        assert found["closed_reason"].to_list() == ["found_clean", "renewed"]
+
+
+def test_an_inspection_since_the_last_flight_closes_it_at_once() -> None:
+    (alert,) = alerts(features(worn(0.0)), looked(FLIGHTS)).to_dicts()
+    assert (alert["closed_at"], alert["closed_reason"]) == (departure(FLIGHTS) - timedelta(minutes=5), "found_clean")
+
+
+def test_what_an_inspection_says_changes_nothing_before_it() -> None:
+    seen = features(worn(0.1))
+    with_it, without = (alerts(seen.head(LOOKED_AFTER), m) for m in (looked(), looked().clear()))
+    assert with_it.drop("closed_at", "closed_reason").equals(without.drop("closed_at", "closed_reason"))
+
+
+def test_an_alert_that_only_its_name_ends() -> None:
+    """Little margin is not what an exchanger's inspection is about, unless an engineer says so of that very alert."""
+    seen = features(np.full(FLIGHTS, 0.05), hx_passage_300=np.full(FLIGHTS, 0.99), hx_margin_k=np.full(FLIGHTS, 1.0))
+    (alert,) = alerts(seen, looked()).to_dicts()
+    assert (alert["diagnosis"], alert["closed_at"]) == ("HX_LOW_MARGIN", None)
+    (alert,) = alerts(seen, looked(closes_alert_id=alert["alert_id"])).to_dicts()
+    assert alert["closed_reason"] == "found_clean"
+
+
+@pytest.mark.parametrize(("days", "units"), [((30, 60), 3), ((1, 60), 2), ((60,), 2), ((), 1)])
+def test_the_third_unit_in_ninety_days_asks_for_the_cause_upstream(days: tuple[int, ...], units: int) -> None:
+    """Flights begin on day 0, the alert is raised on day 100 or so."""
+    flight = np.arange(4 * 110)
+    loss = np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98))
+    work_done = [work(departure(4 * d), timed=True) for d in days]
+    log = pl.concat(work_done) if days else work(departure(0)).clear()
+    (alert,) = alerts(features(loss), log).to_dicts()
+    assert alert["units_in_90_days"] == units
+    assert alert["recommended_action"].startswith("Find the cause upstream") == (units >= 3)

@@ -1,0 +1,110 @@
+"""What people do about alerts, seen at once, over a catalog made by hand."""
+
+import datetime as dt
+import shutil
+from pathlib import Path
+
+import pytest
+from case_homes import case_home
+from made_catalog import START
+
+from pipelines.casework.changes import RefusedError, change_case
+from pipelines.casework.listing import find_case, history_of, list_cases
+from pipelines.storage.cases import ConflictError
+
+SOON = (dt.datetime.now(dt.UTC) + dt.timedelta(days=5)).date().isoformat()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    return case_home(tmp_path_factory.mktemp("cases") / "home")
+
+
+@pytest.fixture
+def home(made: Path, tmp_path: Path) -> Path:
+    """Two open alerts of one pack and a closed one."""
+    return Path(shutil.copytree(made, tmp_path / "home"))
+
+
+def state(home: Path, alert_id: str = "wear") -> str:
+    return str(find_case(home, alert_id)["state"])
+
+
+def test_a_change_is_seen_at_once(home):
+    assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
+        "wear": "new", "clog": "new", "gone": "closed", "other": "new",
+    }  # fmt: skip
+    change_case(home, "wear", "acknowledge", "Ada")
+    assert state(home) == "acknowledged"
+    change_case(home, "wear", "assign", "Ada", assignee="Bo")
+    change_case(home, "wear", "watch", "Cy")
+    change_case(home, "wear", "watch", "Di")
+    change_case(home, "wear", "unwatch", "Di")
+    found = find_case(home, "wear")
+    assert [found[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
+    assert [h["kind"] for h in history_of(home, "wear")] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
+
+
+def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
+    change_case(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
+    assert state(home) == "muted"
+    for more, now in ((0.06, "worsened"), (0.04, "muted")):
+        assert state(case_home(home, loss=0.2 + more)) == now
+    change_case(home, "wear", "reopen", "Ada", note="parts came")
+    assert state(home) == "new"
+
+
+@pytest.mark.parametrize(
+    ("finding", "action", "state_is", "says"),
+    [
+        ("clean", None, "answered", "comes back as a case of the sensors"),
+        ("fouled", "inspected", "confirmed", "stays open"),
+        ("fouled", "cleaned", "answered", "renewed part"),
+    ],
+)
+def test_a_finding_answers_the_case(home, finding, action, state_is, says):
+    day = START.date() + dt.timedelta(days=40)
+    said = change_case(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
+    assert says in said
+    found = find_case(home, "wear")
+    assert (found["state"], found["found_by"], found["found_on"]) == (state_is, "Ada", day)
+    change_case(home, "wear", "reopen", "Bo", note="wrong pack")
+    assert state(home) == "new"
+
+
+@pytest.mark.parametrize(
+    ("kind", "asked", "says"),
+    [
+        ("close", {"finding": "rusty"}, "finding is clean, fouled"),
+        ("close", {"finding": "clean", "action": "polished"}, "action is inspected"),
+        ("close", {"finding": "clean", "on": "2020-01-01"}, "when it was raised"),
+        ("close", {"finding": "clean", "on": "2199-01-01"}, "to today"),
+        ("close", {"finding": "clean", "on": "soon"}, "on is a day"),
+        ("mute", {"until": SOON}, "say why"),
+        ("mute", {"until": "2020-01-01", "note": "x"}, "until is a day within"),
+        ("assign", {"assignee": " "}, "to is a person's name"),
+        ("assign", {"assignee": "x" * 81}, "to is a person's name"),
+        ("acknowledge", {"note": "x" * 1001}, "1000 are kept"),
+        ("reopen", {"note": "x"}, "nothing to take back"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, asked, says):
+    with pytest.raises(RefusedError, match=says):
+        change_case(home, "wear", kind, "Ada", **asked)
+    assert history_of(home, "wear") == []
+
+
+def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(home):
+    with pytest.raises(RefusedError, match="closed on"):
+        change_case(home, "gone", "acknowledge", "Ada")
+    for name in ("", "x", "%", "_"):
+        with pytest.raises(LookupError):
+            find_case(home, name)
+
+
+def test_two_people_change_one_case(home):
+    seen = find_case(home, "wear")["last_line"]
+    change_case(home, "wear", "assign", "Ada", seen, assignee="Ada")
+    with pytest.raises(ConflictError, match="Ada changed this case"):
+        change_case(home, "wear", "assign", "Bo", seen, assignee="Bo")
+    assert find_case(home, "wear")["owner"] == "Ada"

@@ -1,0 +1,58 @@
+"""Nothing that is written by others gets out of its place."""
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from markupsafe import Markup
+
+from pipelines.report.templating import anchor, policy, render, shown, told
+from pipelines.report.units import estimate, in_words, quantity
+
+OTHERS = st.text(alphabet=st.characters(min_codepoint=32, exclude_categories=("Cs", "Cf", "Cc", "Cn")))
+
+
+def document(*parts) -> str:
+    page = render("document.html", title="T", parts=parts, policy=policy())
+    return page.partition("<body>")[2]
+
+
+def test_text_and_attributes_are_escaped(read, hostile):
+    cells = {"kind": "table", "columns": [hostile], "rows": [[hostile]]}
+    page = read(document(hostile, cells, {"kind": "verbatim", "text": hostile}))
+    assert set(page.tags) == {"h1", "p", "table", "thead", "tbody", "tr", "th", "td", "pre"}
+    assert page.attributes == []
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(words=OTHERS)
+def test_a_reader_sees_what_was_written(read, words):
+    told = document({"kind": "verbatim", "text": words}, {"kind": "bullets", "items": [words]})
+    for name in ("pre", "li"):
+        within = read(told.partition(f"<{name}>")[2].partition(f"</{name}>")[0])
+        assert within.text() == words.replace("\N{NO-BREAK SPACE}", " ")
+        assert within.tags == []
+
+
+def test_hidden_characters_show():
+    assert "\u202e" not in shown("A\u202eB")
+    assert "\x00" not in told("{a}", a="A\x00B")
+
+
+def test_markup_is_not_escaped_twice():
+    assert told("a & {b}", b=Markup("<b>")) == "a &amp; <b>"
+    assert told("a & {b}", b="<b>") == "a &amp; &lt;b&gt;"
+    assert in_words("<b> 5 K") == Markup('&lt;b&gt; <span class="si">5 K</span><span class="us">9 °F</span>')
+
+
+def test_a_quantity_is_said_in_both_systems_and_never_in_a_mixture():
+    assert quantity(100.0, "°C") == Markup('<span class="si">100 °C</span><span class="us">212 °F</span>')
+    flow = estimate(0.5, 0.1, "kg/s")
+    assert "0.5000 kg/s (0.3355 to 0.6645)" in flow
+    assert "66.14 lb/min (44.38 to 87.90)" in flow
+    at = estimate(100.0, None, "W/K at 0.5 kg/s hot")
+    assert "W/K" not in at.partition('class="us">')[2].partition("</span>")[0]
+    assert '<span class="us">66.1 lb/min</span> hot' in at
+
+
+def test_anchor_is_fit_for_an_address():
+    assert anchor("pack", "AQX", "LX-AAC", 2) == "pack-AQX-LX-AAC-2"
+    assert anchor('"><b>', 1) == "b-1"

@@ -1,0 +1,124 @@
+"""Every word in every language: none is missing, each keeps its values; evidence is known again phrase by phrase."""
+
+import re
+import string
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from babel.messages.mofile import write_mo
+from babel.messages.pofile import read_po
+
+from hdt_core.health.diagnosis import CHANNELS
+from hdt_core.health.phrases import CHECKS, PHRASES, SIGNALS
+from hdt_core.tables.raw import Signals
+from pipelines import translations, words
+from pipelines.report.explain import explain
+from pipelines.storage.catalog import connect
+from pipelines.words import languages, speaking
+from pipelines.words.evidence import pattern_of, retold
+
+OTHERS = [language for language in languages() if language != "en"]
+FOLDER = Path(words.__file__).parent
+SAMPLE = {"sensor": "Pack flow (pack_flow_kg_s)", "check": "pack flow between the packs (pack_flow_between_packs_ln)",
+          "loss": "34 % (32 to 36)", "since": "LX-AAA_20240301_01", "odds": "above 0.99", "moved": "+1.21 K",
+          "margin": "3 K below", "hot_day": "2 K above", "parts": "target +3 K, flow -2 K", "day": "2024-06-01",
+          "lost": "Efficiency lost", "name": "ng_loss"}  # fmt: skip
+
+
+def fields(text: str) -> list[str]:
+    return sorted(name for _, name, _, _ in string.Formatter().parse(text) if name)
+
+
+def forms(text) -> tuple[str, ...]:
+    return (text,) if isinstance(text, str) else tuple(text)
+
+
+def catalog(language: str):
+    with (FOLDER / f"{language}.po").open("rb") as file:
+        return read_po(file, locale=language)
+
+
+def test_there_is_a_language_beside_english():
+    assert "de" in OTHERS
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_no_message_is_missing_and_none_is_left_over(language):
+    """`python -m pipelines.translations` finds them anew."""
+    said, kept = ({m.id for m in c if m.id} for c in (translations.found(), catalog(language)))
+    assert kept == said
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_every_message_is_translated_with_all_its_values(language):
+    for message in catalog(language):
+        if message.id:
+            assert not message.fuzzy
+            assert all(forms(message.string)), message.id
+            for one, told in zip(forms(message.id), forms(message.string), strict=True):
+                assert fields(told) == fields(one), message.id
+                assert told.count("%") == one.count("%"), message.id
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_what_is_read_at_run_time_is_what_was_translated(language):
+    compiled = BytesIO()
+    write_mo(compiled, catalog(language))
+    assert compiled.getvalue() == (FOLDER / f"{language}.mo").read_bytes()
+
+
+def filled(phrase: str) -> str:
+    return phrase.format(**{name: SAMPLE.get(name, "7") for name in fields(phrase)})
+
+
+@pytest.mark.parametrize("name", PHRASES)
+def test_a_phrase_is_known_again_with_its_values(name):
+    phrase = PHRASES[name]
+    found = pattern_of(phrase).fullmatch(filled(phrase))
+    assert found is not None
+    assert {k: v for k, v in found.groupdict().items() if k != "small"} == {
+        k: SAMPLE.get(k, "7") for k in fields(phrase)
+    }
+
+
+@pytest.mark.parametrize("name", PHRASES)
+def test_a_phrase_is_retold_as_it_was_translated(name):
+    with speaking("de"):
+        told = retold(filled(PHRASES[name]))
+    to = next(m.string for m in catalog("de") if m.id == PHRASES[name])
+    assert re.fullmatch(
+        "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), told
+    )
+
+
+def test_every_signal_and_check_has_a_plain_name():
+    assert set(SIGNALS) == set(Signals.columns())
+    assert set(CHECKS) == {c.name for c in CHANNELS}
+
+
+ENGLISH_WORDS = re.compile(r"\b(the|is|of|with|since|than|and|lost|flights|exchanger|probability|check|which)\b")
+
+
+def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
+    with connect(sample_home) as con:
+        rows = con.execute("select evidence, evidence_now, recommended_action from alerts").fetchall()
+        tails = [t for (t,) in con.execute("select distinct tail from alerts").fetchall()]
+    assert rows
+    with speaking("de"):
+        for sentence in {s for row in rows for s in row}:
+            assert not ENGLISH_WORDS.search(retold(sentence)), retold(sentence)
+        for tail in tails:
+            assert not ENGLISH_WORDS.search(str(explain(sample_home, tail)))
+
+
+def test_numbers_are_written_as_the_language_writes_them():
+    with speaking("de"):
+        assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
+        assert words.several("{n} pack", "{n} packs", 1) == "1 Pack"
+    assert words.several("{n} pack", "{n} packs", 1200) == "1,200 packs"
+
+
+def test_a_language_that_is_not_there_ends_in_one_line():
+    with pytest.raises(ValueError, match="no language xx; there are en, de"), speaking("xx"):
+        pass

@@ -1,0 +1,51 @@
+"""What BI tools ask of a database when it is connected, asked as they ask it."""
+
+import subprocess
+import sys
+
+import duckdb
+import pytest
+
+from pipelines.storage.catalog import CATALOG, views
+
+OTHER = """
+import sys, duckdb
+with duckdb.connect(sys.argv[1], read_only=True) as con:
+    print(con.sql("select count(*) from flights").fetchall()[0][0])
+"""
+
+
+@pytest.fixture
+def opened(sample_home):
+    with duckdb.connect(str(sample_home / CATALOG), config={"access_mode": "read_only"}) as con:
+        yield con
+
+
+def test_the_list_of_tables_is_the_views_and_the_other_schema_stands_apart(opened):
+    assert {name for (name,) in opened.sql("show tables").fetchall()} == set(views())
+    listed = opened.sql("select table_schema, table_name from information_schema.tables").fetchall()
+    assert {schema for schema, _ in listed} == {"main", "tables"}
+    assert {name for schema, name in listed if schema == "main"} == set(views())
+
+
+def test_columns_come_with_type_and_meaning(opened):
+    asked = "select data_type, comment from duckdb_columns() where schema_name = 'main' and not internal"
+    found = opened.sql(asked).fetchall()
+    assert len(found) > 300
+    assert all(kind and said for kind, said in found)
+
+
+def test_every_view_is_read_while_another_process_reads(opened, sample_home):
+    (flights,) = opened.sql("select count(*) from flights").fetchall()[0]
+    run = [sys.executable, "-c", OTHER, str(sample_home / CATALOG)]
+    beside = subprocess.run(run, capture_output=True, text=True, check=True)
+    assert int(beside.stdout) == flights
+    for name in views():
+        opened.sql(f'select * from "main"."{name}" limit 1').fetchall()
+
+
+def test_attached_elsewhere_it_is_told_where_the_tables_are(sample_home, tmp_path):
+    with duckdb.connect(str(tmp_path / "own.duckdb")) as con:
+        con.execute(f"set variable tables_folder = '{sample_home}/tables/'")
+        con.execute(f"attach '{sample_home / CATALOG}' as hdt (read_only)")
+        assert con.sql("select count(*) from hdt.main.flights").fetchall()[0][0] > 0

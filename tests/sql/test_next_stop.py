@@ -1,0 +1,124 @@
+"""Dates and choices, over fleets made by hand."""
+
+import datetime as dt
+import math
+
+import pytest
+from answers import rows
+from made_catalog import OWN, START, catalog, flight, fouling, replaced
+
+POINTS = {25: 0.1, 50: 0.2, 100: 0.4, 200: 0.7, 300: 0.9}
+COSTS = {"wash": 100.0, "replace": 1000.0, "at_check": 50.0, "message": 2000.0}
+
+
+def flown(per_day: int, days: int, skip: range = range(0)) -> list[dict]:
+    """Flights of one tail, so many a day, but for some days."""
+    return [
+        flight(d) | {"flight_id": f"T-1_2024{d:04d}_{k:02d}", "departed_at": START + dt.timedelta(days=d, hours=2 * k)}
+        for d in range(days)
+        for k in range(per_day)
+        if d not in skip
+    ]
+
+
+def said(n: int, points: dict[int, float] | None = None, **more: object) -> dict:
+    chances = {f"p_event_{k}": p for k, p in (points or POINTS).items()}
+    return flight(n) | {"pack": 1, "component": "HX"} | chances | {"rul_flights": 120.0, "rul_low": 24.0} | more
+
+
+def stop(check: int | None = None, costs: dict | None = None, work: tuple[dict, ...] = (), **said_now: object):
+    days = 60
+    own = {k: OWN[k] for k in ("operator", "tail")}
+    con = catalog(
+        raw_flights=flown(3, days),
+        twin_health=[fouling(n, 0.2) for n in range(days)],
+        prognoses=[*(said(n) for n in range(days - 1)), said(days - 1, **said_now)],
+        raw_maintenance=list(work),
+        raw_checks=[
+            own | {"planned_on": (START + dt.timedelta(days=days - 1 + n)).date(), "name": f"A{n}"}
+            for n in (() if check is None else (-5, check, 999))
+        ],
+        raw_costs=[
+            {"component": "HX", "item": k, "cost": v, "currency": "EUR", "horizon_days": 10}
+            for k, v in (COSTS if costs is None else costs).items()
+        ],
+    )  # fmt: skip
+    columns = "choice, check_name, flights, chance, expected_cost, place, status"
+    return {r[0]: r[1:] for r in rows(con, f"select {columns} from next_stop")}
+
+
+@pytest.mark.parametrize("skip", [range(0), range(30, 37), range(10, 14)])
+def test_a_week_without_flights_hardly_moves_the_rate(skip):
+    con = catalog(raw_flights=flown(3, 60, skip))
+    ((rate, weeks),) = rows(con, "select flights_per_day, n_weeks from flight_rates")
+    assert rate == pytest.approx(3.0, abs=0.2)
+    assert weeks == 6
+
+
+@pytest.mark.parametrize(("days", "weeks", "rate"), [(5, 0, None), (8, 1, 3.0), (22, 3, 3.0)])
+def test_a_short_record_gives_what_it_has(days, weeks, rate):
+    con = catalog(raw_flights=flown(3, days))
+    assert rows(con, "select n_weeks, flights_per_day from flight_rates") == [(weeks, rate)]
+
+
+def test_flights_left_become_days():
+    con = catalog(raw_flights=flown(3, 60), prognoses=[said(59, rul_high=300.0)])
+    found = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
+    assert found == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
+    con = catalog(raw_flights=flown(3, 60), prognoses=[said(59, rul_flights=300.0, beyond_horizon=True)])
+    assert rows(con, "select status from due_dates") == [("beyond_horizon",)]
+
+
+@pytest.mark.parametrize(("days", "between"), [(10, (25, 50)), (30, (50, 100)), (50, (100, 200)), (1, (0, 25))])
+def test_the_chance_until_the_check_lies_on_the_prognosis_own_points(days, between):
+    name, flights, chance, cost, _, status = stop(check=days)["defer"]
+    low, high = ({0: 0.0} | POINTS)[between[0]], POINTS[between[1]]
+    share = (3 * days - between[0]) / (between[1] - between[0])
+    hazard = (1 - share) * math.log(1 - low) + share * math.log(1 - high)
+    assert (name, flights, status) == (f"A{days}", 3.0 * days, "ok")
+    assert chance == pytest.approx(1 - math.exp(hazard))
+    assert cost == pytest.approx(50 + 2000 * chance)
+
+
+def test_beyond_the_horizon_no_chance_is_told():
+    assert stop(check=101)["defer"] == ("A101", 303.0, None, None, None, "beyond_horizon")
+
+
+def test_without_a_check_the_horizon_of_the_cost_table_counts():
+    name, flights, _, _, _, status = stop()["defer"]
+    assert (name, flights, status) == (None, 30.0, "no_check_planned")
+
+
+def test_what_was_never_seen_of_the_fleet_is_not_made_up():
+    found = stop(check=10)
+    assert found["replace"][2:] == (None, None, None, "few_units")
+    assert found["wash"][2:] == (None, None, None, "few_units")
+
+
+def test_a_new_units_chance_is_that_of_new_units_on_record():
+    found = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
+    _, _, chance, cost, place, status = found["replace"]
+    assert status == "ok"
+    assert chance == pytest.approx(found["defer"][2]), "every flight of this fleet says the same"
+    assert cost == pytest.approx(1000 + 2000 * chance)
+    assert (found["defer"][4], place) == (1, 2)
+
+
+def test_costs_that_are_not_known_leave_the_cost_open():
+    found = stop(check=10, costs={})
+    assert found["defer"][3:] == (None, None, "no_cost")
+    assert found["defer"][2] is not None
+
+
+def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
+    off = replaced(20) | {"serial_off": "S1", "serial_on": "S2"}
+    on = replaced(40) | {"tail": "T-2", "serial_off": "S9", "serial_on": "S1"}
+    health = [fouling(n, 0.01, tail=t) for t in ("T-1", "T-2") for n in range(60)]
+    con = catalog(twin_health=health, raw_maintenance=[off, on])
+    found = rows(con, "select tail, unit, serial, came_from from exchanger_lives order by tail, unit")
+    assert found == [
+        ("T-1", 0, "S1", None),
+        ("T-1", 1, "S2", None),
+        ("T-2", 0, "S9", None),
+        ("T-2", 1, "S1", "AAA T-1 1"),
+    ]

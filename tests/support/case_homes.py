@@ -1,0 +1,44 @@
+"""A home whose catalog was made by hand: what cases need, without a night."""
+
+from pathlib import Path
+
+import polars as pl
+from made_catalog import OWN, alert, flight, fouling
+
+from hdt_core.components import component_rows
+from hdt_core.tables import TABLES
+from pipelines.storage.catalog import publish
+from pipelines.storage.store import FLEET, Store
+
+
+def case_home(home: Path, loss: float = 0.2) -> Path:
+    """A pack of AAA with two open alerts, `wear` and `clog`, and a closed one, `gone`; one of BBB with `other`."""
+    flights = [flight(n) for n in range(60)]
+    theirs = {"operator": "BBB", "tail": "T-9"}
+    tables = {
+        "raw_flights": [*flights, flight(59, tail="T-9", operator="BBB")],
+        "twin_health": [*(fouling(n, 0.01) for n in range(59)), fouling(59, loss)],
+        "features_alerts": [
+            _alert("wear", 30),
+            _alert("clog", 50),
+            _alert("gone", 5, 20),
+            _alert("other", 59) | theirs,
+        ],
+        "components": component_rows(),
+    }
+    store = Store(home)
+    for name, rows in tables.items():
+        frame = TABLES[name].schema.conform(pl.DataFrame(rows, infer_schema_length=None))
+        aircraft = [FLEET] if TABLES[name].grain == "fleet" else frame.select("operator", "tail").unique().rows()
+        store.replace(name, aircraft, frame)
+    publish(home)
+    return home
+
+
+def _alert(name: str, raised: int, closed: int | None = None) -> dict:
+    last = {
+        "now_flight_id": flight(59 if closed is None else closed)["flight_id"],
+        "evidence_now": "e",
+        "raised_severity": "medium",
+    }
+    return OWN | alert(name, raised, closed) | last | {"recommended_action": "<b>wash</b>"}
