@@ -29,7 +29,13 @@ from pipelines.storage.ledger import NAMES
 BIN = Path(sys.executable).parent
 SETTINGS = Path(__file__).parents[1] / "deploy/celery.yaml"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
-GRACE_S = 6  # a broker that restarts here is back in a few seconds; 60 by default
+SOONER = {
+    "poll_interval_seconds: 10": "poll_interval_seconds: 1",
+    "start_timeout_seconds: 600": "start_timeout_seconds: 30",  # runs are of seconds here
+    # a broker that restarts here is back in a few seconds; 60 by default
+    "broker: {env: HDT_BROKER_URL}\n": "broker: {env: HDT_BROKER_URL}\n    grace_s: 6\n",
+}
+"""What the daemon waits for a lost run, as shipped and here."""
 
 
 @dataclass
@@ -47,10 +53,11 @@ class Site:
         """The machine's own, with the settings that the project ships; lost runs are found sooner."""
         settings = self.root / machine / "dagster" / "dagster.yaml"
         settings.parent.mkdir(parents=True, exist_ok=True)
-        text = SETTINGS.read_text().replace("poll_interval_seconds: 10", "poll_interval_seconds: 1")
-        broker = "broker: {env: HDT_BROKER_URL}\n"
-        assert broker in text
-        settings.write_text(text.replace(broker, f"{broker}    grace_s: {GRACE_S}\n"))
+        text = SETTINGS.read_text()
+        for shipped, here in SOONER.items():
+            assert shipped in text
+            text = text.replace(shipped, here)
+        settings.write_text(text)
         return self.root / machine
 
     def environment(self, machine: str) -> dict[str, str]:

@@ -67,6 +67,12 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
             return CheckRunHealthResult(WorkerStatus.RUNNING)
         return CheckRunHealthResult(WorkerStatus.NOT_FOUND, f"no worker has been at it for {missed_s:.0f} s")
 
+    def get_run_worker_debug_info(self, run: DagsterRun, include_container_logs: bool | None = True) -> str:
+        """What the daemon adds to its message about a lost run; stock asks the result backend, and there is none."""
+        task, tasks = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG), self._tasks()
+        told = "no worker answers" if tasks is None else f"workers are at {len(tasks)} tasks"
+        return f"Celery task {task}; {told}, {'this one' if task in (tasks or ()) else 'not this one'}"
+
     def _tasks(self) -> set[str] | None:
         """Ids of the tasks that workers are at; None where nobody answers."""
         asked, known = self._at_work

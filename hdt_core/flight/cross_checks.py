@@ -48,7 +48,7 @@ class OutletLaw:
         """What it says of a sample."""
         held, *at = self.centre
         terms = zip(LAW_TERMS, at, self.slopes, strict=True)
-        return pl.sum_horizontal(pl.lit(held), *((pl.col(name) - c) * slope for name, c, slope in terms))
+        return sum(((pl.col(name) - c) * slope for name, c, slope in terms), pl.lit(held))
 
 
 def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:

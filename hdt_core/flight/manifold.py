@@ -87,7 +87,8 @@ def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> p
     if manifold is None:
         return samples.with_columns(pl.lit(None, pl.Float64).alias("conductance_index"))
     terms = zip(TERMS, manifold.centre, manifold.slopes, strict=True)
-    index = pl.col("y") - pl.sum_horizontal((pl.col(name) - centre) * slope for name, centre, slope in terms)
+    # one term after the other: Polars' own sum across columns rounds by the number of its threads
+    index = pl.col("y") - sum(((pl.col(name) - centre) * slope for name, centre, slope in terms), pl.lit(0.0))
     found = _usable(samples.with_row_index("_row")).select("_row", index.alias("conductance_index"))
     return samples.with_row_index("_row").join(found, on="_row", how="left", maintain_order="left").drop("_row")
 

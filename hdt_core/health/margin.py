@@ -79,7 +79,7 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     )
     held_sd = rows["held_status"].replace_strict(HELD_SD_K, default=None, return_dtype=pl.Float64).to_numpy()
     sds = [np.sqrt((TOLD_RATIO_SD * slope) ** 2 + held_sd**2) for slope in per_ratio]
-    clean = rows.select(pl.sum_horizontal(PARTS[:-1])).to_series().to_numpy()
+    clean = rows.select(PARTS[:-1]).to_numpy().sum(axis=1)
     named = {
         "hx_margin_k": margins[0], "hx_margin_sd_k": sds[0],
         "hx_margin_hot_day_k": margins[1], "hx_margin_hot_day_sd_k": sds[1],

@@ -6,7 +6,9 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.flight.admission import admit_by, learn_norm
+from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.norm import leg_signs
+from hdt_core.flight.phases import LEG_KEY
 from hdt_core.health.controller import learn_laws
 from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.flights import estimate_flights
@@ -23,8 +25,13 @@ def calibration(home: Home) -> StageResult:
     """Design parameters and nominal health of fleet, operator and tail, estimated together from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)
     within = pl.col("flight_id").is_in(cells["flight_id"].implode())
-    samples, verdicts = (store.scan(t).filter(within).collect() for t in ("legs_samples", "legs_verdicts"))
-    maintenance, messages = (baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages"))
+    # in one order, whoever wrote the rows when: sums round by it, and the laws would differ from machine to machine
+    samples = store.scan("legs_samples").filter(within).collect().sort(*LEG_KEY, "time_utc", "source")
+    verdicts = store.scan("legs_verdicts").filter(within).collect().sort(LEG_KEY)
+    maintenance, messages, reports = (
+        baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
+    )
+    verdicts = turn_away_odd_bleed(verdicts, reports)
     norm = learn_norm(verdicts, samples, maintenance, messages)
     admitted = admit_by(norm, verdicts, leg_signs(samples, norm), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
@@ -32,7 +39,14 @@ def calibration(home: Home) -> StageResult:
     shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
     laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_laws(samples).to_dict())}
     held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
-    return StageResult((pl.DataFrame(model), design_parameters(dsm), held), shown)
+    return StageResult((pl.DataFrame(model), design_parameters(dsm), held, window(verdicts)), shown)
+
+
+def window(verdicts: pl.DataFrame) -> pl.DataFrame:
+    """From when until when each aircraft's flights were used: operator, tail, n_flights, from_at, until_at."""
+    at = pl.col("departed_at")
+    span = (pl.col("flight_id").n_unique().cast(pl.Int64).alias("n_flights"), at.min().alias("from_at"))
+    return verdicts.group_by("operator", "tail").agg(*span, at.max().alias("until_at"))
 
 
 LEGS, CONTROLLERS = "legs", "controllers"
