@@ -38,7 +38,8 @@ def leg_signs(samples: pl.DataFrame, norm: Norm) -> pl.DataFrame:
     """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
     means of the cross checks. Each from its own samples only."""
     checks = leg_checks(samples, norm.outlet)
-    return finite(checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True)).sort(LEG_KEY)
+    both = checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True)
+    return finite(both).sort(LEG_KEY)
 
 
 def _frozen(plain: dict[str, Any]) -> dict[str, Any]:
