@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import Kernels
-from hdt_core.estimation.problem import Array, Belief, Problem, Sample
+from hdt_core.estimation.problem import Array, Belief, Kernels, Problem, Sample
 from hdt_core.physics.model import PhysicsModel
 
 

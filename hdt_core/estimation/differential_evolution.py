@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import differential_evolution
 
-from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
 from hdt_core.estimation.swarm import search_box
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, conclude
+from hdt_core.estimation.conclude import conclude
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman import recursive_estimate, trajectory
 from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.problem import Problem

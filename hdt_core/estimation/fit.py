@@ -4,7 +4,7 @@ sigma declared wrong."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,9 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from hdt_core.estimation.identifiability import inverted
 from hdt_core.estimation.problem import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Verdict = Literal["adequate", "lack_of_fit", "sigma_too_large", "untested"]
 CHANCE = 1e-3  # of a record as declared to be called anything but adequate, on either side
@@ -124,6 +127,16 @@ class Fit:
         if not np.isfinite(bread).all():
             return self._of_free(bread)
         return self._of_free(bread @ filling[np.ix_(self.free, self.free)] @ bread)
+
+    def plot(self, axes: Axes) -> None:
+        """Normalised residuals of every output over the samples."""
+        for j, column in enumerate(self.residuals.T):
+            axes.plot(column, ".", markersize=3, label=f"output {j + 1}")
+        axes.axhspan(-2.0, 2.0, color="0.9", zorder=0)
+        axes.axhline(0.0, color="0.5", linewidth=0.8)
+        title = f"chi-square {self.chi2:.4g} of {self.degrees} degrees of freedom: {self.verdict}"
+        axes.set(xlabel="sample", ylabel="(measured - model) / sigma", title=title)
+        axes.legend()
 
     def _inverse(self, data: Array) -> Array:
         """Covariance of the free parameters from `data` information and the prior's."""

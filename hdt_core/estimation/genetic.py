@@ -9,8 +9,9 @@ from importlib.util import find_spec
 import numpy as np
 import numpy.typing as npt
 
+from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.differential_evolution import NO_ANSWER, DifferentialEvolution, fitness
-from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
 from hdt_core.estimation.swarm import search_box
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hdt_core.estimation.conclude import CLOSE, conclude
 from hdt_core.estimation.descent import Point, distance_to_optimum, linearised
-from hdt_core.estimation.estimate import CLOSE, Estimate, Status, conclude
+from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Problem
 
 MEMORY = 8

@@ -1,18 +1,13 @@
-"""What the data can tell about the parameters, and what they cannot: information, profiles, and the next sensor."""
+"""What the data can tell about the parameters, and what they cannot: Fisher information."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from hdt_core.estimation.kernels.damped import inverse_spd
-from hdt_core.estimation.problem import Array, Problem, Sample
-
-if TYPE_CHECKING:
-    from hdt_core.estimation.estimate import Estimator
+from hdt_core.estimation.problem import Array, Problem
 
 SAFE = 1e-10  # a scaled determinant from which a Cholesky factor is as good as an eigenvalue decomposition
 SINGULAR = 1e14  # condition of the scaled information from which central differences are no better than a zero
@@ -76,75 +71,10 @@ class Identifiability:
         return dict(zip(self.names, (float(v) for v in vector), strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A sensor that could be added: its name, its noise sigma, and the output it would see, as `Problem.observe`."""
-
-    name: str
-    sigma: float
-    observe: Callable[[Array, Array, Sample], Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Gain:
-    """What a candidate sensor brings: information in nats, and the standard deviations with it, (n,)."""
-
-    name: str
-    nats: float
-    sd: Array
-
-
 def fisher(problem: Problem, theta: Array) -> Identifiability:
     """Information of the measured values about `theta` (n,), at `theta`."""
     slope = problem.sensitivity(theta)
     return Identifiability(problem.names, slope.T @ slope)
-
-
-def rank_sensors(problem: Problem, theta: Array, candidates: Sequence[Candidate]) -> list[Gain]:
-    r"""Candidates by what they add to what data and prior already tell about `theta` (n,), best first.
-
-    .. math:: \Delta = \tfrac12 \ln\det(\mathcal I + \mathcal I_c) - \tfrac12 \ln\det\mathcal I
-
-    Information the data lack altogether counts from the prior; without one, from a variance of the bounds' width.
-    """
-    known = fisher(problem, theta).information + problem.prior.information + np.diag(_floor(problem))
-    gains = []
-    for candidate in candidates:
-        asked = replace(
-            problem,
-            measured=np.zeros((len(problem.measured), 1)),
-            sigma=np.array([candidate.sigma]),
-            observe=candidate.observe,
-            kernels=None,
-        )
-        total = known + fisher(asked, theta).information
-        nats = 0.5 * (np.linalg.slogdet(total)[1] - np.linalg.slogdet(known)[1])
-        gains.append(Gain(candidate.name, float(nats), np.sqrt(np.diag(inverted(total)[0]))))
-    return sorted(gains, key=lambda gain: -gain.nats)
-
-
-def profile(problem: Problem, estimator: Estimator, name: str, values: Array) -> Array:
-    """Profile likelihood: the objective with `name` held at each of `values` (p,), all else estimated anew.
-
-    Returns
-    -------
-    array (p,)
-        Twice the negative log posterior; 95 % of a single parameter lies within 3.84 of the minimum.
-    """
-    index = problem.names.index(name)
-    profiled = np.empty(len(values))
-    for i, value in enumerate(values):
-        bounds = problem.bounds.copy()
-        bounds[index] = value
-        held = replace(problem, bounds=bounds)
-        profiled[i] = held.objective(estimator.estimate(held).belief.mean[None])[0]
-    return profiled
-
-
-def _floor(problem: Problem) -> Array:
-    width = problem.bounds[:, 1] - problem.bounds[:, 0]
-    silent = np.diag(problem.prior.information) == 0.0
-    return np.where(silent & (width > 0.0), 1.0 / np.maximum(width, np.finfo(float).tiny) ** 2, 0.0)
 
 
 def inverted(information: Array) -> tuple[Array, bool]:
@@ -168,3 +98,13 @@ def inverted(information: Array) -> tuple[Array, bool]:
     cov[:, lost] = 0.0
     cov[lost, lost] = np.inf
     return cov, False
+
+
+def covariance_of_free(bounds: Array, total: Array) -> tuple[Array, bool]:
+    """Covariance of all information there is, none for held parameters, and whether it is finite."""
+    free = bounds[:, 0] < bounds[:, 1]
+    if free.all():
+        return inverted(total)
+    cov, rows = np.zeros_like(total), np.ix_(free, free)
+    cov[rows], told = inverted(total[rows]) if free.any() else (0.0, True)
+    return cov, told

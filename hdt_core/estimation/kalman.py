@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude, settle
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.kalman_step import (
     Correction,
     Linearise,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hdt_core.estimation.conclude import conclude_at
 from hdt_core.estimation.descent import Point, descend
-from hdt_core.estimation.estimate import Estimate, conclude_at
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Problem
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman_step import is_moving
 from hdt_core.estimation.problem import Array, Belief, Problem
 from hdt_core.estimation.swarm import search_box

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, conclude, settle
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
 FIRST_DAMPING = 1e-3

@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
-
-if TYPE_CHECKING:
-    from hdt_core.estimation.kernels.compiled import Kernels
 
 Array = npt.NDArray[np.float64]
 Sample = int | npt.NDArray[np.int64]
@@ -64,6 +60,28 @@ class Belief:
 def unknown(mean: Array) -> Belief:
     """A starting point `mean` (n,) about which nothing is known."""
     return Belief(np.asarray(mean, float), np.diag(np.full(len(mean), np.inf)))
+
+
+@dataclass(frozen=True, slots=True)
+class Kernels:
+    """Compiled equivalents of a problem's functions, bound to its record. The answers must equal those without.
+
+    Parameters
+    ----------
+    simulate : thetas (p, n) -> outputs (p, k, m)
+    chi2 : thetas (p, n) -> weighted sums of squares (p,)
+    sensitivity : theta (n,) -> d outputs / d theta (k, m, n), optional
+    least_squares : (origin, lower, upper, prior mean, prior information, steps) ->
+        (theta, objective, half its gradient, J^T J with the prior, n_evals, settled): a `Point`, optional
+    kalman : (prior mean, prior cov, unknown?, lower, upper, sigma points?, smoother passes, deviations at rest) ->
+        (path (k, n), path sd (k, n), mean (n,), cov (n, n), passes made), optional
+    """
+
+    simulate: Callable[[Array], Array]
+    chi2: Callable[[Array], Array]
+    sensitivity: Callable[[Array], Array] | None = None
+    least_squares: Callable[..., tuple[Array, float, Array, Array, int, bool]] | None = None
+    kalman: Callable[..., tuple[Array, Array, Array, Array, int]] | None = None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimate, Status, conclude, settle
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Problem
 from hdt_core.estimation.swarm import swarm_search
 

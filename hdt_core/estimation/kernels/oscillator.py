@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import Kernels, compiled
+from hdt_core.estimation.kernels.compiled import compiled
 from hdt_core.estimation.kernels.damped import (
     FIRST_DAMPING,
     MOST_DAMPING,
@@ -18,7 +18,7 @@ from hdt_core.estimation.kernels.damped import (
     is_settled,
     next_damping,
 )
-from hdt_core.estimation.problem import Array
+from hdt_core.estimation.problem import Array, Kernels
 
 
 @compiled

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hdt_core.estimation import ESTIMATORS, Belief, NonlinearLeastSquares, Problem, unknown
-from hdt_core.estimation.identifiability import Candidate, fisher, profile, rank_sensors
+from hdt_core.estimation.experiment import Candidate, profile, rank_sensors
+from hdt_core.estimation.identifiability import fisher
 
 SPEED_RAD_S = np.linspace(2000.0, 3800.0, 40)
 DENSITY_KG_M3 = np.linspace(0.4, 0.6, 40)
