@@ -11,7 +11,7 @@ import polars as pl
 
 from hdt_core.health.alerts import Disturbances, as_alerts, find_disturbances, wear_cases, with_health
 from hdt_core.health.doors import door_cases
-from hdt_core.health.episodes import Case, Limits
+from hdt_core.health.episodes import Limits
 from hdt_core.health.grid import Grid
 
 VARIED = {
@@ -77,10 +77,6 @@ def _raised(aircraft: _Aircraft, diagnosis: str, limits: Limits) -> pl.DataFrame
     if diagnosis == "RAM_DOOR_FAULT":
         cases = door_cases(grid, log, limits)
     else:
-        cases = [*map(_own, found.doors + found.sensors), *wear_cases(grid, log, limits, found)]
+        # copies: where a case ends is written into it
+        cases = [*map(copy, found.doors + found.sensors), *wear_cases(grid, log, limits, found)]
     return as_alerts(grid, log, cases, limits)
-
-
-def _own(case: Case) -> Case:
-    """A case of its own: where it ends is written into it."""
-    return copy(case)

@@ -56,16 +56,16 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     read = [*_logs(listed, home), *_printed(listed, scope, home)]
     paths = [f.path for f, _ in read]
 
-    tables = [_records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS]
+    rows = {kind: _records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS}
     cases = told_cases(scope, home)
-    tables[1] = date_entries(with_findings(tables[1], cases))
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
         return pl.concat([left(table, paths, scope, home.store), *frames], how="diagonal")
 
     deliveries = [of_aircraft(f, account(f, x)) for f, x in read]
     return (
-        *tables,
+        rows["messages"],
+        date_entries(with_findings(rows["maintenance"], cases)),
         cases,
         with_stored("raw_reports", [x.rows for f, x in read if f.kind == REPORTS]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_COUNTED),

@@ -93,12 +93,13 @@ class StopError(Exception):
 @contextmanager
 def spoken(language: str | None) -> Iterator[None]:
     """Speak a language, or end with a line that lists them."""
-    from pipelines.words import languages, speaking
+    from pipelines.words import NoLanguageError, speaking
 
-    if language and language not in languages():
-        raise StopError(f"no language {language}; there are {', '.join(languages())}")
-    with speaking(language):
-        yield
+    try:
+        with speaking(language):
+            yield
+    except NoLanguageError as error:
+        raise StopError(str(error)) from None
 
 
 def say_error(words: str) -> None:

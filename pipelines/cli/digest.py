@@ -33,15 +33,12 @@ def digest(
     if trial:
         _try(where)
         return
-    from pipelines.digest import as_html, as_text, changes_since
     from pipelines.digest import as_json as told_as_json
-    from pipelines.storage.files import replacing
+    from pipelines.digest import as_text, changes_since, write_digest
 
     found = changes_since(where, since).of(operator)
     if target is not None:
-        for name, form in {"digest.txt": as_text, "digest.html": as_html, "digest.json": told_as_json}.items():
-            with replacing(target / name) as file:
-                file.write_text(form(found), encoding="utf-8")
+        write_digest(found, target, "digest")
     if as_json:
         out.print_json(told_as_json(found))
     else:

@@ -4,7 +4,7 @@ from pipelines.digest.changes import Digest, compare
 from pipelines.digest.declaration import NotifyError
 from pipelines.digest.nights import changes_since
 from pipelines.digest.orders import work_orders, write_orders
-from pipelines.digest.render import as_html, as_json, as_text
+from pipelines.digest.render import as_html, as_json, as_text, write_digest
 from pipelines.digest.state import EMPTY, read_state
 from pipelines.digest.told import receivers_of, tell_night, try_out
 
@@ -22,5 +22,6 @@ __all__ = [
     "tell_night",
     "try_out",
     "work_orders",
+    "write_digest",
     "write_orders",
 ]

@@ -40,7 +40,7 @@ def work_orders(con: duckdb.DuckDBPyConnection, operator: str | None = None) -> 
     """
     rows = con.sql(_ORDERS).pl()
     rows = rows if operator is None else rows.filter(operator=operator)
-    told = [row | {"reason": _reason(row), "action": words.action(row["action"])} for row in rows.to_dicts()]
+    told = [row | {"reason": _reason(row), "action": words.plain(row["action"])} for row in rows.to_dicts()]
     schema = rows.schema | {"reason": pl.String}
     return pl.DataFrame(told, schema=schema).select(COLUMNS)
 

@@ -1,12 +1,13 @@
 """A digest as text, as a page, as JSON, and as the messages that Slack and Teams take."""
 
 import json
+from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from pipelines.digest.changes import Digest, Row
 from pipelines.report import words
+from pipelines.report.templating import templates_of
+from pipelines.storage.files import replacing
 from pipelines.words import several
 
 MOST = 20
@@ -28,11 +29,8 @@ _GAPS = {
     "silent_now": "silent since {since}",
     "never_heard": "on the fleet list, never heard of",
 }
-PAGES = Environment(
-    loader=PackageLoader("pipelines.digest"), autoescape=select_autoescape(["html"]), undefined=StrictUndefined,
-    trim_blocks=True, lstrip_blocks=True,
-)  # fmt: skip
-"""This room's templates."""
+PAGES = templates_of("pipelines.digest", finalize=lambda value: "" if value is None else value)
+"""This room's templates; rows are made visible before, and mail takes no other spaces than the usual one."""
 
 
 def subject(digest: Digest) -> str:
@@ -72,6 +70,13 @@ def as_html(digest: Digest) -> str:
 def as_json(digest: Digest) -> str:
     """Everything, for a program."""
     return json.dumps({"since": digest.since, "until": digest.until, "changes": digest.changes}, indent=1)
+
+
+def write_digest(digest: Digest, folder: Path, stem: str) -> None:
+    """`<stem>.txt`, `<stem>.html` and `<stem>.json` in a folder."""
+    for ending, form in {"txt": as_text, "html": as_html, "json": as_json}.items():
+        with replacing(folder / f"{stem}.{ending}") as file:
+            file.write_text(form(digest), encoding="utf-8")
 
 
 def as_slack(digest: Digest) -> dict[str, Any]:
@@ -122,7 +127,7 @@ def _who(row: Row) -> str:
 def _alert(row: Row) -> str:
     outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
     said = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
-    return f"{said}: {words.action(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
+    return f"{said}: {words.plain(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
 
 
 def _changed(row: Row) -> str:

@@ -14,8 +14,7 @@ from typing import Any
 
 from pipelines.digest.changes import Digest
 from pipelines.digest.declaration import NotifyError, Receiver, checked_url
-from pipelines.digest.render import as_html, as_json, as_slack, as_teams, as_text, subject
-from pipelines.storage.files import replacing
+from pipelines.digest.render import as_html, as_json, as_slack, as_teams, as_text, subject, write_digest
 
 TIMEOUT_S = 20.0
 WAITS_S = (2.0, 8.0)
@@ -131,6 +130,4 @@ def _post(url: str, body: bytes, name: str) -> None:
 
 def _write(folder: Path, digest: Digest) -> None:
     stem = "digest-" + (digest.until or "none").replace(" ", "-").replace(":", "")
-    for ending, form in {"txt": as_text, "html": as_html, "json": as_json}.items():
-        with replacing(folder / f"{stem}.{ending}") as file:
-            file.write_text(form(digest), encoding="utf-8")
+    write_digest(digest, folder, stem)

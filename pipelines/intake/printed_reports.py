@@ -38,13 +38,13 @@ def read_printed(file: LandingFile, now: datetime, version: str) -> Log:
     """
     path = Path(file.full_path)
     if unpacked_bytes(path) > MOST_BYTES:
-        return _log(file, [], [Fault("too_large")], 0)
+        return _log(file, [], [Fault("too_large")])
     try:
         content = read_recording(path, MESSAGE_FILE).tobytes()
         found = read_reports(content, _layouts(file))
     except (OSError, MapError, LayoutError) as error:
         reason = "bad_type" if isinstance(error, LayoutError) else "cannot_open"
-        return _log(file, [], [Fault(reason, detail=f"{error}.")], 0)
+        return _log(file, [], [Fault(reason, detail=f"{error}.")])
     faults = [
         Fault("damaged_line", r.line, None, f"{printable(r.reason)}.", content=printable(r.text))
         for r in found.rejected
@@ -52,11 +52,13 @@ def read_printed(file: LandingFile, now: datetime, version: str) -> Log:
     faults += [Fault("unknown_report", detail=f"{printable(title)}.") for title in dict.fromkeys(found.undeclared)]
     heads = list(report_heads(found))
     judged = [_judge(head, file, now) for head in heads]
-    kept = {j: None for j in judged if not isinstance(j, Fault)}
+    accepted = [j for j in judged if not isinstance(j, Fault)]
+    kept = list(dict.fromkeys(accepted))
     rejected = [j for j in judged if isinstance(j, Fault)]
     if not heads:
         faults.append(Fault("no_report"))
-    return _log(file, [(*row, file.path, version) for row in kept], faults + rejected, len(heads))
+    rows = [(*row, file.path, version) for row in kept]
+    return _log(file, rows, faults + rejected, len(heads), len(accepted) - len(kept))
 
 
 def _layouts(file: LandingFile) -> Mapping[str, Layout]:
@@ -87,7 +89,8 @@ def _judge(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> t
             *head.bleed_open, head.crossfeed_open)  # fmt: skip
 
 
-def _log(file: LandingFile, rows: list[tuple[object, ...]], faults: list[Fault], n_delivered: int) -> Log:
+def _log(
+    file: LandingFile, rows: list[tuple[object, ...]], faults: list[Fault], n_delivered: int = 0, n_duplicate: int = 0
+) -> Log:
     frame = pl.DataFrame(rows, schema=dict(RawReports.create_empty().schema), orient="row")
-    told = quarantine(file.path, file.received_at, faults)
-    return Log(frame, told, n_delivered, n_delivered - frame.height - int(told["n_rows"].sum()))
+    return Log(frame, quarantine(file.path, file.received_at, faults), n_delivered, n_duplicate)

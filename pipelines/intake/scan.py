@@ -34,7 +34,7 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights each holds."""
     listing = list_landing(landing)
     known, digests = ledger.known_files(), ledger.digests()
-    new = _new(listing.files, ledger)
+    new = _new(listing.files, known, digests, _last_look_ns(ledger))
     held = {f.path: flights_in(f) for f in new if f.kind in FLIGHT_FILES}
     rows = [(f.path, f.operator, f.tail, _kind(f, held), f.size, f.mtime_ns, _digest(f)) for f in new]
     refused = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
@@ -56,13 +56,14 @@ def _settings(home: Path, digests: Mapping[str, str]) -> Iterator[Row]:
 def unseen(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:
     """How many files lie there, and those that are new or changed, which are only listed."""
     files = list_landing(landing).files
-    return len(files), _new(files, ledger)
+    return len(files), _new(files, ledger.known_files(), ledger.digests(), _last_look_ns(ledger))
 
 
-def _new(files: Iterable[LandingFile], ledger: Ledger) -> list[LandingFile]:
+def _new(
+    files: Iterable[LandingFile], known: Mapping[str, tuple[int, int]], digests: Mapping[str, str], since_ns: int
+) -> list[LandingFile]:
     """Files that are not known as they are; of those touched since the last night the content is compared too."""
-    known, digests, since = ledger.known_files(), ledger.digests(), _last_look_ns(ledger)
-    return [f for f in files if known.get(f.path) != (f.size, f.mtime_ns) or _changed(f, since, digests)]
+    return [f for f in files if known.get(f.path) != (f.size, f.mtime_ns) or _changed(f, since_ns, digests)]
 
 
 def _changed(file: LandingFile, since_ns: int, digests: Mapping[str, str]) -> bool:

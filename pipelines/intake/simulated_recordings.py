@@ -29,6 +29,7 @@ COLUMN_OF: Mapping[str, str] = {
     "ram_exit_pct": "ram_door_pct",
 }  # fmt: skip
 """The contract's column that a component's column shows of the same pack."""
+NOT_SIMULATED = frozenset({"return_pct", "fan_rpm"})
 WORDS_A_PARAMETER = 2
 
 
@@ -99,16 +100,14 @@ def _places(kind: AircraftType) -> dict[str, tuple[Station, int, int]]:
 
 
 def _values(packs: list[pl.DataFrame], station: Station, unit: int, units: int) -> Floats:
-    """What a parameter shows, in the recorder's unit; 0 of what is not simulated, as the fan.
-
-    Units of a component are shared out among the packs.
-    """
+    """What a parameter shows, in the recorder's unit; units of a component are shared out among the packs."""
     rows, column = packs[unit * len(packs) // units], station.column
     if column == "diffuser_pct":
         told = rows["vda_pos"].cast(pl.Float64).to_numpy() * (100.0 / FULL_COUNTS)
+    elif column in NOT_SIMULATED:
+        told = np.zeros(rows.height)
     else:
-        known = COLUMN_OF.get(column, column)
-        told = rows[known].cast(pl.Float64).to_numpy() if known in rows.columns else np.zeros(rows.height)
+        told = rows[COLUMN_OF.get(column, column)].cast(pl.Float64).to_numpy()
     return np.asarray((told - station.offset) / station.scale)
 
 

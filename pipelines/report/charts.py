@@ -29,7 +29,7 @@ Numbers = Sequence[float]
 Chart = dict[str, Any]
 
 
-def library() -> str:
+def chart_script() -> str:
     """What draws the charts in the browser."""
     return "".join(Resources(mode="inline", components=["bokeh"]).js_raw)
 

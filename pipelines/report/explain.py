@@ -131,7 +131,7 @@ def _alert_told(a: Row) -> list[str]:
           flight=a["raised_flight_id"], severity=_(at_first), told=_numbers(a, "raised") + then),
         _("{moment} (after {flight}, {severity}): {told}", moment=at_last, flight=a["now_flight_id"],
           severity=_(severity), told=now),
-        _("To do: {action}", action=words.action(a["recommended_action"])),
+        _("To do: {action}", action=words.plain(a["recommended_action"])),
     ]  # fmt: skip
 
 

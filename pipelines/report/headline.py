@@ -65,7 +65,7 @@ def _todo(alerts: list[Row]) -> Iterator[str]:
     """What to do about each; what comes before all of it is said once."""
     first = set[str]()
     for a in alerts:
-        action = words.action(a["recommended_action"]).rstrip(".")
+        action = words.plain(a["recommended_action"]).rstrip(".")
         before, then, rest = action.partition(_(". Only then: "))
         yield rest if then and before in first else action
         first.add(before)

@@ -39,7 +39,7 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
     for k, chart in enumerate(c for f in drawn for c in f["charts"]):
         chart["name"] = f"figure-{k}"
         data["charts"] |= {f"figure-{k}-{system}": chart[system] for system in ("si", "us") if system in chart}
-    scripts = [charts.library(), _asset("page.js")] if data["charts"] else [_asset("page.js")]
+    scripts = [charts.chart_script(), _asset("page.js")] if data["charts"] else [_asset("page.js")]
     until = facts.until()
     return render(
         "report.html",

@@ -2,11 +2,12 @@
 
 import re
 from base64 import b64encode
+from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
 from hdt_core.health.evidence import ROLES
@@ -23,16 +24,21 @@ def render(template: str, **context: Any) -> str:
     return _environment().get_template(template).render(language=language(), **context)
 
 
-@cache
-def _environment() -> Environment:
-    made = Environment(
-        loader=PackageLoader("pipelines.report"),
-        autoescape=True,
+def templates_of(*rooms: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
+    """Templates of packages, the first that has one; a name that is not given is an error, text may stay as it is."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(room) for room in rooms]),
+        autoescape=select_autoescape(["html"]),
         undefined=StrictUndefined,
-        finalize=shown,
+        finalize=finalize or shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+@cache
+def _environment() -> Environment:
+    made = templates_of("pipelines.report")
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # in the order given: a chart's parts refer back
     made.globals |= {
         "_": told, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,
@@ -73,5 +79,10 @@ def anchor(*parts: Any) -> str:
 
 def policy(*scripts: str) -> str:
     """What a page may do: fetch nothing, and run these scripts and no other."""
-    hashes = " ".join(f"'sha256-{b64encode(sha256(s.encode()).digest()).decode()}'" for s in scripts)
+    hashes = " ".join(map(source_hash, scripts))
     return NOTHING_FETCHED + (f"; script-src {hashes}" if hashes else "")
+
+
+def source_hash(text: str) -> str:
+    """A script or a style as a content security policy names it."""
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"

@@ -11,18 +11,18 @@ from hdt_core.health.thresholds import Trial, trials
 from pipelines.storage.catalog import connect, ordered, views
 from pipelines.storage.headers import read_header
 
-JUDGED_BY = ("alert_outcomes", "alert_lead_times")
+JUDGED_BY = ("alert_hit_rates", "alert_lead_times")
 _ALERTS = ("features_alerts", "features_component_alerts")
 _COUNTS = """
     select
-        count(*) as alerts,
-        count(*) filter (where outcome in ('confirmed', 'message')) as confirmed,
-        count(*) filter (where outcome in ('nothing', 'no_fault_found')) as false,
-        count(*) filter (where outcome = 'open') as open,
+        coalesce(any_value(n_alerts), 0) as alerts,
+        coalesce(any_value(n_right), 0) as confirmed,
+        coalesce(any_value(n_judged - n_right), 0) as false,
+        coalesce(any_value(n_open), 0) as open,
         (select median(lead_flights) from alert_lead_times where diagnosis = $1) as lead_flights,
         (select count(*) from alert_lead_times where lead_flights is null and component = any_value(o.component))
             as missed
-    from alert_outcomes as o where diagnosis = $1"""
+    from alert_hit_rates as o where diagnosis = $1"""
 Row = dict[str, Any]
 
 

@@ -191,15 +191,10 @@ def tidy(sentence: str) -> str:
 
 
 def plain(sentence: str) -> str:
-    """Evidence without the names that columns have in the catalog."""
+    """Evidence or an action without the names that columns have in the catalog."""
     return re.sub(r" \((?:[a-z]+\d*_)+[a-z0-9]+\)", "", tidy(sentence))
 
 
 def finding(evidence: str) -> str:
     """Evidence up to its witnesses: for where alternatives and cost are told beside it already."""
     return tidy(evidence.partition(" Else:")[0])
-
-
-def action(sentence: str) -> str:
-    """What to do."""
-    return plain(sentence)

@@ -1,6 +1,7 @@
 """Local files, and how any gets there whole or not at all: temporary name, fsync, rename."""
 
 import os
+import secrets
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -40,6 +41,13 @@ def replacing(path: Path) -> Iterator[Path]:
         _sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def kept_secret(path: Path, n_bytes: int) -> str:
+    """The random secret in a file that its owner alone may read, made the first time it is asked for."""
+    with suppress(FileExistsError), open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(secrets.token_urlsafe(n_bytes))
+    return path.read_text()
 
 
 @contextmanager

@@ -7,7 +7,6 @@ address that `hdt ui` prints was opened, a program sends it as `X-HDT-Token`.
 """
 
 import json
-import os
 import secrets
 from collections.abc import Collection
 from pathlib import Path
@@ -19,6 +18,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from pipelines.storage.files import kept_secret
 from pipelines.web.address import is_stranger
 
 COOKIE, HEADER = "hdt_token", "x-hdt-token"
@@ -27,13 +27,7 @@ _NEEDS_TOKEN = "only with the home's token may anything be changed; open the pag
 
 def token_of(home: Path) -> str:
     """The home's token: whoever may read this file in the home may change what its page shows."""
-    path = home / ".page_token"
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(secrets.token_urlsafe(32))
-    except FileExistsError:
-        pass
-    return path.read_text()
+    return kept_secret(home / ".page_token", 32)
 
 
 class Gate:

@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from pipelines.storage.files import kept_secret
+
 FILE, SECRET = "users.json", ".session_secret"
 ROLES = ("viewer", "engineer", "admin")
 SHORTEST = 10
@@ -103,13 +105,7 @@ def person_of(home: Path, name: str, password: str) -> Person | None:
 
 def session_secret(home: Path) -> str:
     """What sessions are signed with; whoever may read this file in the home may be anybody."""
-    path = home / SECRET
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(secrets.token_urlsafe(48))
-    except FileExistsError:
-        pass
-    return path.read_text()
+    return kept_secret(home / SECRET, 48)
 
 
 def _hash(password: str, salt: str) -> str:

@@ -15,6 +15,10 @@ ENGLISH, DOMAIN = "en", "hdt"
 _spoken: ContextVar[str] = ContextVar("language", default=ENGLISH)
 
 
+class NoLanguageError(ValueError):
+    """A language that there are no words of; names those there are."""
+
+
 def languages() -> list[str]:
     """Languages there are, English first."""
     found = (f.name.removesuffix(".mo") for f in resources.files("pipelines.words").iterdir() if f.name.endswith(".mo"))
@@ -32,12 +36,12 @@ def speaking(wanted: str | None) -> Iterator[None]:
 
     Raises
     ------
-    ValueError
+    NoLanguageError
         There is no such language.
     """
     chosen = wanted or ENGLISH
     if chosen not in languages():
-        raise ValueError(f"no language {chosen}; there are {', '.join(languages())}")
+        raise NoLanguageError(f"no language {chosen}; there are {', '.join(languages())}")
     token = _spoken.set(chosen)
     try:
         yield
