@@ -63,7 +63,7 @@ class Nothing(dg.IOManager):
         """Every cell of the range is filled."""
         rows = [*partitions.cells_of(tuple(context.asset_partition_keys))]
         cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-        FrameIO._report_only(context, cells, cells)
+        FrameIO._report(context, cells, cells)
 
     def load_input(self, context: dg.InputContext) -> None:
         """Nothing is there."""
@@ -88,17 +88,18 @@ class History:
         event = None
         while self.filled < cells - REAL_RUNS * CELLS_A_RUN:
             event = event or self._example(runner)
-            self._record(event, self._block())
+            self._record(event, self._batch())
         self.run_s = [self._timed(lambda: self._run(runner)) for _ in range((cells - self.filled) // CELLS_A_RUN)]
 
-    def _block(self) -> PartitionBatch:
+    def _batch(self) -> PartitionBatch:
         """The next thousand cells."""
         first, at = self.filled % len(FLIGHTS), self.filled // len(FLIGHTS)
         self.filled += CELLS_A_RUN
-        return PartitionBatch(CELLS_A_RUN, (aircraft(at),), FLIGHTS[first], FLIGHTS[first + CELLS_A_RUN - 1])
+        own = FLIGHTS[first : first + CELLS_A_RUN]
+        return PartitionBatch(tuple((aircraft(at), f) for f in own), (own[0], own[-1]))
 
     def _run(self, runner: Runner) -> None:
-        why = runner._run(["empty"], self._block(), "empty")
+        why = runner._run(["empty"], self._batch(), "empty")
         assert why is None, why
 
     def _example(self, runner: Runner) -> EventLogEntry:
@@ -108,10 +109,9 @@ class History:
         made = dg.DagsterEventType.ASSET_MATERIALIZATION
         return next(iter(self.instance.all_logs(run.run_id, of_type=made)))
 
-    def _record(self, event: EventLogEntry, block: PartitionBatch) -> None:
-        """The event, as of a run that made the block."""
-        first = FLIGHTS.index(block.first)
-        keys = [partitions.cell_key(block.aircraft[0], f) for f in FLIGHTS[first : first + CELLS_A_RUN]]
+    def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
+        """The event, as of a run that made the batch."""
+        keys = [partitions.cell_key(a, f) for a, f in batch.cells]
         made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
         told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())

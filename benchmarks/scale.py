@@ -3,8 +3,8 @@
 S, M, L: 1,000, 10,000 and 100,000 flights of the project's own simulator, as history files. Claims: Dagster's share of
 the processor at most 10 %, cost that grows with an exponent of at most 1.05, a first night of L in 10 minutes, peak
 memory at most 2 GB, an idle night in 5 s, the fleet's ranking in 100 ms. Dagster's share is taken within one night in
-one process (benchmarks/bookkeeping.py); beside it stands the same chain without Dagster, asset by asset and block by
-block: same functions, same store, same ledger. Every contestant is a process of its own, in turn; medians. `--write`
+one process (benchmarks/bookkeeping.py); beside it stands the same chain without Dagster, asset by asset and batch by
+batch: same functions, same store, same ledger. Every contestant is a process of its own, in turn; medians. `--write`
 puts the table into docs/scale.md.
 """
 
@@ -81,10 +81,9 @@ class Bare:
         """Partitions as they are now, and who flew which."""
         return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flight_files()))
 
-    def make(self, tables: list[str], block: PartitionBatch, label: str) -> BatchResult:
+    def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
         """Make the tables, store them, mark them."""
-        within = [f for f in self.keys["flight"] if block.first <= f <= block.last] if block.first else []
-        cells = [f"{a}|{f}" for a in block.aircraft for f in within] or list(block.aircraft) or None
+        cells = batch.partition_keys() or None
         home, asked = self.defs.resources["home"], PartitionScope.of(cells)
         keeper = FrameIO(home.store, home.ledger)
         context = SimpleNamespace(has_partition_key_range=cells is not None, partition_keys=cells)
@@ -93,7 +92,7 @@ class Bare:
                 if isinstance(made, dg.Output):
                     keeper._store(made.output_name, asked, made.value)
                     home.ledger.mark(made.output_name, asked.due(home.ledger, made.output_name))
-        return BatchResult(block, 1, {})
+        return BatchResult(batch.size, 1)
 
 
 def night(landing: Path, home: Path, shared: bool = True) -> None:

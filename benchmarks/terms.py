@@ -23,9 +23,9 @@ from hdt_core.twin.dsm import Dsm
 from pipelines.baseline import baseline_cells
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
-from pipelines.orchestration.terms import accept, proposals
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
+from pipelines.terms import accept, proposals
 
 
 class Outcome(NamedTuple):

@@ -7,11 +7,13 @@ import time
 from collections.abc import Mapping
 from typing import Any, Self
 
+from celery import Celery
 from dagster import DagsterRun, Field, IntSource
 from dagster._core.launcher import CheckRunHealthResult, WorkerStatus
 from dagster._serdes import ConfigurableClassData
 from dagster_celery.launcher import CeleryRunLauncher
 from dagster_celery.tags import DAGSTER_CELERY_TASK_ID_TAG
+from dagster_celery.tasks import create_execute_job_task
 from kombu.exceptions import OperationalError
 
 _ANSWER_S, _FRESH_S = 2.0, 5.0
@@ -84,3 +86,10 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
             known = {task["id"] for tasks in told.values() for task in tasks} if told else None
             self._at_work = time.monotonic(), known
         return known
+
+
+def worker(broker: str) -> Celery:
+    """What a worker machine runs: a Celery application that makes runs of Dagster's."""
+    app: Celery = WatchedCeleryRunLauncher(default_queue="dagster", broker=broker).celery
+    create_execute_job_task(app)
+    return app

@@ -6,9 +6,6 @@ runs are made in forked processes, and what Polars starts does not survive a for
 
 import os
 
-from dagster_celery.tasks import create_execute_job_task
+from dagster_batched.celery import worker
 
-from dagster_batched.celery import WatchedCeleryRunLauncher
-
-app = WatchedCeleryRunLauncher(default_queue="dagster", broker=os.environ["HDT_BROKER_URL"]).celery
-execute_job = create_execute_job_task(app)
+app = worker(os.environ["HDT_BROKER_URL"])

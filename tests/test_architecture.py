@@ -93,3 +93,22 @@ def test_the_private_api_of_dagster_is_used_in_one_place():
 
 def test_the_root_of_pipelines_is_a_short_page():
     assert len(list(Path(pipelines.__file__).parent.glob("*.py"))) <= 15
+
+
+def private(path: Path) -> set[str]:
+    """Modules of Dagster's that a module imports and that Dagster does not offer to others."""
+    names = set[str]()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names |= {alias.name for alias in node.names} if isinstance(node, ast.Import) else set()
+        names |= {str(node.module)} if isinstance(node, ast.ImportFrom) else set()
+    return {n for n in names if re.match(r"dagster\w*\.", n) and not n.startswith("dagster_batched.")}
+
+
+def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
+    root = Path(__file__).parents[1]
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (root / "dagster_batched/README.md").read_text(), re.MULTILINE)
+    told = {name: set(re.findall(r"`(dagster\w*\.[\w.]+)`", said)) - {"dagster.yaml"} for name, said in rows}
+    used = {p.stem: private(p) for p in (root / "dagster_batched").glob("*.py") if p.stem != "__init__"}
+    assert told == used
+    others = {str(p): private(p) for name in ("pipelines", "hdt_core") for p in (root / name).rglob("*.py")}
+    assert {p: n for p, n in others.items() if n} == {}

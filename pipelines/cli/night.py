@@ -27,7 +27,7 @@ from pipelines.cli.base import (
     spoken,
 )
 from pipelines.orchestration.local_executor import cores
-from pipelines.orchestration.stops import ends_at_once
+from pipelines.stops import ends_at_once
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]

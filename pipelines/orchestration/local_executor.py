@@ -1,4 +1,4 @@
-"""Blocks of one step side by side, a process a core: only where there are enough of them to pay for its start."""
+"""Batches of one step side by side, a process a core: only where there are enough of them to pay for its start."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipelines.orchestration.stops import deaf
+from pipelines.stops import deaf
 
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
@@ -40,34 +40,34 @@ def sends_out(home: Path) -> bool:
 
 
 class LocalExecutor:
-    """Processes that make blocks of one home; started when there is first something to share out."""
+    """Processes that make batches of one home; started when there is first something to share out."""
 
-    folded = True  # few large runs of whole aircraft cost one machine least
+    ranges = False  # few large runs of whole aircraft cost one machine least, and its processes are handed any cells
 
     def __init__(self, landing: Path, home: Path, jobs: int) -> None:
         self.landing, self.home, self.jobs = landing.resolve(), home.resolve(), jobs
         self._pool: ProcessPoolExecutor | None = None
 
-    def worth(self, blocks: list[PartitionBatch], few: bool) -> bool:
-        """Whether the blocks are enough to share out; not where there is little new in each of a few."""
-        return not few and self.jobs > 1 and len(blocks) >= BLOCKS_TO_SHARE
+    def worth(self, batches: list[PartitionBatch], few: bool) -> bool:
+        """Whether the batches are enough to share out; not where there is little new in each of a few."""
+        return not few and self.jobs > 1 and len(batches) >= BLOCKS_TO_SHARE
 
-    def make(self, tables: list[str], blocks: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
-        """Make the blocks in any order and say of each when it is done.
+    def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
+        """Make the batches in any order and say of each when it is done.
 
         A worker that dies, for want of memory say, takes the step with it: the night says so and the next one goes on.
         """
         pool = self._ready()
         try:
             with deaf():  # it is a submission that starts a process
-                made = [pool.submit(_make, self.landing, self.home, tables, b, label) for b in blocks]
+                made = [pool.submit(_make, self.landing, self.home, tables, b, label) for b in batches]
             for future in as_completed(made):
                 yield future.result()
         except BrokenProcessPool:
-            from pipelines.orchestration.batches import BatchResult, PartitionBatch
+            from pipelines.orchestration.batches import BatchResult
 
             self._pool = None
-            yield BatchResult(PartitionBatch(0), 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
+            yield BatchResult(0, 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
 
     def _ready(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -83,7 +83,7 @@ class LocalExecutor:
 
 @contextmanager
 def workers(landing: Path, home: Path, jobs: int) -> Iterator[LocalExecutor]:
-    """LocalExecutor that end with the block."""
+    """A `LocalExecutor` that ends with the block."""
     ours = LocalExecutor(landing, home, jobs)
     try:
         yield ours
@@ -98,8 +98,8 @@ def _die_with(parent: int) -> None:
         os._exit(1)
 
 
-def _make(landing: Path, home: Path, tables: list[str], block: PartitionBatch, label: str) -> BatchResult:
-    return _runner(landing, home).make(tables, block, label)
+def _make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
+    return _runner(landing, home).make(tables, batch, label)
 
 
 @cache

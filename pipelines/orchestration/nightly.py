@@ -17,8 +17,8 @@ import polars as pl
 
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
+from pipelines.mend import mend
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
-from pipelines.orchestration.mend import mend
 from pipelines.orchestration.order import Step, steps
 from pipelines.storage import earlier, history, ledger_copy, postgres
 from pipelines.storage.hashes import digest
@@ -163,7 +163,7 @@ class _Chain:
     mended: list[str] = field(default_factory=list)
 
     def send_out(self) -> None:
-        """Let other machines make the blocks, once what a killed night had sent them is done."""
+        """Let other machines make the batches, once what a killed night had sent them is done."""
         from pipelines.orchestration.remote_executor import RemoteExecutor
 
         if self.instance:
@@ -183,25 +183,25 @@ class _Chain:
         if step.grain == "flight":
             self.flights = max(self.flights, wanted.height)
         self.progress.start(step.label, wanted.height)
-        here = self.hands.folded
-        blocks = self.runner.known().blocks(step.grain, wanted, step.folded if here else 1, scattered=here)
-        for made in self._make(tables, list(blocks), step):
-            self.runs, self.cells = self.runs + made.runs, self.cells + made.block.cells
+        apart = self.hands.ranges
+        batches = self.runner.known().batches(step.grain, wanted, 1 if apart else step.folded, ranges=apart)
+        for made in self._make(tables, list(batches), step):
+            self.runs, self.cells = self.runs + made.runs, self.cells + made.cells
             self.failed |= made.failed
             self.mended += made.mended
-            self.progress.advance(made.block.cells)
+            self.progress.advance(made.cells)
 
     def _wanted(self, stage: Stage) -> pl.DataFrame:
         cells = stale(self.ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
-    def _make(self, tables: list[str], blocks: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:
-        """Share the blocks out, unless all that is new of whole aircraft are a few flights: they go on from there."""
+    def _make(self, tables: list[str], batches: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:
+        """Share the batches out, unless all that is new of whole aircraft are a few flights: they go on from there."""
         few = step.grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
-        if self.hands.worth(blocks, few):
-            return self.hands.make(tables, blocks, step.label)
+        if self.hands.worth(batches, few):
+            return self.hands.make(tables, batches, step.label)
         self.hands.stop()
-        return (self.runner.make(tables, block, step.label) for block in blocks)
+        return (self.runner.make(tables, batch, step.label) for batch in batches)
 
     @cached_property
     def runner(self) -> Runner:

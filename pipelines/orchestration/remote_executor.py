@@ -1,4 +1,4 @@
-"""Blocks made on other machines: each is a Dagster run that the instance's own launcher sends out.
+"""Batches made on other machines: each is a Dagster run that the instance's own launcher sends out.
 
 Which engine that is, `<home>/dagster/dagster.yaml` says (docs/distributed.md). Dagster's daemon hands the runs out,
 finds the lost ones and starts them again; here they are submitted and waited for and, where a run of several aircraft
@@ -8,7 +8,6 @@ failed, its aircraft are sent out again one by one.
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 
 import dagster as dg
 
@@ -25,7 +24,7 @@ AHEAD = 500  # runs that are sent before those before them are done: Dagster loo
 class RemoteExecutor:
     """Hands on other machines; the same to a night as `LocalExecutor`."""
 
-    folded = False  # several machines want several runs
+    ranges = True  # several machines want several runs, and a run's tags name a range
 
     def __init__(self, runner: Runner) -> None:
         self.runner, self.instance = runner, runner.instance
@@ -39,47 +38,47 @@ class RemoteExecutor:
         while remote.under_way(self.instance, NIGHT):
             time.sleep(LOOK_S)
 
-    def worth(self, blocks: list[PartitionBatch], few: bool) -> bool:
-        """Whether the blocks are sent out: always, for the night's own machine may be a small one."""
-        return bool(blocks)
+    def worth(self, batches: list[PartitionBatch], few: bool) -> bool:
+        """Whether the batches are sent out: always, for the night's own machine may be a small one."""
+        return bool(batches)
 
-    def make(self, tables: list[str], blocks: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
-        """Make the blocks in any order and say of each when it is done.
+    def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
+        """Make the batches in any order and say of each when it is done.
 
         A run that Dagster starts again is followed; one of several aircraft that failed for good makes room for a run
         of each.
         """
-        job, unsent = self.runner.job(tables), deque(blocks)
-        waiting: dict[str, PartitionBatch] = {}
+        job, unsent = self.runner.job(tables), deque(batches)
+        waiting, counted = dict[str, PartitionBatch](), set(batches)
         while unsent or waiting:
             while unsent and len(waiting) < AHEAD:
-                block = unsent.popleft()
-                waiting[self._send(job, block, label)] = block
+                batch = unsent.popleft()
+                waiting[self._send(job, batch, label)] = batch
             for run in remote.ended(self.instance, waiting):
-                block = waiting.pop(run.run_id)
+                batch = waiting.pop(run.run_id)
                 if again := remote.successor(run):
-                    waiting[again] = block
+                    waiting[again] = batch
                     continue
-                why = None if run.is_success else self._why(run, block)
+                why = None if run.is_success else self._why(run, batch)
                 told: tuple[str, ...] = ()
-                if why and len(block.aircraft) > 1:  # their cells count once: as their block's
-                    unsent.extend(replace(one, cells=0) for one in block.apart())
-                    told, why = made_apart(label, block, why), None
-                where = f"{label}: {block.aircraft[0] if block.aircraft else 'fleet'}"
-                yield BatchResult(block, 1, {where: why} if why else {}, told)
+                if why and len(batch.aircraft) > 1:
+                    unsent.extend(batch.parts())
+                    told, why = made_apart(label, batch, why), None
+                cells = batch.size if batch in counted else 0  # those of a part count once: as their whole's
+                yield BatchResult(cells, 1, {f"{label}: {batch.label}": why} if why else {}, told)
             time.sleep(LOOK_S)
 
     def stop(self) -> None:
         """They are not ours to stop."""
 
-    def _send(self, job: dg.JobDefinition, block: PartitionBatch, label: str) -> str:
+    def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:
         """Submit one run; its id."""
-        run = self.runner.create(job, block, label)
+        run = self.runner.create(job, batch, label)
         remote.submit(self.instance, run)
         return run.run_id
 
-    def _why(self, run: dg.DagsterRun, block: PartitionBatch) -> str:
-        self.runner.show_failed(run.run_id, block)
+    def _why(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:
+        self.runner.show_failed(run.run_id, batch)
         kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
         events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]
         return failure_of(events) or next((e.message for e in reversed(events) if e.message), run.status.value)

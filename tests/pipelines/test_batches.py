@@ -20,7 +20,7 @@ def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:
     known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
     rows = [(*k.split(":"), "") for k in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    return [block.aircraft for block in known.blocks("aircraft", cells)]
+    return [tuple(batch.aircraft) for batch in known.batches("aircraft", cells, ranges=True)]
 
 
 @pytest.mark.parametrize(
@@ -40,13 +40,13 @@ def test_an_aircraft_that_is_not_wanted_parts_the_range():
     assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
 
 
-def test_blocks_of_flights_hold_the_wanted_cells_and_no_other():
+def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
     flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
     known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     wanted = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
     rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    asked = [cell for block in known.blocks("flight", cells) for cell in known.cells(block)]
+    asked = [cell for batch in known.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
     assert sorted(asked) == sorted(f"{a}|{f}" for a, f in wanted)
 
 
@@ -54,8 +54,8 @@ def test_a_long_history_takes_several_runs(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
     known = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
-    found = list(known.blocks("flight", cells))
-    assert [(b.first, b.last, b.cells) for b in found] == [
+    found = list(known.batches("flight", cells))
+    assert [(*b.flights, b.size) for b in found] == [
         (FLIGHTS[0], FLIGHTS[1], 2),
         (FLIGHTS[2], FLIGHTS[3], 2),
         (FLIGHTS[4], FLIGHTS[4], 1),
@@ -68,20 +68,37 @@ def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alo
     wanted = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
     rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    assert len(list(known.blocks("flight", cells))) == 4
-    (one,) = known.blocks("flight", cells, scattered=True)
-    assert sorted(known.cells(one)) == sorted(f"{a}|{f}" for a, f in wanted)
+    assert len(list(known.batches("flight", cells, ranges=True))) == 4
+    (one,) = known.batches("flight", cells)
+    assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in wanted)
     assert one.ends() == (f"{KEYS[0]}|{FLIGHTS[0]}", f"{KEYS[-1]}|{FLIGHTS[4]}")
-    assert [part.aircraft for part in one.apart()] == [(key,) for key in KEYS]
+    assert [part.aircraft for part in one.parts()] == [[key] for key in KEYS]
 
 
 def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
     known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
     cells = pl.DataFrame([("AAA", "T1", ""), ("AAA", "T3", "")], schema=["operator", "tail", "flight_id"], orient="row")
-    (one,) = known.blocks("aircraft", cells, scattered=True)
-    assert (one.aircraft, known.cells(one)) == (("AAA:T1", "AAA:T3"), ["AAA:T1", "AAA:T3"])
+    (one,) = known.batches("aircraft", cells)
+    assert one.partition_keys() == ["AAA:T1", "AAA:T3"]
     known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
-    assert len(list(known.blocks("aircraft", cells, scattered=True))) == 2
+    assert len(list(known.batches("aircraft", cells))) == 2
+
+
+def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown():
+    flown = {"AAA:T1": {FLIGHTS[0], FLIGHTS[1]}, "AAA:T2": {FLIGHTS[1]}, "AAA:T3": {FLIGHTS[0]}, "BBB:T4": set()}
+    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
+    cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+    found = [batch.partition_keys() for batch in known.batches("flight", cells, ranges=True)]
+    assert found == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
+
+
+def test_a_batch_of_one_aircraft_is_parted_into_halves_and_a_single_cell_not_at_all():
+    batch = batches.PartitionBatch(tuple((KEYS[0], f) for f in FLIGHTS), (FLIGHTS[0], FLIGHTS[-1]))
+    one, two = batch.parts()
+    assert one.partition_keys() + two.partition_keys() == batch.partition_keys()
+    assert (one.flights, two.flights) == ((FLIGHTS[0], FLIGHTS[1]), (FLIGHTS[2], FLIGHTS[4]))
+    assert batches.PartitionBatch(((KEYS[0], ""),)).parts() == batches.PartitionBatch().parts() == []
 
 
 class Together(Runner):
@@ -89,18 +106,18 @@ class Together(Runner):
 
     bad: tuple[str, ...] = ()
 
-    def _run(self, tables, block, label):
-        return "no" if len(block.aircraft) > 1 or set(block.aircraft) & set(self.bad) else None
+    def _run(self, tables, batch, label):
+        return "no" if len(batch.aircraft) > 1 or set(batch.aircraft) & set(self.bad) else None
 
-    def _pinned_down(self, tables, block, why, label):
+    def _pinned_down(self, tables, batch, why, label):
         return 0, why
 
 
 def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch):
-    block = batches.PartitionBatch(8, tuple(KEYS))
-    done = Together(None, None, None).make([], block, "alerts")
+    batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
+    done = Together(None, None, None).make([], batch, "alerts")
     assert (done.runs, done.failed) == (5, {})
     assert done.mended == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
     monkeypatch.setattr(Together, "bad", (KEYS[1],))
-    done = Together(None, None, None).make([], block, "alerts")
+    done = Together(None, None, None).make([], batch, "alerts")
     assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())

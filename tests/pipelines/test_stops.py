@@ -18,7 +18,7 @@ from pipelines.assets import features
 from pipelines.definitions import build_defs
 from pipelines.orchestration.nightly import holding
 from pipelines.orchestration.runs import open_instance
-from pipelines.orchestration.stops import StoppedError, deaf, ends_in_order
+from pipelines.stops import StoppedError, deaf, ends_in_order
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
 
