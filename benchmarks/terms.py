@@ -21,11 +21,11 @@ from hdt_core.simulate.design import FleetSettings
 from hdt_core.twin.crossing import IN_ORDER, PACK
 from hdt_core.twin.dsm import Dsm
 from pipelines.baseline import baseline_cells
+from pipelines.casework.terms import accept, proposals
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
-from pipelines.terms import accept, proposals
 
 
 class Outcome(NamedTuple):

@@ -5,7 +5,7 @@ import sys
 
 from pipelines.cli import cases, digest, look, make, night, recorder, serve, share, trial
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
-from pipelines.stops import StoppedError, ends_in_order
+from pipelines.cli.stops import StoppedError, ends_in_order
 
 __all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder", "serve", "share", "trial"]
 

@@ -21,7 +21,7 @@ from pipelines.cli.base import (
     say_error,
     spoken,
 )
-from pipelines.stops import ends_at_once
+from pipelines.cli.stops import ends_at_once
 
 
 @app.command()
@@ -30,7 +30,7 @@ def status(home: HomeDir = None, as_json: AsJson = False) -> None:
 
     With the last good run, the catalog's age and the quarantine.
     """
-    from pipelines.status import status_of
+    from pipelines.cli.status import status_of
 
     told = status_of(home_folder(home))
     if as_json:
@@ -169,10 +169,10 @@ def terms(
     """
     from hdt_core.physics.terms import TERMS
     from hdt_core.twin.dsm import Dsm
+    from pipelines.casework.terms import accept as write
+    from pipelines.casework.terms import proposals
     from pipelines.storage.settings import accepted_terms
     from pipelines.storage.store import Store
-    from pipelines.terms import accept as write
-    from pipelines.terms import proposals
 
     where = home_folder(home)
     unknown = sorted({*(accept or ()), *(drop or ())} - set(TERMS))

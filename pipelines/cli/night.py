@@ -26,8 +26,8 @@ from pipelines.cli.base import (
     say_error,
     spoken,
 )
+from pipelines.cli.stops import ends_at_once
 from pipelines.orchestration.local_executor import cores
-from pipelines.stops import ends_at_once
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]

@@ -10,11 +10,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from pipelines.stops import deaf
 
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
@@ -89,6 +87,17 @@ def workers(landing: Path, home: Path, jobs: int) -> Iterator[LocalExecutor]:
         yield ours
     finally:
         ours.stop()
+
+
+@contextmanager
+def deaf() -> Iterator[None]:
+    """Processes started within the block hear no stop signal: who started them, whom Ctrl-C reaches too, ends them."""
+    resource_tracker.ensure_running()  # the first process starts it, and it would open the ears of the next
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _die_with(parent: int) -> None:

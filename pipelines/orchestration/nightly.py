@@ -17,9 +17,9 @@ import polars as pl
 
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
-from pipelines.mend import mend
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
 from pipelines.orchestration.order import Step, steps
+from pipelines.repair.mend import mend
 from pipelines.storage import earlier, history, ledger_copy, postgres
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger

@@ -15,10 +15,11 @@ from dagster._core.errors import DagsterExecutionInterruptedError
 from nights import run
 
 from pipelines.assets import features
+from pipelines.cli.stops import StoppedError, ends_in_order
 from pipelines.definitions import build_defs
+from pipelines.orchestration.local_executor import deaf
 from pipelines.orchestration.nightly import holding
 from pipelines.orchestration.runs import open_instance
-from pipelines.stops import StoppedError, deaf, ends_in_order
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
 

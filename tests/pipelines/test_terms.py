@@ -4,10 +4,10 @@ import pytest
 from typer.testing import CliRunner
 
 from pipelines.baseline import baseline_inputs
+from pipelines.casework.terms import accept
 from pipelines.cli import app
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms, terms_file
-from pipelines.terms import accept
 
 
 def test_what_is_accepted_makes_the_model_stale(tmp_path):

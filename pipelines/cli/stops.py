@@ -7,7 +7,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from types import FrameType
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
@@ -90,14 +89,3 @@ def _end(code: int, say: Callable[[], None]) -> None:
         atexit._run_exitfuncs()
     finally:
         os._exit(code)
-
-
-@contextmanager
-def deaf() -> Iterator[None]:
-    """Processes started within the block hear no stop signal: who started them, whom Ctrl-C reaches too, ends them."""
-    resource_tracker.ensure_running()  # the first process starts it, and it would open the ears of the next
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,1 @@
+"""What of a home is damaged, and how it becomes whole again."""
