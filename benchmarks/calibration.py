@@ -24,6 +24,7 @@ from benchmarks.legs import fleet_of
 from benchmarks.page import write
 from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
+from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.simulate import flying
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
@@ -91,7 +92,7 @@ def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
     """Error of ln UA over the envelope, at the true flows and as used with the duct's map: level, and shape about
     it."""
     level = dsm.clean_level
-    here = hx.ln_clean_conductance(at.signals, at.ram_kg_s, dsm.design) + level - np.log(at.ua_w_k)
+    here = ln_clean_conductance(at.signals, at.ram_kg_s, dsm.design) + level - np.log(at.ua_w_k)
     used = level - hx.ln_conductance_ratio(at.signals, dsm.design, np.zeros((len(hx.BIASES), 1)))
     found = {}
     for name, error in (("law", here), ("used", used)):

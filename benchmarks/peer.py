@@ -19,6 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from benchmarks.scale import Silent
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import capacity_rates
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, cruise_samples
@@ -76,10 +77,10 @@ def _of_flight(own: pd.DataFrame, bias: np.ndarray, dsm: Dsm) -> float:
     for row in own.to_dict("records"):
         one = {name: np.array([float(row[name])]) for name in hx.SIGNALS}
         s = hx.without_bias(one, bias)
-        ram = hx.clean_ram_flow_kg_s(s, dsm.design)
+        ram = clean_ram_flow_kg_s(s, dsm.design)
         ends = (float(s[name][0]) for name in ("hx_in_k", "hx_out_k", "tat_k"))
         measured = conductance_w_k(float(s["pack_flow_kg_s"][0]), float(ram[0]), *ends)
-        found.append(np.log(measured) - hx.ln_clean_conductance(s, ram, dsm.design)[0])
+        found.append(np.log(measured) - ln_clean_conductance(s, ram, dsm.design)[0])
     values = np.array(found)
     values = values[np.isfinite(values)]
     return location(values) if len(values) else np.nan

@@ -1,7 +1,7 @@
 """The pack's heat exchanger."""
 
 from hdt_core.components.declaration import CLEANED, REPLACED, Component, Limit
-from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.installed_exchanger import INSTALLED
 
 _UA = ("altitude_ft", "mach", "tat_degc", "hx_in_degc", "hx_out_degc", "ram_door_pct", "pack_flow_lbpm")
 
@@ -9,7 +9,7 @@ HX = Component(
     code="HX",
     name="heat exchanger",
     lost="UA lost",
-    model=HEAT_EXCHANGER,
+    model=INSTALLED,
     loss="hx_fouling",
     # where packs ran out of ram door in the first fleets seen; used where the margin is unknown
     limit=Limit(0.38, 0.10, 0.08),

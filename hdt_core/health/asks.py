@@ -18,6 +18,7 @@ from hdt_core.physics.air import (
     total_to_static_temperature,
 )
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, flights_of
@@ -201,8 +202,8 @@ def full_open_outlet_k(
         ln of ram flow over that of the clean duct, (n,). [-]
     """
     full = {**signals, "ram_door_open": np.ones_like(signals["tat_k"])}
-    ram = hx.clean_ram_flow_kg_s(full, design) * np.exp(ln_ram_ratio)
-    expected = hx.ln_clean_conductance(full, ram, design)
+    ram = clean_ram_flow_kg_s(full, design) * np.exp(ln_ram_ratio)
+    expected = ln_clean_conductance(full, ram, design)
     columns = [
         outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(expected + r))[0]
         for r in ln_ratio

@@ -13,6 +13,7 @@ import polars as pl
 from hdt_core.health.detection import Array
 from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
@@ -108,8 +109,8 @@ def _exchanger(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
     """Outlet temperatures of both sides; the ram flow is that of the clean duct in model and twin alike."""
     signals = {name: rows[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ram_out_k")}
     clean = hx.without_bias(signals, dsm.bias_of(rows))
-    ram = hx.clean_ram_flow_kg_s(clean, dsm.design)
-    ln_clean = hx.ln_clean_conductance(clean, ram, dsm.design)
+    ram = clean_ram_flow_kg_s(clean, dsm.design)
+    ln_clean = ln_clean_conductance(clean, ram, dsm.design)
     given = clean["pack_flow_kg_s"], ram, clean["hx_in_k"], clean["tat_k"]
     with np.errstate(all="ignore"):
         model = outlets_k(*given, np.exp(ln_clean + dsm.clean_level))

@@ -6,6 +6,7 @@ The default for health. `lumped_exchanger` holds the paper's equations (7)-(8).
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness, crossflow_ntu
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
+from hdt_core.physics.ram_duct import TAT
 
 REFERENCE_HOT_FLOW_KG_S = 0.9
 REFERENCE_RAM_FLOW_KG_S = 1.6
@@ -201,19 +202,23 @@ def steady_exchanger(
 
 
 INPUTS = (
-    Signal("hot_flow_kg_s", "kg/s", sigma=0.01),
+    Signal("hot_flow_kg_s", "kg/s", sigma=0.01, gain_sd=0.02),
     Signal("ram_flow_kg_s", "kg/s"),
-    Signal("hot_in_k", "K", sigma=0.5),
-    Signal("cold_in_k", "K", sigma=0.2),
+    Signal("hot_in_k", "K", sigma=0.4, bias_sd=1.0),
+    TAT.named("cold_in_k"),
 )
-OUTPUTS = (Signal("hot_out_k", "K", sigma=0.5), Signal("ram_out_k", "K", sigma=0.5))
+OUTPUTS = (
+    Signal("hot_out_k", "K", sigma=0.4, bias_sd=1.0),
+    Signal("ram_out_k", "K", sigma=0.4, bias_sd=1.0),
+)
+"""Sensor classes of transport aircraft."""
 
 PARAMS = (
-    Param("hx_ua_reference_w_k", "W/K", 1500.0, (300.0, 6000.0), "design"),
-    Param("hx_exponent_hot", "-", 0.6, (0.2, 1.0), "design"),
-    Param("hx_exponent_cold", "-", 0.6, (0.2, 1.0), "design"),
+    Param("hx_ua_reference_w_k", "W/K", 1700.0, (150.0, 8000.0), "design"),
+    Param("hx_exponent_hot", "-", 0.6, (0.3, 0.9), "design"),
+    Param("hx_exponent_cold", "-", 0.6, (0.3, 0.9), "design"),
     Param("hx_hot_share", "-", 0.45, (0.1, 0.8), "design"),
-    Param("hx_wall_share", "-", 0.05, (0.0, 0.19), "design"),
+    Param("hx_wall_share", "-", 0.1, (0.0, 0.19), "design"),
     Param("hx_fouling", "-", 0.0, (-0.25, 0.9), "health", drift=0.003),
 )
 

@@ -1,6 +1,7 @@
 """How a physics model is declared: once, in one place, for every estimator, check and table that reads it."""
 
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -17,11 +18,21 @@ Equation = Callable[..., Any]
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """What goes in or comes out: name (it ends in its unit), unit, the sensor's standard deviation if it has one."""
+    """What goes in or comes out: name (it ends in its unit), unit, and the sensor's errors if it has one.
+
+    `sigma` is the standard deviation of its noise; `bias_sd` and `gain_sd` those of its calibration, one draw an
+    installation: a constant in the signal's unit, and a share of the value.
+    """
 
     name: str
     unit: str
     sigma: float | None = None
+    bias_sd: float | None = None
+    gain_sd: float | None = None
+
+    def named(self, name: str) -> "Signal":
+        """The same signal under the name that a record or another model has for it."""
+        return replace(self, name=name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +63,15 @@ class Param:
             raise ValueError(f"{self.name}: a standard deviation of {self.sd} is none")
         if self.role == "health" and (self.nominal < 0.0 or low >= 0.0):
             raise ValueError(f"{self.name}: a loss is 0 or more as declared, and its lower bound lies below 0")
+
+    def known_to(self, *, sd: float) -> "Param":
+        """The same parameter with what is known of it before any flight."""
+        return replace(self, sd=sd)
+
+    def in_ln(self, name: str, *, sd: float) -> "Param":
+        """The natural logarithm of the parameter, for what must stay positive; `sd` is the logarithm's."""
+        low, high = map(math.log, self.bounds)
+        return Param(name, f"ln {self.unit}", float(np.log(self.nominal)), (low, high), self.role, sd=sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +128,10 @@ class PhysicsModel:
         """Every argument of the equations: inputs, parameters, states."""
         return tuple(x.name for group in (self.inputs, self.params, self.states) for x in group)
 
+    def signal(self, name: str) -> Signal:
+        """The declared input or output of this name."""
+        return next(s for s in (*self.inputs, *self.outputs) if s.name == name)
+
     @property
     def sigmas(self) -> Array:
         """Sensor standard deviation of each output; infinite where no sensor is declared. (n_outputs,)"""
@@ -121,6 +145,10 @@ class PhysicsModel:
     def free(self, role: Role) -> tuple[Param, ...]:
         """Return the parameters of a role: `design` to calibrate, `health` to track."""
         return tuple(p for p in self.params if p.role == role)
+
+    def drift(self, name: str) -> float:
+        """Standard deviation that a parameter may gain in one flight."""
+        return next(p.drift for p in self.params if p.name == name)
 
     def bounds(self, role: Role | None = None) -> Array:
         """Lower and upper bound of each parameter (of a role). (n, 2)"""
@@ -217,6 +245,19 @@ class PhysicsModel:
         if missing:
             raise KeyError(f"{self.name} needs {', '.join(missing)}")
         return {name: np.asarray(given[name]) for name in self.names}
+
+
+def declared(value: float | None) -> float:
+    """A number that a declaration may leave out and that is needed here.
+
+    Raises
+    ------
+    ValueError
+        It is left out.
+    """
+    if value is None:
+        raise ValueError("the declaration leaves out a number that is needed")
+    return value
 
 
 def as_tuple(value: Any) -> tuple[Any, ...]:

@@ -133,23 +133,27 @@ def ram_flow(
     return (1.0 - ram_flow_loss) * compressible_flow_kg_s(area_m2, recovered_pa, static_pa, tat_k)
 
 
+TAT = Signal("tat_k", "K", sigma=0.3, bias_sd=0.5)
+"""Total air temperature: what the ram air is met with, one probe an aircraft."""
+REST_AREA_M2 = 0.025
+"""Of core and exit in series."""
 RAM_DUCT = PhysicsModel(
     name="ram_duct",
     inputs=(
-        Signal("ram_door_open", "-", sigma=0.005),
-        Signal("total_pressure_pa", "Pa", sigma=40.0),
-        Signal("tat_k", "K", sigma=0.2),
+        Signal("ram_door_open", "-", sigma=0.006, bias_sd=0.01),
+        Signal("total_pressure_pa", "Pa", sigma=40.0, gain_sd=0.002),
+        TAT,
         Signal("altitude_m", "m", sigma=10.0),
         Signal("mach", "-", sigma=0.002),
     ),
     params=(
-        Param("ram_area_closed_m2", "m2", 0.004, (0.0005, 0.02), "design"),
-        Param("ram_area_open_m2", "m2", 0.05, (0.01, 0.3), "design"),
-        Param("ram_door_low", "-", 1.0 / 3.0, (0.0, 1.0), "design"),
-        Param("ram_door_high", "-", 0.5, (0.0, 1.0), "design"),
-        Param("ram_core_area_m2", "m2", 0.04, (0.01, 0.3), "design"),
-        Param("ram_exit_area_m2", "m2", 0.06, (0.01, 0.3), "design"),
-        Param("ram_recovery", "-", 0.9, (0.6, 1.0), "design"),
+        Param("ram_area_closed_m2", "m2", 0.003, (1.2e-4, 0.05), "design"),
+        Param("ram_area_open_m2", "m2", 0.04, (0.0067, 0.6), "design"),
+        Param("ram_door_low", "-", 1.0 / 3.0, (0.02, 0.98), "design"),
+        Param("ram_door_high", "-", 0.6, (0.02, 0.98), "design"),
+        Param("ram_core_area_m2", "m2", 2.0**0.5 * REST_AREA_M2, (0.0035, 0.85), "design"),
+        Param("ram_exit_area_m2", "m2", 2.0**0.5 * REST_AREA_M2, (0.0035, 0.85), "design"),
+        Param("ram_recovery", "-", 0.8, (0.4, 1.0), "design"),
         Param("ram_flow_loss", "-", 0.0, (-0.1, 0.8), "health", drift=0.002),
     ),
     outputs=(Signal("ram_flow_kg_s", "kg/s"),),

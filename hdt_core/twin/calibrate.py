@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
 from hdt_core.robust import median_error
 from hdt_core.twin import exchanger as hx
@@ -153,7 +154,7 @@ def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
     """Median hot and ram flow of the points, the reference flows where there are none. [kg/s]"""
     if not len(points):
         return REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
-    ram = hx.clean_ram_flow_kg_s(points.signals, design)
+    ram = clean_ram_flow_kg_s(points.signals, design)
     return float(np.median(points.signals["pack_flow_kg_s"])), float(np.nanmedian(ram))
 
 

@@ -10,21 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.physics.compressor import COMPRESSOR
+from hdt_core.components.compressor import CC
+from hdt_core.physics.model import declared
 from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
 from hdt_core.twin.forms import FormFit, Rows, compare_forms
 from hdt_core.twin.pooling import Level, levels_of
 
-PAPER_INTERCEPT_M, PAPER_SLOPE_M = 0.1731, -2.9304e-5
-DIAMETER_SD_M = 0.01
-PRIOR_GROUP_M3, PRIOR_EFFICIENCY = (7.6e-4, 4e-4), (0.75, 0.05)
+PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
+"""The paper's law with a wide band, as the component declares it."""
 BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO = float(np.deg2rad(36.0)), float(np.deg2rad(3.0)), 0.4
 """Angle from tangential and hub to eye diameter of inducers of this kind: assumed, seen in no record."""
 MIN_POINTS = 30
 BLOCK_FLIGHTS = 20
 """Flights within which a compressor hardly wears; also those from which a level as built is taken."""
-VDA_NOISE_COUNTS = next(s.sigma for s in COMPRESSOR.inputs if s.name == "vda_counts") or 0.0
+VDA_NOISE_COUNTS = declared(CC.model.signal("vda_counts").sigma)
 HUBER_STEPS = 8
 FAR_SD = 4.0
 """Robust standard deviations beyond which a position is a spike of its sensor: one would turn a slope."""
@@ -76,10 +76,10 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     """
     rows = _rows(samples)
     group, group_sd, group_levels = _pooled(
-        samples, "group_m3", "cc_area_diameter_tan_beta_m3", FLOW_BIAS_SD, prior=PRIOR_GROUP_M3, wear=False
+        samples, "group_m3", "cc_area_diameter_tan_beta_m3", FLOW_BIAS_SD, wear=False
     )
     efficiency, efficiency_sd, efficiency_levels = _pooled(
-        samples, "efficiency", "cc_efficiency", PROBE_SD_LN, prior=PRIOR_EFFICIENCY, wear=True
+        samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True
     )
     flights = samples.select(FLIGHT_PACK).unique().height
     if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
@@ -121,8 +121,8 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
 def _prior(flights: int) -> CompressorFit:
     """The paper's equation (6) with a wide band, where the fleet's own records hold too little."""
     return CompressorFit(
-        PAPER_INTERCEPT_M, DIAMETER_SD_M, PAPER_SLOPE_M, 2e-5, 0.0055, 0.0055, 0.0,
-        *PRIOR_GROUP_M3, *PRIOR_EFFICIENCY, 400.0, flights,
+        *PRIOR["cc_diameter_vda_intercept"], *PRIOR["cc_diameter_vda_slope"], 0.0055, 0.0055, 0.0,
+        *PRIOR["cc_area_diameter_tan_beta_m3"], *PRIOR["cc_efficiency"], 400.0, flights,
     )  # fmt: skip
 
 
@@ -179,7 +179,7 @@ def _as_built(seen: Array, wear: float, wear_sd: float) -> tuple[float, float]:
 
 
 def _pooled(
-    samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, prior: tuple[float, float], wear: bool
+    samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, wear: bool
 ) -> tuple[float, float, tuple[Level, ...]]:
     """A quantity's fleet value, its standard deviation, and its levels by operator and pack.
 
@@ -191,7 +191,7 @@ def _pooled(
         pl.col(column).median().alias("value"), pl.len().alias("n"), pl.col(column).std().alias("spread")
     )
     if not packs.height:
-        return *prior, ()
+        return *PRIOR[parameter], ()
     random = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
     error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
     pooled, levels = levels_of(packs.with_columns(error_sd=error), parameter)

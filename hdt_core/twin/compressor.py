@@ -3,17 +3,26 @@
 import numpy as np
 import polars as pl
 
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
+from hdt_core.physics.model import declared
 from hdt_core.robust import median_error, spread_expr
 from hdt_core.twin.crossing import FLIGHT_PACK, LEVEL_M, PACK
 
-INLET_BIAS_SD_K, TAT_BIAS_SD_K = 1.0, 0.5
-INLET_BIAS_SD_LN, TOTAL_BIAS_SD_LN = 0.003, 0.002
-"""Calibration errors of the compressor's inlet probes and of the air data: who is to be believed when they differ."""
-EXIT_BIAS_SD_LN, MAX_EXIT_SHARE = 0.004, 0.8
+MAX_EXIT_SHARE = 0.8
+EXIT_BIAS_SD_LN = declared(CC.model.signal("cc_out_pa").gain_sd)
 CORRECTIONS = ("inlet_bias_k", "inlet_bias_ln", "exit_bias_ln")
-SHARE_K = INLET_BIAS_SD_K**2 / (INLET_BIAS_SD_K**2 + TAT_BIAS_SD_K**2)
-SHARE_LN = INLET_BIAS_SD_LN**2 / (INLET_BIAS_SD_LN**2 + TOTAL_BIAS_SD_LN**2)
+
+
+def _share(own_sd: float | None, other_sd: float | None) -> float:
+    """Part of the difference of two sensors that is the first one's, by their declared calibration errors."""
+    return declared(own_sd) ** 2 / (declared(own_sd) ** 2 + declared(other_sd) ** 2)
+
+
+SHARE_K = _share(CC.model.signal("cc_in_k").bias_sd, HX.model.signal("tat_k").bias_sd)
+SHARE_LN = _share(CC.model.signal("cc_in_pa").gain_sd, HX.model.signal("total_pressure_pa").gain_sd)
+"""Of inlet temperature and pressure, against the air data."""
 
 MIN_FLIGHTS, MIN_PACKS = 40, 4
 STEADY_SAMPLES = 5

@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
 from hdt_core.robust import MAD_TO_SD, huber_weights
 from hdt_core.tables.base import finite
@@ -90,13 +91,13 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     bias = dsm.bias_of(rows)
     ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)
     clean = hx.without_bias(signals, bias)
-    ram = hx.clean_ram_flow_kg_s(clean, dsm.design)
+    ram = clean_ram_flow_kg_s(clean, dsm.design)
     balance = hx.ln_ram_flow_ratio(signals, dsm.design, bias)
     found = rows.with_columns(
         pl.Series("ratio", ratio),
         pl.Series("balance", balance),
         pl.Series("ram_flow_kg_s", ram),
-        pl.Series("ln_expected", hx.ln_clean_conductance(clean, ram, dsm.design)),
+        pl.Series("ln_expected", ln_clean_conductance(clean, ram, dsm.design)),
         pl.Series("effectiveness", (clean["hx_in_k"] - clean["hx_out_k"]) / (clean["hx_in_k"] - clean["tat_k"])),
     ).filter(pl.col("ratio").is_finite())
     located = _located(found, "ratio", "ln_ua_ratio").join(

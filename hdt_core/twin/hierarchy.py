@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import Array, Points
 
@@ -195,7 +196,7 @@ def _prior_terms(points: Points, design: Array) -> tuple[Array, Array]:
     """Normal matrix and right side of the design's prior and of the ram to pack flow prior."""
 
     def ratio(values: Array) -> float:
-        flow = np.log(hx.clean_ram_flow_kg_s(points.signals, values)) - np.log(points.signals["pack_flow_kg_s"])
+        flow = np.log(clean_ram_flow_kg_s(points.signals, values)) - np.log(points.signals["pack_flow_kg_s"])
         return float(np.nanmedian(flow))
 
     now = ratio(design)

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.compressor import exit_temperature_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
@@ -67,7 +68,7 @@ def _terms(cruise: pl.DataFrame, design: Array, bias: Array) -> Array:
     signals = hx.without_bias({name: cruise[name].to_numpy().astype(float) for name in hx.SIGNALS}, bias)
     flow, discharge_k = signals["pack_flow_kg_s"], _discharge_k(cruise)
     with np.errstate(all="ignore"):
-        ram = hx.clean_ram_flow_kg_s(signals, design)
+        ram = clean_ram_flow_kg_s(signals, design)
         ln_ram, ln_flow = np.log(ram), np.log(flow)
         ram_outlet_k = signals["tat_k"] + flow / ram * (signals["hx_in_k"] - signals["hx_out_k"])
     apart_k = discharge_k - ram_outlet_k

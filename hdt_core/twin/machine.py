@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 
+from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array
 from hdt_core.robust import median_error
 from hdt_core.twin.crossing import PACK
@@ -15,7 +16,7 @@ EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
 """Scatter of a flight about the machine's state, for packs too young to show their own."""
 LEVEL_SD_EFFICIENCY, LEVEL_SD_DIAMETER_LN = 0.008, 0.04
 """Spread of machines and their sensors as built, about the fleet's."""
-STEP_EFFICIENCY, STEP_DIAMETER_LN = 0.001, 0.001
+STEP_EFFICIENCY, STEP_DIAMETER_LN = (CC.model.drift(name) for name in ("cc_efficiency_loss", "cc_diameter_loss"))
 ENTRY_LOSS_SD = 0.015
 PROBE_SD, SAMPLE_SD = 0.0025, 0.003
 """Of a diameter, as a share of it: calibration of the probes (half a per cent of head), and noise of one sample."""

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.physics.installed_exchanger import core_values
 from hdt_core.physics.model import Array
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.characterise import BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO, inlet_geometry
@@ -126,7 +127,7 @@ def _pack_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float) -> Array:
     """d ln UA / d ln flow of the hot and the ram side at these flows: exponent times the film's share. (2,) [-]"""
-    p = hx.core_values(design)
+    p = core_values(design)
     hot_share = p["hx_hot_share"]
     hot = hot_share * (hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S) ** -p["hx_exponent_hot"]
     cold = (1.0 - hot_share - p["hx_wall_share"]) * (ram_flow_kg_s / REFERENCE_RAM_FLOW_KG_S) ** -p["hx_exponent_cold"]

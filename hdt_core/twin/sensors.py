@@ -3,12 +3,13 @@
 import numpy as np
 import polars as pl
 
-from hdt_core.physics.model import Array
+from hdt_core.components.compressor import CC
+from hdt_core.physics.model import Array, declared
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import FLIGHT_PACK, PACK
 
-CC_FLOW_BIAS_SD = 0.02
-CC_INLET_BIAS_SD_K = 1.0
+CC_FLOW_BIAS_SD = declared(CC.model.signal("cc_flow_kg_s").gain_sd)
+CC_INLET_BIAS_SD_K = declared(CC.model.signal("cc_in_k").bias_sd)
 DOOR_FREE, MOSTLY_FREE = (0.05, 0.95), 0.8
 
 

@@ -48,10 +48,10 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
     ("change", "says"),
     [
         ({"code": "hx"}, "two to eight capital letters"),
-        ({"loss": "hx_ua_reference_w_k"}, "no health parameter of heat_exchanger"),
+        ({"loss": "hx_ua_reference_w_k"}, "no health parameter of installed_exchanger"),
         ({"code": "QQ"}, "begin with qq_, not hx_fouling"),
         ({"ended_by": ("POLISHED",)}, "ended_by takes REPLACED, CLEANED"),
-        ({"record": Record((Channel("a", "hot_in_k", "K", "a"),))}, "no channel and no derivation gives hot_flow_kg_s"),
+        ({"record": Record((Channel("a", "hx_in_k", "K", "a"),))}, "no channel and no derivation gives altitude_m"),
     ],
 )
 def test_a_declaration_that_contradicts_itself_is_refused(change, says):

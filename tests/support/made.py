@@ -10,6 +10,7 @@ from seen import NO_LOG
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.compressor import effective_diameter_m, exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.twin import exchanger as hx
 
 GROUP_M3, INTERCEPT_M, SLOPE_M, SCATTER_M, EFFICIENCY = 9.1e-4, 0.169, -2.4e-5, 0.004, 0.76
@@ -99,8 +100,8 @@ def _flown(rng, design, loss, offset, weather, level, n=8):
     low, high = np.full(shape, 0.02), np.ones(shape)
     for _ in range(40):
         s["ram_door_open"] = 0.5 * (low + high)
-        ram = hx.clean_ram_flow_kg_s(s, design)
-        ua = np.exp(hx.ln_clean_conductance(s, ram, design) + offset) * (1.0 - loss[:, None])
+        ram = clean_ram_flow_kg_s(s, design)
+        ua = np.exp(ln_clean_conductance(s, ram, design) + offset) * (1.0 - loss[:, None])
         hot, cold = outlets_k(flow, ram, s["hx_in_k"], tat, ua)
         low, high = np.where(hot > target, s["ram_door_open"], low), np.where(hot > target, high, s["ram_door_open"])
     s |= {"hx_out_k": hot, "ram_out_k": cold}

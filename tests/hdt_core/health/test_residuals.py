@@ -8,6 +8,7 @@ from hdt_core.health.features import residual_column
 from hdt_core.health.residuals import KINDS, SIGNALS, residuals
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.tables.residuals import Residuals
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.calibrate import calibrate
@@ -31,9 +32,9 @@ def flown(fly, model) -> pl.DataFrame:
     samples = fly(6).with_columns(monitored=pl.col("phase") == "cruise", ram_door_open=pl.lit(0.4))
     signals = {n: samples[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
     clean = hx.without_bias(signals, model.bias_of(samples))
-    ram = hx.clean_ram_flow_kg_s(clean, model.design)
+    ram = clean_ram_flow_kg_s(clean, model.design)
     left = np.where(samples["pack"].to_numpy() == 2, 1.0 - LOSS, 1.0)
-    ua = left * np.exp(hx.ln_clean_conductance(clean, ram, model.design) + model.clean_level)
+    ua = left * np.exp(ln_clean_conductance(clean, ram, model.design) + model.clean_level)
     hot, cold = outlets_k(clean["pack_flow_kg_s"], ram, clean["hx_in_k"], clean["tat_k"], ua)
     return samples.with_columns(pl.Series("hx_out_k", hot), pl.Series("ram_out_k", cold))
 

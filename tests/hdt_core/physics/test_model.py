@@ -101,7 +101,7 @@ def test_roles_divide_the_parameters():
 def test_calibrated_model_differs_in_nothing_but_the_value():
     sold = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1800.0})
     assert sold.nominal == {**HEAT_EXCHANGER.nominal, "hx_ua_reference_w_k": 1800.0}
-    assert HEAT_EXCHANGER.nominal["hx_ua_reference_w_k"] == 1500.0
+    assert HEAT_EXCHANGER.nominal["hx_ua_reference_w_k"] == 1700.0
     with pytest.raises(KeyError, match="no parameter ua"):
         HEAT_EXCHANGER.calibrated({"ua": 1.0})
 

@@ -90,4 +90,4 @@ def test_wrong_wiring_is_refused(parts, wires, message):
 
 
 def test_a_signal_keeps_its_declaration():
-    assert Signal("tat_k", "K", sigma=0.2) in PACK.inputs
+    assert Signal("tat_k", "K", sigma=0.3, bias_sd=0.5) in PACK.inputs

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.tables.calibration import CalibrationDesign
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.audit import audit_drift
@@ -22,12 +23,12 @@ def points_of(fleet) -> dict[str, np.ndarray]:
 
 
 def law(design: np.ndarray, at: dict[str, np.ndarray], ram: np.ndarray) -> np.ndarray:
-    return hx.ln_clean_conductance(at, ram, design)
+    return ln_clean_conductance(at, ram, design)
 
 
 def test_conductance_law_is_within_two_per_cent_over_the_envelope(fleet, model):
     at = points_of(fleet)
-    ram = hx.clean_ram_flow_kg_s(at, fleet.design)
+    ram = clean_ram_flow_kg_s(at, fleet.design)
     error = law(model.design, at, ram) + model.clean_level - law(fleet.design, at, ram)
     assert np.abs(error - error.mean()).max() < 0.02
     assert abs(error.mean()) < 0.04  # five tails: biases of five probes set the level

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import cruise_samples
 from hdt_core.twin.inlet import inlet_above_law, learn_inlet
@@ -18,7 +19,7 @@ def flown(fleet, model):
     rng = np.random.default_rng(5)
     bias = model.bias_of(cruise)
     signals = hx.without_bias({n: cruise[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
-    share = signals["pack_flow_kg_s"] / hx.clean_ram_flow_kg_s(signals, model.design)
+    share = signals["pack_flow_kg_s"] / clean_ram_flow_kg_s(signals, model.design)
     discharge_k = 470.0 + 0.8 * (signals["tat_k"] - 250.0) + 8.0 * rng.standard_normal(cruise.height)
     # inlet = (1 - e) discharge + e ram outlet + 40 K of the air cycle machine; the ram outlet holds the inlet itself
     out_k = signals["hx_out_k"]

@@ -1,0 +1,105 @@
+"""The exchanger on its ram duct, as the record of an aircraft shows it: the one declaration of what is estimated of it.
+
+Its design is stated in the coordinates in which a belief is about normal: logarithms of what must stay positive, the
+logit of a share. Core and exit of the duct can't be told apart in flight: one resistance stands for both.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
+from hdt_core.physics.model import Array, Param, PhysicsModel, taking
+from hdt_core.physics.ram_duct import RAM_DUCT, REST_AREA_M2, ram_flow
+
+REFERENCE_FILM_K = 325.0
+_CORE, _DUCT = ({p.name: p for p in model.params} for model in (HEAT_EXCHANGER, RAM_DUCT))
+_REST = Param("ram_rest_area_m2", "m2", REST_AREA_M2, (0.0025, 0.6), "design")
+_HOT_FILM = _CORE["hx_hot_share"].nominal / (1.0 - _CORE["hx_wall_share"].nominal)
+
+DESIGN = (
+    _CORE["hx_ua_reference_w_k"].in_ln("ln_ua_reference", sd=0.5),
+    _CORE["hx_exponent_hot"].known_to(sd=0.05),
+    _CORE["hx_exponent_cold"].known_to(sd=0.05),
+    Param("hot_share_logit", "-", float(np.log(_HOT_FILM / (1.0 - _HOT_FILM))), (-1.5, 1.5), "design", sd=0.3),
+    _CORE["hx_wall_share"].known_to(sd=0.05),
+    Param("film_temperature_exponent", "-", 0.15, (-0.5, 0.8), "design", sd=0.15),
+    _DUCT["ram_area_closed_m2"].in_ln("ln_door_closed", sd=0.7),
+    _DUCT["ram_area_open_m2"].in_ln("ln_door_open", sd=0.4),
+    _DUCT["ram_door_low"].known_to(sd=0.15),
+    _DUCT["ram_door_high"].known_to(sd=0.25),
+    _REST.in_ln("ln_rest_area", sd=0.4),
+    _DUCT["ram_recovery"].known_to(sd=0.1),
+)
+"""Design knowledge before any flight: offset-strip fins (film exponents), balanced resistances, a duct for 1 to 2
+kg/s in cruise."""
+NAMES = tuple(p.name for p in DESIGN)
+
+
+def duct_values(design: Array) -> dict[str, Array]:
+    """Parameters of `RAM_DUCT` that a design vector (in the order of `DESIGN`) stands for, the clean duct's."""
+    p = dict(zip(NAMES, design, strict=True))
+    half = np.sqrt(2.0) * np.exp(p["ln_rest_area"])
+    return {
+        "ram_area_closed_m2": np.exp(p["ln_door_closed"]),
+        "ram_area_open_m2": np.exp(p["ln_door_open"]),
+        "ram_door_low": p["ram_door_low"],
+        "ram_door_high": p["ram_door_high"],
+        "ram_core_area_m2": half,
+        "ram_exit_area_m2": half,
+        "ram_recovery": p["ram_recovery"],
+    }
+
+
+def core_values(design: Array) -> dict[str, Array]:
+    """Parameters of `HEAT_EXCHANGER` that a design vector stands for, the clean core's."""
+    p = dict(zip(NAMES, design, strict=True))
+    return {
+        "hx_ua_reference_w_k": np.exp(p["ln_ua_reference"]),
+        "hx_exponent_hot": p["hx_exponent_hot"],
+        "hx_exponent_cold": p["hx_exponent_cold"],
+        "hx_hot_share": (1.0 - p["hx_wall_share"]) / (1.0 + np.exp(-p["hot_share_logit"])),
+        "hx_wall_share": p["hx_wall_share"],
+    }
+
+
+def clean_ram_flow_kg_s(signals: Mapping[str, Array], design: Array) -> Array:
+    """Ram flow of a clean core at this door position. (n,) [kg/s]"""
+    inputs = {n: signals[n] for n in ("total_pressure_pa", "tat_k", "altitude_m", "mach")}
+    door = np.clip(signals["ram_door_open"], 0.0, 1.0)
+    return ram_flow(**inputs, ram_door_open=door, **duct_values(design), ram_flow_loss=np.zeros(1))
+
+
+def ln_clean_conductance(signals: Mapping[str, Array], ram_flow_kg_s: Array, design: Array) -> Array:
+    """Logarithm of the UA that the digital system model expects, in W/K. (n,)"""
+    clean = clean_conductance_w_k(signals["pack_flow_kg_s"], ram_flow_kg_s, **core_values(design))
+    film_k = 0.5 * (signals["hx_in_k"] + signals["tat_k"])
+    exponent = design[NAMES.index("film_temperature_exponent")]
+    return np.asarray(np.log(clean) + exponent * np.log(film_k / REFERENCE_FILM_K))
+
+
+def installed_outlets_k(**values: Array) -> tuple[Array, Array]:
+    """Hot and ram outlet of a fouled core at the clean duct's flow; arguments as declared in `INSTALLED`. [K]"""
+    design = np.stack(np.broadcast_arrays(*(values[name] for name in NAMES)))
+    ram_kg_s = clean_ram_flow_kg_s(values, design)
+    ua_w_k = (1.0 - values["hx_fouling"]) * np.exp(ln_clean_conductance(values, ram_kg_s, design))
+    return outlets_k(values["pack_flow_kg_s"], ram_kg_s, values["hx_in_k"], values["tat_k"], ua_w_k)
+
+
+INPUTS = (
+    *(RAM_DUCT.signal(name) for name in ("altitude_m", "mach", "tat_k", "total_pressure_pa")),
+    HEAT_EXCHANGER.signal("hot_in_k").named("hx_in_k"),
+    RAM_DUCT.signal("ram_door_open"),
+    HEAT_EXCHANGER.signal("hot_flow_kg_s").named("pack_flow_kg_s"),
+)
+OUTPUTS = (HEAT_EXCHANGER.signal("hot_out_k").named("hx_out_k"), HEAT_EXCHANGER.signal("ram_out_k"))
+PARAMS = (*DESIGN, _CORE["hx_fouling"])
+
+INSTALLED = PhysicsModel(
+    name="installed_exchanger",
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    params=PARAMS,
+    equations=taking([*(s.name for s in INPUTS), *(p.name for p in PARAMS)], installed_outlets_k),
+)
+"""What the night calibrates (`design`) and follows (`health`), and what a notebook hands to an `Estimator`."""
