@@ -5,7 +5,6 @@ flights at once as arrays, and Amdahl's bound on the whole if it took no time th
 docs/beyond.md.
 """
 
-import argparse
 import importlib
 import os
 import platform
@@ -16,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import page
+from benchmarks.harness import arguments, show
 from benchmarks.scale import SIZES, night
 from pipelines.intake.simulated import write_fleet
 
@@ -65,9 +64,8 @@ def table(size: str, whole_s: float, spent: Counter[str]) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked = arguments(__doc__)
     asked.add_argument("size", nargs="?", default="M", choices=SIZES)
-    asked.add_argument("--write", action="store_true")
     said = asked.parse_args()
     spent: Counter[str] = Counter()
     timed(spent)
@@ -77,9 +75,7 @@ def main() -> None:
         began = time.process_time()
         night(Path(scratch, "landing"), Path(scratch, "home"), shared=False)
         text = table(said.size, time.process_time() - began, spent)
-    print(text)
-    if said.write:
-        page.write("accelerator", text, PAGE)
+    show("accelerator", text, PAGE, write=said.write)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ PostgreSQL. At each size some runs are real ones, executed and timed, and what t
 asked. `--write` puts the table into docs/beyond.md.
 """
 
-import argparse
 import os
 import platform
 import tempfile
@@ -27,7 +26,7 @@ from dagster._core.events import StepMaterializationData
 from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.partition_status_cache import get_and_update_asset_status_cache_value
 
-from benchmarks import page
+from benchmarks.harness import arguments, show
 from pipelines import partitions
 from pipelines.io_manager import FrameIO
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
@@ -221,10 +220,9 @@ def table(found: dict[str, list[dict[str, float]]]) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked = arguments(__doc__)
     asked.add_argument("--cells", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
     asked.add_argument("--postgres", default=os.environ.get("HDT_TEST_POSTGRES", ""), help="URL of a server")
-    asked.add_argument("--write", action="store_true")
     said = asked.parse_args()
     found = {}
     with tempfile.TemporaryDirectory() as scratch:
@@ -233,9 +231,7 @@ def main() -> None:
         if said.postgres:
             with postgres(Path(scratch), said.postgres) as history:
                 found["PostgreSQL"] = measured(history, said.cells)
-    print(text := table(found))
-    if said.write:
-        page.write("cells", text, PAGE)
+    show("cells", table(found), PAGE, write=said.write)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ aircraft of the project's simulator as history files; Celery on RabbitMQ, Postgr
 plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the table into docs/distributed.md.
 """
 
-import argparse
 import os
 import platform
 import tempfile
@@ -18,8 +17,8 @@ from pathlib import Path
 
 from dagster import DagsterRun, RunsFilter
 
-from benchmarks import page
 from benchmarks.fingerprint import fingerprint
+from benchmarks.harness import arguments, show
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
@@ -168,16 +167,13 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
+    asked = arguments(__doc__)
     asked.add_argument("--flights", type=int, default=10_000)
     asked.add_argument("--aircraft", type=int, default=20)
-    asked.add_argument("--write", action="store_true")
     said = asked.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         text = table(measured(Path(scratch), said.flights, said.aircraft), said.flights, said.aircraft)
-    print(text)
-    if said.write:
-        page.write("table", text, PAGE)
+    show("table", text, PAGE, write=said.write)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,12 @@ in a Python loop, pyswarms with a cost that steps all particles at once in NumPy
 
 from __future__ import annotations
 
-import argparse
 import logging
 from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.page import write
+from benchmarks.harness import arguments, show
 from hdt_core.estimation import ParticleSwarm, Problem
 from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from pipelines.benchmark.peers import filter_claim, fit_claim, over
@@ -71,11 +70,8 @@ def _numpy_cost(problem: Problem, thetas: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--write", action="store_true", help="update docs/benchmark.md")
     given = parser.parse_args()
     report = table(main(given.rounds), ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
-    print(report)
-    if given.write:
-        write("speed of estimators", report)
+    show("speed of estimators", report, write=given.write)

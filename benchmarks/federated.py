@@ -8,17 +8,15 @@ operator fits a hazard of its own. Every tail is judged by what other tails taug
 operators taught. `--write` puts the tables into docs/federated.md.
 """
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from benchmarks import page
 from benchmarks.contestants import Asked, Learner, rows_of
 from benchmarks.fleets import Frames, flown
-from benchmarks.prognosis import markdown
+from benchmarks.harness import arguments, markdown, put
 from hdt_core.health.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.limits import PRIORS, Limit
 from hdt_core.prognosis.lives import episodes
@@ -218,10 +216,9 @@ def _failures(judged: pl.DataFrame) -> int:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked = arguments(__doc__)
     asked.add_argument("--fleets", type=int, default=4)
     asked.add_argument("--draws", type=int, default=100)
-    asked.add_argument("--write", action="store_true")
     given = asked.parse_args()
     fleets = list(flown(FIRST_SEED, given.fleets, SIZE))
     base = shipped_base()
@@ -237,7 +234,7 @@ def main() -> None:
                 said.setdefault(way, []).extend(judged)
         print(f"\n## {mark}\n\n{(text := table(said, given.draws))}", flush=True)
         if given.write:
-            page.write(mark, text, PAGE)
+            put(mark, text, PAGE)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ under other tails, every table of them, through the store itself. At each size: 
 catalog, and of some questions, each the median of several askings. `--write` puts the table into docs/beyond.md.
 """
 
-import argparse
 import os
 import platform
 import tempfile
@@ -15,7 +14,7 @@ from statistics import median
 
 import polars as pl
 
-from benchmarks import page
+from benchmarks.harness import arguments, show
 from benchmarks.scale import SIZES, measured
 from hdt_core.tables import TABLES
 from pipelines.intake.simulated import write_fleet
@@ -114,9 +113,8 @@ def table(rows: list[dict[str, float]], flights: int) -> str:
 
 
 def main() -> None:
-    said = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    said = arguments(__doc__)
     said.add_argument("--aircraft", type=int, nargs="*", default=[4, 20, 100, 400])
-    said.add_argument("--write", action="store_true")
     given = said.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root, home, rows = Path(scratch), Path(scratch) / "home", []
@@ -132,9 +130,7 @@ def main() -> None:
             rows.append(row(home, aircraft))
             print(rows[-1], flush=True)
         text = table(rows, SIZES["S"].flights)
-    print(text)
-    if given.write:
-        page.write("growth", text, PAGE)
+    show("growth", text, PAGE, write=given.write)
 
 
 if __name__ == "__main__":

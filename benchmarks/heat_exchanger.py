@@ -8,7 +8,6 @@ simulation; the same answers to 1e-6. Contestants take turns on one core; median
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import ht
@@ -16,7 +15,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from benchmarks.page import write
+from benchmarks.harness import arguments, show
 from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_lumped_resistance
 from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
 from hdt_core.physics.effectiveness import crossflow_effectiveness
@@ -143,11 +142,8 @@ def main(rounds: int = 7) -> list[Claim]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--write", action="store_true", help="update docs/benchmark.md")
     given = parser.parse_args()
     report = table(main(given.rounds), ("numpy", "numba", "scipy", "ht"))
-    print(report)
-    if given.write:
-        write("speed of heat exchanger", report)
+    show("speed of heat exchanger", report, write=given.write)

@@ -9,7 +9,6 @@ base saw neither: simulated lives, and what the asked fleet's other tails taught
 simulator as one more teacher. `--write` puts the table into docs/prognosis.md.
 """
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +18,8 @@ import polars as pl
 from benchmarks import chain, samples
 from benchmarks.contestants import Asked, Learner, rows_of, together
 from benchmarks.fleets import flown
-from benchmarks.page import write
-from benchmarks.prognosis import PAGE, SIZE, TAUGHT, markdown
+from benchmarks.harness import arguments, markdown, show
+from benchmarks.prognosis import PAGE, SIZE, TAUGHT
 from benchmarks.survival import censored_scores
 from hdt_core.prognosis.history import FEATURES, WEAR
 from hdt_core.prognosis.metrics import judge, score_prognoses
@@ -67,16 +66,13 @@ def table(fleets: dict[str, chain.Made], own: list[chain.Made]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
     parser.add_argument("--own", type=int, default=4)
-    parser.add_argument("--write", action="store_true", help="update docs/prognosis.md")
     given = parser.parse_args()
     fleets = {name: read(Path(home), Path(folder)) for name, home, folder in given.fleet}
     text = table(fleets, list(flown(TAUGHT, given.own, SIZE)) if given.own else [])
-    print(text)
-    if given.write:
-        write("held out", text, PAGE)
+    show("held out", text, PAGE, write=given.write)
 
 
 if __name__ == "__main__":

@@ -31,9 +31,9 @@ import grimp
 import polars as pl
 
 from benchmarks import chain, samples
+from benchmarks.alerts import ALERT_GOALS, alert_figures, tally
 from benchmarks.changed_source import changed
-from benchmarks.page import write
-from benchmarks.prognosis import ALERT_GOALS, alert_figures, markdown, tally
+from benchmarks.harness import markdown, put
 from benchmarks.twin import fouling_numbers
 from hdt_core.prognosis.metrics import judge, score_prognoses
 
@@ -210,7 +210,7 @@ def main() -> None:
     if given.verb == "run":
         run(given.fleet, given.results, given.only, given.every)
     elif given.verb == "write":
-        write("ledger", table(given.results), PAGE)
+        put("ledger", table(given.results), PAGE)
     else:
         print(json.dumps(figures(remade(pickle.loads(given.kept.read_bytes()), given.steps))))
 

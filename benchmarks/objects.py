@@ -5,14 +5,14 @@ the count of requests, by the server's own meter, is what carries over to anothe
 docs/storage.md.
 """
 
-import argparse
 import os
 import platform
 import tempfile
 import time
 from pathlib import Path
 
-from benchmarks import object_server, page
+from benchmarks import object_server
+from benchmarks.harness import arguments, show
 from benchmarks.scale import SIZES, measured, ranking_ms
 from pipelines.intake.simulated import write_fleet
 from pipelines.report.page import write_report
@@ -74,9 +74,8 @@ def table(rows: dict[str, dict[str, object]]) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
+    asked = arguments(__doc__)
     asked.add_argument("size", nargs="?", default="S", choices=SIZES)
-    asked.add_argument("--write", action="store_true")
     said = asked.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
@@ -86,9 +85,7 @@ def main() -> None:
         with object_server.serving(root / "s3") as variables:
             os.environ |= {**variables, URL: f"s3://{object_server.BUCKET}/fleet"}
             rows["objects"] = kept(root / "landing", root / "remote")
-    print(text := table(rows))
-    if said.write:
-        page.write("objects", text, PAGE)
+    show("objects", table(rows), PAGE, write=said.write)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ the methods as they are, without least squares at their end. ``--write`` puts th
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from collections import Counter
@@ -17,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.page import write
+from benchmarks.harness import arguments, put
 from benchmarks.random_problems import drawn
 from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, Problem
 from hdt_core.estimation.descent import descend
@@ -103,12 +102,11 @@ def table(tallies: Sequence[Tally], n: int) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--problems", type=int, default=140)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", default=None, help="names of methods")
     parser.add_argument("--no-polish", action="store_true", help="methods as they are")
-    parser.add_argument("--write", action="store_true", help="update docs/benchmark.md")
     given = parser.parse_args()
     chosen = [e for e in ESTIMATORS if given.only is None or e.name in given.only]
     chosen = [unpolished(e) for e in chosen] if given.no_polish else chosen
@@ -118,4 +116,4 @@ if __name__ == "__main__":
     for tally in result:
         print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
     if given.write:
-        write("methods alone" if given.no_polish else "promise of converged", report)
+        put("methods alone" if given.no_polish else "promise of converged", report)

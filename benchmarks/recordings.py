@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from benchmarks.page import write
+from benchmarks.harness import put
 from hdt_core.components import components
 from hdt_core.recorder.decode import Series
 from hdt_core.recorder.fit import decode
@@ -205,7 +205,7 @@ def main() -> None:
         text = "\n".join(table)
         print(f"{text}\n")
         if wanted:
-            write(mark, text, PAGE)
+            put(mark, text, PAGE)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ zone listed against the ledger, the killed run marked as failed, and it is known
 reopenings count. `--write` puts the table into docs/scale.md.
 """
 
-import argparse
 import json
 import os
 import platform
@@ -28,7 +27,7 @@ from typing import Any
 import polars as pl
 
 import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
-from benchmarks import page
+from benchmarks.harness import arguments, show
 from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
@@ -194,10 +193,9 @@ def child(what: str, landing: Path, home: Path) -> None:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
+    asked = arguments(__doc__)
     asked.add_argument("--flights", type=int, default=100_000)
     asked.add_argument("--rounds", type=int, default=5)
-    asked.add_argument("--write", action="store_true")
     asked.add_argument("--child", nargs=3)
     said = asked.parse_args()
     if said.child:
@@ -207,9 +205,7 @@ def main() -> None:
         landing, home = killed(Path(scratch))
         grow(landing, home, said.flights)
         text = table(said.flights, measured(landing, home, said.rounds))
-    print(text)
-    if said.write:
-        page.write("recovery", text, PAGE)
+    show("recovery", text, PAGE, write=said.write)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ batch: same functions, same store, same ledger. Every contestant is a process of
 puts the table into docs/scale.md.
 """
 
-import argparse
 import json
 import math
 import os
@@ -27,8 +26,8 @@ from types import SimpleNamespace
 import dagster as dg
 import polars as pl
 
-from benchmarks import page
 from benchmarks.bookkeeping import bookkeeping
+from benchmarks.harness import arguments, show
 from hdt_core.simulate.design import FleetSettings
 from pipelines import partitions
 from pipelines.intake.simulated import write_fleet
@@ -238,10 +237,9 @@ def table(rows: dict[str, dict[str, float]]) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
+    asked = arguments(__doc__)
     asked.add_argument("sizes", nargs="*", default=["S", "M"])
     asked.add_argument("--rounds", type=int, default=1)
-    asked.add_argument("--write", action="store_true")
     asked.add_argument("--child", nargs=3)
     said = asked.parse_args()
     if said.child:
@@ -249,9 +247,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as scratch:
         text = table({name: sized(name, said.rounds, Path(scratch)) for name in said.sizes})
-    print(text)
-    if said.write:
-        page.write("table", text, PAGE)
+    show("table", text, PAGE, write=said.write)
 
 
 if __name__ == "__main__":

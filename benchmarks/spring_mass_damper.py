@@ -8,7 +8,6 @@ one thread, so that neighbours on the machine do not count.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.page import write
+from benchmarks.harness import arguments, show
 from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman
 from hdt_core.estimation.identifiability import fisher
 from hdt_core.estimation.oscillator import TRUTH, oscillator_problem, true_position_m
@@ -219,16 +218,14 @@ def figures(rows: list[Row], folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=200, help="records for the fast methods (default 200)")
     slow = f"records for {', '.join(sorted(SLOW))} (default 20)"
     parser.add_argument("--slow-seeds", type=int, default=20, help=slow)
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1)")
-    parser.add_argument("--write", action="store_true", help="update docs/benchmark.md and docs/plots/")
     given = parser.parse_args()
     result = main(given.seeds, min(given.slow_seeds, given.seeds), workers=given.workers)
     report = tables(result)
-    print(report)
+    show("tables", report, write=given.write)
     if given.write:
-        write("tables", report)
         figures(result, DOCS / "plots")

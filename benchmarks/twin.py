@@ -20,6 +20,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.fleets import recorded_in_si
+from benchmarks.harness import put
 from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.robust import spread_expr
@@ -43,7 +44,6 @@ GOALS = {
     "effective diameter, error [m]": "<= 0.0004",
     "efficiency loss, error": "<= 0.004",
 }
-BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
 
 class Fleet(NamedTuple):
@@ -198,9 +198,7 @@ def main() -> None:
     text = tables(list(fleets(range(first, last + 1), size)), asked.draws)
     print(text)
     if asked.write:
-        page = asked.write.read_text(encoding="utf-8")
-        before, rest = page.split(BEGIN)
-        asked.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        put("tables", text, asked.write)
 
 
 if __name__ == "__main__":

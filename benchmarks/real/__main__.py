@@ -4,12 +4,11 @@ DIR (else HDT_REFERENCE) holds a folder a data set; what is absent is told, with
 and plots into docs/real.md.
 """
 
-import argparse
 import os
 import time
 from pathlib import Path
 
-from benchmarks.page import write
+from benchmarks.harness import arguments, put
 from benchmarks.real import cmapss, events, filters, hydraulic, lives, skab
 from benchmarks.real.page import DOCS, PAGE, described, plotted
 
@@ -25,10 +24,9 @@ RECIPES = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("HDT_REFERENCE"))
     parser.add_argument("--only", nargs="*", choices=[r.name for r in RECIPES])
-    parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
     if asked.data is None or not Path(asked.data).is_dir():
         parser.error(
@@ -43,7 +41,7 @@ def main() -> None:
         print(f"{text}\n\n({time.monotonic() - began:.0f} s)\n", flush=True)
         if asked.write:
             plot = plotted(recipe, result, DOCS / "plots") if result else None
-            write(recipe.name, described(recipe, result, plot), PAGE)
+            put(recipe.name, described(recipe, result, plot), PAGE)
 
 
 if __name__ == "__main__":

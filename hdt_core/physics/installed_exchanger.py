@@ -10,9 +10,10 @@ import numpy as np
 
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
 from hdt_core.physics.model import Array, Param, PhysicsModel, taking
-from hdt_core.physics.ram_duct import RAM_DUCT, REST_AREA_M2, ram_flow
+from hdt_core.physics.ram_duct import RAM_DUCT, REST_AREA_M2, clean_flow_kg_s, static_pressure_pa
 
 REFERENCE_FILM_K = 325.0
+_AIR_DATA = ("altitude_m", "mach", "total_pressure_pa")
 _CORE, _DUCT = ({p.name: p for p in model.params} for model in (HEAT_EXCHANGER, RAM_DUCT))
 _REST = Param("ram_rest_area_m2", "m2", REST_AREA_M2, (0.0025, 0.6), "design")
 _HOT_FILM = _CORE["hx_hot_share"].nominal / (1.0 - _CORE["hx_wall_share"].nominal)
@@ -64,10 +65,21 @@ def core_values(design: Array) -> dict[str, Array]:
 
 
 def clean_ram_flow_kg_s(signals: Mapping[str, Array], design: Array) -> Array:
-    """Ram flow of a clean core at this door position. (n,) [kg/s]"""
-    inputs = {n: signals[n] for n in ("total_pressure_pa", "tat_k", "altitude_m", "mach")}
+    """Ram flow of a clean core at this door position. (n,) [kg/s]
+
+    Signals that come `with_static_pressure` are not asked for it again: a fit varies the design, never the weather.
+    """
+    static_pa = signals.get("static_pressure_pa")
+    if static_pa is None:
+        static_pa = static_pressure_pa(*(signals[n] for n in _AIR_DATA))
     door = np.clip(signals["ram_door_open"], 0.0, 1.0)
-    return ram_flow(**inputs, ram_door_open=door, **duct_values(design), ram_flow_loss=np.zeros(1))
+    air = {n: signals[n] for n in ("total_pressure_pa", "tat_k")}
+    return clean_flow_kg_s(static_pa, ram_door_open=door, **air, **duct_values(design))
+
+
+def with_static_pressure(signals: Mapping[str, Array]) -> dict[str, Array]:
+    """Signals and the static pressure outside, for who asks for the ram flow more than once."""
+    return {**signals, "static_pressure_pa": static_pressure_pa(*(signals[n] for n in _AIR_DATA))}
 
 
 def ln_clean_conductance(signals: Mapping[str, Array], ram_flow_kg_s: Array, design: Array) -> Array:

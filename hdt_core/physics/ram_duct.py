@@ -126,11 +126,41 @@ def ram_flow(
     Door, core and exit in series, driven from the recovered total pressure to the static pressure outside, with the
     compressible nozzle law: at Mach 0.85 the incompressible one reads 10 % high or more.
     """
+    clean_kg_s = clean_flow_kg_s(
+        static_pressure_pa(altitude_m, mach, total_pressure_pa),
+        ram_door_open=ram_door_open,
+        total_pressure_pa=total_pressure_pa,
+        tat_k=tat_k,
+        ram_area_closed_m2=ram_area_closed_m2,
+        ram_area_open_m2=ram_area_open_m2,
+        ram_door_low=ram_door_low,
+        ram_door_high=ram_door_high,
+        ram_core_area_m2=ram_core_area_m2,
+        ram_exit_area_m2=ram_exit_area_m2,
+        ram_recovery=ram_recovery,
+    )
+    return (1.0 - ram_flow_loss) * clean_kg_s
+
+
+def clean_flow_kg_s(
+    static_pa: Array,
+    *,
+    ram_door_open: Array,
+    total_pressure_pa: Array,
+    tat_k: Array,
+    ram_area_closed_m2: Array,
+    ram_area_open_m2: Array,
+    ram_door_low: Array,
+    ram_door_high: Array,
+    ram_core_area_m2: Array,
+    ram_exit_area_m2: Array,
+    ram_recovery: Array,
+) -> Array:
+    """Mass flow of ram air through a clean duct, the static pressure outside known. [kg/s]"""
     door_m2 = door_area_m2(ram_door_open, ram_area_closed_m2, ram_area_open_m2, ram_door_low, ram_door_high)
     area_m2 = series_area_m2(door_m2, ram_core_area_m2, ram_exit_area_m2)
-    static_pa = static_pressure_pa(altitude_m, mach, total_pressure_pa)
     recovered_pa = static_pa + ram_recovery * (total_pressure_pa - static_pa)
-    return (1.0 - ram_flow_loss) * compressible_flow_kg_s(area_m2, recovered_pa, static_pa, tat_k)
+    return compressible_flow_kg_s(area_m2, recovered_pa, static_pa, tat_k)
 
 
 TAT = Signal("tat_k", "K", sigma=0.3, bias_sd=0.5)

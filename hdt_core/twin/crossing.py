@@ -9,6 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import corrected
 from hdt_core.twin.exchanger import SIGNALS
 
@@ -119,7 +120,7 @@ def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
         raise ValueError("points of a pack that the list of packs does not hold")
     signals = {name: numbered[name].to_numpy().astype(float) for name in (*SIGNALS, "ram_out_k")}
     return Points(
-        signals,
+        with_static_pressure(signals),
         numbered["pack_index"].to_numpy().astype(np.int64),
         numbered["order"].to_numpy().astype(np.int64),
         numbered["n_samples"].to_numpy().astype(float),

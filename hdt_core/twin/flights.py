@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 
-from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
 from hdt_core.robust import MAD_TO_SD, huber_weights
 from hdt_core.tables.base import finite
@@ -87,7 +87,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
 
 def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     rows = cruise.drop_nulls(list(hx.SIGNALS))
-    signals = {name: rows[name].to_numpy().astype(float) for name in MEDIANS}
+    signals = with_static_pressure({name: rows[name].to_numpy().astype(float) for name in MEDIANS})
     bias = dsm.bias_of(rows)
     ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)
     clean = hx.without_bias(signals, bias)
@@ -156,7 +156,7 @@ def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.
 
 def _sensitivities(medians: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     """What errors of the sensors and of the design do to the ln conductance ratio, at each flight's medians."""
-    signals = {name: medians[name].to_numpy().astype(float) for name in MEDIANS}
+    signals = with_static_pressure({name: medians[name].to_numpy().astype(float) for name in MEDIANS})
     bias = dsm.bias_of(medians)
     here = hx.ln_conductance_ratio(signals, dsm.design, bias)
     columns = [pl.Series("ln_ua_ratio_map_sd", _map_sd(signals, dsm, bias, here)).fill_nan(None)]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import TERMS, corrected, within
 from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
@@ -105,7 +106,7 @@ def _seen(twin_flights: pl.DataFrame, dsm: Dsm) -> _Seen:
     rows = rows.with_columns(tail_index=tail).filter(
         pl.col("tail_index") % max(-(-rows.height // MOST_FLIGHTS), 1) == 0
     )
-    signals = {name: rows[name].cast(pl.Float64).to_numpy() for name in MEDIANS}
+    signals = with_static_pressure({name: rows[name].cast(pl.Float64).to_numpy() for name in MEDIANS})
     here = hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows))
     offset = rows["ln_ua_ratio"].cast(pl.Float64).to_numpy() - here
     pack = rows.select(pl.struct(PACK).rank("dense")).to_series().to_numpy().astype(int)

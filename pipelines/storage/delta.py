@@ -54,7 +54,7 @@ class Deltas:
         """The table now, or at a version; None where there is none."""
         with self._one_line(table):
             try:
-                return DeltaTable(f"{self.place.url}/{table}", version, self.place.options())
+                return DeltaTable(f"{self.place.url}/{table}", version, self.place.options)
             except TableNotFoundError:
                 return None
 
@@ -80,7 +80,7 @@ class Deltas:
         sources = self.sources(table, shards)
         if not sources:
             return None
-        how = self.place.options() or None
+        how = self.place.options or None
         return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
 
     def change(self, table: str, change: Change) -> DeltaTable | None:
@@ -161,7 +161,7 @@ class Deltas:
         """Begin a table's log; of two who do so at once, both do."""
         self.place.prepare(table)
         with self._one_line(table):
-            where, how = f"{self.place.url}/{table}", self.place.options()
+            where, how = f"{self.place.url}/{table}", self.place.options
             DeltaTable.create(where, schema, "ignore", storage_options=how, configuration=_KEPT)
         self.place.settle(table, 0)
 

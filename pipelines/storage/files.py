@@ -5,7 +5,7 @@ import secrets
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 from typing import ClassVar
@@ -112,16 +112,14 @@ class Folder:
     """Tables below one local folder."""
 
     root: Path
+    url: str = field(init=False)
+    """What the place of every file begins with."""
     remote: ClassVar[bool] = False
+    options: ClassVar[dict[str, str]] = {}
+    """What a reader of the files must be told beside their names: nothing."""
 
-    @property
-    def url(self) -> str:
-        """What the place of every file begins with."""
-        return str(self.root.resolve())
-
-    def options(self) -> dict[str, str]:
-        """What a reader of the files must be told beside their names: nothing."""
-        return {}
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "url", str(self.root.resolve()))
 
     def get(self, path: str) -> bytes:
         """A file whole."""

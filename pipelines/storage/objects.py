@@ -37,6 +37,7 @@ class Bucket:
             raise StoreError("an object store needs the extra s3: pip install 'hybrid-digital-twin[s3]'") from None
         return S3Store.from_url(self.url, client_options={"allow_http": _plain_http()})
 
+    @property
     def options(self) -> dict[str, str]:
         """What a reader or a writer of the objects must be told beside their names.
 

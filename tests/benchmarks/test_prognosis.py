@@ -4,11 +4,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from benchmarks.alerts import ALERT_GOALS, alert_figures, low_margin_rightly
 from benchmarks.augment import SHORTEST, augmented
 from benchmarks.contestants import lead_at_budget
 from benchmarks.federated import averaged_rule
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
-from benchmarks.prognosis import ALERT_GOALS, alert_figures, low_margin_rightly
 from hdt_core.health.asks import EXCESS_K, SHARES, critical_name
 from hdt_core.health.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.history import FEATURES

@@ -1,7 +1,7 @@
 """The benchmark runs, and its page and figures come out of its result."""
 
 from benchmarks.estimators import filter_claim, fit_claim
-from benchmarks.page import write
+from benchmarks.harness import put
 from benchmarks.spring_mass_damper import contestants, figures, main, tables
 from pipelines.benchmark.timing import table
 
@@ -14,7 +14,7 @@ def test_tables_and_figures_follow_from_the_result(tmp_path):
     assert "| Stiffness [N/m] | 1.959 |" in text  # the paper's number stands beside ours
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- tables: begin -->\nold\n<!-- tables: end -->\nafter\n")
-    write("tables", text, page)
+    put("tables", text, page)
     assert text in page.read_text()
     assert "old" not in page.read_text()
     assert all(path.stat().st_size > 1000 for path in figures(rows, tmp_path / "plots"))
