@@ -76,9 +76,9 @@ class Bare:
         self.keys["aircraft"] = sorted(aircraft | set(self.keys["aircraft"]))
         self.keys["flight"] = sorted(flights | set(self.keys["flight"]))
 
-    def known(self) -> PartitionIndex:
+    def known(self, wanted: pl.DataFrame | None = None) -> PartitionIndex:
         """Partitions as they are now, and who flew which."""
-        return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flight_files()))
+        return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flown()))
 
     def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
         """Make the tables, store them, mark them."""

@@ -8,9 +8,10 @@ import polars as pl
 
 from dagster_batched.partitions import RangeKeys, RangePartitions, multi_key
 from hdt_core.tables import TABLES
+from pipelines.lineage import MAKER
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import FLEET, Store
-from pipelines.versions import CELL, expected
+from pipelines.versions import CELL, expected, narrowed
 
 AIRCRAFT = RangeKeys(name="aircraft")
 FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
@@ -75,7 +76,10 @@ class PartitionScope:
 
     def due(self, ledger: Ledger, table: str) -> pl.DataFrame:
         """The cells that `table` should have, of those asked for, each with the version it should be."""
-        own = ledger if self.aircraft is None else ledger.of(self.aircraft)
+        if self.aircraft is None:
+            return expected(ledger, table).join(self.cells(), on=CELL, how="semi")
+        flights = {f for asked in self.aircraft.values() for f in asked}
+        own = narrowed(ledger, MAKER[table], self.aircraft, flights)
         return expected(own, table).join(self.cells(), on=CELL, how="semi")
 
     def read(self, store: Store, table: str) -> pl.DataFrame:

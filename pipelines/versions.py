@@ -5,6 +5,8 @@ cell is stale when the ledger's version of what is stored differs from the one e
 clock, so late, repeated and out-of-order deliveries end where a clean delivery ends.
 """
 
+from collections.abc import Iterable, Sequence
+
 import polars as pl
 
 from hdt_core.tables import TABLES
@@ -13,6 +15,7 @@ from pipelines.lineage import LINEAGE, Recipe, Stage
 from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
+from pipelines.storage.store import Aircraft
 
 CELL = ("operator", "tail", "flight_id")
 _DEPTH = {"flight": 3, "aircraft": 2, "fleet": 0}
@@ -44,6 +47,20 @@ def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:
     """
     last = {recipe: table for table, recipe in stage.tables.items()}
     return pl.concat(undone(ledger, table) for table in last.values()).unique().sort(CELL)
+
+
+def made_as(ledger: Ledger, stages: Sequence[Stage]) -> str:
+    """How cells are made now: stages, accepted terms, and the fleet's tables that finer ones are made from."""
+    parents = {p for stage in stages if stage.grain != "fleet" for p in stage.parents if TABLES[p].grain == "fleet"}
+    fleet = ledger.of(())
+    versions = (v for table in sorted(parents) for v in fleet.done(table)["version"])
+    return digest(repr(stages), *accepted_terms(ledger.home), *versions)
+
+
+def narrowed(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], flights: Iterable[str]) -> Ledger:
+    """What the ledger says of some aircraft and, of a stage whose cells follow no aircraft as a whole, some flights."""
+    own = stage.grain == "flight" and all(TABLES[parent].grain != "aircraft" for parent in stage.parents)
+    return ledger.of(aircraft, flights if own else None)
 
 
 def undone(ledger: Ledger, table: str) -> pl.DataFrame:

@@ -10,7 +10,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from hdt_core.health.detection import Array
 
@@ -131,13 +130,14 @@ class Signatures(NamedTuple):
 
     `shift` and its standard deviation `blur`, (n, 2 (C + 1)), for a fault of the size in `SIZES`, in standard
     deviations of one flight; `CHANNELS` and `HX_STEP`, own pack then other. Left-minus-right checks count once, in the
-    own half.
+    own half. `moved` are the hypotheses and channels where either is not zero, few of all.
     """
 
     names: tuple[tuple[str, str], ...]
     shift: Array
     blur: Array
     log_prior: Array
+    moved: tuple[Array, Array]
 
 
 @cache
@@ -159,7 +159,9 @@ def signatures() -> Signatures:
     shifts.append(np.zeros_like(shifts[0]))
     blurs.append(np.zeros_like(shifts[0]))
     usual = np.array([np.log(USUAL) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
-    return Signatures(tuple(names), np.array(shifts), np.array(blurs), usual)
+    shift, blur = np.array(shifts), np.array(blurs)
+    which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
+    return Signatures(tuple(names), shift, blur, usual, (which, channel))
 
 
 def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, float]]:
@@ -185,16 +187,30 @@ def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, flo
     """
     known = signatures()
     seen = np.isfinite(z)
-    worth = np.sqrt(np.broadcast_to(flights, z.shape)[seen])
-    a, b = known.shift[:, None, seen] * worth, known.blur[:, None, seen] * worth
-    own = 1.0 + (np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)[seen] * worth) ** 2
-    miss2, variance = (z[seen] - STEPS[:, None] * a) ** 2, own + (STEPS[:, None] * b) ** 2
-    fits = -0.5 * (miss2 / variance + np.log(variance))
-    strays = np.log(STRAY) - 0.5 * (miss2 / (variance + STRAY_SD**2) + np.log(variance + STRAY_SD**2))
-    theirs = (np.arange(len(z)) >= len(z) // 2)[seen]
+    worth = np.sqrt(np.broadcast_to(flights, z.shape))
+    own = 1.0 + (_WANDER * worth) ** 2
+    theirs = np.arange(len(z)) >= len(z) // 2
+    still = _fits(np.where(seen, z, 0.0), own, theirs)  # of a channel that the fault leaves alone, whatever its size
+    which, channel = (k[seen[known.moved[1]]] for k in known.moved)
+    a, b = (m[which, channel] * worth[channel] * STEPS[:, None] for m in (known.shift, known.blur))
+    gained = _fits(z[channel] - a, own[channel] + b**2, theirs[channel]) - still[channel]
+    told = np.zeros((len(known.names), len(STEPS)))
+    np.add.at(told, which, gained.T)
+    told += still[seen].sum()
     # sizes stand evenly by their logarithm: each speaks for a stretch as wide as itself
     prior = np.log(np.abs(STEPS)) - 0.5 * STEPS**2
-    told = np.where(theirs, np.logaddexp(fits, strays), fits).sum(axis=2)
-    evidence = logsumexp(prior + told, axis=1) + known.log_prior
-    p = np.exp(evidence - logsumexp(evidence))
+    evidence = np.logaddexp.reduce(prior + told, axis=1) + known.log_prior
+    p = np.exp(evidence - np.logaddexp.reduce(evidence))
     return sorted(((s, w, float(q)) for (s, w), q in zip(known.names, p, strict=True)), key=lambda t: -t[2])
+
+
+def _fits(miss: Array, variance: Array, theirs: Array) -> Array:
+    """Log likelihood of channels (last axis), but for a constant; of the other pack's strays have their share."""
+    fits = -0.5 * (miss**2 / variance + np.log(variance))
+    wide = variance[..., theirs] + STRAY_SD**2
+    strays = np.log(STRAY) - 0.5 * (miss[..., theirs] ** 2 / wide + np.log(wide))
+    fits[..., theirs] = np.logaddexp(fits[..., theirs], strays)
+    return fits
+
+
+_WANDER = np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)

@@ -62,10 +62,9 @@ class Evidence:
 
     def same_time(self, unit: int, flight: int, other: int) -> int:
         """How many flights the other pack had recorded by this one's departure."""
-        when = self.grid.at("departed_at", unit, flight)
-        start, stop = np.searchsorted(self.grid.unit, [other, other + 1])
-        departed = self.grid.rows["departed_at"].slice(int(start), int(stop - start))
-        return int((departed <= when).sum())
+        departed = self.grid.rows["departed_at"].to_physical().to_numpy()
+        own, start, stop = np.searchsorted(self.grid.unit, [unit, other, other + 1])
+        return int(np.searchsorted(departed[start:stop], departed[own + flight], side="right"))
 
     def _half(self, unit: int, flight: int, first: int) -> tuple[Array, Array]:
         run = int(np.clip(flight - first + AT_LEAST, AT_LEAST, LATEST))

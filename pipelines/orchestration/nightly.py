@@ -21,12 +21,10 @@ from pipelines.orchestration.local_executor import EngineError, LocalExecutor, s
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
 from pipelines.storage import earlier, history, ledger_copy, postgres
-from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store
-from pipelines.versions import CELL, stale
+from pipelines.versions import CELL, made_as, narrowed, stale
 
 if TYPE_CHECKING:
     from dagster import DagsterInstance
@@ -129,11 +127,11 @@ def run_night(
         store.sweep()
         chain.mended += mend(landing, store, ledger)
         found = scan(landing, ledger)
-        made_as = digest(repr(STAGES), *accepted_terms(Path(home)))
-        for step in () if ledger.is_settled(made_as) else steps(STAGES):
+        chain.settled_as, chain.moved = ledger.settled_as(), ledger.moved()
+        for step in () if ledger.is_settled(made_as(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
-        ledger.settle(made_as)
+        ledger.settle(made_as(ledger, STAGES))
     night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended))
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
@@ -161,6 +159,8 @@ class _Chain:
     flights: int = 0
     failed: dict[str, str] = field(default_factory=dict)
     mended: list[str] = field(default_factory=list)
+    settled_as: str | None = None
+    moved: pl.DataFrame = field(default_factory=pl.DataFrame)
 
     def send_out(self) -> None:
         """Let other machines make the batches, once what a killed night had sent them is done."""
@@ -173,7 +173,8 @@ class _Chain:
 
     def step(self, step: Step) -> None:
         """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
-        cells = [self._wanted(stage) for stage in step.stages]
+        few = self.settled_as == made_as(self.ledger, STAGES)  # a new model of the fleet makes every cell stale
+        cells = [self._wanted(stage, few) for stage in step.stages]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
             return
@@ -184,15 +185,20 @@ class _Chain:
             self.flights = max(self.flights, wanted.height)
         self.progress.start(step.label, wanted.height)
         apart = self.hands.ranges
-        batches = self.runner.known().batches(step.grain, wanted, 1 if apart else step.folded, ranges=apart)
+        batches = self.runner.known(None if apart else wanted).batches(
+            step.grain, wanted, 1 if apart else step.folded, ranges=apart
+        )
         for made in self._make(tables, list(batches), step):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.cells
             self.failed |= made.failed
             self.mended += made.mended
             self.progress.advance(made.cells)
 
-    def _wanted(self, stage: Stage) -> pl.DataFrame:
-        cells = stale(self.ledger, stage).select(CELL)
+    def _wanted(self, stage: Stage, few: bool) -> pl.DataFrame:
+        """Stale cells; where only a `few` can be, of those whose files have moved."""
+        aircraft, flights = self.moved.select("operator", "tail").unique().rows(), self.moved["flight_id"].unique()
+        few = few and stage.grain != "fleet"
+        cells = stale(narrowed(self.ledger, stage, aircraft, flights) if few else self.ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(self, tables: list[str], batches: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:

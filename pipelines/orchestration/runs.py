@@ -56,10 +56,11 @@ class Runner:
             if new:
                 self.instance.add_dynamic_partitions(str(definition.name), new)
 
-    def known(self) -> PartitionIndex:
-        """Partitions as they are now, and who flew which."""
+    def known(self, wanted: pl.DataFrame | None = None) -> PartitionIndex:
+        """Partitions as they are now, and who flew which, of all or of those who fly the `wanted` cells."""
         aircraft, flights = (self._keys(d) for d in (partitions.AIRCRAFT, partitions.FLIGHTS))
-        return PartitionIndex(aircraft, flights, by_aircraft(self.ledger.flight_files()))
+        own = self.ledger if wanted is None else self.ledger.of(wanted.select("operator", "tail").unique().rows())
+        return PartitionIndex(aircraft, flights, by_aircraft(own.flown()))
 
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return list(self.instance.get_dynamic_partitions(str(definition.name)))

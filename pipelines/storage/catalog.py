@@ -18,7 +18,7 @@ import duckdb
 from hdt_core.tables import TABLES
 from pipelines.storage import seal
 from pipelines.storage.files import replacing
-from pipelines.storage.hashes import digest
+from pipelines.storage.hashes import digest, hash_of
 from pipelines.storage.headers import Header, declared_columns, meanings, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import keep_copy
@@ -27,6 +27,7 @@ from pipelines.storage.store import URL, Store
 from pipelines.storage.upkeep import keep_house
 
 CATALOG = "catalog.duckdb"
+HASH = ".catalog.hash"
 # DuckDB tells no expression where a database lies, but keeps its own temporary files beside the file it was opened
 # with. Attached to another database, or where that setting was changed, the catalog is taken to be where it was made.
 _BESIDE = f"""
@@ -40,24 +41,39 @@ _ELSEWHERE = "coalesce(getvariable('tables_folder'), {made})"
 
 
 def publish(home: Path) -> Path:
-    """Build `<home>/catalog.duckdb` anew. A reader of the old one keeps it; nobody ever meets a lock."""
+    """Bring `<home>/catalog.duckdb` up to date. A reader of the old one keeps it; nobody ever meets a lock.
+
+    The views are those of the last one where that is whole and of this version; only what they read is new.
+    """
     store, path = Store(home.resolve()), home.resolve() / CATALOG
+    goes_on = _is_as_published(path) and fault_of(home) is None
     with replacing(path) as temporary:
+        if goes_on:
+            shutil.copyfile(path, temporary)
         con = duckdb.connect(str(temporary))
         try:
             store.open_to(con)
             con.begin()  # a commit for every comment would take longer than all the rest
             held = store.snapshot()
-            fill(con, store, held)
+            refill(con, held) if goes_on else fill(con, store, held)
             con.commit()
         finally:
             con.close()
+        published = hash_of(temporary.read_bytes())
+    (path.parent / HASH).write_text(published)  # where a kill comes first, the next one is built anew
     ledger = Ledger(store.home)
     keep_house(store, ledger)
     seal.seal(store, {table: files for table, (_, files) in held.items()})
     ledger.note_snapshot({table: version for table, (version, _) in held.items()})  # after the seal: it is missed then
     keep_copy(ledger)
     return path
+
+
+def _is_as_published(path: Path) -> bool:
+    try:
+        return hash_of(path.read_bytes()) == (path.parent / HASH).read_text()
+    except (OSError, ValueError):
+        return False
 
 
 def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int, list[str]]]) -> None:
@@ -67,11 +83,21 @@ def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int
     con.execute(f"create macro tables.made_as() as {_quoted(_made_as(store))}")
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
+    refill(con, held)
+    add_views(con)
+
+
+def refill(con: duckdb.DuckDBPyConnection, held: dict[str, tuple[int, list[str]]]) -> None:
+    """The list of files, and the view of each table whose files are others than those listed."""
+    listed: dict[str, list[str]] = {}
+    for (path,) in con.execute("select path from tables.files order by path").fetchall():
+        listed.setdefault(path.split("/")[0], []).append(path)
+    con.execute("delete from tables.files")
     paths = [path for _, files in held.values() for path in files]
     con.execute("insert into tables.files select unnest($paths)", {"paths": paths})
     for table, (_, files) in held.items():
-        _base_view(con, table, files)
-    add_views(con)
+        if files != listed.get(table):
+            _base_view(con, table, files)
 
 
 def fault_of(home: Path) -> str | None:
@@ -132,7 +158,7 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> 
     """`tables.<table>` over the files that it was when the catalog was made, below `tables.folder()`."""
     named = ", ".join(map(_quoted, files))
     places = f"list_transform([{named}], lambda file: tables.folder() || file)"
-    con.execute(f"create view tables.{table} as select * from read_parquet({places}, union_by_name = true)")
+    con.execute(f"create or replace view tables.{table} as select * from read_parquet({places}, union_by_name = true)")
     add_meanings(con, table)
 
 

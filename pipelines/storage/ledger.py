@@ -44,6 +44,9 @@ create table if not exists nights (
 create table if not exists night_versions (
     night text not null, asset text not null, version bigint not null, primary key (night, asset)
 ) without rowid;
+create table if not exists moved (
+    operator text not null, tail text not null, flight_id text not null, primary key (operator, tail, flight_id)
+) without rowid;
 create table if not exists settled (made_as text not null);
 """
 NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
@@ -58,13 +61,14 @@ _SET_VERSION = (
     " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
 )
 FILE, SEALED = "ledger.sqlite", "ledger.sealed"
+MOST_NAMED = 10_000  # flights in one question; SQLite takes 32,766 values
 Answer = TypeVar("Answer")
 _UNSETTLE = "delete from settled"
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """The ledger of one home, or what it says `only` of some aircraft and of the fleet as a whole.
+    """The ledger of one home, or what it says `only` of some aircraft, or some `flights` of theirs, and of the fleet.
 
     Who only `looks` writes nothing, not even an empty ledger or SQLite's files beside it.
     """
@@ -73,10 +77,17 @@ class Ledger:
     only: tuple[tuple[str, str], ...] | None = None
     url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
     looks: bool = False
+    flights: tuple[str, ...] | None = None
 
-    def of(self, aircraft: Iterable[tuple[str, str]]) -> "Ledger":
-        """What it says of these aircraft and of the fleet: a run must not read the history of all the others."""
-        return replace(self, only=(("", ""), *aircraft))
+    def of(self, aircraft: Iterable[tuple[str, str]], flights: Iterable[str] | None = None) -> "Ledger":
+        """What it says of these aircraft and of the fleet: a run must not read the history of all the others.
+
+        Of cells by flight only those of some `flights`, where these are given and few enough to be named.
+        """
+        named = None if flights is None else ("", *flights)
+        return replace(
+            self, only=(("", ""), *aircraft), flights=named and (named if len(named) <= MOST_NAMED else None)
+        )
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -138,10 +149,13 @@ class Ledger:
         even where a killed night had stored its rows and no more.
         """
         rows = list(files)
-        with self._write() as con:
+        with self._write(settled=True) as con:
             con.executemany(_SET_FILE, rows)
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
             con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
+            if con.execute("select made_as from settled").fetchall():  # else any cell may be stale
+                moved = {(r[1], r[2], f) for r in rows for f in ("", *flights.get(r[0], []))}
+                con.executemany("insert into moved values (?, ?, ?) on conflict do nothing", sorted(moved))
             fault_point("before_register")
         fault_point("after_register")
 
@@ -177,11 +191,25 @@ class Ledger:
     def settle(self, made_as: str) -> None:
         """Note that nothing is stale where cells are made in this way."""
         with self._write() as con:
+            con.execute("delete from moved")
             con.execute("insert into settled values (?)", (made_as,))
 
+    def settled_as(self) -> str | None:
+        """How cells were made when nothing was stale but what has `moved` since; None where any cell may be."""
+        rows = self._ask(lambda con: con.execute("select made_as from settled").fetchall())
+        return str(rows[0][0]) if len(rows) == 1 else None
+
+    def moved(self) -> pl.DataFrame:
+        """Cells whose files came since it was settled: operator, tail, flight_id (empty for files without flights)."""
+        return self._frame("select operator, tail, flight_id from moved", [])
+
     def is_settled(self, made_as: str) -> bool:
-        """Whether nothing was stale when something was last noted."""
-        return bool(self._ask(lambda con: con.execute("select made_as from settled").fetchall()) == [(made_as,)])
+        """Whether nothing is stale where cells are made in this way."""
+        return self.settled_as() == made_as and self.moved().is_empty()
+
+    def flown(self) -> pl.DataFrame:
+        """Flights that some file holds: operator, tail, flight_id."""
+        return self._cells("select distinct operator, tail, flight_id from file_flights where true", "file_flights")
 
     def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
         """Note that a night ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""
@@ -241,7 +269,9 @@ class Ledger:
             return self._frame(sql, [*arguments])
         pairs = ",".join(["(?, ?)"] * len(self.only))
         within = f"{sql} and ({table}.operator, {table}.tail) in (values {pairs})"
-        return self._frame(within, [*arguments, *chain.from_iterable(self.only)])
+        flights = self.flights if self.flights is not None and table != "files" else ()
+        within += f" and {table}.flight_id in ({','.join('?' * len(flights))})" if flights else ""
+        return self._frame(within, [*arguments, *chain.from_iterable(self.only), *flights])
 
     def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
         return self._ask(lambda con: _as_frame(con.execute(sql, arguments)))

@@ -9,8 +9,9 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipelines.storage.catalog import CATALOG, connect, fault_of, ordered, publish, views
+from pipelines.storage.catalog import CATALOG, HASH, connect, fault_of, ordered, publish, views
 from pipelines.storage.objects import StoreError
+from pipelines.storage.store import Store
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
 
@@ -222,3 +223,33 @@ def test_nobody_writes_through_the_catalog(sample_home):
 def test_views_come_after_what_they_read():
     order = [name for name, _ in ordered(views())]
     assert order.index("fleet_ranking") > max(order.index(v) for v in ("health_parameters", "prognoses", "alerts"))
+
+
+def told(home: Path) -> list[str]:
+    """Every view with its text, and every comment."""
+    with connect(home) as con:
+        views = con.execute("select schema_name, view_name, sql, comment from duckdb_views() where not internal")
+        columns = con.execute("select table_name, column_name, data_type, comment from duckdb_columns()")
+        return sorted(map(str, [*views.fetchall(), *columns.fetchall()]))
+
+
+@pytest.mark.parametrize("spoiled", [None, "catalog", "hash"])
+def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(sample_home, tmp_path, spoiled):
+    home = tmp_path / "home"
+    shutil.copytree(sample_home, home)
+    store = Store(home)
+    aircraft = ("AQX", "LX-AAB")
+    store.replace("features_alerts", [aircraft], store.read("features_alerts", [aircraft]).head(1))
+    if spoiled == "catalog":
+        content = bytearray((home / CATALOG).read_bytes())
+        content[len(content) // 2] ^= 1
+        (home / CATALOG).write_bytes(content)
+    elif spoiled:
+        (home / HASH).write_text("another")
+    publish(home)
+    found = told(home)
+    with connect(home) as con:
+        assert con.execute("select count(*) from tables.features_alerts where tail = 'LX-AAB'").fetchone() == (1,)
+    (home / HASH).unlink()
+    publish(home)
+    assert told(home) == found

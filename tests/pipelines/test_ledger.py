@@ -185,6 +185,27 @@ def test_settled_lasts_until_something_is_noted(ledger):
         assert not ledger.is_settled("so")
 
 
+def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledger):
+    one, two = (("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, d) for d in "de")
+    ledger.register([one], {one[0]: ["T1_20260101_01"]})
+    assert (ledger.settled_as(), ledger.moved().rows()) == (None, [])  # any cell may be stale
+    ledger.settle("so")
+    ledger.register([two], {two[0]: ["T1_20260101_01"]})
+    assert ledger.settled_as() == "so"
+    assert set(ledger.moved().rows()) == {("AAA", "T1", ""), ("AAA", "T1", "T1_20260101_01")}
+    ledger.forget(["features"], ("AAA", "T1"))
+    assert ledger.settled_as() is None
+    ledger.settle("so")
+    assert ledger.is_settled("so")
+
+
+def test_cells_of_some_flights_are_those_of_the_whole_that_are_named(ledger):
+    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
+    ledger.mark("raw_flights", cells)
+    assert ledger.of([("AAA", "T1")], ["b", "x"]).done("raw_flights").rows() == [("AAA", "T1", "b", "2")]
+    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).done("raw_flights").height == 3
+
+
 def test_its_tables_are_named_otherwise_than_dagsters():
     """In PostgreSQL both may live in one database, where `create table if not exists` would take the other's."""
     from dagster._core.storage.event_log.schema import SqlEventLogStorageMetadata
