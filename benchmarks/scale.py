@@ -1,4 +1,4 @@
-"""Cost of a first night by size of the fleet: `python -m benchmarks.scale [S] [M] [L] [--rounds N] [--write]`.
+"""Cost of a first night by size of the fleet: `python -m benchmarks.scale [S M L] [--rounds N] [--alone] [--write]`.
 
 S, M, L: 1,000, 10,000 and 100,000 flights of the project's own simulator, as history files. Claims: Dagster's share of
 the processor at most 10 %, cost that grows with an exponent of at most 1.05, a first night of L in 10 minutes, peak
@@ -131,17 +131,19 @@ def scan(landing: Path, home: Path) -> None:
 
 
 def deliver(landing: Path, count: int) -> None:
-    """So many new flights, a CSV file each: the last ones of every aircraft flown again on the day after the fleet's
-    last."""
+    """So many new flights, a CSV file each: the last ones of every aircraft flown again within days after its last.
+
+    Dates differ from aircraft to aircraft, as those of late files do.
+    """
     aircraft = sorted({f.parent.parent for f in landing.glob("*/*/acms/*.parquet")})
-    latest = {folder: pl.read_parquet(sorted((folder / "acms").glob("*.parquet"))[-1]) for folder in aircraft}
-    tonight = max(rows["report_time"].max() for rows in latest.values()).date() + timedelta(days=1)
-    for folder, rows in latest.items():
-        for flight in rows["flight_id"].unique().sort()[-math.ceil(count / len(aircraft)) :]:
+    for place, folder in enumerate(aircraft):
+        rows = pl.read_parquet(sorted((folder / "acms").glob("*.parquet"))[-1])
+        day = rows["report_time"].max().date() + timedelta(days=1 + place % 5)
+        flights = rows["flight_id"].unique().sort()[-math.ceil(count / len(aircraft)) :]
+        for leg, flight in enumerate(flights, 1):
             own = rows.filter(flight_id=flight)
-            later = own.with_columns(pl.col("report_time") + (tonight - own["report_time"].min().date()))
-            tail, _, leg = flight.rsplit("_", 2)
-            name = f"{tail}_{tonight:%Y%m%d}_{leg}"
+            later = own.with_columns(pl.col("report_time") + (day - own["report_time"].min().date()))
+            name = f"{flight.rsplit('_', 2)[0]}_{day:%Y%m%d}_{leg:02}"
             stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
             later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(folder / "acms" / f"{name}.csv")
 
@@ -189,18 +191,17 @@ def ranking_ms(home: Path) -> float:
     return median(taken)
 
 
-def sized(name: str, rounds: int, scratch: Path) -> dict[str, float]:
-    """Medians of one size."""
+def sized(name: str, rounds: int, scratch: Path, peers: bool = True) -> dict[str, float]:
+    """Medians of one size; without `peers` only what a night, an idle one and one of few new flights cost."""
     size = SIZES[name]
     for _ in write_fleet(scratch / name, 11, size):
         pass
     landing, found = scratch / name / "landing", []
     for k in range(rounds):
-        homes = {c: scratch / name / f"{c}{k}" for c in ("night", "alone", "bare")}
-        taken = {c: measured(c, landing, home) for c, home in homes.items()} | {
-            "scan": measured("scan", landing, scratch),
-            "idle": measured("idle", landing, homes["night"]),
-        }
+        homes = {c: scratch / name / f"{c}{k}" for c in ("night", *(("alone", "bare") if peers else ()))}
+        taken = {c: measured(c, landing, home) for c, home in homes.items()}
+        taken |= {"scan": measured("scan", landing, scratch)} if peers else {}
+        taken["idle"] = measured("idle", landing, homes["night"])
         found.append(
             {f"{c}_{what}": value for c, row in taken.items() for what, value in row.items()}
             | {"ranking_ms": ranking_ms(homes["night"])}
@@ -216,37 +217,41 @@ def table(rows: dict[str, dict[str, float]]) -> str:
     """The table as Markdown, and the exponent of cost between the first and the last size."""
     lines = [
         "| size | flights | wall [s] | processor [s] | in one process | Dagster's share | without it | peak [MB] |"
-        " idle [s] | 100 new [s] | their processor | ranking [ms] | processor / bare scan |",
-        "| --- |" + " ---: |" * 12,
+        " idle [s] | 100 new [s] | their processor [s] | of the night's | ranking [ms] | processor / bare scan |",
+        "| --- |" + " ---: |" * 13,
     ]
     for name, r in rows.items():
-        share = r["alone_dagster_s"] / r["alone_cpu_s"]
+        share, per_scan = (_ratio(r, *of) for of in (("alone_dagster_s", "alone_cpu_s"), ("night_cpu_s", "scan_cpu_s")))
         lines.append(
             f"| {name} | {r['flights']:,.0f} | {r['night_wall_s']:.0f} | {r['night_cpu_s']:.0f}"
-            f" | {r['alone_cpu_s']:.0f} | {share:.1%} | {r['bare_cpu_s']:.0f}"
-            f" | {r['night_peak_mb']:.0f} | {r['idle_wall_s']:.1f} | {r['new_wall_s']:.0f}"
-            f" | {r['new_cpu_s'] / r['night_cpu_s']:.1%} | {r['ranking_ms']:.0f}"
-            f" | {r['night_cpu_s'] / r['scan_cpu_s']:.0f} |"
+            f" | {r.get('alone_cpu_s', math.nan):.0f} | {share:.1%} | {r.get('bare_cpu_s', math.nan):.0f}"
+            f" | {r['night_peak_mb']:.0f} | {r['idle_wall_s']:.1f} | {r['new_wall_s']:.0f} | {r['new_cpu_s']:.1f}"
+            f" | {r['new_cpu_s'] / r['night_cpu_s']:.1%} | {r['ranking_ms']:.0f} | {per_scan:.0f} |"
         )
     if len(rows) > 1:
         first, *_, last = rows.values()
         grown = math.log(last["night_cpu_s"] / first["night_cpu_s"]) / math.log(last["flights"] / first["flights"])
         lines.append(f"\nExponent of the processor's cost from the first to the last size: {grown:.2f}.")
     lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
-    return "\n".join(lines)
+    return "\n".join(lines).replace("nan%", "-").replace("nan", "-")
+
+
+def _ratio(row: dict[str, float], over: str, under: str) -> float:
+    return row.get(over, math.nan) / row.get(under, math.nan)
 
 
 def main() -> None:
     asked = arguments(__doc__)
     asked.add_argument("sizes", nargs="*", default=["S", "M"])
     asked.add_argument("--rounds", type=int, default=1)
+    asked.add_argument("--alone", action="store_true", help="no peers: neither without Dagster nor a bare scan")
     asked.add_argument("--child", nargs=3)
     said = asked.parse_args()
     if said.child:
         child(said.child[0], Path(said.child[1]), Path(said.child[2]))
         return
     with tempfile.TemporaryDirectory() as scratch:
-        text = table({name: sized(name, said.rounds, Path(scratch)) for name in said.sizes})
+        text = table({name: sized(name, said.rounds, Path(scratch), not said.alone) for name in said.sizes})
     show("table", text, PAGE, write=said.write)
 
 

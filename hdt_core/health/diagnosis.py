@@ -130,7 +130,8 @@ class Signatures(NamedTuple):
 
     `shift` and its standard deviation `blur`, (n, 2 (C + 1)), for a fault of the size in `SIZES`, in standard
     deviations of one flight; `CHANNELS` and `HX_STEP`, own pack then other. Left-minus-right checks count once, in the
-    own half. `moved` are the hypotheses and channels where either is not zero, few of all.
+    own half. `moved` are the hypotheses and channels where either is not zero, few of all; `wander` is each
+    channel's own.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -138,6 +139,7 @@ class Signatures(NamedTuple):
     blur: Array
     log_prior: Array
     moved: tuple[Array, Array]
+    wander: Array
 
 
 @cache
@@ -161,7 +163,8 @@ def signatures() -> Signatures:
     usual = np.array([np.log(USUAL) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
     shift, blur = np.array(shifts), np.array(blurs)
     which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
-    return Signatures(tuple(names), shift, blur, usual, (which, channel))
+    wander = np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)
+    return Signatures(tuple(names), shift, blur, usual, (which, channel), wander)
 
 
 def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, float]]:
@@ -188,7 +191,7 @@ def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, flo
     known = signatures()
     seen = np.isfinite(z)
     worth = np.sqrt(np.broadcast_to(flights, z.shape))
-    own = 1.0 + (_WANDER * worth) ** 2
+    own = 1.0 + (known.wander * worth) ** 2
     theirs = np.arange(len(z)) >= len(z) // 2
     still = _fits(np.where(seen, z, 0.0), own, theirs)  # of a channel that the fault leaves alone, whatever its size
     which, channel = (k[seen[known.moved[1]]] for k in known.moved)
@@ -211,6 +214,3 @@ def _fits(miss: Array, variance: Array, theirs: Array) -> Array:
     strays = np.log(STRAY) - 0.5 * (miss[..., theirs] ** 2 / wide + np.log(wide))
     fits[..., theirs] = np.logaddexp(fits[..., theirs], strays)
     return fits
-
-
-_WANDER = np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)
