@@ -277,7 +277,7 @@ STAGES = (
             "prognosis_model",
             "prognosis_lives",
             parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-            code="6",
+            code="7",
         ),
         fresh="prognoses",
     ),

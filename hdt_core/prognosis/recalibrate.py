@@ -18,8 +18,11 @@ from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, position
 Array = NDArray[np.float64]
 Levels = tuple[float, float, float]
 
-TERMS = ("constant", "near", "reserve")
-_PRIOR_SD = np.array([0.5, 0.3, 0.5])
+TERMS = ("constant", "near", "reserve", "late_odds")
+_PRIOR_SD = np.array([0.5, 0.3, 0.5, 0.3])
+LATE_AFTER, USUAL_ODDS = 50.0, -3.0
+"""Flights after which a fleet may be surer, or less sure, than the base; and log odds that this leaves where they are:
+about those of a message in a span of 15 to 50 flights."""
 RESERVE = (-0.2, 0.6, 0.2)
 """Lowest and highest reserve that the correction tells apart, and the one in between where it does nothing. ln [-]"""
 NOMINAL: Levels = (0.05, 0.5, 0.95)
@@ -28,15 +31,15 @@ NOMINAL: Levels = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """Shift of the hazard's log odds, a linear form in `TERMS`."""
+    """Shift of the hazard's log odds, a linear form in `TERMS`; one learned when there were fewer has fewer weights."""
 
-    weights: tuple[float, ...] = (0.0, 0.0, 0.0)
+    weights: tuple[float, ...] = (0.0,) * len(TERMS)
 
     def __call__(self, hazard: Array, reserve: Array) -> Array:
         """Corrected hazards, shape (n, SPANS)."""
-        span = np.broadcast_to(np.arange(SPANS), hazard.shape)
-        shift = _terms(span, reserve[:, None]) @ np.asarray(self.weights)
-        return np.asarray(expit(logit(np.clip(hazard, 1e-7, 1.0 - 1e-7)) + shift))
+        span, odds = np.broadcast_to(np.arange(SPANS), hazard.shape), _log_odds(hazard)
+        shift = _terms(span, reserve[:, None], odds)[..., : len(self.weights)] @ np.asarray(self.weights)
+        return np.asarray(expit(odds + shift))
 
 
 def learn_correction(
@@ -58,12 +61,20 @@ def learn_correction(
     Flights of one life repeat each other, so together the rows weigh as much as there are lives: a failure seen from
     every flight of its life is one failure, not two hundred. All rows weigh the same, since lives weighed alike would
     count the short ones too often.
+
+    The weight of `late_odds` is a calibration slope [1]: above 0 where, beyond the next fifty flights, units that the
+    base calls sound last longer than it says and those that it calls worn last less long. How steadily units wear, and
+    so how far ahead they can be foretold, differs from operation to operation; what is near hangs on the reserve.
+
+    References
+    ----------
+    .. [1] D. R. Cox, Two further applications of a model for binary regression, Biometrika 45, 1958.
     """
     row, span, hit, exposure = at_risk(left, failed)
     if not hit.any():
         return Correction()
-    offset = logit(np.clip(hazard[row, span], 1e-7, 1.0 - 1e-7))
-    terms = _terms(span, reserve[row])
+    offset = _log_odds(hazard[row, span])
+    terms = _terms(span, reserve[row], offset)
     weight = exposure * np.unique(life).size / life.size
 
     def cost(w: Array) -> tuple[float, Array]:
@@ -119,8 +130,13 @@ def learn_levels(
     return low, middle, high
 
 
-def _terms(span: NDArray[np.int_], reserve: Array) -> Array:
+def _log_odds(hazard: Array) -> Array:
+    return np.asarray(logit(np.clip(hazard, 1e-7, 1.0 - 1e-7)))
+
+
+def _terms(span: NDArray[np.int_], reserve: Array, odds: Array) -> Array:
     near = np.exp(-EDGES[span + 1] / 50.0)
     low, high, zero = RESERVE
     known = np.clip(np.nan_to_num(reserve, nan=zero), low, high) - zero
-    return np.stack(np.broadcast_arrays(np.ones(1), near, known), axis=-1)
+    late = np.where(EDGES[span + 1] > LATE_AFTER, odds - USUAL_ODDS, 0.0)
+    return np.stack(np.broadcast_arrays(np.ones(1), near, known, late), axis=-1)

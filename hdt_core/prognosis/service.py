@@ -21,6 +21,7 @@ import polars as pl
 from hdt_core.prognosis.card import Card, Verdict, model_card, promote
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import IN_ORDER, Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
+from hdt_core.prognosis.recalibrate import TERMS
 from hdt_core.prognosis.record import Heard, Record, heard
 from hdt_core.prognosis.rows import Tracks
 from hdt_core.records.unit_index import PACK
@@ -109,8 +110,8 @@ def _speak(last: Served, lived: dict[str, Tracks]) -> Served:
 
 
 def _lesson(candidate: Prognosis, past: dict[str, Tracks], tails: list[str]) -> str:
-    """Digest of all that a model may learn from."""
-    told = hashlib.blake2b(json.dumps([named(candidate).version, tails]).encode(), digest_size=10)
+    """Digest of all that a model may learn from, and of what it learns."""
+    told = hashlib.blake2b(json.dumps([named(candidate).version, TERMS, tails]).encode(), digest_size=10)
     for track in past.values():
         told.update(json.dumps(heard(track)[0]).encode())
         told.update(track.left.tobytes() + track.failed.tobytes())

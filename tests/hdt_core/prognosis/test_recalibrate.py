@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.special import expit, logit
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
 from hdt_core.prognosis.limits import PRIORS, learn_limit
-from hdt_core.prognosis.recalibrate import Correction, learn_correction, learn_levels
+from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, Correction, learn_correction, learn_levels
 
 
 def lives(n: int, rate: float) -> tuple[np.ndarray, ...]:
@@ -54,6 +55,35 @@ def test_a_hazard_twice_too_low_is_corrected_as_far_as_the_lives_carry(n, share)
     assert after > before
     assert (after - before) / (truth - before) > share
     assert after < truth + 0.1
+
+
+def steady_and_worn(n: int) -> tuple[np.ndarray, ...]:
+    """True hazards (n, SPANS) and lives of two kinds of units: one fails in a hundred flights, one in a thousand."""
+    rng = np.random.default_rng(5)
+    rate = np.where(np.arange(n) % 2 == 0, 0.01, 0.001)
+    death = rng.exponential(1.0 / rate)
+    hazard = 1.0 - np.exp(-rate[:, None] * np.diff(EDGES))
+    return hazard, np.minimum(death, 300.0), death <= 300.0, np.arange(n)
+
+
+@pytest.mark.parametrize(("flattened", "slope"), [(1.0, 0.0), (1.5, 0.5)])
+def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flattened, slope):
+    """The slope is recovered from many lives, none is found where the base is right, and the next 50 flights stay."""
+    truth, left, failed, life = steady_and_worn(4000)
+    late = EDGES[1:] > 50.0
+    base = np.where(late, expit(USUAL_ODDS + (logit(truth) - USUAL_ODDS) / flattened), truth)
+    done = learn_correction(base, np.full(left.size, 0.2), left, failed, life)
+    assert done.weights[TERMS.index("late_odds")] == pytest.approx(slope, abs=0.12)
+    said = done(base[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(logit(said), logit(truth[:2]), atol=0.25)
+    alone = Correction((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
+
+
+def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
+    hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
+    said = Correction((0.1, -0.2, 0.3))(hazard, reserve)
+    np.testing.assert_array_equal(said, Correction((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
 def test_limit_moves_from_the_prior_to_the_messages():
