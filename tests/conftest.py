@@ -20,6 +20,11 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # that has run hundreds of tests holds some. Registered first, so it runs last: after every other handler.
     atexit.register(os._exit, 0)
 
+IN_MEMORY, ROOM_BYTES = Path("/dev/shm"), 6 << 30
+if IN_MEMORY.is_dir() and os.access(IN_MEMORY, os.W_OK) and shutil.disk_usage(IN_MEMORY).free > ROOM_BYTES:
+    # A night waits for the disk some 800 times. What that is worth, the tests of power cuts show by themselves.
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(IN_MEMORY))
+
 SAMPLES = Path(__file__).parents[1] / "data_samples"
 AIRCRAFT = ("AQX/LX-AAB", "BZR/A9-BAC")
 

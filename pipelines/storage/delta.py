@@ -19,7 +19,13 @@ from typing import Any
 import polars as pl
 from deltalake import DeltaTable, Schema
 from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
-from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
+from deltalake.transaction import (
+    AddAction,
+    CommitProperties,
+    PostCommitHookProperties,
+    RemoveAction,
+    create_table_with_add_actions,
+)
 
 from pipelines.storage.fault_points import fault_point
 from pipelines.storage.files import Folder
@@ -96,10 +102,11 @@ class Deltas:
             if not made:
                 return now
             schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
-            if now is None:
-                self._create(table, schema)
-                continue
             new = {s: a for s, f in made.items() if (a := self._write(table, s, f, files.get(s)))}
+            if now is None:
+                if self._begin(table, schema, list(new.values())):
+                    return self.open(table)
+                continue
             gone = [_removed(files[s]) for s in new if s in files]
             if not new or self._commit(table, now, schema, [*new.values(), *gone]):
                 return now
@@ -157,13 +164,23 @@ class Deltas:
             said = f"the log of {table} can't be read ({_first_line(error)})"
             raise StoreError(said) if self.place.remote else DamageError(said) from None
 
-    def _create(self, table: str, schema: Schema) -> None:
-        """Begin a table's log; of two who do so at once, both do."""
+    def _begin(self, table: str, schema: Schema, added: list[AddAction]) -> bool:
+        """A table's first commit; False where another began it."""
         self.place.prepare(table)
-        with self._one_line(table):
-            where, how = f"{self.place.url}/{table}", self.place.options
-            DeltaTable.create(where, schema, "ignore", storage_options=how, configuration=_KEPT)
+        fault_point("before_commit")
+        where, how = f"{self.place.url}/{table}", self.place.options
+        try:
+            with self._one_line(table):
+                create_table_with_add_actions(
+                    where, schema, added, "error", storage_options=how, configuration=_KEPT, **_ONCE
+                )
+        except StoreError:
+            if self.open(table) is None:
+                raise
+            return False
+        fault_point("after_commit")
         self.place.settle(table, 0)
+        return True
 
     def _commit(self, table: str, now: DeltaTable, schema: Schema, actions: list[AddAction | RemoveAction]) -> bool:
         """One commit; False where another came first."""

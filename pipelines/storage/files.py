@@ -142,8 +142,9 @@ class Folder:
     def settle(self, table: str, version: int) -> None:
         """Wait until a commit, and the one before it, are on the disk: who wrote the log did not."""
         log = self.root / table / LOG
-        for commit in (file for v in (version - 1, version) if v >= 0 for file in log.glob(f"{v:020}.*")):
-            _sync(commit)
+        for name in (f"{v:020}.{end}" for v in (version - 1, version) for end in ("json", "checkpoint.parquet")):
+            with suppress(FileNotFoundError):
+                _sync(log / name)
         _sync(log)
 
     def sweep(self) -> int:

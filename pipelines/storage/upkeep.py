@@ -55,7 +55,9 @@ def keep_house(store: Store, ledger: Ledger, declared: Retention | None = None) 
     At most once a day, and as the home declares, unless it is `declared` here.
     """
     done = store.home / _DONE
-    if declared is None and done.exists() and time.time() - done.stat().st_mtime < _EVERY_S:
+    if declared is None and not done.exists():  # a new home holds nothing old
+        done.touch()
+    if declared is None and time.time() - done.stat().st_mtime < _EVERY_S:
         return
     declared, nights = declared or retention(store.home), ledger.snapshots()
     first = (datetime.now(UTC) - timedelta(days=declared.keep_days)).isoformat()
