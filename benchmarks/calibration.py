@@ -23,9 +23,10 @@ from benchmarks.known_design import SIZE, Z90, one_fleet
 from benchmarks.legs import fleet_of
 from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import COMPRESSOR
+from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.crossing import FLIGHT_PACK, cruise_samples
+from hdt_core.twin.crossing import cruise_samples
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.sequential import flight_by_flight
 

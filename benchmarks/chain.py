@@ -21,7 +21,7 @@ from hdt_core.health.witnesses import witnesses as testify
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.model import out_of_fold
 from hdt_core.prognosis.rows import ASKS
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from hdt_core.twin.calibrate import baseline_flights
 from hdt_core.twin.calibrate import calibrate as fit
 from hdt_core.twin.flights import estimate_flights

@@ -9,6 +9,7 @@ from benchmarks.legs import fleet_of
 from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.simulate import flying
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
@@ -18,7 +19,7 @@ from hdt_core.twin import hierarchy
 from hdt_core.twin.calibrate import baseline_flights, calibrate
 from hdt_core.twin.characterise import fit_compressor
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
-from hdt_core.twin.crossing import FLIGHT_PACK, PACK, cruise_samples, flights_of
+from hdt_core.twin.crossing import cruise_samples, flights_of
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.parameters import elasticities, flow_elasticities

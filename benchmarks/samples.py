@@ -10,7 +10,7 @@ import polars as pl
 
 from benchmarks.chain import Made
 from hdt_core.prognosis.lives import flight_rows
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from pipelines.storage.store import Store
 
 

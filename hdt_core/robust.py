@@ -29,7 +29,7 @@ def spread(deviations: Array) -> float:
 
 def spread_expr(deviations: pl.Expr) -> pl.Expr:
     """The same of a column."""
-    return MAD_TO_SD * deviations.abs().median()
+    return deviations.abs().median() * MAD_TO_SD
 
 
 def median_error(n: Column) -> Column:

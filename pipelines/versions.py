@@ -31,7 +31,8 @@ def expected(ledger: Ledger, table: str) -> pl.DataFrame:
         return _hashed(pl.DataFrame({"made_of": [lines]}), recipe.code)
     if not recipe.parents:
         return _hashed(pl.DataFrame({"made_of": [table]}), recipe.code)
-    first, *others = (_at(grain, ledger.done(parent), parent) for parent in recipe.parents)
+    done = [(parent, ledger.done(parent)) for parent in recipe.parents]
+    first, *others = (_at(grain, versions, parent) for parent, versions in done)
     for other in others:
         on = [c for c in CELL if c in other.columns]
         first = first.join(other, on=on, how="left") if on else first.join(other, how="cross")

@@ -51,11 +51,6 @@ class Filtered:
         """Of the whole record."""
         return sum(c.log_likelihood for c in self.corrections)
 
-    @property
-    def mean_nis(self) -> float:
-        """Mean normalised innovation squared per value: one where model and noise are as declared."""
-        return sum(c.nis for c in self.corrections) / max(sum(c.innovation.size for c in self.corrections), 1)
-
 
 def forward(
     problem: Problem, linearise: Linearise, about: list[Belief] | None = None, centre: Array | None = None

@@ -97,7 +97,7 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
         for c in CHECKS
     )
     flight = [*tail, "flight_id"]
-    known = smooth.with_columns(
+    known = smooth.with_columns(_scatters(unit)).with_columns(
         e for c in TOLERANCE for e in (_spell(c, unit), _shift(c, unit), _other_pack(c, flight))
     )
     scores = known.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
@@ -107,19 +107,24 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     return scores.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), named.alias("sensor_check"), *alone)
 
 
+def _scatters(unit: list[str]) -> list[pl.Expr]:
+    """Scatter of each check in `<check>_step`, from flight to flight, `_alone`, by itself, and `_smooth_usual`."""
+    checks, smooth = pl.col(list(TOLERANCE)), pl.col([f"{c}_smooth" for c in TOLERANCE])
+    values = {"_step": checks.diff(), "_alone": checks, "_usual": smooth}
+    return [spread_expr(v).over(unit).name.suffix(end) for end, v in values.items()]
+
+
 def _spell(check: str, unit: list[str]) -> pl.Expr:
     """On which side the smoothed check has left its level, 0 where it has not."""
     smooth = pl.col(f"{check}_smooth").forward_fill().over(unit)
-    usual = spread_expr(pl.col(f"{check}_smooth")).over(unit)
-    left = smooth.abs() > pl.max_horizontal(usual, pl.lit(USUAL_SHARE * TOLERANCE[check]))
+    left = smooth.abs() > pl.max_horizontal(f"{check}_smooth_usual", pl.lit(USUAL_SHARE * TOLERANCE[check]))
     return pl.when(left).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
 
 
 def _shift(check: str, unit: list[str]) -> pl.Expr:
     """Smoothed check over what is allowed; its noise is that of steps from flight to flight: a drift must not pass for
     scatter."""
-    step = spread_expr(pl.col(check).diff()).over(unit)
-    noise = MEDIAN_SD * step / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
+    noise = MEDIAN_SD * pl.col(f"{check}_step") / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
     allowed = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
     return (pl.col(f"{check}_smooth").abs() / allowed).alias(f"{check}_shift")
 
@@ -139,7 +144,7 @@ def _score(check: str, unit: list[str]) -> pl.Expr:
     spell = pl.struct(*unit, side).rle_id()
     lasting = pl.when(side != 0.0).then(shift.max().over(spell)).otherwise(shift)
     whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(spell)).otherwise(other)
-    alone = spread_expr(pl.col(check)).over(unit) * FAULT_SD
+    alone = pl.col(f"{check}_alone") * FAULT_SD
     single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
     return pl.max_horizontal(pl.when(~whose).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
 

@@ -15,8 +15,8 @@ from hdt_core.health.low_margin import low_margin_cases
 from hdt_core.health.repeats import action_of, count_units
 from hdt_core.health.sensors import feigns_wear, outlet_doubtful, sensor_cases
 from hdt_core.health.wear import cc_cases, hx_cases
+from hdt_core.records.keys import LEG
 
-KEY = ["operator", "tail", "flight_id", "pack"]
 SCHEMA: dict[str, Any] = {
     "alert_id": pl.String, "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
     "diagnosis": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
@@ -107,9 +107,9 @@ def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.D
     wide = features
     for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m"):
         if name not in wide.columns and health_parameters.height:
-            one = health_parameters.filter(pl.col("parameter") == name).unique(KEY, keep="last")
+            one = health_parameters.filter(pl.col("parameter") == name).unique(LEG, keep="last")
             both = pl.col("value").alias(name), pl.col("sd").alias(f"{name}_sd")
-            wide = wide.join(one.select(*KEY, *both), on=KEY, how="left")
+            wide = wide.join(one.select(*LEG, *both), on=LEG, how="left")
     return wide
 
 

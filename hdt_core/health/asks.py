@@ -20,8 +20,9 @@ from hdt_core.physics.air import (
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
+from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import FLIGHT_PACK, flights_of
+from hdt_core.twin.crossing import flights_of
 from hdt_core.twin.dsm import Dsm
 
 HIGH_M = 4572.0

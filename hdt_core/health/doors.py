@@ -6,7 +6,8 @@ import polars as pl
 from hdt_core.health.controller import DOOR_FREE
 from hdt_core.health.detection import Array, persistent
 from hdt_core.health.episodes import REPAIR, Case, Limits, spells
-from hdt_core.health.grid import UNIT, Grid
+from hdt_core.health.grid import Grid
+from hdt_core.records.keys import PACK
 
 STOP_MEMORY = 40
 """Flights within which a door that ran into the same stop twice is believed to have one."""
@@ -53,7 +54,7 @@ def _above_usual_k(grid: Grid) -> Array:
     out = np.full(grid.shape, np.nan)
     if "w_hx_out_minus_target_k" in grid.rows.columns:
         above = pl.col("w_hx_out_minus_target_k")
-        usual = above.shift(1).rolling_median(USUAL_FLIGHTS, min_samples=5).over(UNIT)
+        usual = above.shift(1).rolling_median(USUAL_FLIGHTS, min_samples=5).over(PACK)
         out[grid.unit, grid.flight] = grid.rows.select(above - usual)[:, 0].cast(pl.Float64).to_numpy()
     return out
 

@@ -15,7 +15,8 @@ from hdt_core.health.detection import Array, persistent
 from hdt_core.health.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.health.episodes import Case, Limits, case_id, spells
 from hdt_core.health.grid import Grid
-from hdt_core.records.unit_index import PACK, date_entries, select_entries
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import date_entries, select_entries
 
 SOUND, LOOKED = "NO_FAULT_FOUND", ("INSPECTED",)
 RENEWED, FOUND_CLEAN = "renewed", "found_clean"

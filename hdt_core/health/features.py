@@ -11,11 +11,10 @@ import polars as pl
 from hdt_core.health.first_passage import passages
 from hdt_core.health.margin import SHOWN_MARGIN, left_margin
 from hdt_core.health.virtual import virtual_sensors
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import finite
 
-UNIT = ["operator", "tail", "pack"]
-KEY = ["operator", "tail", "flight_id", "pack"]
 HORIZONS = (10, 30, 100)
 """Flights over which trends are taken."""
 HEALTH = ("hx_fouling", "cc_efficiency_loss", "cc_diameter_loss", "cc_effective_diameter_m")
@@ -67,19 +66,19 @@ def features(
         and departure.
     """
     base = _flights(legs, health_parameters)
-    wide = base.join(_health(health_parameters, health), on=KEY, how="left").join(
-        _residual_means(residuals), on=KEY, how="left"
+    wide = base.join(_health(health_parameters, health), on=LEG, how="left").join(
+        _residual_means(residuals), on=LEG, how="left"
     )
     wide = _join_new(wide, None if twin_flights is None else virtual_sensors(twin_flights))
     wide = _join_new(wide, witnesses)
     components = list(dict.fromkeys(_component(name) for name in health))
     wide = since_maintenance(wide, maintenance, components)
     if margin is not None and twin_flights is not None:
-        wide = wide.join(_margins(wide, twin_flights, margin), on=KEY, how="left")
-    trends = [e for name in health for e in trend(name, [*UNIT, f"{_component(name)}_life"])]
+        wide = wide.join(_margins(wide, twin_flights, margin), on=LEG, how="left")
+    trends = [e for name in health for e in trend(name, [*PACK, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
     if margin is not None and "hx_ln_ua_ratio" in wide.columns:
-        wide = wide.join(passages(wide, margin), on=KEY, how="left")
+        wide = wide.join(passages(wide, margin), on=LEG, how="left")
     lives = [f"{component}_life" for component in components]
     return finite(_usage(_beside(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
 
@@ -94,7 +93,7 @@ def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFram
     known = [f.select(*SHORT) for f in (legs, health_parameters) if f.height]
     rows = (
         (pl.concat(known) if known else pl.DataFrame(schema=SHORT))
-        .unique(KEY, keep="first")
+        .unique(LEG, keep="first")
         .sort("operator", "tail", "departed_at", "flight_id", "pack")
     )
     started = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
@@ -108,7 +107,7 @@ def _health(long: pl.DataFrame, health: Sequence[str]) -> pl.DataFrame:
         for p in health
         for c, end in (("value", ""), ("sd", "_sd"), ("status", "_status"))
     ]
-    return said.group_by(KEY).agg(columns)
+    return said.group_by(LEG).agg(columns)
 
 
 def _residual_means(long: pl.DataFrame) -> pl.DataFrame:
@@ -118,7 +117,7 @@ def _residual_means(long: pl.DataFrame) -> pl.DataFrame:
         pl.col("mean").filter((pl.col("signal") == s) & (pl.col("kind") == k)).last().alias(residual_column(s, k))
         for s, k in pairs
     ]
-    return long.group_by(KEY).agg(columns)
+    return long.group_by(LEG).agg(columns)
 
 
 def residual_column(signal: str, kind: str) -> str:
@@ -139,15 +138,15 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
     """Left join the columns that are not there yet."""
     if more is None:
         return wide
-    return wide.join(more.select(*KEY, *(c for c in more.columns if c not in wide.columns)), on=KEY, how="left")
+    return wide.join(more.select(*LEG, *(c for c in more.columns if c not in wide.columns)), on=LEG, how="left")
 
 
 def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFrame) -> pl.DataFrame:
     """Margin columns of each flight; rows of `wide` are in order of departure."""
-    seen = wide.select(*KEY, "hx_fouling", "hx_life").join(
-        twin_flights.select(*KEY, "ln_ua_ratio"), on=KEY, how="left", maintain_order="left"
+    seen = wide.select(*LEG, "hx_fouling", "hx_life").join(
+        twin_flights.select(*LEG, "ln_ua_ratio"), on=LEG, how="left", maintain_order="left"
     )
-    return left_margin(seen, margin).select(*KEY, *SHOWN_MARGIN)
+    return left_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
 
 
 def since_maintenance(
@@ -160,11 +159,11 @@ def since_maintenance(
     numbered = flights
     for component in components:
         numbered = number_units(numbered, maintenance, component.upper(), f"{component}_life")
-    ordered = numbered.sort(*UNIT, "departed_at", "flight_id")
+    ordered = numbered.sort(*PACK, "departed_at", "flight_id")
     lead = f"{components[0]}_life"
-    age = pl.int_range(pl.len()).over([*UNIT, lead])
+    age = pl.int_range(pl.len()).over([*PACK, lead])
     return ordered.with_columns(
-        pl.when(pl.col(lead) > pl.col(lead).first().over(UNIT)).then(age).alias("flights_since_replacement"),
+        pl.when(pl.col(lead) > pl.col(lead).first().over(PACK)).then(age).alias("flights_since_replacement"),
         age.alias("flights_seen_of_unit"),
     )
 
@@ -186,7 +185,7 @@ def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
 
 def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
     """How far the loss moved of late: the track over ten flights; three flights against twelve before, less trend."""
-    life = [*UNIT, f"{_component(loss)}_life"]
+    life = [*PACK, f"{_component(loss)}_life"]
     track = pl.col(loss)
     now = pl.col(f"{loss}_flight") if f"{loss}_flight" in columns else track
     # the middles of the two windows lie eight flights apart; the trend is that of the flights before the late ones
@@ -214,7 +213,7 @@ def _beside(wide: pl.DataFrame) -> pl.DataFrame:
         (3 - pl.col("pack")).cast(pl.Int32).alias("pack"),
         *(pl.col(n).alias(f"other_{n}") for n in names),
     )
-    both = wide.join(other, on=KEY, how="left")
+    both = wide.join(other, on=LEG, how="left")
     return both.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
         f"other_{n}" for n in names
     )
@@ -232,5 +231,5 @@ def _usage(wide: pl.DataFrame) -> pl.DataFrame:
             (1.0 - pl.col("door_max")).alias("ram_door_margin"),
         ]
     if "flight_hours" in given:
-        more.append(pl.col("flight_hours").cum_sum().over(UNIT).alias("usage_hours"))
+        more.append(pl.col("flight_hours").cum_sum().over(PACK).alias("usage_hours"))
     return wide.with_columns(more)

@@ -17,6 +17,7 @@ from scipy.special import ndtr, ndtri
 from hdt_core.health.asks import CRITICAL, EXCESS_K
 from hdt_core.health.conditions import ASKED, LEVELS, asked, repeated
 from hdt_core.health.margin import PRIOR_RULE, at_excess
+from hdt_core.records.keys import LEG
 
 Array = NDArray[np.float64]
 
@@ -96,12 +97,11 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         operator, tail, flight_id, pack and `PASSAGES`; null while nothing is known. It learns from no fleet, so what
         was said of a flight never changes.
     """
-    key = ["operator", "tail", "flight_id", "pack"]
-    known = flights.join(asks.select(*key, *CRITICAL[: len(EXCESS_K)]), on=key, how="left", maintain_order="left")
+    known = flights.join(asks.select(*LEG, *CRITICAL[: len(EXCESS_K)]), on=LEG, how="left", maintain_order="left")
     pack = known.select(pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64) - 1).to_series().to_numpy()
     flight = known.select(pl.int_range(pl.len()).over("operator", "tail", "pack")).to_series().to_numpy()
     if not known.height:
-        return known.select(key).with_columns(pl.lit(None, pl.Float64).alias(name) for name in PASSAGES)
+        return known.select(LEG).with_columns(pl.lit(None, pl.Float64).alias(name) for name in PASSAGES)
     curves = np.full((pack.max() + 1, flight.max() + 1, len(EXCESS_K)), np.nan)
     curves[pack, flight] = known.select(CRITICAL[: len(EXCESS_K)]).to_numpy().astype(float)
     asks_now = asked(repeated(at_excess(curves, PRIOR_RULE.excess_k), PRIOR_RULE.of), pack, flight)
@@ -121,4 +121,4 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         np.array([0.0, 10.0, 25.0, 50.0, 100.0, 150.0, 200.0, 300.0]),
     )
     told = [pl.Series(name, by[:, at]).fill_nan(None) for name, at in zip(PASSAGES, (4, 7), strict=True)]
-    return known.select(key).with_columns(told)
+    return known.select(LEG).with_columns(told)

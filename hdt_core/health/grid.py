@@ -6,9 +6,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.detection import Array
+from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import first_flights
-
-UNIT = ["operator", "tail", "pack"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +38,11 @@ class Grid:
     @classmethod
     def cut(cls, frame: pl.DataFrame) -> "Grid":
         """Lay out a frame with operator, tail, pack, departed_at and flight_id."""
-        rows = frame.sort(*UNIT, "departed_at", "flight_id")
-        units = rows.select(UNIT).unique(maintain_order=True)
+        rows = frame.sort(*PACK, "departed_at", "flight_id")
+        units = rows.select(PACK).unique(maintain_order=True)
         place = rows.select(
-            pl.struct(UNIT).rle_id().cast(pl.Int64).alias("unit"),
-            pl.int_range(pl.len()).over(UNIT).cast(pl.Int64).alias("flight"),
+            pl.struct(PACK).rle_id().cast(pl.Int64).alias("unit"),
+            pl.int_range(pl.len()).over(PACK).cast(pl.Int64).alias("flight"),
         )
         flights = int(np.asarray(place["flight"].max() or 0)) + 1 if rows.height else 0
         where = rows.select("operator", "tail", "flight_id", "pack").with_columns(place)
@@ -97,7 +96,7 @@ class Grid:
     def worked_on(self, maintenance: pl.DataFrame, components: tuple[str, ...], actions: tuple[str, ...]) -> Array:
         """First flight that counts as flown after such work, by `records.unit_index`. (units, flights) bool"""
         out = np.zeros(self.shape, dtype=bool)
-        flights = self.rows.select(*UNIT, "departed_at", pl.Series("u", self.unit), pl.Series("k", self.flight))
+        flights = self.rows.select(*PACK, "departed_at", pl.Series("u", self.unit), pl.Series("k", self.flight))
         first = first_flights(flights, maintenance, components, actions)
         out[first["u"].to_numpy(), first["k"].to_numpy()] = True
         return out

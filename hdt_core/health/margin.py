@@ -7,7 +7,7 @@ import polars as pl
 
 from hdt_core.health.asks import CRITICAL, EXCESS_K, HOT_DAY, PARTS, SHARES
 from hdt_core.physics.model import Array
-from hdt_core.twin.crossing import FLIGHT_PACK
+from hdt_core.records.keys import FLIGHT_PACK
 
 HELD_SD_K = {"flight": 0.5, "pack": 2.0}
 """How well the held level is known: from the flight itself, or from the pack's others (trims differ by 2 K)."""

@@ -15,13 +15,13 @@ from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m,
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import PhysicsModel
+from hdt_core.records.keys import LEG
 from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_samples
 from hdt_core.twin.crossing import cruise_samples
 from hdt_core.twin.dsm import Dsm
 
-KEY = ["operator", "tail", "flight_id", "pack"]
 KINDS = ("sensor_minus_dsm", "dsm_minus_twin", "sensor_minus_twin")
 SIGNALS: dict[str, tuple[str, str, float]] = {
     # component, unit, standard deviation of one reading about a sound model
@@ -60,7 +60,7 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     packs = dsm.pack_table()
     corrections = packs.select("operator", "tail", "pack", "inlet_bias_k", "inlet_bias_ln")
     cruise = compressor_samples(cruise_samples(samples), packs)
-    rows = cruise.join(_health(twin_flights), on=KEY, how="left", maintain_order="left")
+    rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left")
     rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
     return _summarised(rows, columns, SIGNALS)
@@ -83,7 +83,7 @@ def component_residuals(
         Code of the component in the tables.
     """
     health = [p.name for p in model.free("health")]
-    rows = samples.join(twin_flights.select(*KEY, *health), on=KEY, how="left", maintain_order="left")
+    rows = samples.join(twin_flights.select(*LEG, *health), on=LEG, how="left", maintain_order="left")
     given = {s.name: rows[s.name].to_numpy() for s in model.inputs}
     sound = model.predict({}, given)
     twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, given)
@@ -97,7 +97,7 @@ def component_residuals(
 def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
     """What the flight alone says of the health: level of the conductance, diameter, efficiency and flow group."""
     return twin_flights.select(
-        *KEY,
+        *LEG,
         pl.col("ln_ua_ratio").alias("twin_ln_ua"),
         (pl.col("diameter_m") - pl.col("expected_diameter_m")).alias("twin_diameter_beyond_m"),
         pl.col("efficiency").alias("twin_efficiency"),
@@ -157,16 +157,16 @@ def _summarised(
     rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str, float]]
 ) -> pl.DataFrame:
     """Differences of each row, named `signal|kind`, as statistics by flight and pack."""
-    wide = finite(rows.select(KEY).with_columns(pl.Series(name, np.asarray(v)) for name, v in columns.items()))
+    wide = finite(rows.select(LEG).with_columns(pl.Series(name, np.asarray(v)) for name, v in columns.items()))
     parts = [_statistics(wide, signal, kind, *signals[signal]) for signal in signals for kind in KINDS]
-    return finite(pl.concat(parts)).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*KEY, "signal", "kind")
+    return finite(pl.concat(parts)).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*LEG, "signal", "kind")
 
 
 def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str, sigma: float) -> pl.DataFrame:
     e = pl.col(f"{signal}|{kind}")
     known = (
         wide.filter(e.is_not_null())
-        .group_by(KEY)
+        .group_by(LEG)
         .agg(e.mean().alias("mean"), e.std().alias("sd"), (e**2).mean().sqrt().alias("rms"), pl.len().alias("n"))
     )
     labels: Mapping[str, str] = {"component": component, "signal": signal, "kind": kind, "unit": unit}

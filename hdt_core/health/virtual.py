@@ -3,10 +3,10 @@
 import polars as pl
 
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
+from hdt_core.records.keys import LEG
 from hdt_core.twin.exchanger import BIAS_SD, NOISE_SD
 
 BALANCED = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "ram_flow_kg_s", "tat_k")
-KEY = ["operator", "tail", "flight_id", "pack"]
 RAM_MAP_SD = 0.05
 """Relative uncertainty of the clean duct's flow where no ram outlet probe anchors it: maps err by 4 to 10 %."""
 
@@ -37,7 +37,7 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
     ua_sd = (pl.col("ln_ua_ratio_sd") ** 2 + pl.col("ln_ua_ratio_map_sd") ** 2).sqrt()
     reading_sd = (NOISE_SD["hx_out_k"] ** 2 / pl.col("n_samples").clip(1) + BIAS_SD["hx_out_k"] ** 2).sqrt()
     return twin_flights.select(
-        *KEY,
+        *LEG,
         "ram_flow_kg_s",
         (RAM_MAP_SD * pl.col("ram_flow_kg_s")).alias("ram_flow_kg_s_sd"),
         (pl.col("tat_k") + rise_k).alias("ram_outlet_k"),

@@ -9,10 +9,9 @@ import polars as pl
 
 from hdt_core.health.controller import DOOR_FREE, RUNNING_KG_S, Laws, has_authority, learn_laws
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from hdt_core.records.keys import LEG
 from hdt_core.tables.base import finite
 from hdt_core.twin.crossing import departure
-
-KEY = ["operator", "tail", "flight_id", "pack"]
 
 SENSORS = (
     "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s",
@@ -57,15 +56,15 @@ def witnesses(samples: pl.DataFrame, laws: Laws | None = None) -> pl.DataFrame:
     """
     whole = _paired(_with_laws(samples, laws or learn_laws(samples)))
     level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
-    out = whole.group_by(KEY).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
+    out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
     parts = (
-        level.group_by(KEY).agg(*_checks(LEVEL_CHECKS), *_setting()),
-        whole.group_by(KEY).agg(*_checks(FLIGHT_CHECKS)),
+        level.group_by(LEG).agg(*_checks(LEVEL_CHECKS), *_setting()),
+        whole.group_by(LEG).agg(*_checks(FLIGHT_CHECKS)),
         _pegged(whole),
     )
     for part in parts:
-        out = out.join(part, on=KEY, how="left")
-    return finite(out.sort(KEY))
+        out = out.join(part, on=LEG, how="left")
+    return finite(out.sort(LEG))
 
 
 def _counts() -> list[pl.Expr]:
@@ -182,9 +181,9 @@ def _checks(checks: dict[str, pl.Expr]) -> list[pl.Expr]:
 
 def _pegged(whole: pl.DataFrame) -> pl.DataFrame:
     """Outlet above target where the door rests at its widest, less the same elsewhere: the flight's trim drops out."""
-    at_stop = pl.col("ram_door_open") > pl.col("ram_door_open").max().over(KEY) - PEG_BAND
+    at_stop = pl.col("ram_door_open") > pl.col("ram_door_open").max().over(LEG) - PEG_BAND
     above = pl.when(has_authority()).then(_ABOVE_TARGET_K)
-    return whole.group_by(KEY).agg(
+    return whole.group_by(LEG).agg(
         (above.filter(at_stop).median() - above.filter(~at_stop).median()).alias("door_peg_excess_k"),
         above.filter(at_stop).count().alias("door_peg_n"),
         above.filter(~at_stop).count().alias("door_off_peg_n"),

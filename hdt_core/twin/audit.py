@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from scipy.stats import theilslopes
 
+from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.records.unit_index import number_units
-from hdt_core.twin.crossing import IN_ORDER, PACK
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.entry import FIRST_FLIGHTS
 

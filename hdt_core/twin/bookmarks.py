@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from hdt_core.records.keys import PACK
 from hdt_core.twin.belief import Belief
-from hdt_core.twin.crossing import PACK, Array
+from hdt_core.twin.crossing import Array
 
 STATES = 5
 PAGE = [*PACK, "chapter", "seen"]

@@ -8,22 +8,12 @@ import polars as pl
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
 from hdt_core.robust import median_error
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.characterise import fit_compressor
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
-from hdt_core.twin.crossing import (
-    FLIGHT_PACK,
-    IN_ORDER,
-    PACK,
-    Array,
-    Points,
-    as_met,
-    cruise_samples,
-    flights_of,
-    level_points,
-    to_points,
-)
+from hdt_core.twin.crossing import Array, Points, as_met, cruise_samples, flights_of, level_points, to_points
 from hdt_core.twin.dsm import Dsm, PackDesign, version_of
 from hdt_core.twin.entry import FIRST_FLIGHTS, entry_posterior, fleet_levels
 from hdt_core.twin.flights import design_gradient, estimate_flights

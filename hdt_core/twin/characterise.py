@@ -12,8 +12,9 @@ import polars as pl
 
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import declared
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import huber_weights, median_error, spread, spread_expr
-from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.forms import FormFit, Rows, compare_forms
 from hdt_core.twin.pooling import Level, levels_of
 

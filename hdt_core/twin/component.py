@@ -11,11 +11,11 @@ from hdt_core.estimation.estimate import Estimate, Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import Param, PhysicsModel
+from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
 from hdt_core.robust import spread
-from hdt_core.twin.crossing import IN_ORDER, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.sequential import recorded_outputs, samples_problem
 
-KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
 LEAST_STEPS = 8
 """Steps between flights from which their scatter can be told."""
 STRAY_SD = 5.0
@@ -78,9 +78,9 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
     Returns
     -------
     DataFrame
-        Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as flights
-        scatter; nothing is taken from later ones. One that departs by more than `STRAY_SD` is `unconfirmed`, and not
-        believed until the next agrees with it.
+        Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as
+        flights scatter; nothing is taken from later ones. One that departs by more than `STRAY_SD` is `unconfirmed`,
+        and not believed until the next agrees with it.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def _filtered(pack: pl.DataFrame, param: Param, component: str) -> pl.DataFrame:
     found = ExtendedKalman(smoother_passes=0).estimate(walk)
     path, path_sd = (np.full((pack.height, 1), np.nan) if p is None else p for p in (found.path, found.path_sd))
     return pack.select(
-        *KEYS,
+        *LEG_AT,
         pl.lit(component).alias("component"),
         pl.lit(param.name).alias("parameter"),
         pl.Series("value", path[:, 0]).fill_nan(None),

@@ -12,7 +12,8 @@ from hdt_core.components import Component
 from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel
-from hdt_core.records.unit_index import PACK, number_units, select_entries
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.twin.component import calibrate_component, track_component
 from hdt_core.twin.component_readings import HEALTH, ONE_OR_MORE, component_readings
 from hdt_core.twin.sequential import flight_by_flight

@@ -7,8 +7,9 @@ from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
 from hdt_core.physics.model import declared
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import median_error, spread_expr
-from hdt_core.twin.crossing import FLIGHT_PACK, LEVEL_M, PACK
+from hdt_core.twin.crossing import LEVEL_M
 
 MAX_EXIT_SHARE = 0.8
 EXIT_BIAS_SD_LN = declared(CC.model.signal("cc_out_pa").gain_sd)

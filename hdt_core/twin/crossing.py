@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import corrected
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.twin.exchanger import SIGNALS
+
+__all__ = ["FLIGHT_PACK", "PACK"]  # for the report, which has them from here
 
 Array = NDArray[Any]
 """Of numbers, counts or flags: what stands on this side of the crossing."""
-PACK = ["operator", "tail", "pack"]
-IN_ORDER = [*PACK, "departed_at", "flight_id"]
-"""Flights of a pack as flown; the id settles what departs at one instant in a made-up file."""
-FLIGHT_PACK = [*PACK, "flight_id"]
 LEVEL_M = 300.0
 RECORDED = (
     *SIGNALS,

@@ -11,9 +11,9 @@ import polars as pl
 
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.model import Array
+from hdt_core.records.keys import PACK
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.characterise import CompressorFit
-from hdt_core.twin.crossing import PACK
 from hdt_core.twin.forms import FormFit
 from hdt_core.twin.pooling import Level
 

@@ -7,8 +7,9 @@ import numpy as np
 import polars as pl
 from polars.dataframe.group_by import GroupBy
 
+from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import spread
-from hdt_core.twin.crossing import IN_ORDER, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.renewals import REPLACED, log_flags
 

@@ -5,11 +5,12 @@ import polars as pl
 
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
 from hdt_core.robust import MAD_TO_SD, huber_weights
 from hdt_core.tables.base import finite
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.compressor import compressor_flights, compressor_samples
-from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, as_met, complete_air_data, cruise_samples, flights_of
+from hdt_core.twin.crossing import as_met, complete_air_data, cruise_samples, flights_of
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.inlet import inlet_above_law
 from hdt_core.twin.sensors import exit_differences

@@ -11,9 +11,10 @@ import polars as pl
 
 from hdt_core.physics.compressor import exit_temperature_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import FLIGHT_PACK, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.sensors import DOOR_FREE
 
 NOMINAL_EFFICIENCY = 0.75

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.records.keys import LEG_AT
 from hdt_core.twin.crossing import Array
 from hdt_core.twin.exchanger import BIAS_SD
 
@@ -12,7 +13,6 @@ ACROSS_SD_K = float(np.hypot(BIAS_SD["hx_out_k"], BIAS_SD["ram_out_k"]))
 MOST_RELATIVE_SD = 0.25
 RAM_FLOW_SD = 0.08
 """Of the ram flow by the clean duct's map, as a fraction."""
-KEYS = ("operator", "tail", "flight_id", "pack", "departed_at")
 
 
 def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
@@ -47,7 +47,7 @@ def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
 
 def _rows(flights: pl.DataFrame, name: str, value: Array, relative_sd: Array) -> pl.DataFrame:
     return flights.select(
-        *KEYS,
+        *LEG_AT,
         pl.lit("HX").alias("component"),
         pl.lit(name).alias("parameter"),
         pl.Series("value", value).fill_nan(None),

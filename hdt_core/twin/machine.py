@@ -5,13 +5,11 @@ import polars as pl
 
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array
+from hdt_core.records.keys import LEG_AT, PACK
 from hdt_core.robust import median_error
-from hdt_core.twin.crossing import PACK
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.renewals import log_flags
 
-KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
-LEVEL_FLIGHTS = 20
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
 """Scatter of a flight about the machine's state, for packs too young to show their own."""
 LEVEL_SD_EFFICIENCY, LEVEL_SD_DIAMETER_LN = 0.008, 0.04
@@ -110,7 +108,7 @@ def _long(flights: pl.DataFrame, name: str, value: pl.Series, sd: pl.Series, uni
     status = pl.when(pl.col("value").is_null()).then(pl.lit("not_recorded")).when(pl.col("seen")).then(pl.lit("ok"))
     return (
         flights.select(
-            *KEYS,
+            *LEG_AT,
             pl.lit("CC").alias("component"),
             pl.lit(name).alias("parameter"),
             value.alias("value"),
@@ -123,5 +121,5 @@ def _long(flights: pl.DataFrame, name: str, value: pl.Series, sd: pl.Series, uni
             status.otherwise(pl.lit("predicted")).alias("status"),
             pl.when(pl.col("value").is_null()).then(None).otherwise(pl.col("sd")).alias("sd"),
         )
-        .select(*KEYS, "component", "parameter", "value", "sd", "unit", "status", "estimator")
+        .select(*LEG_AT, "component", "parameter", "value", "sd", "unit", "status", "estimator")
     )

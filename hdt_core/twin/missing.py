@@ -14,9 +14,10 @@ import polars as pl
 
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import TERMS, corrected, within
+from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import huber_weights, spread
 from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import IN_ORDER, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import MEDIANS, design_gradient
 from hdt_core.twin.hierarchy import DESIGN_EFFECT, MAX_STEP, instruments_of

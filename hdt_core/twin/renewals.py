@@ -3,8 +3,9 @@
 import numpy as np
 import polars as pl
 
+from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries, first_flights, select_entries
-from hdt_core.twin.crossing import PACK, Array
+from hdt_core.twin.crossing import Array
 
 LOG_WINDOW = pl.duration(days=1)
 NOTHING, WASHED, REPLACED = range(3)

@@ -5,8 +5,8 @@ import polars as pl
 
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array, declared
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import FLIGHT_PACK, PACK
 
 CC_FLOW_BIAS_SD = declared(CC.model.signal("cc_flow_kg_s").gain_sd)
 CC_INLET_BIAS_SD_K = declared(CC.model.signal("cc_in_k").bias_sd)

@@ -14,7 +14,8 @@ from hdt_core.estimation.estimate import Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import PhysicsModel
-from hdt_core.twin.crossing import FLIGHT_PACK, IN_ORDER, PACK, flights_of
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
+from hdt_core.twin.crossing import flights_of
 
 MIN_SAMPLES = 3
 

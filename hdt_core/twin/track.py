@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
 from hdt_core.twin import histories
 from hdt_core.twin.bookmarks import first_page, read_pages, written
 from hdt_core.twin.chapters import CHAPTER, pass_along
-from hdt_core.twin.crossing import IN_ORDER, PACK, Array
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.lumped import lumped_coefficients
 from hdt_core.twin.machine import compressor_parameters
@@ -18,7 +19,6 @@ from hdt_core.twin.witness import Corrections, corrections
 
 FILTERED, SMOOTHED = "kalman_filtered", "kalman_smoothed"
 LOSS, IN_HINDSIGHT = "hx_fouling", "hx_fouling_smoothed"
-KEYS = ["operator", "tail", "flight_id", "pack", "departed_at"]
 
 
 class Tracked(NamedTuple):
@@ -43,7 +43,7 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
     Returns
     -------
     DataFrame
-        Long form: `KEYS`, component, parameter, value, sd, unit, status, estimator.
+        Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator.
     """
     return track_on(twin_flights, maintenance, dsm).health
 
@@ -103,7 +103,7 @@ def _exchanger(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known
     )
     if known is not None and not new.all():
         kept = known.health.filter(pl.col("parameter").is_in([LOSS, IN_HINDSIGHT])).select(health.columns)
-        kept = kept.join(flights.filter(~new).select(KEYS), on=KEYS, how="semi")
+        kept = kept.join(flights.filter(~new).select(LEG_AT), on=LEG_AT, how="semi")
         if kept.height != len(tracks) * (~new).sum():  # something removed what the bookmarks speak of
             return _exchanger(flights, maintenance, dsm, None, seal)
         health = pl.concat([kept, health])
@@ -130,7 +130,7 @@ def _rows(
         .otherwise(pl.col("status"))
     )
     return flights.select(
-        *KEYS,
+        *LEG_AT,
         pl.lit("HX").alias("component"),
         pl.lit(name).alias("parameter"),
         pl.Series("value", value),

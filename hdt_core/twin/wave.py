@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from hdt_core.twin.crossing import PACK, Array
+from hdt_core.records.keys import PACK
+from hdt_core.twin.crossing import Array
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.renewals import log_flags, log_kept
 from hdt_core.twin.wear import Observation

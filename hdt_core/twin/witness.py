@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from hdt_core.twin.crossing import PACK, Array
+from hdt_core.records.keys import PACK
+from hdt_core.twin.crossing import Array
 
 
 class Witness(NamedTuple):

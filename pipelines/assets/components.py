@@ -11,7 +11,7 @@ from hdt_core.health.component_cases import component_features, raise_component_
 from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
 from hdt_core.prognosis.lives import Failure, component_lives, told_lives
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
 from hdt_core.twin.component_readings import component_readings
 from hdt_core.twin.component_units import calibrated_model, commission, unit_health

@@ -10,7 +10,7 @@ from hdt_core.prognosis.lives import told_lives
 from hdt_core.prognosis.record import Record
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.prognosis.service import Served, serve
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import loaded, shipped_base, shipped_bytes
 from pipelines.report.pictures import DRAWN, night_pictures

@@ -17,7 +17,7 @@ from pipelines.intake.set_aside import set_aside
 from pipelines.lineage import MAKER, STAGE, Stage, followed
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
-from pipelines.storage.headers import declared
+from pipelines.storage.headers import declared_columns
 from pipelines.storage.panics import panics_as_errors
 
 OWNERS = ["team:health-monitoring"]
@@ -99,7 +99,8 @@ def _drawn(own: Stage, read: list[str]) -> list[str]:
 def _out(table: str, own: Stage, description: str) -> dg.AssetOut:
     schema = TABLES[table].schema
     first = (inspect.getdoc(schema) or "").splitlines()[0]
-    columns = [dg.TableColumn(n, str(c.dtype), description=declared(c)) for n, c in schema.columns().items()]
+    means = declared_columns(table)
+    columns = [dg.TableColumn(n, str(c.dtype), description=means[n]) for n, c in schema.columns().items()]
     return dg.AssetOut(
         group_name=own.group,
         owners=OWNERS,

@@ -50,7 +50,6 @@ SIGNAL_COLUMNS = (
 )
 SIGNAL_NAMES = tuple(c.name for c in SIGNAL_COLUMNS)
 """Any of these may be missing for an operator; the keys may not."""
-SNAPSHOT_COLUMNS = (*KEYS, *WORDS, *SIGNAL_NAMES)
 CORE_NAMES = SIGNAL_NAMES[:8]
 """What nearly every operator records; two of them gone and strangers in their place means renamed columns."""
 SI_NAMES = tuple(c.si_name for c in SIGNAL_COLUMNS)

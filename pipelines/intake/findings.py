@@ -4,7 +4,7 @@ from datetime import timedelta
 
 import polars as pl
 
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
 from pipelines.storage.hashes import digest
 

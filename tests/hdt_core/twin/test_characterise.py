@@ -5,9 +5,9 @@ import polars as pl
 import pytest
 
 from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
+from hdt_core.records.keys import PACK
 from hdt_core.twin.characterise import BLADE_ANGLE_RAD, HUB_RATIO, fit_compressor, inlet_geometry
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
-from hdt_core.twin.crossing import PACK
 from hdt_core.twin.sequential import flight_by_flight
 
 

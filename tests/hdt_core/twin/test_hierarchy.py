@@ -6,8 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.records.keys import PACK
 from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import PACK, Points, cruise_samples, flights_of, level_points, to_points
+from hdt_core.twin.crossing import Points, cruise_samples, flights_of, level_points, to_points
 from hdt_core.twin.hierarchy import fit_exchanger
 from hdt_core.twin.parameters import flow_elasticities
 

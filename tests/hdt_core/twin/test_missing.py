@@ -8,9 +8,9 @@ import pytest
 from made import made_fleet
 
 from hdt_core.physics.terms import TERMS, recorded
+from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.crossing import IN_ORDER, PACK
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.missing import propose
