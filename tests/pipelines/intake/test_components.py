@@ -8,6 +8,7 @@ import pytest
 
 from hdt_core.components import Channel, Record
 from hdt_core.components.exchanger import HX
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from pipelines.intake import components as intake
 from pipelines.intake.landing import LandingFile
 
@@ -23,7 +24,8 @@ HEAD = "flight_id,report_time,pack,hot_flow_kg_s_si,ram_flow_kg_s_si,hot_in_k_si
 @pytest.fixture(autouse=True)
 def known(monkeypatch) -> None:
     """An exchanger with files of its own."""
-    monkeypatch.setattr(intake, "recorded_components", lambda: {"hx": replace(HX, record=Record(CHANNELS))})
+    own = replace(HX, model=HEAT_EXCHANGER, record=Record(CHANNELS))
+    monkeypatch.setattr(intake, "recorded_components", lambda: {"hx": own})
 
 
 @pytest.fixture
