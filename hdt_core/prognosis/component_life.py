@@ -17,7 +17,7 @@ from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.limits import learn_limit
 from hdt_core.prognosis.lives import Failure, component_lives
 from hdt_core.prognosis.model import AHEAD, HELD, HORIZON
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 
 Array = NDArray[np.float64]
 KEYS = ["operator", "tail", "flight_id", "pack", "component", "departed_at"]

@@ -6,7 +6,8 @@ import polars as pl
 
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
-from hdt_core.records.unit_index import PACK, first_flights
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import first_flights
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
 ANSWER_FLIGHTS = 20

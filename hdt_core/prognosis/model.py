@@ -18,7 +18,7 @@ from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quan
 from hdt_core.prognosis.history import RISES
 from hdt_core.prognosis.recalibrate import NOMINAL, Correction, Levels, learn_correction, learn_levels
 from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import polars as pl
 
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.rows import UNTOLD, Tracks, tracks
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 
 Heard = dict[str, tuple[int, str]]
 """Of each pack, `operator|tail|pack`: how many flights, and a digest of their health."""

@@ -14,7 +14,7 @@ from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_row
 from hdt_core.prognosis.limits import PRIORS, learn_limit
 from hdt_core.prognosis.lives import flight_rows
 from hdt_core.prognosis.message_rule import learn_rules
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 from hdt_core.simulate.episodes import Episodes
 from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
 

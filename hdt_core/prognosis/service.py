@@ -24,7 +24,7 @@ from hdt_core.prognosis.model import IN_ORDER, Fold, Prognosis, fit_tracks, lear
 from hdt_core.prognosis.recalibrate import TERMS
 from hdt_core.prognosis.record import Heard, Record, heard
 from hdt_core.prognosis.rows import Tracks
-from hdt_core.records.unit_index import PACK
+from hdt_core.records.keys import PACK
 
 
 @dataclass(frozen=True, slots=True)

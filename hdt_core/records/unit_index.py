@@ -15,7 +15,6 @@ import polars as pl
 
 from hdt_core.records.keys import PACK
 
-__all__ = ["PACK", "date_entries", "first_flights", "number_units", "select_entries"]
 NEW_UNIT = ("REPLACED",)
 """Actions after which another unit flies; a wash keeps the unit."""
 UTC = pl.Datetime("us", "UTC")

@@ -14,8 +14,6 @@ from hdt_core.physics.terms import corrected
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.twin.exchanger import SIGNALS
 
-__all__ = ["FLIGHT_PACK", "PACK"]  # for the report, which has them from here
-
 Array = NDArray[Any]
 """Of numbers, counts or flags: what stands on this side of the crossing."""
 LEVEL_M = 300.0

@@ -68,7 +68,7 @@ def filtered_loss(
     Parameters
     ----------
     flights : DataFrame
-        In order: see `crossing.IN_ORDER`.
+        In order: see `keys.IN_ORDER`.
     seen : array
         ln of expected over measured, NaN where none. (n,)
     renewed : array

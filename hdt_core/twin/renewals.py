@@ -16,7 +16,7 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     """Where the log speaks of a component: on flights within a day of an entry's moment (open), and on the first flight
     that counts as flown after it (due); the moment is that of `records.unit_index`.
 
-    `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`crossing.IN_ORDER`). An entry may be days late:
+    `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An entry may be days late:
     that is for the filter to see. An entry from before a pack's first flight says nothing: how long the part flew until
     the record begins is not known.
     """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from hdt_core.health.wording import Z_90
-from hdt_core.twin.crossing import PACK
+from hdt_core.records.keys import PACK
 from pipelines.report.plots import as_markdown
 from pipelines.report.replacement import around_replacement
 

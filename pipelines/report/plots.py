@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.residuals import residuals
+from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.twin.audit import audit_drift
-from hdt_core.twin.crossing import FLIGHT_PACK
 from hdt_core.twin.dsm import Dsm
 
 if TYPE_CHECKING:

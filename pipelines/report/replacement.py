@@ -4,7 +4,8 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.records.unit_index import PACK, date_entries
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import date_entries
 
 FLIGHTS_BEFORE, FLIGHTS_AFTER = 200, 40
 

@@ -1,0 +1,259 @@
+"""After a night: what changed is told once, to each receiver, and no receiver is in another's or the night's way."""
+
+import http.server
+import json
+import re
+import shutil
+import socket
+import ssl
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from email import message_from_bytes, policy
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from aiosmtpd.controller import Controller
+from aiosmtpd.smtp import SMTP, AuthResult
+from digest_nights import FIRST, SECOND, publish_night
+from typer.testing import CliRunner
+
+from pipelines.cli import app
+from pipelines.digest import (
+    NotifyError,
+    declaration,
+    receivers_of,
+    senders,
+    tell_night,
+    told,
+)
+from pipelines.storage.catalog import publish
+
+SECRET = "s3cret-pass-word"
+
+
+@pytest.fixture(scope="module")
+def one_night(tmp_path_factory) -> Path:
+    home = tmp_path_factory.mktemp("one") / "home"
+    publish_night(home, FIRST)
+    return home
+
+
+@pytest.fixture
+def home(one_night, tmp_path) -> Path:
+    return Path(shutil.copytree(one_night, tmp_path / "home"))
+
+
+@pytest.fixture(autouse=True)
+def no_waits(monkeypatch):
+    monkeypatch.setattr(senders, "WAITS_S", (0.0, 0.0))
+
+
+class Post(NamedTuple):
+    path: str
+    headers: dict
+    body: dict
+
+
+@contextmanager
+def webhook(*codes: int) -> Iterator[tuple[str, list[Post]]]:
+    """A server on the loopback that answers with these codes, then with 200; its address and what it was sent."""
+    posts: list[Post] = []
+    answers = iter(codes)
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            code = next(answers, 200)
+            if code == 200:
+                posts.append(Post(self.path, dict(self.headers), json.loads(body)))
+            self.send_response(code)
+            self.send_header("Location", "http://127.0.0.1:9/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/hook/{SECRET}", posts
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def declare(home: Path, *receivers: dict) -> None:
+    lines = (["[[receiver]]", *(f"{key} = {json.dumps(value)}" for key, value in entry.items())] for entry in receivers)
+    (home / "notify.toml").write_text("\n".join(line for entry in lines for line in entry))
+
+
+def test_nothing_is_sent_when_nothing_changed_and_each_night_once(home):
+    with webhook() as (url, posts):
+        declare(home, {"name": "ops", "kind": "webhook", "url": url})
+        assert tell_night(home) == []
+        assert [set(p.body["changes"]) for p in posts] == [{"new"}]
+        assert tell_night(home) == []
+        publish(home)  # a night that changes nothing
+        assert tell_night(home) == []
+        assert len(posts) == 1
+        publish_night(home, SECOND)
+        assert tell_night(home) == []
+        assert set(posts[-1].body["changes"]) == {"new", "worse", "closed", "moved"}
+        assert len(list((home / "notify").iterdir())) == 2, "one state and the record"
+
+
+def test_a_receiver_that_fails_is_told_with_the_next_night_and_is_in_nobodys_way(home, monkeypatch):
+    with webhook() as (url, posts), webhook(*[500] * 3) as (busy, late):
+        monkeypatch.setenv("HDT_BUSY", busy)
+        declare(home, {"name": "busy", "kind": "slack", "url_env": "HDT_BUSY"}, {"name": "ops", "kind": "teams",
+                "url": url})  # fmt: skip
+        (line,) = tell_night(home)
+        assert line.startswith("busy was not told")
+        assert SECRET not in line
+        assert (len(posts), len(late)) == (1, 0)
+        publish_night(home, SECOND)
+        assert tell_night(home) == []
+        assert (len(posts), len(late)) == (2, 1)
+        assert late[0].body["text"].startswith("Fleet: 2 new"), "both nights at once: what is open now"
+
+
+@pytest.mark.parametrize(("codes", "arrives"), [((503,), True), ((429, 500), True), ((400,), False), ((302,), False)])
+def test_what_may_pass_is_tried_again_and_a_redirect_is_not_followed(home, codes, arrives):
+    with webhook(*codes) as (url, posts):
+        declare(home, {"name": "ops", "kind": "webhook", "url": url})
+        assert (tell_night(home) == []) is arrives
+        assert len(posts) == arrives
+
+
+def test_a_night_that_is_killed_while_it_tells_tells_nobody_twice(home, monkeypatch):
+    with webhook() as (url, posts):
+        declare(home, *({"name": n, "kind": "webhook", "url": f"{url}/{n}"} for n in ("one", "two", "three")))
+        send = told.send
+
+        def killed(receiver, *rest):
+            if receiver.name == "two":
+                raise KeyboardInterrupt
+            send(receiver, *rest)
+
+        monkeypatch.setattr(told, "send", killed)
+        with pytest.raises(KeyboardInterrupt):
+            tell_night(home)
+        monkeypatch.setattr(told, "send", send)
+        assert tell_night(home) == []
+        assert [p.path.rpartition("/")[2] for p in posts] == ["one", "two", "three"]
+        assert len({p.headers["Idempotency-Key"] for p in posts}) == 3
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory) -> Path:
+    """A certificate and key of this machine's own, made for the test."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate with")
+    file = tmp_path_factory.mktemp("tls") / "both.pem"
+    names = "subjectAltName=DNS:localhost,IP:127.0.0.1"
+    made = f"openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext {names}"
+    made = [*made.split(), "-keyout", f"{file}.key", "-out", str(file)]
+    subprocess.run(made, check=True, capture_output=True)
+    return file
+
+
+@contextmanager
+def mail_server(certificate: Path) -> Iterator[tuple[int, list]]:
+    """A real SMTP server that wants STARTTLS and a password; its port and the envelopes it took."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(certificate, f"{certificate}.key")
+    taken: list = []
+
+    class Box:
+        async def handle_DATA(self, server, session, envelope) -> str:  # noqa: N802
+            taken.append(envelope)
+            return "250 ok"
+
+    def known(server, session, envelope, mechanism, given) -> AuthResult:
+        return AuthResult(success=(given.login, given.password) == (b"hdt", SECRET.encode()), handled=False)
+
+    class Server(Controller):
+        def factory(self) -> SMTP:
+            return SMTP(self.handler, require_starttls=True, tls_context=context, authenticator=known,
+                        auth_required=True, hostname="localhost")  # fmt: skip
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server = Server(Box(), hostname="127.0.0.1", port=port)
+    server.start()
+    try:
+        yield port, taken
+    finally:
+        server.stop()
+
+
+def test_an_e_mail_goes_over_starttls_with_text_page_and_json(home, certificate, monkeypatch):
+    monkeypatch.setenv("HDT_SMTP_USER", "hdt")
+    monkeypatch.setenv("HDT_SMTP_PASSWORD", SECRET)
+    with mail_server(certificate) as (port, taken):
+        receiver = {"name": "mcc", "kind": "mail", "host": "127.0.0.1", "port": port, "from": "hdt@airline.example",
+                    "to": ["mcc@airline.example", "eng@airline.example"], "user_env": "HDT_SMTP_USER",
+                    "password_env": "HDT_SMTP_PASSWORD"}  # fmt: skip
+        declare(home, receiver)
+        (line,) = tell_night(home)
+        assert "certificate" in line, "nobody's certificate is taken on trust"
+        declare(home, receiver | {"ca_file": str(certificate)})
+        assert tell_night(home) == []
+        monkeypatch.setenv("HDT_SMTP_PASSWORD", f"{SECRET}-wrong")
+        (home / "notify/sent.json").unlink()
+        (line,) = tell_night(home)
+        assert SECRET not in line
+    (envelope,) = taken
+    assert envelope.rcpt_tos == ["mcc@airline.example", "eng@airline.example"]
+    message = message_from_bytes(envelope.content, policy=policy.default)
+    assert message["Subject"] == "Fleet: 2 new"
+    assert re.fullmatch(r"<\w+@hybrid-digital-twin>", message["Message-ID"])
+    kinds = [part.get_content_type() for part in message.walk() if not part.is_multipart()]
+    assert kinds == ["text/plain", "text/html", "application/json"]
+
+
+MAIL = {"name": "m", "kind": "mail", "host": "h", "from": "a@b", "to": ["a@b"]}
+
+
+@pytest.mark.parametrize(
+    ("receiver", "says"),
+    [
+        ({"kind": "mail"}, "receiver 1: name is missing"),
+        ({"name": "m", "kind": "fax"}, "receiver 1 (m): kind is 'fax'; there are mail, slack"),
+        (MAIL | {"hots": "h"}, "receiver 1 (m): unknown key hots; a receiver of kind mail has host, port"),
+        ({k: v for k, v in MAIL.items() if k != "host"}, "receiver 1 (m): host is missing"),
+        (MAIL | {"port": "587"}, "receiver 1 (m): port is '587' and ought to be a number"),
+        (MAIL | {"to": []}, "receiver 1 (m): to is a list of addresses"),
+        (MAIL | {"security": "ssl3"}, "receiver 1 (m): security is 'ssl3'"),
+        (MAIL | {"user_env": "U"}, "receiver 1 (m): give both user_env and password_env"),
+        (MAIL | {"user_env": "U", "password_env": "P", "security": "none"}, "encrypted line"),
+        ({"name": "w", "kind": "slack"}, "receiver 1 (w): give either url or url_env"),
+        ({"name": "w", "kind": "slack", "url": "http://hooks.example/abc"}, "has to begin with https://"),
+    ],
+)
+def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, says):
+    declare(tmp_path, receiver)
+    with pytest.raises(NotifyError, match=re.escape(says)) as error:
+        receivers_of(tmp_path)
+    assert str(error.value).startswith(str(tmp_path / "notify.toml"))
+    assert "hooks.example" not in str(error.value)
+
+
+def test_every_key_is_documented():
+    said = (Path(__file__).parents[2] / "docs/digest.md").read_text()
+    keys = {key for kind in declaration.KINDS.values() for key in kind} | set(declaration.KINDS)
+    assert [key for key in keys if f"`{key}`" not in said and f"{key} = " not in said] == []
+
+
+def test_a_night_goes_well_whoever_can_not_be_told(own_home):
+    landing, home = own_home
+    declare(home, {"name": "gone", "kind": "webhook", "url": "http://127.0.0.1:9/x"}, {"name": "here", "kind": "file",
+            "folder": "digests"})  # fmt: skip
+    answer = CliRunner().invoke(app, ["nightly", "--landing", str(landing), "--home", str(home)])
+    assert answer.exit_code == 0, answer.output
+    assert answer.output.count("hdt: gone was not told") == 1
+    assert {f.suffix for f in (home / "digests").iterdir()} == {".txt", ".html", ".json"}
