@@ -5,7 +5,7 @@ HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
 
-.PHONY: run test real soak audit check lint types imports sql docs setup lock clean ui words
+.PHONY: run test real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
@@ -21,6 +21,10 @@ real: $(READY)
 # a thousand kills at random moments of a night, and damages; HDT_SOAK_KILLS=n, HDT_SOAK_DAMAGES=n for more
 soak: $(READY)
 	HDT_SOAK_KILLS=$${HDT_SOAK_KILLS:-1000} HDT_SOAK_DAMAGES=$${HDT_SOAK_DAMAGES:-1000} $(BIN)/python -m pytest tests/faults -s
+
+# what leans on Dagster's private API, with the oldest version that is supported
+dagster: $(READY)
+	.ci/dagster 1.12.22
 
 # needs the index's advisories, so it is no part of `check`; writes sbom.json (CycloneDX) too
 audit: $(READY)

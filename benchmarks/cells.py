@@ -28,9 +28,9 @@ from dagster._core.storage.partition_status_cache import get_and_update_asset_st
 
 from benchmarks.harness import arguments, show
 from pipelines import partitions
-from pipelines.io_manager import FrameIO
+from pipelines.io_manager import report
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
-from pipelines.orchestration.runs import Runner, open_instance
+from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.storage.ledger import Ledger
 
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
@@ -62,7 +62,7 @@ class Nothing(dg.IOManager):
         """Every cell of the range is filled."""
         rows = [*partitions.cells_of(tuple(context.asset_partition_keys))]
         cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-        FrameIO._report(context, cells, cells)
+        report(context, cells, cells)
 
     def load_input(self, context: dg.InputContext) -> None:
         """Nothing is there."""
@@ -110,7 +110,7 @@ class History:
 
     def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
         """The event, as of a run that made the batch."""
-        keys = [partitions.cell_key(a, f) for a, f in batch.cells]
+        keys = partitions.cell_keys(batch.cells)
         made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
         told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
@@ -186,7 +186,7 @@ def postgres(scratch: Path, server: str) -> Iterator[History]:
 def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
     """A row a size."""
     defs = dg.Definitions([empty], resources={"io_manager": Nothing()}, executor=dg.in_process_executor)
-    runner = Runner(defs, history.instance, Ledger(Path()))
+    runner = Runner(defs, history.instance, Ledger(Path()), BY)
     keys = [aircraft(n) for n in range(max(sizes) // len(FLIGHTS) + 1)]
     add = history.instance.add_dynamic_partitions
     registered = history._timed(lambda: (add("aircraft", keys), add("flight", FLIGHTS)))

@@ -22,7 +22,7 @@ from benchmarks.harness import arguments, show
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.orchestration.runs import NIGHT
+from pipelines.partitions import NIGHT
 
 PAGE = Path(__file__).parents[1] / "docs" / "distributed.md"
 SHARED = {"raw_flights", "twin_flights", "features"}

@@ -10,6 +10,7 @@ from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.robust import Z_90
 from hdt_core.simulate import flying
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
@@ -28,7 +29,6 @@ from hdt_core.twin.track import track
 KEY = ["tail", "flight_id", "pack"]
 FLOW_BIAS, FLOW_NOISE = 0.015, 0.02
 TRUTH = {"hx_exponent_hot", "hx_exponent_cold", "hx_wall_share", "ram_door_low", "ram_door_high", "ram_recovery"}
-Z90 = 1.645
 SIZE = FleetSettings(operators=2, tails=4, flights=170, cpl_share=0.0)
 
 
@@ -144,7 +144,7 @@ def health_errors(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.Da
         health = track(alone, log, dsm).filter(parameter="hx_fouling").join(true, on=KEY).sort("tail", "pack", "index")
         off = (pl.col("value") - pl.col("loss")).abs()
         if name == "logged":
-            found["health_cover"] = health.filter(sound).select((off < Z90 * pl.col("sd")).mean()).item()
+            found["health_cover"] = health.filter(sound).select((off < Z_90 * pl.col("sd")).mean()).item()
             found["health_mae"] = health.filter(sound).select(off.mean()).item()
         unit = ["tail", "pack", "hx_unit"]
         since = pl.col("index") - pl.col("index").min().over(unit)

@@ -27,6 +27,7 @@ from typing import Any
 import polars as pl
 
 import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
+from benchmarks.fault_points import arm
 from benchmarks.harness import arguments, show
 from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
@@ -58,7 +59,7 @@ def killed(root: Path) -> tuple[Path, Path]:
         pass
     landing, home = root / "landing", root / "home"
     command = [sys.executable, "-m", "benchmarks.recovery", "--child", "night", str(landing), str(home)]
-    done = subprocess.run(command, env=os.environ | {"HDT_FAULT": "before_mark:9"}, check=False)
+    done = subprocess.run(command, check=False)
     assert done.returncode == -signal.SIGKILL, done
     return landing, home
 
@@ -187,6 +188,7 @@ def table(flights: int, spent: Spent) -> str:
 def child(what: str, landing: Path, home: Path) -> None:
     """A night that will be killed, or a reopening."""
     if what == "night":
+        arm("before_mark:9")
         nightly.run_night(landing, home, Silent())
     else:
         print(json.dumps(reopen(landing, home)))

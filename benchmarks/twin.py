@@ -24,7 +24,7 @@ from benchmarks.harness import put
 from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.records.keys import IN_ORDER
-from hdt_core.robust import spread_expr
+from hdt_core.robust import Z_90, spread_expr
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.twin.calibrate import baseline_flights, calibrate
@@ -33,7 +33,6 @@ from hdt_core.twin.track import track
 
 KEY = ["tail", "flight_id", "pack"]
 UNIT = ["tail", "pack", "hx_unit"]
-Z90 = 1.645
 GOALS = {
     "fouling, mean absolute error": "<= 0.015",
     "fouling, noise of healthy packs": "<= 0.003",
@@ -93,7 +92,7 @@ def per_pack(frame: pl.DataFrame, expr: pl.Expr) -> float:
 
 def interval_score(error: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Width of the 90 % interval and 20 times what falls outside (Gneiting and Raftery 2007)."""
-    return 2.0 * Z90 * sd + 20.0 * np.maximum(np.abs(error) - Z90 * sd, 0.0)
+    return 2.0 * Z_90 * sd + 20.0 * np.maximum(np.abs(error) - Z_90 * sd, 0.0)
 
 
 def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
@@ -108,7 +107,7 @@ def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
         "fouling, mean absolute error": per_pack(f, pl.col("e").abs().mean()),
         "fouling, noise of healthy packs": per_pack(healthy.with_columns(r=rolling), spread_expr(pl.col("r"))),
         "fouling, Spearman of wearing packs": per_pack(moved, pl.corr("value", "t", method="spearman")),
-        "coverage of 90 %": float(np.mean(np.abs(error) < Z90 * sd)),
+        "coverage of 90 %": float(np.mean(np.abs(error) < Z_90 * sd)),
         "mean standard deviation": float(sd.mean()),
         "interval score": float(interval_score(error, sd).mean()),
     }
@@ -144,7 +143,7 @@ def limits(rows: pl.DataFrame) -> list[tuple[str, float, float]]:
 
 def best_score(error: np.ndarray) -> float:
     """Least interval score that one constant width can have with these errors."""
-    widths = np.quantile(np.abs(error), np.linspace(0.5, 0.99, 50)) / Z90
+    widths = np.quantile(np.abs(error), np.linspace(0.5, 0.99, 50)) / Z_90
     return float(min(interval_score(error, np.full(len(error), w)).mean() for w in widths))
 
 

@@ -4,7 +4,7 @@ Stock Dagster makes, serialises and commits an event for every partition of a st
 and asset in SQLite. Most of these events differ in nothing but the partition. Here
 
 - an IO manager says with `report_partitions` which partitions of a run's range an output has filled;
-- an event log, `dagster_batched.sqlite.BatchedSqliteEventLogStorage` or
+- an event log, `dagster_batched.event_log.BatchedSqliteEventLogStorage` or
   `dagster_batched.postgres.BatchedPostgresEventLogStorage`, named in `dagster.yaml`, stores them as one group in one
   transaction. Tables and rows are those of stock, so stock Dagster reads what these wrote.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import dagster as dg
 from dagster._core.storage.dagster_run import FINISHED_STATUSES
 
-from dagster_batched.sqlite import BatchedSqliteEventLogStorage
+from dagster_batched.event_log import BatchedSqliteEventLogStorage
 
 
 def forget(instance: dg.DagsterInstance, before: datetime) -> int:

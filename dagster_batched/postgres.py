@@ -2,20 +2,22 @@
 
 Stock plans a run with an event and two transactions for every cell, 25 ms each, and writes what it made cell by cell.
 Schema is unchanged, so stock reads what this class wrote; a test compares the tables with stock's. It leans on private
-API as `dagster_batched.sqlite` does. Needs the extra `postgres`.
+API as `dagster_batched.event_log` does. Needs the extra `postgres`.
 """
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, Self
 
+import dagster_postgres.utils as settings_of
 from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
 from dagster._serdes import ConfigurableClassData
 from dagster_postgres.event_log import PostgresEventLogStorage
-from dagster_postgres.utils import get_token_provider_from_config, pg_url_from_config
 from sqlalchemy import Connection, text
 
-from dagster_batched.event_log import CoalescingEventLog, EventGroup
+from dagster_batched.event_group import EventGroup
+from dagster_batched.event_log import CoalescingEventLog
 
 _ALIKE = text(
     "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
@@ -35,16 +37,17 @@ _ALIKE_TAGS = text(
 class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage):
     """For a fleet whose history is in PostgreSQL: same tables as stock."""
 
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        self._open = threading.local()
+        super().__init__(*args, **settings)
+
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:
         """Built from `dagster.yaml`; stock names its own class here."""
         own = {k: v for k, v in config_value.items() if k == "should_autocreate_tables"}
-        return cls(
-            pg_url_from_config(config_value),
-            inst_data=inst_data,
-            token_provider=get_token_provider_from_config(config_value),
-            **own,
-        )
+        if tokens := getattr(settings_of, "get_token_provider_from_config", None):  # not in every version
+            own["token_provider"] = tokens(config_value)
+        return cls(settings_of.pg_url_from_config(config_value), inst_data=inst_data, **own)
 
     def _store(self, groups: Sequence[EventGroup]) -> None:
         """All in the one table that stock has for them."""
@@ -54,13 +57,22 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
     def _index(self) -> Iterator[Connection]:
         """Stock's engine commits every statement on its own."""
         with self._engine.connect() as conn, conn.execution_options(isolation_level="READ COMMITTED").begin():
-            yield conn
+            self._open.conn = conn
+            try:
+                yield conn
+            finally:
+                del self._open.conn
+
+    def _connect(self) -> AbstractContextManager[Connection]:
+        """A connection of the pool; within a transaction on the index, that one."""
+        conn = getattr(self._open, "conn", None)
+        return super()._connect() if conn is None else nullcontext(conn)
 
     def _written(self, conn: Connection, one: EventGroup) -> int:
         """Id of the group's last row."""
         into = SqlEventLogStorageTable.insert().values(one.row).returning(SqlEventLogStorageTable.c.id)
         first = int(conn.execute(into).scalar_one())
-        self._store_asset_event_tags(conn, [one.event], [first])
+        self.store_asset_event_tags([one.event], [first])  # within the same transaction
         others = list(one.others())
         if not others:
             return first

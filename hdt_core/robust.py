@@ -18,6 +18,8 @@ MAD_TO_SD = 1.4826
 """Standard deviation of normal values over the median of their absolute deviations."""
 MEDIAN_SD = 1.2533
 """Standard deviation of a median of normal values over that of their mean."""
+Z_90 = 1.645
+"""Standard deviations on either side of a normal mean that hold 90 %; 95 % lie below the upper one."""
 HUBER_K = 1.345
 """Standard deviations from which a value loses weight: 95 % efficient on normal errors."""
 

@@ -6,14 +6,16 @@ from typing import Any
 
 import dagster as dg
 
-from dagster_batched.sqlite import batch_events
+from dagster_batched.instance import batch_events
+from pipelines.assets.automation import SENSORS
 from pipelines.assets.location import asset_definitions
 from pipelines.orchestration.jobs import every_night, landing_zone, nightly
 
 
 def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg.Definitions:
     """The whole location over one landing zone and one home; `overrides` replace resources by name."""
-    return asset_definitions(landing, home, overrides, jobs=[nightly], schedules=[every_night], sensors=[landing_zone])
+    sensors = [landing_zone, *SENSORS]
+    return asset_definitions(landing, home, overrides, jobs=[nightly], schedules=[every_night], sensors=sensors)
 
 
 def from_environment() -> dg.Definitions:

@@ -1,5 +1,5 @@
-"""Where a home's `dagster.yaml` of before names its event log; new ones name `dagster_batched.sqlite`."""
+"""Where a home's `dagster.yaml` of before names its event log; new ones name `dagster_batched.event_log`."""
 
-from dagster_batched.sqlite import BatchedSqliteEventLogStorage
+from dagster_batched.event_log import BatchedSqliteEventLogStorage
 
 __all__ = ["BatchedSqliteEventLogStorage"]

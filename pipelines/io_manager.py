@@ -1,4 +1,4 @@
-"""Between Dagster and the store: what an asset returns is written, marked as done, reported for the cells it filled."""
+"""Between Dagster and the store: what an asset returns is written, marked as done, reported cell by cell."""
 
 import time
 
@@ -8,15 +8,10 @@ import polars as pl
 from dagster_batched import report_partitions
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.partitions import PartitionScope
+from pipelines.partitions import NIGHT, PartitionScope
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import FLEET, Store
 from pipelines.versions import CELL
-
-
-def _by_departure(cell: tuple[str, str, str]) -> str:
-    """Day and leg, which end a flight's id."""
-    return cell[2][-11:]
 
 
 class FrameIO(dg.IOManager):
@@ -26,41 +21,43 @@ class FrameIO(dg.IOManager):
         self.store, self.ledger = store, ledger
 
     def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
-        """Store, then mark as done, then report the cells that were filled and no others."""
+        """Store, then mark as done, then tell what each cell of the run holds."""
         table, began = context.asset_key.path[-1], time.monotonic()
-        keys = list(context.asset_partition_keys) if context.has_asset_partitions else None
-        scope = PartitionScope.of(keys)
-        self._store(table, scope, frame)
-        cells = scope.due(self.ledger, table)
-        self.ledger.mark(table, cells)
-        shown = self._report(context, frame, cells) if TABLES[table].grain == "flight" else {"rows": frame.height}
-        n = shown | {
-            "rows_of_run": frame.height,
-            "cells": cells.height,
-            "seconds_to_store": round(time.monotonic() - began, 3),
-        }
-        context.add_output_metadata(n)
-
-    def _store(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> None:
+        scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
             self.store.replace(table, scope.aircraft or [FLEET], frame.sort(TABLES[table].key))
-
-    @staticmethod
-    def _report(context: dg.OutputContext, frame: pl.DataFrame, cells: pl.DataFrame) -> dict[str, int]:
-        """Report the cells that hold rows, or that were asked for where none does: most aircraft fly some days only.
-
-        The last flight comes first, as Dagster's pages list events; returned is what its event tells.
-        """
-        counted = frame.group_by(CELL).len() if frame.height else cells.select(*CELL, pl.lit(0)).unique()
-        rows = {(o, t, f): n for o, t, f, n in counted.rows()}
-        asked = partitions.cells_of(tuple(context.asset_partition_keys))
-        last_first = sorted((cell for cell in asked if cell in rows), key=_by_departure, reverse=True)
-        numbers = [{"rows": rows[cell]} for cell in last_first]
-        report_partitions(context, [asked[cell] for cell in last_first], numbers)
-        return numbers[0] if numbers else {}
+        cells = scope.due(self.ledger, table)
+        self.ledger.mark(table, cells)
+        if scope.aircraft is None:
+            stored_s = round(time.monotonic() - began, 3)
+            context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
+        else:
+            report(context, frame, cells)
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:
         """Whole table, for a notebook or `dg`; assets read what they need through their stage."""
         return self.store.read(context.asset_key.path[-1])
+
+
+def report(context: dg.OutputContext, frame: pl.DataFrame, due: pl.DataFrame) -> None:
+    """Report cells of a run, each with its own number of rows, in order of departure.
+
+    Most aircraft fly some days only and few flights leave a log, and an event for each cell without rows would cost as
+    much as for one with. So a night reports flights that hold rows or, where none does, those that are `due`. Whoever
+    asks from Dagster's page is told of every cell: one that is empty has `rows` 0, and one that no file asks for, such
+    as a flight that the aircraft never flew, has `expected` 0.
+    """
+    asked = partitions.cells_of(tuple(context.asset_partition_keys))
+    by_flight = any(flight for *_, flight in asked)
+    flight = pl.col("flight_id") if by_flight else pl.lit("").alias("flight_id")
+    rows = {(o, t, f): n for o, t, f, n in frame.group_by("operator", "tail", flight).len().rows()}
+    wanted = set(due.select(CELL).rows())
+    if by_flight and NIGHT.items() <= context.step_context.run_tags.items():
+        told = [cell for cell in asked if cell in rows] or [cell for cell in asked if cell in wanted]
+    else:
+        told = list(asked)
+    told.sort(key=lambda cell: (cell[2][-11:], cell))  # day and leg end a flight
+    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in wanted else {"expected": 0}) for cell in told]
+    report_partitions(context, [asked[cell] for cell in told], numbers)

@@ -7,6 +7,7 @@ name. Nothing here needs Dagster, so a night with nothing new stays quick.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 from hdt_core.components import components
@@ -46,7 +47,7 @@ class Recipe:
     code: str = "1"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Stage:
     """Tables that one function makes together.
 
@@ -80,18 +81,18 @@ class Stage:
     folded: int | None = None
     road: str = PACK
 
-    @property
+    @cached_property
     def grain(self) -> Grain:
         """Partition that all its tables are computed in."""
         (grain,) = {TABLES[table].grain for table in self.tables}
         return grain
 
-    @property
+    @cached_property
     def parents(self) -> tuple[str, ...]:
         """Tables whose versions count in its own, in order."""
         return tuple(dict.fromkeys(parent for recipe in self.tables.values() for parent in recipe.parents))
 
-    @property
+    @cached_property
     def size(self) -> int:
         """How many times as many flights a run may take as one that reads files."""
         return FOLDED[self.grain] if self.folded is None else self.folded
@@ -206,7 +207,7 @@ STAGES = (
     ),
     Stage(
         "legs_admitted",
-        "legs",
+        "features",  # what the twin decides about legs comes after it: no arrow leads back
         alike(
             "legs_admitted",
             parents=("twin_health", "twin_flights", "legs_signs", "raw_messages", "raw_maintenance", "raw_reports"),
@@ -295,3 +296,4 @@ STAGES = (
 STAGE = {stage.name: stage for stage in STAGES}
 MAKER = {table: stage for stage in STAGES for table in stage.tables}
 LINEAGE = {table: recipe for stage in STAGES for table, recipe in stage.tables.items()}
+FOLLOWED = {stage.name: followed(stage) for stage in STAGES}

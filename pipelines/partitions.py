@@ -1,12 +1,13 @@
 """Partitions: aircraft x flight below, aircraft above, the fleet on top; and what of them a run is asked to make."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import dagster as dg
 import polars as pl
 
-from dagster_batched.partitions import RangeKeys, RangePartitions, multi_key
+from dagster_batched.partitions import RangeKeys, RangePartitions, multi_keys
 from hdt_core.tables import TABLES
 from pipelines.lineage import MAKER
 from pipelines.storage.ledger import Ledger
@@ -16,6 +17,8 @@ from pipelines.versions import CELL, expected, narrowed
 AIRCRAFT = RangeKeys(name="aircraft")
 FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
 AIRCRAFT_FLIGHTS = RangePartitions({"aircraft": AIRCRAFT, "flight": FLIGHTS})
+NIGHT = {"hdt/night": "yes"}
+"""Tag of a run of the chain, which takes cells that files fill; who starts one from the page may ask for any."""
 
 
 def aircraft_key(operator: str, tail: str) -> str:
@@ -28,9 +31,9 @@ def flight_key(flight_id: str) -> str:
     return flight_id[-11:]
 
 
-def cell_key(aircraft: str, flight: str) -> dg.MultiPartitionKey:
-    """Partition key of an aircraft's flight, of their own keys."""
-    return multi_key(("aircraft", "flight"), (aircraft, flight))
+def cell_keys(cells: Iterable[tuple[str, str]]) -> list[dg.MultiPartitionKey]:
+    """Partition keys of flights of aircraft, of the keys of both."""
+    return multi_keys(("aircraft", "flight"), cells)
 
 
 def aircraft_of(key: str) -> tuple[str, str]:
@@ -41,14 +44,14 @@ def aircraft_of(key: str) -> tuple[str, str]:
 
 @lru_cache(maxsize=2)
 def cells_of(keys: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
-    """Operator, tail and flight id of each of some aircraft x flight keys; all tables of a run have the same."""
+    """Operator, tail and flight id, empty above flights, of each of some keys; all tables of a run have the same."""
     return {_cell_of(key): key for key in keys}
 
 
 def _cell_of(key: str) -> tuple[str, str, str]:
-    aircraft, flight = key.split("|", 1)
+    aircraft, _, flight = key.partition("|")
     operator, tail = aircraft_of(aircraft)
-    return operator, tail, f"{tail}_{flight}"
+    return operator, tail, f"{tail}_{flight}" if flight else ""
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,7 @@ class PartitionScope:
         """What `table` holds for the aircraft, and the flights where both are by flight, that are asked for."""
         if self.aircraft is None or TABLES[table].grain == "fleet":
             return store.read(table)
-        frame = store.scan(table, self.aircraft)
         flights = [f for asked in self.aircraft.values() for f in asked]
         if flights and "flight_id" in TABLES[table].schema.columns() and TABLES[table].grain == "flight":
-            frame = frame.filter(pl.col("flight_id").is_in(flights))
-        return frame.collect()
+            return store.scan(table, self.aircraft, flights).filter(pl.col("flight_id").is_in(flights)).collect()
+        return store.read(table, self.aircraft)

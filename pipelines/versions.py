@@ -5,14 +5,14 @@ cell is stale when the ledger's version of what is stored differs from the one e
 clock, so late, repeated and out-of-order deliveries end where a clean delivery ends.
 """
 
-from collections.abc import Iterable, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 
 import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines.baseline import baseline_inputs
 from pipelines.lineage import LINEAGE, Recipe, Stage
-from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Aircraft
@@ -21,8 +21,18 @@ CELL = ("operator", "tail", "flight_id")
 _DEPTH = {"flight": 3, "aircraft": 2, "fleet": 0}
 
 
+def digest(*parts: str) -> str:
+    """Short stable hash of some strings."""
+    return hashlib.blake2b("\x1f".join(parts).encode(), digest_size=10).hexdigest()
+
+
 def expected(ledger: Ledger, table: str) -> pl.DataFrame:
     """Version each cell of `table` should have now: operator, tail, flight_id (empty above flights), version."""
+    parents = LINEAGE[table].parents
+    return _expected(ledger, table, ledger.versions(parents) if parents else {})
+
+
+def _expected(ledger: Ledger, table: str, done: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
     recipe, grain = LINEAGE[table], TABLES[table].grain
     if recipe.files:
         return _of_files(ledger, grain, recipe)
@@ -31,8 +41,7 @@ def expected(ledger: Ledger, table: str) -> pl.DataFrame:
         return _hashed(pl.DataFrame({"made_of": [lines]}), recipe.code)
     if not recipe.parents:
         return _hashed(pl.DataFrame({"made_of": [table]}), recipe.code)
-    done = [(parent, ledger.done(parent)) for parent in recipe.parents]
-    first, *others = (_at(grain, versions, parent) for parent, versions in done)
+    first, *others = (_at(grain, done[parent], parent) for parent in recipe.parents)
     for other in others:
         on = [c for c in CELL if c in other.columns]
         first = first.join(other, on=on, how="left") if on else first.join(other, how="cross")
@@ -47,7 +56,7 @@ def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:
     for all.
     """
     last = {recipe: table for table, recipe in stage.tables.items()}
-    return pl.concat(undone(ledger, table) for table in last.values()).unique().sort(CELL)
+    return undone(ledger, last.values()).unique().sort(CELL)
 
 
 def made_as(ledger: Ledger, stages: Sequence[Stage]) -> str:
@@ -64,9 +73,12 @@ def narrowed(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], flights
     return ledger.of(aircraft, flights if own else None)
 
 
-def undone(ledger: Ledger, table: str) -> pl.DataFrame:
-    """Cells of one table whose stored version is absent or not the expected one."""
-    return expected(ledger, table).join(ledger.done(table), on=[*CELL, "version"], how="anti")
+def undone(ledger: Ledger, tables: Iterable[str]) -> pl.DataFrame:
+    """Cells of some tables whose stored version is absent or not the expected one."""
+    tables = list(tables)
+    done = ledger.versions(dict.fromkeys([*tables, *(parent for table in tables for parent in LINEAGE[table].parents)]))
+    found = (_expected(ledger, t, done).join(done[t], on=[*CELL, "version"], how="anti") for t in tables)
+    return pl.concat(found)
 
 
 def _of_files(ledger: Ledger, grain: str, recipe: Recipe) -> pl.DataFrame:

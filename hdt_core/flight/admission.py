@@ -7,17 +7,16 @@ from dataclasses import replace
 
 import polars as pl
 
+from hdt_core.flight.bleed import BLEED, ODD_BLEED
 from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, learn_outlet_law
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
 from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import flag_windows, number_flights
+from hdt_core.robust import Z_90
 
 CONTAMINANT_LOSS = 0.15
-# the chance that a leg's loss is above the contaminant's limit must be below 5 %: at 1 % a young pack, whose loss is
-# not yet known well, would hardly ever be nominal
-UPPER_SD = 1.645
 LOSSES = {
     "hx_fouling": ("HX_WORN", CONTAMINANT_LOSS),
     "cc_efficiency_loss": ("CC_WORN", CONTAMINANT_LOSS),
@@ -26,7 +25,7 @@ LOSSES = {
 }
 ENOUGH_SAMPLES = 8
 SECOND_LEVEL = {
-    "BLEED": "a printed report of the cruise says that a bleed or a pack was off, or the cross-feed open",
+    BLEED: ODD_BLEED,
     "SENSOR_SHIFT": "a sensor left what it is tied to",
     "UNREST": "the exchanger changed within the cruise, as ice does",
     "STRAY": "the leg stands apart from those before and after it",
@@ -119,7 +118,9 @@ def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
         {"parameter": list(LOSSES), "code": [c for c, _ in LOSSES.values()], "limit": [v for _, v in LOSSES.values()]}
     )
     judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter")
-    over = pl.col("value") + UPPER_SD * pl.col("sd").fill_null(0.0) > pl.col("limit")
+    # the chance that a leg's loss is above the limit must be below 5 %: at 1 % a young pack, whose loss is not yet
+    # known well, would hardly ever be nominal
+    over = pl.col("value") + Z_90 * pl.col("sd").fill_null(0.0) > pl.col("limit")
     worst = pl.col("code").filter(over).max()  # the exchanger speaks first
     return judged.group_by(LEG_KEY).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("seen"))
 

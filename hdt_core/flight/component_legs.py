@@ -3,6 +3,7 @@
 import polars as pl
 
 from hdt_core.components import Component
+from hdt_core.flight.bleed import BLEED, ODD_BLEED
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.steady import drift_free
 
@@ -15,7 +16,7 @@ REASONS = {
     "NOT_RECORDED": "a signal that the component's model needs is not recorded",
     "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
     "UNSTEADY": "a signal drifted through the flight, so the component was not in steady state",
-    "BLEED": "a printed report says that a bleed or a pack was off, or the cross-feed open",
+    BLEED: ODD_BLEED,
     "STRAY": "the flight stands apart from the others the component was calibrated on",
     "NOT_COMMISSIONED": "too few steady flights of the component as built to know it by",
 }

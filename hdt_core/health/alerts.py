@@ -1,21 +1,33 @@
 """Alerts: all cases of a fleet as rows of the catalog."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from typing import Any
 
 import polars as pl
 
+from hdt_core.health import phrases
 from hdt_core.health.detection import Array
 from hdt_core.health.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.health.doors import door_cases
 from hdt_core.health.endings import answer_findings, end_with_the_unit
-from hdt_core.health.episodes import Case, Limits, case_id, occupied
+from hdt_core.health.episodes import REPAIR, Case, Limits, case_id, occupied
 from hdt_core.health.grid import Grid
 from hdt_core.health.low_margin import low_margin_cases
-from hdt_core.health.repeats import action_of, count_units
 from hdt_core.health.sensors import feigns_wear, outlet_doubtful, sensor_cases
 from hdt_core.health.wear import cc_cases, hx_cases
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.unit_index import NEW_UNIT, select_entries
+
+REPEAT_DAYS = 90
+"""Days within which units of one position are counted."""
+REPEAT_UNITS = 3
+"""The unit in so many days that asks for another action than the next one: a position that wears one after the other
+has a cause that no new unit takes away."""
+
+Came = dict[str, dict[tuple[Any, ...], list[datetime]]]
+"""By component and pack, the moments from which another unit was there."""
 
 SCHEMA: dict[str, Any] = {
     "alert_id": pl.String, "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
@@ -54,7 +66,8 @@ def raise_alerts(
 def as_alerts(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> pl.DataFrame:
     """Cases, each ended where work ends it and answered by what was found, as rows of the catalog."""
     cases = answer_findings(grid, maintenance, end_with_the_unit(grid, maintenance, cases), limits)
-    rows = [alert_row(grid, maintenance, case, DIAGNOSES[case.diagnosis]) for case in cases]
+    came = units_that_came(maintenance, (DIAGNOSES[case.diagnosis].component for case in cases))
+    rows = [alert_row(grid, came, case, DIAGNOSES[case.diagnosis]) for case in cases]
     alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
 
@@ -113,7 +126,7 @@ def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.D
     return wide
 
 
-def alert_row(grid: Grid, maintenance: pl.DataFrame, case: Case, said: Diagnosis) -> tuple[Any, ...]:
+def alert_row(grid: Grid, came: Came, case: Case, said: Diagnosis) -> tuple[Any, ...]:
     """A case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
     flown = int((grid.unit == case.unit).sum())
@@ -121,12 +134,43 @@ def alert_row(grid: Grid, maintenance: pl.DataFrame, case: Case, said: Diagnosis
     now = (flown if closed is None else closed) - 1
     since = str(grid.at("flight_id", case.unit, int(case.facts["since"])))
     then, latest = (said.facts(grid, case, flight) for flight in (case.raised, now))
-    units = count_units(grid, maintenance, case, said)
+    units = _count_units(grid, came, case, said)
     return (
         case_id(grid, case), operator, tail, pack, case.component, case.diagnosis,
         grid.at("flight_id", case.unit, case.raised), grid.at("departed_at", case.unit, case.raised),
         case.ended_at if closed is None else grid.at("departed_at", case.unit, closed),
-        said.severity(latest), said.evidence(then, since).text(), action_of(said, units) + said.addendum(then),
+        said.severity(latest), said.evidence(then, since).text(), _action_of(said, units) + said.addendum(then),
         said.severity(then), grid.at("flight_id", case.unit, now), said.evidence(latest, since).text(),
         case.ended_reason if closed is None else case.closed_reason, case.facts.get("follows"), units,
     )  # fmt: skip
+
+
+def units_that_came(maintenance: pl.DataFrame, components: Iterable[str]) -> Came:
+    """The replacements of some components."""
+    found: Came = {}
+    for component in set(components):
+        own = found.setdefault(component, {})
+        for *pack, moment in select_entries(maintenance, (component,), NEW_UNIT).select(*PACK, "counts_from").rows():
+            own.setdefault(tuple(pack), []).append(moment)
+    return found
+
+
+def _count_units(grid: Grid, came: Came, case: Case, said: Diagnosis) -> int | None:
+    """Units that this position has had in the `REPEAT_DAYS` before the case was raised, its own included.
+
+    None where the log's component is no single unit: sensors and what drives a door.
+    """
+    if said.ended_by == REPAIR:
+        return None
+    raised = grid.at("departed_at", case.unit, case.raised)
+    assert isinstance(raised, datetime)
+    moments = came[said.component].get(grid.units.row(case.unit), [])
+    return 1 + sum(raised - timedelta(REPEAT_DAYS) < moment <= raised for moment in moments)
+
+
+def _action_of(said: Diagnosis, units: int | None) -> str:
+    """What to do; of a position that has had too many units, find out why first."""
+    if units is None or units < REPEAT_UNITS:
+        return said.action
+    then = f"{said.action[0].lower()}{said.action[1:]}"
+    return phrases.UPSTREAM.format(units=units, days=REPEAT_DAYS) + phrases.THEN + then

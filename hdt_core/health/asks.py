@@ -24,6 +24,7 @@ from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.crossing import flights_of
 from hdt_core.twin.dsm import Dsm
+from hdt_core.twin.inlet import full_open_inlet_k
 
 HIGH_M = 4572.0
 """15,000 ft: below, the pack works against warm air for minutes, and no message comes of it."""
@@ -159,7 +160,8 @@ def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
     bias = dsm.bias_of(rows)
     held_k = rows["held_k"].to_numpy() - bias[hx.BIASES.index("hx_out_k")]
-    excess = full_open_outlet_k(hx.without_bias(signals, bias), dsm.design, LN_RATIOS) - held_k[:, None]
+    full = signals | {"hx_in_k": full_open_inlet_k(rows, dsm.hot_inlet, dsm.design, bias, held_k)}
+    excess = full_open_outlet_k(hx.without_bias(full, bias), dsm.design, LN_RATIOS) - held_k[:, None]
     over = pl.when(pl.col("ram_door_open") > FULL_OPEN).then(pl.col("hx_out_k") - pl.col("held_k"))
     ram_out = {"ram_out_k": rows["ram_out_k"].to_numpy().astype(float)} if "ram_out_k" in rows.columns else {}
     balance = (
@@ -167,6 +169,7 @@ def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     )
     return rows.with_columns(
         pl.Series("ln_ram_ratio", np.where(np.isfinite(balance), balance, np.nan)).fill_nan(None),
+        pl.Series("hx_in_k", full["hx_in_k"]),
         over.clip(0.0).fill_null(0.0).alias("overheat_k"),
         *(pl.Series(f"excess_{j}", column).fill_nan(None) for j, column in enumerate(excess.T)),
     )

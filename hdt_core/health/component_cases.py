@@ -10,7 +10,7 @@ import polars as pl
 
 from hdt_core.components import Component
 from hdt_core.health import phrases
-from hdt_core.health.alerts import SCHEMA, alert_row
+from hdt_core.health.alerts import SCHEMA, alert_row, units_that_came
 from hdt_core.health.detection import persistent
 from hdt_core.health.diagnoses import Diagnosis
 from hdt_core.health.endings import end_with_the_unit
@@ -82,7 +82,8 @@ def raise_component_alerts(
         return pl.DataFrame(schema=SCHEMA)
     grid, said = Grid.cut(own), diagnosis_of(component)
     cases = end_with_the_unit(grid, maintenance, _worn(grid, maintenance, component, limits or Limits()), [said])
-    rows = [alert_row(grid, maintenance, case, said) for case in cases]
+    came = units_that_came(maintenance, (said.component,))
+    rows = [alert_row(grid, came, case, said) for case in cases]
     return pl.DataFrame(rows, schema=SCHEMA, orient="row").sort("raised_at", "tail", "pack", "alert_id")
 
 

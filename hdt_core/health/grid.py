@@ -81,6 +81,12 @@ class Grid:
         out[self.unit, self.flight] = True
         return out
 
+    def departures(self) -> Array:
+        """When each flight left, as a whole number that rises; the largest there is where none was flown."""
+        out = np.full(self.shape, np.iinfo(np.int64).max)
+        out[self.unit, self.flight] = self.rows["departed_at"].to_physical().to_numpy()
+        return out
+
     def partner(self) -> Array:
         """Row of the same aircraft's other pack; -1 where there is none. (units,)"""
         where = {(o, t, p): i for i, (o, t, p) in enumerate(self.units.rows())}

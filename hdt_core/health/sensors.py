@@ -27,7 +27,7 @@ def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on:
     """Cases of all sensors; `door_on` (units, flights) tells where a door fault already explains the outlet, `jammed`
     where the door is stuck."""
     ended = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
-    mute = {sensor: _mute(grid, sensor, limits) for sensor in SENSORS}
+    mute = _mute(grid, limits)
     silent = [c for sensor in SENSORS for c in _silent(grid, sensor, mute[sensor], ended, limits)]
     return silent + [c for c in _shifted(grid, maintenance, (door_on, jammed), mute) if not _echo(c, silent)]
 
@@ -48,12 +48,19 @@ def outlet_doubtful(grid: Grid) -> Array:
     return persistent(np.abs(z) > 2.5, 2, 3, 10)
 
 
-def _mute(grid: Grid, sensor: str, limits: Limits) -> Array:
-    """Flights on which a sensor that has spoken before is empty too often, or shows one value. (units, flights) bool"""
-    lost, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
-    spoke = np.cumsum(np.nan_to_num(lost, nan=1.0) < 0.5, axis=1) >= 3
-    empty = spoke & (lost > limits.lost) & (lost * grid.values("n_snapshots") >= 4)
-    return grid.flags("running") & (empty | still)
+def _mute(grid: Grid, limits: Limits) -> dict[str, Array]:
+    """Flights on which a sensor that has spoken before is empty too often, or shows one value, by sensor.
+
+    (units, flights) bool
+    """
+    running, n_snapshots = grid.flags("running"), grid.values("n_snapshots")
+    found = {}
+    for sensor in SENSORS:
+        lost, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
+        spoke = np.cumsum(np.nan_to_num(lost, nan=1.0) < 0.5, axis=1) >= 3
+        empty = spoke & (lost > limits.lost) & (lost * n_snapshots >= 4)
+        found[sensor] = running & (empty | still)
+    return found
 
 
 def _silent(grid: Grid, sensor: str, mute: Array, ended: Array, limits: Limits) -> Iterator[Case]:

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from hdt_core.health import phrases
 from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT
 from hdt_core.health.evidence import AGAINST, NEUTRAL, SUPPORTS, Evidence, Witness
+from hdt_core.robust import Z_90
 
 Facts = Mapping[str, Any]
 """What is known of a case at one moment, by name; NaN where it was not recorded."""
@@ -16,8 +17,6 @@ WORN = 0.05
 """Loss from which a unit counts as worn at all. [-]"""
 PEG_SD_K = 0.33
 """Scatter, over sound flights, of the outlet where the door is widest less the outlet elsewhere. [K]"""
-Z_90 = 1.645
-"""Standard deviations on either side that an interval of 90 % spans: the only kind that a reader meets."""
 LEANED_ON = ("hx_out_k", "hx_in_k", "pack_flow_kg_s", "tat_k")
 """Sensors that the fouling estimate stands on."""
 CONTRADICTED = "contradicted"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hdt_core.physics.air import CP_J_KG_K, GAMMA, R_J_KG_K, density_kg_m3
+from hdt_core.physics.air import GAMMA, R_J_KG_K, density_kg_m3
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 
 HEAD = (GAMMA - 1.0) / GAMMA
@@ -102,19 +102,6 @@ def exit_temperature_k(inlet_k: Array, ratio: Array, efficiency: Array) -> Array
     return inlet_k * (1.0 + (ratio**HEAD - 1.0) / efficiency)
 
 
-def flow_coefficient(flow_kg_s: Array, inlet_pa: Array, inlet_k: Array, speed_rad_s: Array, diameter_m: Array) -> Array:
-    """Flow over inlet density, tip speed and disc area. [-]
-
-    Equations (2)-(3) make it a constant; a variable diffuser changes it, so it is set against `vda_counts`.
-
-    References
-    ----------
-    .. [1] S. L. Dixon and C. A. Hall, op. cit., section 2.3.
-    """
-    tip_m_s = 0.5 * speed_rad_s * diameter_m
-    return flow_kg_s / (density_kg_m3(inlet_pa, inlet_k) * tip_m_s * 0.25 * np.pi * diameter_m**2)
-
-
 def compressor(
     *,
     cc_speed_rad_s: Array,
@@ -149,8 +136,8 @@ COMPRESSOR = PhysicsModel(
         Param("cc_diameter_vda_intercept", "m", 0.1731, (0.05, 0.5), "design", sd=0.01),
         Param("cc_diameter_vda_slope", "m/count", -2.9304e-5, (-3e-4, 3e-4), "design", sd=2e-5),
         Param("cc_efficiency", "-", 0.75, (0.4, 0.95), "design", sd=0.05),
-        Param("cc_diameter_loss", "-", 0.0, (-0.1, 0.5), "health", drift=0.001),
-        Param("cc_efficiency_loss", "-", 0.0, (-0.1, 0.5), "health", drift=0.001),
+        Param("cc_diameter_loss", "-", 0.0, (-0.1, 0.5), "health", drift=0.001, unit_sd=0.04),
+        Param("cc_efficiency_loss", "-", 0.0, (-0.1, 0.5), "health", drift=0.001, unit_sd=0.008),
     ),
     outputs=(
         Signal("cc_flow_kg_s", "kg/s", sigma=0.01, gain_sd=0.02),
@@ -159,8 +146,3 @@ COMPRESSOR = PhysicsModel(
     ),
     equations=compressor,
 )
-
-
-def shaft_power_w(flow_kg_s: Array, inlet_k: Array, exit_k: Array) -> Array:
-    """Power the air takes up. [W]"""
-    return flow_kg_s * CP_J_KG_K * (exit_k - inlet_k)

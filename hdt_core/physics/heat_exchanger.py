@@ -219,7 +219,7 @@ PARAMS = (
     Param("hx_exponent_cold", "-", 0.6, (0.3, 0.9), "design"),
     Param("hx_hot_share", "-", 0.45, (0.1, 0.8), "design"),
     Param("hx_wall_share", "-", 0.1, (0.0, 0.19), "design"),
-    Param("hx_fouling", "-", 0.0, (-0.25, 0.9), "health", drift=0.003),
+    Param("hx_fouling", "-", 0.0, (-0.25, 0.9), "health", drift=0.003, unit_sd=0.04),
 )
 
 HEAT_EXCHANGER = PhysicsModel(

@@ -41,7 +41,8 @@ class Param:
 
     `role` is the only switch between calibrating the digital system model (free `design`) and tracking the twin
     (free `health`). A health parameter is a loss: 0 as built, larger is worse. `drift` is the standard deviation
-    it may gain per square root of a flight. `sd` of a design parameter is how far one aircraft may be from nominal,
+    it may gain per square root of a flight, `unit_sd` how far units as made, sensors and all, lie from the fleet's: so
+    much of a loss may be how a unit was built. `sd` of a design parameter is how far one aircraft may be from nominal,
     where that is known before any flight.
     """
 
@@ -52,6 +53,7 @@ class Param:
     role: Role
     drift: float = 0.0
     sd: float | None = None
+    unit_sd: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.bounds
@@ -146,9 +148,9 @@ class PhysicsModel:
         """Return the parameters of a role: `design` to calibrate, `health` to track."""
         return tuple(p for p in self.params if p.role == role)
 
-    def drift(self, name: str) -> float:
-        """Standard deviation that a parameter may gain in one flight."""
-        return next(p.drift for p in self.params if p.name == name)
+    def param(self, name: str) -> Param:
+        """The declared parameter of this name."""
+        return next(p for p in self.params if p.name == name)
 
     def bounds(self, role: Role | None = None) -> Array:
         """Lower and upper bound of each parameter (of a role). (n, 2)"""

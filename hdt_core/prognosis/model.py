@@ -18,7 +18,7 @@ from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quan
 from hdt_core.prognosis.history import RISES
 from hdt_core.prognosis.recalibrate import NOMINAL, Correction, Levels, learn_correction, learn_levels
 from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import IN_ORDER
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,6 @@ LEARN_EVERY, LEARN_ROWS = 4, 15_000
 learned are a few numbers, and so many rows tell them."""
 FOLDS = 5
 HELD = "out_of_fold"
-IN_ORDER = ("component", *PACK, "departed_at")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +119,7 @@ def predict_prognosis(
         the row is there and its values are null.
     """
     parts = [_say(model, tracks(features, lives, c), model.fits[c], c, split) for c in UNTOLD]
-    return pl.concat(parts).sort(IN_ORDER)
+    return pl.concat(parts).sort("component", *IN_ORDER)
 
 
 def out_of_fold(
@@ -164,7 +163,7 @@ def say_by_fold(
         for fold in folds:
             rows, model = wanted & np.isin(own, fold.held), named(base, {component: fold.fits[component]})
             parts.append(_say(model, track, fold.fits[component], component, HELD, rows))
-    return pl.concat(parts).sort(IN_ORDER)
+    return pl.concat(parts).sort("component", *IN_ORDER)
 
 
 def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognosis:

@@ -11,8 +11,10 @@ from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.rows import UNTOLD, Tracks, tracks
 from hdt_core.records.keys import PACK
 
-Heard = dict[str, tuple[int, str]]
-"""Of each pack, `operator|tail|pack`: how many flights, and a digest of their health."""
+BLOCK = 100
+"""Flights that share a digest: what was said of the blocks before a late flight stands."""
+Heard = dict[str, tuple[int, list[str]]]
+"""Of each pack, `operator|tail|pack`: how many flights, and of every block of them a digest of their health."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +58,35 @@ class Record:
 
 
 def heard(track: Tracks, earlier: Heard | None = None) -> tuple[Heard, np.ndarray]:
-    """Digest of each pack's track, and which flights are not, or not as they now are, in `earlier`. (n,) bool"""
+    """Digests of each pack's track, and which flights are not, or not as they now are, in `earlier`. (n,) bool
+
+    What is said of a flight follows from it and those before it, so all after one that changed are as new.
+    """
     told: Heard = {}
     new, start = np.ones(len(track.at), dtype=bool), 0
     for *pack, flights in track.keys.group_by(PACK, maintain_order=True).len().rows():
-        name, end = "|".join(str(part) for part in pack), start + flights
-        told[name] = (flights, _digest(track, start, end))
-        n, digest = (earlier or {}).get(name, (0, ""))
-        if 0 < n <= flights and _digest(track, start, start + n) == digest:
-            new[start : start + n] = False
-        start = end
+        name = "|".join(str(part) for part in pack)
+        numbers, names = _told(track, start, start + flights)
+        told[name] = (flights, [_digest(numbers, names, k, k + BLOCK) for k in range(0, flights, BLOCK)])
+        n, digests = (earlier or {}).get(name, (0, []))
+        for block, digest in enumerate(digests):
+            first, end = block * BLOCK, min(n, (block + 1) * BLOCK)
+            if end > flights or _digest(numbers, names, first, end) != digest:
+                break
+            new[start + first : start + end] = False
+        start += flights
     return told, new
 
 
-def _digest(track: Tracks, start: int, end: int) -> str:
-    """Of what a prognosis is made of, flight by flight: health, margin, age, and the flight's name."""
+def _told(track: Tracks, start: int, end: int) -> tuple[np.ndarray, list[str]]:
+    """What a prognosis is made of, flight by flight: health, margin, age, and the flight's name."""
     life, column = track.at[start:end].T
     pack, flight = track.where[start:end].T
     known = [getattr(track.panel, f.name)[life, column] for f in fields(track.panel)]
     curves = track.curves[pack, flight].reshape(end - start, -1)
-    numbers = np.column_stack([*known, column, curves]).astype(float)
-    names = "|".join(track.keys["flight_id"][start:end])
-    return hashlib.blake2b(numbers.tobytes() + names.encode(), digest_size=10).hexdigest()
+    return np.column_stack([*known, column, curves]).astype(float), track.keys["flight_id"][start:end].to_list()
+
+
+def _digest(numbers: np.ndarray, names: list[str], first: int, end: int) -> str:
+    told = numbers[first:end].tobytes() + "|".join(names[first:end]).encode()
+    return hashlib.blake2b(told, digest_size=8).hexdigest()

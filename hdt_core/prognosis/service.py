@@ -1,8 +1,10 @@
 """Which model goes into service, when it learns, and what it says tonight.
 
 A model learns once a month, from what was known when the month of the fleet's last flight began; until the next one it
-only speaks, and what it has said of a flight stands while that flight's record does. Whatever the order in which data
-came, the same record ends with the same prognoses.
+only speaks, and what it has said of a flight stands while that flight's record does. Flights of earlier months that
+come late are spoken about at once and learned from when the next month begins, or when they are so many that they
+matter (`prognosis.lesson`). Whatever the order in which data came, from the next learning on the same record has the
+same prognoses.
 
 A newly learned base and the one in service are asked about the same flights, each tail judged by what the others
 taught, so neither can have learned its own answers. The fleet's own lives are taken up by either; only what was learned
@@ -19,19 +21,19 @@ import numpy as np
 import polars as pl
 
 from hdt_core.prognosis.card import Card, Verdict, model_card, promote
+from hdt_core.prognosis.lesson import lesson_of, not_learned_from, read_lesson, why_learn
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import IN_ORDER, Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
+from hdt_core.prognosis.model import Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
 from hdt_core.prognosis.recalibrate import TERMS
 from hdt_core.prognosis.record import Heard, Record, heard
-from hdt_core.prognosis.rows import Tracks
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import IN_ORDER, PACK
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
     """The model in service, its out-of-fold prognoses, its card with the reason.
 
-    `lesson` is a digest of what it learned from, `heard` of what it has spoken about, by component.
+    `lesson` is what it learned from as `Lesson.to_json` tells it, `heard` what it has spoken about, by component.
     """
 
     model: Prognosis
@@ -53,21 +55,24 @@ def serve(candidate: Prognosis, last: Served | None, record: Record) -> Served:
     record : Record
         All that is on record.
     """
-    past, lived = record.before(record.month()).tracks(), record.tracks()
     tails = record.features["tail"].unique().sort().to_list()
-    lesson = _lesson(candidate, past, tails)
-    if last is not None and last.lesson == lesson:
-        return _speak(last, lived)
+    lesson = lesson_of(record, _learner(candidate, tails))
+    taught = read_lesson(last.lesson) if last is not None else None
+    why = why_learn(lesson, taught)
+    if last is not None and taught is not None and not why:
+        return _speak(last, record, not_learned_from(lesson, taught))
+    past, lived = record.before(record.month()).tracks(), record.tracks()
 
     def teach(base: Prognosis) -> _Taught:
         folds = learn_folds(base, past, tails)
         said = say_by_fold(base, folds, lived)
         return _Taught(base, folds, said, score_prognoses(judge(said, record.features, record.lives())))
 
-    taught, verdict = _chosen(teach, candidate, last)
-    model = replace(fit_tracks(taught.base, past), folds=taught.folds)
-    card = model_card(model, taught.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
-    return Served(model, taught.said, card, lesson, {c: heard(track)[0] for c, track in lived.items()})
+    chosen, verdict = _chosen(teach, candidate, last)
+    model = replace(fit_tracks(chosen.base, past), folds=chosen.folds)
+    card = model_card(model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
+    card |= {"learned_because": why, "late_flights_not_learned_from": 0}
+    return Served(model, chosen.said, card, lesson.to_json(), {c: heard(track)[0] for c, track in lived.items()})
 
 
 class _Taught(NamedTuple):
@@ -95,8 +100,9 @@ def _chosen(
     return (new if verdict.promoted else old), verdict
 
 
-def _speak(last: Served, lived: dict[str, Tracks]) -> Served:
-    """Say what has not been said, and again what no longer stands."""
+def _speak(last: Served, record: Record, late: int) -> Served:
+    """Say what has not been said, and again what no longer stands; `late` flights are not learned from yet."""
+    lived = record.tracks()
     listened = {c: heard(track, last.heard.get(c)) for c, track in lived.items()}
     asked = {c: new for c, (_, new) in listened.items()}
     key = ["component", *PACK, "flight_id"]
@@ -105,17 +111,15 @@ def _speak(last: Served, lived: dict[str, Tracks]) -> Served:
         for c, track in lived.items()
     )
     kept = last.prognoses.join(stand, on=key, how="semi")
-    said = pl.concat([kept, say_by_fold(last.model, last.model.folds, lived, asked)]).sort(IN_ORDER)
-    return replace(last, prognoses=said, heard={c: told for c, (told, _) in listened.items()})
+    said = pl.concat([kept, say_by_fold(last.model, last.model.folds, lived, asked)]).sort("component", *IN_ORDER)
+    card = last.card | {"late_flights_not_learned_from": late}
+    return replace(last, prognoses=said, card=card, heard={c: told for c, (told, _) in listened.items()})
 
 
-def _lesson(candidate: Prognosis, past: dict[str, Tracks], tails: list[str]) -> str:
-    """Digest of all that a model may learn from, and of what it learns."""
-    told = hashlib.blake2b(json.dumps([named(candidate).version, TERMS, tails]).encode(), digest_size=10)
-    for track in past.values():
-        told.update(json.dumps(heard(track)[0]).encode())
-        told.update(track.left.tobytes() + track.failed.tobytes())
-    return told.hexdigest()
+def _learner(candidate: Prognosis, tails: list[str]) -> str:
+    """Digest of what learns: the base, what is corrected of it, and whom the folds hold."""
+    told = json.dumps([named(candidate).version, TERMS, tails])
+    return hashlib.blake2b(told.encode(), digest_size=10).hexdigest()
 
 
 def same_base(one: Prognosis, other: Prognosis) -> bool:

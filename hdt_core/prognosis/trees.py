@@ -4,7 +4,7 @@ scikit-learn's public `predict_proba` wants a row for every span. A fourth of th
 others cut it in two to six, so 16 spans cost little more than two; the sums are the same to the last bit.
 """
 
-from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +40,19 @@ def _by_tree(model: HistGradientBoostingClassifier, features: Array, spans: Arra
     bitsets, places = model._bin_mapper.make_known_categories_bitsets()
     asked = np.column_stack([features, np.empty(len(features))])
     raw = np.full((spans.size, len(features)), float(model._baseline_prediction.item()))
-    for (tree,) in model._predictors:
-        for alike in _alike(tree.nodes, features.shape[1], spans):
+    for (tree,), groups in zip(model._predictors, _alike(model, features.shape[1], tuple(spans.tolist())), strict=True):
+        for alike in groups:
             asked[:, -1] = spans[alike][0]
             raw[alike] += tree.predict(asked, bitsets, places, 1)
     return np.asarray(expit(raw.T))
 
 
-def _alike(nodes: NDArray[np.void], last: int, spans: Array) -> Iterator[NDArray[np.bool_]]:
-    """Spans between which a tree makes no difference; a value goes left where it is not above the threshold."""
-    splits = nodes[(nodes["is_leaf"] == 0) & (nodes["feature_idx"] == last)]
-    group = np.searchsorted(np.unique(splits["num_threshold"]), spans)
-    return (group == g for g in np.unique(group))
+@lru_cache(maxsize=8)  # a few hundred rows are asked in less time than it takes to look through the trees
+def _alike(model: HistGradientBoostingClassifier, last: int, spans: tuple[float, ...]) -> list[list[NDArray[np.bool_]]]:
+    """For each tree the spans between which it makes no difference; a value goes left where it is not above."""
+    found = []
+    for (tree,) in model._predictors:
+        splits = tree.nodes[(tree.nodes["is_leaf"] == 0) & (tree.nodes["feature_idx"] == last)]
+        group = np.searchsorted(np.unique(splits["num_threshold"]), np.array(spans))
+        found.append([group == g for g in np.unique(group)])
+    return found

@@ -6,7 +6,7 @@ outlet.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,6 +170,20 @@ def compressor_rows(
     ratio = exit_pa / inlet_pa
     head = np.maximum(ratio**HEAD - 1.0, 1e-4) * R_J_KG_K * inlet_k / HEAD
     return 2.0 / diameter_m * np.sqrt(head), np.asarray(exit_temperature_k(inlet_k, ratio, efficiency))
+
+
+def compressor_pressures_pa(now: Conditions) -> tuple[Array, Array]:
+    """Before and behind the compressor: recovered outside air, and what the cabin asks for. [Pa]"""
+    inlet_pa = 0.965 * now.total_pressure_pa
+    return inlet_pa, np.maximum(1000.0 * (113.0 - 20.5 * np.clip(now.altitude_m / 11300.0, 0.0, 1.1)), 1.08 * inlet_pa)
+
+
+def behind_worn_compressor(design: PackDesign, now: Conditions, demand: Demand, loss: Array) -> Demand:
+    """The demand with what a loss of the compressor's efficiency adds to the air that reaches the exchanger."""
+    inlet_pa, exit_pa = compressor_pressures_pa(now)
+    built = np.full(loss.size, design.cc_efficiency)
+    sound_k, worn_k = (exit_temperature_k(now.tat_k, exit_pa / inlet_pa, e) for e in (built, built * (1.0 - loss)))
+    return replace(demand, hot_in_k=demand.hot_in_k + worn_k - sound_k)
 
 
 def _values(design: PackDesign, names: tuple[str, ...]) -> dict[str, Array]:

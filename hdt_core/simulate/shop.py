@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flying import Conditions
-from hdt_core.simulate.packs import FULL_OPEN, Demand, Wear, outlets
+from hdt_core.simulate.packs import FULL_OPEN, Demand, Wear, behind_worn_compressor, outlets
 from hdt_core.simulate.wear import draw_wear
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def draw_history(
     operator, design
         Who flies what.
     cruise, demand
-        Conditions and demand in the middle of each flight's cruise, shape (flights,).
+        Conditions, and demand behind a sound compressor, in the middle of each flight's cruise, shape (flights,).
     """
     n = cruise.mach.size
     zero, none = np.zeros(n), np.full(n, "", dtype="<U32")
@@ -84,8 +84,9 @@ def draw_history(
         zero.copy(), zero.copy(), zero.copy(), zero + 1.0, zero.copy(), zero.copy(), zero.astype(int), zero.astype(int),
         zero + np.nan, zero + 1.0, none.copy(), none.copy(), rng.random(n) < 0.004, rng.random(n) < 0.003,
     )  # fmt: skip
-    _exchangers(rng, history, operator, design=design, cruise=cruise, demand=demand)
     _compressors(rng, history, design)
+    demand = behind_worn_compressor(design, cruise, demand, history.cc_loss)
+    _exchangers(rng, history, operator, design=design, cruise=cruise, demand=demand)
     _door_faults(rng, history, design, cruise, demand)
     _sensor_faults(rng, history)
     for index in np.nonzero(rng.random(n) < 0.001)[0]:

@@ -13,6 +13,8 @@ from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flying import Conditions, Schedule
 from hdt_core.simulate.packs import (
     Demand,
+    behind_worn_compressor,
+    compressor_pressures_pa,
     compressor_rows,
     controlled_door,
     outlets,
@@ -72,7 +74,7 @@ def demand(rng: np.random.Generator, design: PackDesign, now: Conditions) -> Dem
 
 
 def hot_inlet_k(design: PackDesign, now: Conditions) -> Array:
-    """Air that reaches the exchanger: from the compressor, warmed by what lies between, more where it is dense. [K]"""
+    """Air at the exchanger: from a sound compressor, warmed by what lies between, more where it is dense. [K]"""
     nominal = _compressor(design, now, np.full(now.mach.size, design.diameter_intercept_m - 0.011), 0.0 * now.mach)
     height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
     return np.asarray(nominal["cc_out_k"] + design.hot_rise_k + 22.0 * (1.0 - height))
@@ -98,6 +100,7 @@ def true_signals(
     dt_s: float = 0.0,
 ) -> dict[str, Array]:
     """True values at each row, SI; with `dt_s` the rows are a time series and the core's heat lags."""
+    asked = behind_worn_compressor(design, now, asked, history.cc_loss[now.flight])
     wear = history.wear.at(now.flight)
     ice = history.icing[now.flight] & (now.altitude_m > 1200.0) & (now.altitude_m < 6500.0)
     wear = replace(wear, blockage=np.where(ice, 1.0 - 0.75 * (1.0 - wear.blockage), wear.blockage))
@@ -188,8 +191,7 @@ def _diameter(
 
 def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Array) -> dict[str, Array]:
     """Compressor between the recovered outside air and the cabin's supply."""
-    inlet_pa = 0.965 * now.total_pressure_pa
-    exit_pa = np.maximum(1000.0 * (113.0 - 20.5 * np.clip(now.altitude_m / 11300.0, 0.0, 1.1)), 1.08 * inlet_pa)
+    inlet_pa, exit_pa = compressor_pressures_pa(now)
     efficiency = design.cc_efficiency * (1.0 - loss)
     speed, exit_k = compressor_rows(
         diameter_m=diameter, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa, efficiency=efficiency

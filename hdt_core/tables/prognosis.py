@@ -14,8 +14,11 @@ class PrognosisModel(Table):
         nullable=False, metadata={"unit": "", "meaning": "the base, learned from simulated lives, as skops bytes"}
     )
     fits = text("what the fleet's lives taught, by component and fold, as JSON; null in a base")
-    lesson = text("hash of what was known of the fleet when the model learned; null in a base")
-    heard = text("by component and pack, how many flights were spoken about, and a hash of their health, as JSON")
+    lesson = text(
+        "what was known of the fleet when the model learned: month, lives that had ended, flights and means of each "
+        "pack, as JSON; null in a base"
+    )
+    heard = text("by component and pack, how many flights were spoken about, and hashes of their health, as JSON")
 
 
 class Prognoses(LegTable):

@@ -1,14 +1,32 @@
-"""Beliefs about packs as weighted histories, flat and sorted by pack: joined, thinned, merged."""
+"""Beliefs about packs as weighted histories, flat and sorted by pack: joined, thinned, merged.
+
+And branched: what may happen to a pack between two flights, and what the log says of it, each with its chance.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from hdt_core.twin.crossing import Array
-from hdt_core.twin.wear import WEAR
+from hdt_core.twin.renewals import NOTHING, REPLACED, WASHED
+from hdt_core.twin.wear import MAP_SD, OTHER, PACES, RATE, UNIT, UNIT_SD, WEAR, Observation
 
 LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01
 """Weight below which a history is dropped, how many a pack may keep, the bin of ln loss in which like ones merge."""
+RENEWED_WEAR, RENEWED_SD = 0.003, 0.006
+WASH_LEAVES, WASH_LEAVES_SD = 0.3, 0.2
+RECOVERY_LEAVES, RECOVERY_LEAVES_SD = 0.35, 0.3
+DEPOSIT, DEPOSIT_SD = 0.02, 0.02
+CLOG, CLOG_SD = 0.13, 0.08
+FAULT_SD = 0.2
+CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault": 1 / 2000, "fault_over": 1 / 30, "recovery": 1 / 2000}
+"""Of each event on a flight, as such things go; a fault lasts some thirty flights."""
+RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
+"""Chance of a new core on a flight of which the log says nothing yet, units living some 400 flights
+(`health.first_passage`), and on one it names."""
+LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
+"""Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
+that an entry never comes where a log is kept."""
 
 
 class Belief(NamedTuple):
@@ -112,3 +130,85 @@ def _merged(b: Belief, heads: Array) -> Belief:
     spread = b.cov + off[:, :, None] * off[:, None, :]
     cov = np.add.reduceat(share[:, None, None] * spread, heads)
     return b.at(heads)._replace(log_weight=top + np.log(total), mean=mean, cov=cov)
+
+
+def after_log(b: Belief, seen: Observation) -> Belief:
+    """What an entry in the log does to each history: the core it names is new or washed, unless it already was."""
+    due, recent = seen.log_due > 0, b.since <= LATE_FLIGHTS
+    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (seen.log_kept > 0)
+    weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
+    b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
+    if not acts.any():
+        return b
+    washed = _washed(b.at(acts & (seen.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD)
+    return joined([b.at(~acts), washed, *_renewed(b.at(acts & (seen.log_due == REPLACED)))])
+
+
+def branches(b: Belief, residual: Array, surprised: Array, named: Array) -> list[Belief]:
+    """Other readings of a surprising flight, or of one on whose day the log names a wash or a new core."""
+    less, more = surprised & (residual < 0.0), surprised & (residual > 0.0)
+    new, wash = named == REPLACED, named == WASHED
+    unnamed = more & (named == NOTHING)
+    return [
+        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(new))),
+        _chance(_washed(b.at(wash), WASH_LEAVES, WASH_LEAVES_SD), RENEWAL_LOGGED * LOG_LATE),
+        *(_chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED) for child in _renewed(b.at(unnamed))),
+        _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD), CHANCE["recovery"]),
+        _chance(_worn(b.at(less), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
+        _chance(_worn(b.at(less), CLOG, CLOG_SD), CHANCE["clog"]),
+        _chance(_faulty(b.at(surprised & ~b.faulty)), CHANCE["fault"]),
+        _chance(_sound(b.at(surprised & b.faulty)), CHANCE["fault_over"]),
+    ]
+
+
+def _chance(b: Belief, chance: float) -> Belief:
+    return b._replace(log_weight=b.log_weight + np.log(chance))
+
+
+def _renewed(b: Belief) -> list[Belief]:
+    """Another unit, at each pace; the pack's sensors stay."""
+    children = []
+    for j, pace in enumerate(PACES):
+        mean, cov = b.mean.copy(), b.cov.copy()
+        for i in (WEAR, RATE, UNIT):
+            cov[:, i, :] = cov[:, :, i] = 0.0
+        mean[:, WEAR], cov[:, WEAR, WEAR] = RENEWED_WEAR, RENEWED_SD**2
+        mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
+        mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, UNIT_SD**2
+        child = b._replace(mean=mean, cov=cov, pace=np.full_like(b.pace, j), since=np.zeros_like(b.since))
+        child = child._replace(keeps=b.keeps * [0.0, 0.0, 1.0, 0.0, 1.0])
+        children.append(_chance(child, pace.share))
+    return children
+
+
+def _washed(b: Belief, leaves: float, leaves_sd: float) -> Belief:
+    """Part of the wear is left on the same unit, and it may grow at another rate."""
+    keep = np.array([leaves, 1.0, 1.0, 1.0, 1.0])
+    mean, cov = b.mean * keep, b.cov * keep[:, None] * keep
+    cov[:, WEAR, WEAR] += leaves_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
+    cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in PACES])[b.pace] ** 2
+    return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), keeps=b.keeps * keep)
+
+
+def _worn(b: Belief, more: float, more_sd: float) -> Belief:
+    """A deposit or clog at once."""
+    mean, cov = b.mean.copy(), b.cov.copy()
+    mean[:, WEAR] += more
+    cov[:, WEAR, WEAR] += more_sd**2
+    return b._replace(mean=mean, cov=cov)
+
+
+def _faulty(b: Belief) -> Belief:
+    """Door or sensor adds something that is not the core's, while it lasts."""
+    cov = b.cov.copy()
+    cov[:, OTHER, OTHER] += FAULT_SD**2
+    return b._replace(cov=cov, faulty=np.ones_like(b.faulty))
+
+
+def _sound(b: Belief) -> Belief:
+    """The fault is over."""
+    mean, cov = b.mean.copy(), b.cov.copy()
+    mean[:, OTHER] = 0.0
+    cov[:, OTHER, :] = cov[:, :, OTHER] = 0.0
+    cov[:, OTHER, OTHER] = MAP_SD**2
+    return b._replace(mean=mean, cov=cov, faulty=np.zeros_like(b.faulty), keeps=b.keeps * [1.0, 1.0, 1.0, 1.0, 0.0])

@@ -17,6 +17,7 @@ from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 from hdt_core.twin.crossing import Array
 from hdt_core.twin.forms import FormFit, Rows, compare_forms
 from hdt_core.twin.pooling import Level, levels_of
+from hdt_core.twin.sensors import CC_FLOW_BIAS_SD
 
 PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
 """The paper's law with a wide band, as the component declares it."""
@@ -32,8 +33,8 @@ FAR_SD = 4.0
 ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
 """Mean ln loss of diameter of a compressor when first seen, how well that is known, and the spread of units: by so much
 an as-built level lies above the seen one. No record tells; efficiency loses twice as much."""
-FLOW_BIAS_SD, PROBE_SD_LN = 0.015, 0.003
-"""Calibration errors that no number of flights takes out of one pack: of a flow, and of a diameter or efficiency."""
+PROBE_SD_LN = 0.003
+"""Calibration error of an efficiency, which no number of flights takes out of one pack."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     """
     rows = _rows(samples)
     group, group_sd, group_levels = _pooled(
-        samples, "group_m3", "cc_area_diameter_tan_beta_m3", FLOW_BIAS_SD, wear=False
+        samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, wear=False
     )
     efficiency, efficiency_sd, efficiency_levels = _pooled(
         samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True

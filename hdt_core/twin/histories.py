@@ -10,10 +10,20 @@ code.
 import numpy as np
 from scipy.special import erfcx
 
-from hdt_core.twin.belief import Belief, Passage, joined, normalised, thinned
+from hdt_core.twin.belief import (
+    CHANCE,
+    LATE_FLIGHTS,
+    RENEWAL_LOGGED,
+    Belief,
+    Passage,
+    after_log,
+    branches,
+    joined,
+    normalised,
+    thinned,
+)
 from hdt_core.twin.crossing import Array
 from hdt_core.twin.entry import ENTRY
-from hdt_core.twin.events import CHANCE, LATE_FLIGHTS, RENEWAL_LOGGED, after_log, branches
 from hdt_core.twin.renewals import NOTHING
 from hdt_core.twin.wear import (
     MAP_SD,

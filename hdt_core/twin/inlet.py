@@ -21,6 +21,8 @@ NOMINAL_EFFICIENCY = 0.75
 """Of a compressor whose discharge temperature is not recorded; what it is off by is the pack's own constant."""
 TERMS = ("discharge", "ram_outlet", "ln_ram", "ln_flow", "apart_by_ln_ram", "apart_by_ln_flow")
 """Effectiveness of the way there, linear in the logarithms of both flows, times the two streams' difference."""
+MOST_EFFECTIVE = 0.8
+"""More heat than this share no exchanger of a pack gives up on the way; a law bent by noise is not followed further."""
 HUBER_STEPS = 8
 FEWEST = 200
 RIDGE = 1e-4
@@ -64,14 +66,59 @@ def inlet_above_law(cruise: pl.DataFrame, slopes: tuple[float, ...], design: Arr
     return rows.group_by(FLIGHT_PACK).agg(pl.col("inlet_apart_k").median())
 
 
+def full_open_inlet_k(
+    rows: pl.DataFrame, slopes: tuple[float, ...], design: Array, bias: Array, held_k: Array
+) -> Array:
+    """What the hot inlet would be with the ram door full open and the outlet at its level. (n,) [K]
+
+    An opening door brings more ram air, which leaves the core cooler and cools what comes from the compressor: a sound
+    exchanger, its door half shut, meets hotter air than the same one at the end of its life. As recorded where the law
+    or the discharge is not known.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Samples with `hx.SIGNALS` and the compressor's columns, any phase.
+    slopes : tuple
+        From `learn_inlet`.
+    design, bias : array
+        As there.
+    held_k : array
+        Level that the controller holds the outlet at, without sensor bias, (n,). [K]
+    """
+    recorded = rows["hx_in_k"].to_numpy().astype(float)
+    if not slopes:
+        return recorded
+    signals = _signals(rows, bias)
+    now = _terms(rows, design, bias) @ np.array(slopes)
+    full = signals | {"ram_door_open": np.ones_like(recorded)}
+    with np.errstate(all="ignore"):
+        ram = clean_ram_flow_kg_s(full, design)
+        flows = signals["pack_flow_kg_s"] / ram
+        # linear in the ram outlet, which is itself linear in the inlet
+        at_tat, per_k = (_by_stream(_discharge_k(rows), signals["tat_k"] + up, ram, signals) for up in (0.0, 1.0))
+        per_k = np.clip((per_k - at_tat) @ np.array(slopes), 0.0, MOST_EFFECTIVE) * flows
+        above_held = recorded - bias[hx.BIASES.index("hx_in_k")] + at_tat @ np.array(slopes) - now - held_k
+        moved = above_held / (1.0 - per_k) + held_k + bias[hx.BIASES.index("hx_in_k")]
+    return np.where(np.isfinite(moved), moved, recorded)
+
+
+def _signals(rows: pl.DataFrame, bias: Array) -> dict[str, Array]:
+    return hx.without_bias({name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}, bias)
+
+
 def _terms(cruise: pl.DataFrame, design: Array, bias: Array) -> Array:
     """What the hot inlet follows, in the order of `TERMS`. (n, 6); NaN where a reading is missing"""
-    signals = hx.without_bias({name: cruise[name].to_numpy().astype(float) for name in hx.SIGNALS}, bias)
-    flow, discharge_k = signals["pack_flow_kg_s"], _discharge_k(cruise)
+    signals = _signals(cruise, bias)
     with np.errstate(all="ignore"):
         ram = clean_ram_flow_kg_s(signals, design)
-        ln_ram, ln_flow = np.log(ram), np.log(flow)
-        ram_outlet_k = signals["tat_k"] + flow / ram * (signals["hx_in_k"] - signals["hx_out_k"])
+        heated_k = signals["pack_flow_kg_s"] / ram * (signals["hx_in_k"] - signals["hx_out_k"])
+    return _by_stream(_discharge_k(cruise), signals["tat_k"] + heated_k, ram, signals)
+
+
+def _by_stream(discharge_k: Array, ram_outlet_k: Array, ram: Array, signals: dict[str, Array]) -> Array:
+    with np.errstate(all="ignore"):
+        ln_ram, ln_flow = np.log(ram), np.log(signals["pack_flow_kg_s"])
     apart_k = discharge_k - ram_outlet_k
     terms = np.column_stack([discharge_k, ram_outlet_k, ln_ram, ln_flow, apart_k * ln_ram, apart_k * ln_flow])
     return np.where(np.isfinite(terms), terms, np.nan)

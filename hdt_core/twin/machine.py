@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.components.compressor import CC
-from hdt_core.physics.model import Array
+from hdt_core.physics.model import Array, declared
 from hdt_core.records.keys import LEG_AT, PACK
 from hdt_core.robust import median_error
 from hdt_core.twin.dsm import Dsm
@@ -12,9 +12,7 @@ from hdt_core.twin.renewals import log_flags
 
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
 """Scatter of a flight about the machine's state, for packs too young to show their own."""
-LEVEL_SD_EFFICIENCY, LEVEL_SD_DIAMETER_LN = 0.008, 0.04
-"""Spread of machines and their sensors as built, about the fleet's."""
-STEP_EFFICIENCY, STEP_DIAMETER_LN = (CC.model.drift(name) for name in ("cc_efficiency_loss", "cc_diameter_loss"))
+EFFICIENCY, DIAMETER = (CC.model.param(name) for name in ("cc_efficiency_loss", "cc_diameter_loss"))
 ENTRY_LOSS_SD = 0.015
 PROBE_SD, SAMPLE_SD = 0.0025, 0.003
 """Of a diameter, as a share of it: calibration of the probes (half a per cent of head), and noise of one sample."""
@@ -27,14 +25,14 @@ def compressor_parameters(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm:
     )
     efficiency = np.log(dsm.compressor.efficiency / _positive(flights["efficiency"]))
     built_sd = dsm.compressor.efficiency_sd / dsm.compressor.efficiency
-    level_sd = float(np.hypot(LEVEL_SD_EFFICIENCY, built_sd))
+    level_sd = float(np.hypot(declared(EFFICIENCY.unit_sd), built_sd))
     renewed = _log_flags(flights, maintenance)
     lost_efficiency, efficiency_sd = filtered_loss(
-        flights, efficiency, renewed, EFFICIENCY_SD, level_sd, STEP_EFFICIENCY
+        flights, efficiency, renewed, EFFICIENCY_SD, level_sd, EFFICIENCY.drift
     )
     shrunk = np.log(_positive(flights["expected_diameter_m"]) / _positive(flights["diameter_m"]))
     lost_diameter, diameter_sd = filtered_loss(
-        flights, shrunk, renewed, DIAMETER_SD_LN, LEVEL_SD_DIAMETER_LN, STEP_DIAMETER_LN
+        flights, shrunk, renewed, DIAMETER_SD_LN, declared(DIAMETER.unit_sd), DIAMETER.drift
     )
     return pl.concat(
         [

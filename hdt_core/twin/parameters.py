@@ -126,7 +126,7 @@ def _pack_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 
 def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float) -> Array:
-    """d ln UA / d ln flow of the hot and the ram side at these flows: exponent times the film's share. (2,) [-]"""
+    """d ln UA / d ln flow of the hot and the ram side at these flows: exponent times the film's share. (2, ...) [-]"""
     p = core_values(design)
     hot_share = p["hx_hot_share"]
     hot = hot_share * (hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S) ** -p["hx_exponent_hot"]
@@ -137,9 +137,9 @@ def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float)
 
 def _with_slopes(design: Array, flows_kg_s: tuple[float, float]) -> tuple[Array, Array]:
     """Elasticities and their derivatives by the design vector, (2,) and (2, p)."""
-    at = flow_elasticities(design, *flows_kg_s)
-    moved = [flow_elasticities(design + d, *flows_kg_s) for d in 1e-5 * np.eye(len(hx.NAMES))]
-    return at, np.stack([(m - at) / 1e-5 for m in moved], axis=1)
+    n = len(hx.NAMES)
+    at = flow_elasticities(design[:, None] + 1e-5 * np.eye(n, n + 1, 1), *flows_kg_s)
+    return at[:, 0], (at[:, 1:] - at[:, :1]) / 1e-5
 
 
 def _exponential(value: Mapping[str, float], error: Mapping[str, float], name: str) -> tuple[float, float]:

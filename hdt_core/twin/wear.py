@@ -9,10 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdt_core.components.exchanger import HX
+from hdt_core.physics.model import declared
 from hdt_core.twin.crossing import Array
 
 WEAR, RATE, SENSORS, UNIT, OTHER = range(5)
-UNIT_SD = 0.04
+UNIT_SD = declared(HX.model.param("hx_fouling").unit_sd)
 """Unit-to-unit spread of UA; the rest of the offset's spread belongs to the pack's sensors and stays when a unit
 goes."""
 LEAST_SENSORS_SD = 0.015

@@ -2,7 +2,7 @@
 
 import inspect
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import timedelta
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,18 +13,28 @@ import polars as pl
 from dagster_batched.checks import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
+from pipelines.assets.automation import condition_of
 from pipelines.intake.set_aside import set_aside
-from pipelines.lineage import MAKER, STAGE, Stage, followed
+from pipelines.lineage import FOLLOWED, MAKER, STAGE, Stage
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
-from pipelines.storage.headers import declared_columns
+from pipelines.storage.headers import MEANINGS
 from pipelines.storage.panics import panics_as_errors
 
-OWNERS = ["team:health-monitoring"]
+_TEAMS = {"raw": "flight-data", "legs": "flight-data", "calibration": "thermal-models", "twin": "thermal-models",
+          "residuals": "thermal-models", "features": "health-monitoring", "prognosis": "health-monitoring",
+          "published": "maintenance-control"}  # fmt: skip
+_TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
+"""What does the sums of a group; of the others Polars."""
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
-CHECK = "honours_table"
+CHECK, HONOURED = "honours_table", "has the declared columns, types, spans and a unique key"
 FRESH = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
 """A night that brought nothing is a warning, two are a fault."""
+
+
+def owners(group: str) -> list[str]:
+    """Whom to ask about an asset of a group: who takes files in, who knows the models, who watches, who acts."""
+    return [f"team:{_TEAMS[group]}"]
 
 
 class StageResult(NamedTuple):
@@ -54,13 +64,16 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
     own = STAGE[fn.__name__]
     wanted = list(inspect.signature(fn).parameters)
     first_line = inspect.getdoc(fn) or ""
+    condition = condition_of(own)
 
     @dg.multi_asset(
         name=own.name,
-        outs={t: _out(t, own, first_line) for t in own.tables},
+        outs={t: _out(t, own, first_line, condition) for t in own.tables},
         deps=[dg.AssetKey(t) for t in _drawn(own, [p for p in wanted if p in TABLES])],
         partitions_def=_PARTITIONS[own.grain],
-        check_specs=[dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=_promise(t)) for t in own.tables],
+        check_specs=[
+            dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=f"{t} {HONOURED}") for t in own.tables
+        ],
         backfill_policy=dg.BackfillPolicy.single_run(),
         description=first_line,
         op_tags={"hdt/stage": own.group},
@@ -72,11 +85,11 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         with panics_as_errors():
             made = fn(**{p: offered[p] if p in offered else scope.read(home.store, p) for p in wanted})
         took = {"seconds": round(time.monotonic() - began, 3)}
-        result = _as_result(made)
+        result, store, ledger = _as_result(made), home.store, home.ledger
         for place, (table, frame) in enumerate(zip(own.tables, result.frames, strict=True)):
-            shown = took | result.metadata if place == result.on else took
-            keep = partial(set_aside, home.store, home.ledger, scope, table)
-            yield from _checked(table, TABLES[table].conform(frame), shown, keep)
+            shown = result.metadata if place == result.on else {}
+            keep = partial(set_aside, store, ledger, scope, table)
+            yield from _checked(table, frame, took, shown, keep)
 
     return run
 
@@ -89,22 +102,24 @@ def _as_result(made: Frames) -> StageResult:
 
 def _drawn(own: Stage, read: list[str]) -> list[str]:
     """Tables from which the graph draws an arrow: those read as arguments, and parents read through the home."""
-    lost = set(read) - followed(own)
+    lost = set(read) - FOLLOWED[own.name]
     if lost:
         raise ValueError(f"{own.name} reads {', '.join(sorted(lost))}, of which its lineage follows no change")
     makers = [MAKER[table].name for table in read]
     return [*read, *(parent for parent in own.parents if MAKER[parent].name not in makers)]
 
 
-def _out(table: str, own: Stage, description: str) -> dg.AssetOut:
+def _out(
+    table: str, own: Stage, description: str, condition: dg.AutomationCondition[dg.AssetKey] | None
+) -> dg.AssetOut:
     schema = TABLES[table].schema
     first = (inspect.getdoc(schema) or "").splitlines()[0]
-    means = declared_columns(table)
-    columns = [dg.TableColumn(n, str(c.dtype), description=means[n]) for n, c in schema.columns().items()]
+    columns = [dg.TableColumn(n, str(c.dtype), description=MEANINGS[table][n]) for n, c in schema.columns().items()]
     return dg.AssetOut(
         group_name=own.group,
-        owners=OWNERS,
-        kinds={"polars", "deltalake"} | ({"scikitlearn"} if table == "prognosis_model" else set()),
+        owners=owners(own.group),
+        kinds={"deltalake", _TOOLS.get(own.group, "polars")},
+        automation_condition=condition,
         description=f"{first}\n\n{description}",
         code_version=own.tables[table].code,
         freshness_policy=FRESH if table == own.fresh else None,
@@ -112,14 +127,19 @@ def _out(table: str, own: Stage, description: str) -> dg.AssetOut:
     )
 
 
-def _promise(table: str) -> str:
-    return f"{table} has the declared columns, types, spans and a unique key"
-
-
 def _checked(
-    table: str, frame: pl.DataFrame, shown: dict[str, Any], keep: Callable[[pl.DataFrame], None] = lambda _: None
+    table: str,
+    frame: pl.DataFrame,
+    took: dict[str, float],
+    shown: Mapping[str, Any],
+    keep: Callable[[pl.DataFrame], None] = lambda _: None,
 ) -> Iterator[Any]:
-    """What the check of a table says, and the rows to store; `keep` is given those that break the declaration."""
+    """What the check of a table says, and the rows to store; `keep` is given those that break the declaration.
+
+    The check speaks of the run: how many rows of how many flights, and how long it `took`. What is stored is told by
+    partition, so only what is `shown` goes with it.
+    """
+    frame = TABLES[table].conform(frame)
     sound, broken = TABLES[table].schema.parted(frame)
     faults = TABLES[table].schema.counted(broken, frame.height)
     refused = bool(faults) and (TABLES[table].whole or (TABLES[table].grain == "fleet" and not sound.height))
@@ -131,12 +151,12 @@ def _checked(
         passed=not faults,
         severity=dg.AssetCheckSeverity.ERROR if refused else dg.AssetCheckSeverity.WARN,
         description=told + says,
-        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none"},
+        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none", **took, **_numbers(sound)},
     )
     if refused:
         raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {says}")
     keep(broken)
-    yield dg.Output(sound, output_name=table, metadata={**shown, **_numbers(sound)})
+    yield dg.Output(sound, output_name=table, metadata=shown)
 
 
 def _numbers(frame: pl.DataFrame) -> dict[str, int]:

@@ -187,7 +187,11 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
             bars.stop()
         fault = fault_of(home) if night.idle and not night.mended else None
         fault = "tables were damaged" if night.idle and night.mended else fault
-        if fault or not night.idle:
+        if not night.idle:
+            from pipelines.orchestration.runs import publish_night  # Dagster is loaded already
+
+            publish_night(home)
+        elif fault:
             publish(home)
         sealed, unsealed = _sealed(home)
         untold = _untold(home)

@@ -33,7 +33,7 @@ def serve(
     where = home_folder(home).resolve()
     try:
         from pipelines.web.address import listening
-        from pipelines.web.serving import serve_cases
+        from pipelines.web.casebook import serve_cases
     except ImportError:
         raise StopError(_EXTRA) from None
     from pipelines.web.people import people

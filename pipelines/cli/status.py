@@ -19,7 +19,7 @@ def status_of(home: Path) -> dict[str, Any]:
     ledger = Ledger(home, looks=True)
     assets = {}
     for table in LINEAGE:
-        cells, waiting = expected(ledger, table).height, undone(ledger, table).height
+        cells, waiting = expected(ledger, table).height, undone(ledger, [table]).height
         assets[table] = {"cells": cells, "up_to_date": cells - waiting, "waiting": waiting}
     nights = ledger.nights().rows(named=True)
     good = [n for n in nights if n["failed"] == "{}"]

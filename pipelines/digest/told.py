@@ -16,9 +16,9 @@ from pipelines.digest.senders import send
 from pipelines.digest.state import EMPTY, State, read_state
 from pipelines.storage.catalog import connect
 from pipelines.storage.files import replacing
-from pipelines.storage.hashes import digest as hashed
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import notify_file
+from pipelines.versions import digest as hashed
 
 _FOLDER, _SENT = "notify", "sent.json"
 

@@ -14,7 +14,6 @@ from pipelines.intake.header import judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine, shortened
 from pipelines.intake.names import EARLIEST, MAX_PACKS
-from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.text import Text, open_text, to_columns
@@ -108,7 +107,7 @@ def _one_file(file: LandingFile, folder: str, now: datetime, packs: int) -> _Rea
 def _opened(file: LandingFile, component: Component) -> tuple[pl.DataFrame, Text | None, _Read]:
     """Known columns of a file in recorded units, `report_time` in UTC, `row` its line."""
     names = tuple(c.column for c in _channels(component))
-    content, faults = read_bytes(file)
+    content, faults = file.read()
     if content is None:
         return pl.DataFrame(), None, _Read(pl.DataFrame(), faults)
     if file.is_text:

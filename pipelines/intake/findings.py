@@ -6,7 +6,7 @@ import polars as pl
 
 from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
-from pipelines.storage.hashes import digest
+from pipelines.versions import digest
 
 CASES, FINDINGS = "cases", "findings"
 """Kinds under which the ledger knows what a home's log of cases says of an aircraft: all of it, and the work in it."""

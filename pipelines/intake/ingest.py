@@ -73,7 +73,8 @@ class Stored:
     spoke: pl.DataFrame
 
     def _of(self, table: str) -> pl.DataFrame:
-        held = self.store.scan(table, [self.aircraft]).filter(pl.col("flight_id").is_in(self.flights)).collect()
+        some = self.store.scan(table, [self.aircraft], self.flights)
+        held = some.filter(pl.col("flight_id").is_in(self.flights)).collect()
         return TABLES[table].conform(held)
 
     def _quarantined(self) -> pl.DataFrame:

@@ -19,6 +19,9 @@ Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
 ]
 PART = ".part"
+MAX_TEXT_BYTES = 64 << 20
+MAX_PARQUET_BYTES = 256 << 20
+"""A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; more is refused before it is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,18 @@ class LandingFile:
     def full_path(self) -> str:
         """Where to open it."""
         return f"{self.landing}/{self.path}"
+
+    def read(self) -> tuple[bytes | None, list[Fault]]:
+        """Content, or None and the fault that kept it out."""
+        limit = MAX_TEXT_BYTES if self.is_text else MAX_PARQUET_BYTES
+        try:
+            with open(self.full_path, "rb") as source:
+                content = source.read(limit + 1)  # the size listed is that of another moment
+        except OSError as error:
+            return None, [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
+        if len(content) > limit:
+            return None, [Fault("too_large", detail=f"It has more than {limit >> 20} MiB.")]
+        return content, []
 
     @property
     def received_at(self) -> datetime:

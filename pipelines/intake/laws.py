@@ -31,15 +31,6 @@ class Law:
     low: float
     high: float
 
-    def read(self, signals: Signals) -> Array:
-        """What each row says; NaN where it says nothing."""
-        with np.errstate(all="ignore"):
-            return self.value(signals)
-
-    def broken(self, value: Array) -> NDArray[np.bool_]:
-        """Of each row whether what it says breaks the law."""
-        return (value < self.low) | (value > self.high)
-
 
 def _less(one: str, other: str) -> Callable[[Signals], Array]:
     return lambda s: s[one] - s[other]
@@ -104,3 +95,15 @@ LAWS = (
     Law("ram air is heated part of the way", _of_the_way, 0.15, 0.85),
     Law("a door is never shut in flight", lambda s: s["ram_door_open"], 0.015, 1.1),
 )
+
+
+def readings(signals: Signals) -> Array:
+    """What each row says of each law; NaN where it says nothing. (laws, rows)"""
+    with np.errstate(all="ignore"):
+        return np.stack([law.value(signals) for law in LAWS])
+
+
+def broken(values: Array) -> NDArray[np.bool_]:
+    """Whether what `readings` gave breaks the law. (laws, rows)"""
+    low, high = (np.array([[getattr(law, side)] for law in LAWS]) for side in ("low", "high"))
+    return (values < low) | (values > high)

@@ -12,7 +12,6 @@ from pipelines.intake.header import judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import EARLIEST, MAX_PACKS, flight_day, flight_tail, is_operator, is_tail
-from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.row_validation import PACKS
 from pipelines.intake.text import Text, open_text, to_columns
@@ -187,7 +186,7 @@ def _read(
     convert: Callable[[bytes], tuple[bytes | None, list[Fault]]] | None = None,
 ) -> Log:
     """Open a log, judge its lines, drop those that stand twice; with `unique`, so many leading fields are a key."""
-    content, faults = read_bytes(file)
+    content, faults = file.read()
     if content is not None and convert:
         content, faults = convert(content)
     if content is None:

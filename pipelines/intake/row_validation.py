@@ -49,9 +49,10 @@ def about_files(files: Sequence[LandingFile], fleet: pl.DataFrame | None) -> pl.
     """What path and fleet list say of each file: operator, tail, source, the flight it is named after, packs."""
     packs = {} if fleet is None else {(o, t): p for o, t, p in fleet.select("operator", "tail", "packs").iter_rows()}
     rows = []
-    for f in files:
-        named = flight_of_file(f.name, f.tail)
-        odd = named is None and not is_history(f.name)
+    names = [f.name for f in files]
+    flights = [flight_of_file(name, f.tail) for name, f in zip(names, files, strict=True)]
+    for f, name, named in zip(files, names, flights, strict=True):
+        odd = named is None and not is_history(name)
         others = ", ".join(sorted(o for o, t in packs if t == f.tail))
         unknown = f"{f.operator} {f.tail}" + (f"; the list has this tail under {others}." if others else ".")
         unknown = "" if not packs or (f.operator, f.tail) in packs else unknown

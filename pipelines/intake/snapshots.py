@@ -13,7 +13,6 @@ from pipelines.intake.header import Header, judge_header
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine, shortened
 from pipelines.intake.names import flight_day, flight_of_file, flight_tail
-from pipelines.intake.opening import read_bytes
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
 from pipelines.intake.recorder_rows import recorder_rows
@@ -140,7 +139,7 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
             opened[i] = _Opened(faults, n_rows)
             frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
             continue
-        content, faults = read_bytes(file)
+        content, faults = file.read()
         if content is None:
             opened[i].faults.extend(faults)
         elif file.is_text:

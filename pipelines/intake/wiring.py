@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hdt_core.physics.model import Array
 from pipelines.intake.columns import POUND_KG, PSI_PA, SIGNAL_COLUMNS, SIGNAL_NAMES, ZERO_CELSIUS_K
-from pipelines.intake.laws import LAWS, Law
+from pipelines.intake.laws import broken, readings
 
 PACK = ("file_index", "flight_id", "pack")
 MOST, FEW = 0.7, 0.12
@@ -139,16 +139,17 @@ class _Look(NamedTuple):
 
 def _look(columns: Columns, units: Index) -> _Look:
     signals = {c.si_name: columns[c.name] * c.scale + c.offset for c in SIGNAL_COLUMNS}
-    return _Look(*np.stack([_under(law, signals, units) for law in LAWS], axis=1))
+    values = readings(signals)
+    looks = [_in_units(value, wrong, units) for value, wrong in zip(values, broken(values), strict=True)]
+    return _Look(*np.stack(looks, axis=1))
 
 
-def _under(law: Law, signals: Columns, units: Index) -> tuple[Array, Array]:
+def _in_units(value: Array, wrong: Mask, units: Index) -> tuple[Array, Array]:
     """Share of rows that break one law, and the standard deviation of its value, in each unit."""
-    value = law.read(signals)
     known = np.isfinite(value)
     n_units = int(units.max(initial=-1)) + 1
     told = np.bincount(units[~np.isnan(value)], minlength=n_units)
-    share = np.bincount(units[law.broken(value)], minlength=n_units) / np.maximum(told, 1) * (told >= ENOUGH)
+    share = np.bincount(units[wrong], minlength=n_units) / np.maximum(told, 1) * (told >= ENOUGH)
     n = np.maximum(np.bincount(units[known], minlength=n_units), 1)
     mean = np.bincount(units[known], value[known], n_units) / n
     away2 = np.bincount(units[known], (value[known] - mean[units[known]]) ** 2, n_units) / n

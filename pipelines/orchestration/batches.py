@@ -1,7 +1,7 @@
 """Which cells share a run: as many flights as one may hold, of one or several aircraft, never one flight each."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
@@ -38,9 +38,9 @@ class PartitionBatch:
         """Whose it is."""
         return self.cells[0][0] if self.cells else "fleet"
 
-    def partition_keys(self) -> list[str]:
+    def partition_keys(self) -> Sequence[str]:
         """Partition keys."""
-        return [partitions.cell_key(a, f) if f else a for a, f in self.cells]
+        return partitions.cell_keys(self.cells) if self.flights[0] else self.aircraft
 
     def parts(self) -> list["PartitionBatch"]:
         """The same in smaller runs: an aircraft each or, of one aircraft, halves; none where there is one cell."""

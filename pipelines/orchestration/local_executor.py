@@ -115,7 +115,7 @@ def _make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, l
 def _runner(landing: Path, home: Path) -> Runner:
     """This worker's own."""
     from pipelines.assets.location import asset_definitions
-    from pipelines.orchestration.runs import Runner, open_instance
+    from pipelines.orchestration.runs import BY, Runner, open_instance
     from pipelines.storage.ledger import Ledger
 
-    return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home))
+    return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home), BY)

@@ -27,7 +27,7 @@ from pipelines.storage.store import Store
 from pipelines.versions import CELL, made_as, narrowed, stale
 
 if TYPE_CHECKING:
-    from dagster import DagsterInstance
+    from dagster import OpExecutionContext
 
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
     from pipelines.orchestration.remote_executor import RemoteExecutor
@@ -99,7 +99,7 @@ def run_night(
     home: Path,
     progress: Progress,
     only: pl.Expr | None = None,
-    instance: DagsterInstance | None = None,
+    within: OpExecutionContext | None = None,
     jobs: int = 1,
 ) -> Night:
     """Take in what is new and bring everything that depends on it up to date.
@@ -112,22 +112,22 @@ def run_night(
         Told what is being done.
     only : Expr, optional
         Which cells (operator, tail, flight_id; empty above flights) are wanted in this run; all by default.
-    instance : DagsterInstance, optional
-        Where runs are recorded; the home's own by default.
+    within : OpExecutionContext, optional
+        Of the run that the night is: its runs are recorded where that one is, and as launched by who launched it.
     jobs : int
-        Processes that may work side by side, where there is enough to do; 1 with an `instance` of the caller's.
+        Processes that may work side by side, where there is enough to do; 1 `within` a run.
     """
     ledger, store, began = Ledger(home), Store(home), _now()
     if fault := earlier.fault_of(store):
         raise StoreError(fault)
-    with workers(landing, home, 1 if instance else jobs) as hands:
-        chain = _Chain(landing, home, ledger, progress, only, instance, hands)
+    with workers(landing, home, 1 if within else jobs) as hands:
+        chain = _Chain(landing, home, ledger, progress, only, within, hands)
         if sends_out(home):
             chain.send_out()  # first: what a killed night sent out may still be writing
         store.sweep()
         chain.mended += mend(landing, store, ledger)
         found = scan(landing, ledger)
-        chain.settled_as, chain.moved = ledger.settled_as(), ledger.moved()
+        chain.settled_as = ledger.settled_as()
         for step in () if ledger.is_settled(made_as(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
@@ -152,7 +152,7 @@ class _Chain:
     ledger: Ledger
     progress: Progress
     only: pl.Expr | None
-    instance: DagsterInstance | None
+    within: OpExecutionContext | None
     hands: LocalExecutor | RemoteExecutor
     runs: int = 0
     cells: int = 0
@@ -160,13 +160,12 @@ class _Chain:
     failed: dict[str, str] = field(default_factory=dict)
     mended: list[str] = field(default_factory=list)
     settled_as: str | None = None
-    moved: pl.DataFrame = field(default_factory=pl.DataFrame)
 
     def send_out(self) -> None:
         """Let other machines make the batches, once what a killed night had sent them is done."""
         from pipelines.orchestration.remote_executor import RemoteExecutor
 
-        if self.instance:
+        if self.within:
             raise EngineError("a night that is itself a run would wait for a worker that waits behind it; use cron")
         self.hands = RemoteExecutor(self.runner)
         self.hands.settle()
@@ -194,11 +193,16 @@ class _Chain:
             self.mended += made.mended
             self.progress.advance(made.cells)
 
+    @cached_property
+    def moved(self) -> tuple[list[tuple[str, str]], list[str]]:
+        """Aircraft and flights whose files came since nothing was stale."""
+        moved = self.ledger.moved()
+        return moved.select("operator", "tail").unique().rows(), moved["flight_id"].unique().to_list()
+
     def _wanted(self, stage: Stage, few: bool) -> pl.DataFrame:
         """Stale cells; where only a `few` can be, of those whose files have moved."""
-        aircraft, flights = self.moved.select("operator", "tail").unique().rows(), self.moved["flight_id"].unique()
         few = few and stage.grain != "fleet"
-        cells = stale(narrowed(self.ledger, stage, aircraft, flights) if few else self.ledger, stage).select(CELL)
+        cells = stale(narrowed(self.ledger, stage, *self.moved) if few else self.ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(self, tables: list[str], batches: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:
@@ -213,12 +217,13 @@ class _Chain:
     def runner(self) -> Runner:
         """Who runs what is not shared out."""
         from pipelines.assets.location import asset_definitions
-        from pipelines.orchestration.runs import Runner, open_instance
+        from pipelines.orchestration.runs import BY, Runner, launched_by, open_instance
 
-        if self.instance is None and (anew := history.set_aside(self.home, whole=False)):
+        if self.within is None and (anew := history.set_aside(self.home, whole=False)):
             self.mended.append(anew)
         defs = asset_definitions(self.landing.resolve(), self.home.resolve())
-        runner = Runner(defs, self.instance or open_instance(self.home), self.ledger)
+        instance = self.within.instance if self.within else open_instance(self.home)
+        runner = Runner(defs, instance, self.ledger, launched_by(self.within.run) if self.within else BY)
         if not sends_out(self.home):
             runner.fail_orphaned_runs()
         return runner

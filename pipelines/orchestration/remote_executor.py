@@ -15,7 +15,8 @@ from dagster_batched import remote
 from dagster_batched.runs import failure_of
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, made_apart
 from pipelines.orchestration.local_executor import EngineError
-from pipelines.orchestration.runs import LOCATION, NIGHT, Runner
+from pipelines.orchestration.runs import LOCATION, Runner
+from pipelines.partitions import NIGHT
 
 LOOK_S = 0.5
 AHEAD = 500  # runs that are sent before those before them are done: Dagster looks at its whole queue each time

@@ -1,5 +1,6 @@
 """Dagster runs: where they are recorded, one run of a batch of cells, what failed."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,17 +9,21 @@ import polars as pl
 
 from dagster_batched import instance
 from dagster_batched.event_log import CoalescingEventLog
+from dagster_batched.materialization import report_runless
 from dagster_batched.partitions import cached_ranges
 from dagster_batched.remote import origins
 from dagster_batched.runs import InterruptedRunError, execute, failure_of, was_interrupted
 from pipelines import partitions
+from pipelines.assets.published import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, made_apart
+from pipelines.partitions import NIGHT
+from pipelines.storage.catalog import publish
 from pipelines.storage.ledger import Ledger
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
-NIGHT = {"hdt/night": "yes"}  # a run of the chain, and none that someone started from the page
 BY = {"user": "hdt nightly"}  # what the list of runs names as who launched it
+_LAUNCHERS = ("dagster/schedule_name", "dagster/sensor_name", "user")
 LOCATION = "pipelines.definitions"
 MOST_PINNED = 3
 _OURS = "# Written by hdt."
@@ -31,6 +36,17 @@ def open_instance(home: Path) -> dg.DagsterInstance:
     return instance.open_instance(home.resolve() / "dagster", _OURS, _SAYS)
 
 
+def launched_by(run: dg.DagsterRun) -> dict[str, str]:
+    """Tags of the runs of a night that is a run itself: who launched that launched these, and which it is."""
+    return {k: v for k, v in run.tags.items() if k in _LAUNCHERS} | {"hdt/night_run": run.run_id}
+
+
+def publish_night(home: Path, recorded_in: dg.DagsterInstance | None = None) -> None:
+    """Publish the catalog and tell Dagster, on whose pages each view stands behind what it reads."""
+    publish(home)
+    report_runless(recorded_in or open_instance(home), [dg.AssetMaterialization(view.key) for view in VIEWS])
+
+
 @dataclass(frozen=True, slots=True)
 class Runner:
     """Runs selections of the location's assets."""
@@ -38,6 +54,7 @@ class Runner:
     defs: dg.Definitions
     instance: dg.DagsterInstance
     ledger: Ledger
+    by: Mapping[str, str]
 
     def fail_orphaned_runs(self) -> None:
         """Mark as failed what a killed night left: its runs would stay STARTED for ever.
@@ -115,7 +132,7 @@ class Runner:
 
         It says where its code is found: another process may need it, and Dagster's timeline shows no run without.
         """
-        tags, asked = batch.tags() | NIGHT | BY | {"hdt/step": label}, job.asset_selection
+        tags, asked = batch.tags() | NIGHT | {**self.by, "hdt/step": label}, job.asset_selection
         where = origins(job, LOCATION)
         return self.instance.create_run_for_job(job, tags=tags, asset_selection=asked, run_config=_QUIET, **where)
 

@@ -1,6 +1,7 @@
 """What the page is made of, read from the catalog in one go."""
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import duckdb
 import polars as pl
 
 from hdt_core.twin.dsm import Dsm
-from pipelines.storage.catalog import connect
+from pipelines.storage.catalog import connect, views
 
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",
@@ -31,6 +32,7 @@ _FRAMES = {
         order by s.closed_at is not null, o.place, s.raised_at desc, s.alert_id""",
     "cases": "select alert_id, state, owner, muted_until, finding, found_by, found_on from cases",
     "due": "select * from due_dates",
+    "rates": "select operator, tail, flights_per_day from flight_rates",
     "stops": "select * from next_stop order by place nulls last, choice",
     "hit_rates": "select * from alert_hit_rates order by component, diagnosis",
     "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
@@ -87,6 +89,12 @@ def read_facts(home: Path) -> Facts:
         card = json.loads(cards[0][0]) if cards else {}
         segment = _segment(con)
         return Facts(frames, _twin(con), segment, _twin_flight(con, segment), card, _dsm(models))
+
+
+def views_read() -> list[str]:
+    """Views that the page's questions name."""
+    asked = " ".join(_FRAMES.values())
+    return [view for view in views() if re.search(rf"\b{view}\b", asked)]
 
 
 def _frame(con: duckdb.DuckDBPyConnection, sql: str) -> pl.DataFrame:

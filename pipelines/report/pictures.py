@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from hdt_core.health.wording import Z_90
 from hdt_core.records.keys import PACK
+from hdt_core.robust import Z_90
 from pipelines.report.plots import as_markdown
 from pipelines.report.replacement import around_replacement
 

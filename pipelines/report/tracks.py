@@ -6,7 +6,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.health.wording import Z_90
+from hdt_core.robust import Z_90
 from pipelines.report import words
 from pipelines.report.charts import GREEN, PURPLE, VERMILLION
 from pipelines.report.facts import Facts
@@ -73,7 +73,9 @@ def unit_tracks(facts: Facts) -> dict[str, Row]:
     return drawn
 
 
-def _track(seen: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float = 0.0) -> Row:
+def _track(
+    seen: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float | None = None
+) -> Row:
     """Columns of the chart's sources, and its ranges. Moments are ms since 1970, losses per cent."""
     worn = thin(seen)
     at = worn.select(_ms("departed_at")).to_series().to_list()
@@ -83,7 +85,7 @@ def _track(seen: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None =
     start, now = whole.row(0)
     own = {"x": at, "y": _percent(worn["loss"]), "low": low, "high": high}
     y = (-10.0, max([45.0, *(v + 5.0 for v in own["y"])]))
-    ahead = _ahead(row, pace_ms, now, own["y"][-1] if own["y"] else 0.0) if row else {}
+    ahead = _ahead(row, pace_ms, now, own["y"][-1] if own["y"] else 0.0) if row and pace_ms else {}
     span = now - start
     until = min(max([0.22 * span, *(v - now for v in ahead.get("high", ()))]), 0.5 * span)
     x = (start, now + (max(1.03 * until, 5e3 * DAY_S) if row else 6e4))
@@ -151,10 +153,10 @@ def _alert(a: Row) -> str:
     return _("{day}: alert, {diagnosis}", day=words.day(a["raised_at"]), diagnosis=words.diagnosis(a["diagnosis"]))
 
 
-def _pace_ms(facts: Facts, row: Row) -> float:
-    """Time from flight to flight, by the last thirty."""
-    own = facts["flights"].filter(operator=row["operator"], tail=row["tail"]).tail(31)["departed_at"]
-    return max(1e3 * float((own[-1] - own[0]).total_seconds()) / max(own.len() - 1, 1), 36e5)
+def _pace_ms(facts: Facts, row: Row) -> float | None:
+    """Time from flight to flight; None where the record is too short to tell."""
+    (per_day,) = facts["rates"].filter(operator=row["operator"], tail=row["tail"])["flights_per_day"]
+    return None if per_day is None else 1e3 * DAY_S / per_day
 
 
 def _ahead(row: Row, pace_ms: float, now: int, loss: float) -> Columns:

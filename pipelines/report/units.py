@@ -5,7 +5,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from hdt_core.health.wording import Z_90
+from hdt_core.robust import Z_90
 from pipelines.report.words import THRESHOLDS, figures, percent, visible
 from pipelines.words import _, number
 

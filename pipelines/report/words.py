@@ -9,8 +9,8 @@ from hdt_core.components import components
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.health.diagnoses import DIAGNOSES
-from hdt_core.health.wording import Z_90
 from hdt_core.prognosis.model import HORIZON
+from hdt_core.robust import Z_90
 from pipelines.words import _, grouped, number, several
 from pipelines.words.evidence import retold
 

@@ -17,9 +17,9 @@ import duckdb
 
 from hdt_core.tables import TABLES
 from pipelines.storage import seal
+from pipelines.storage.delta import hash_of
 from pipelines.storage.files import replacing
-from pipelines.storage.hashes import digest, hash_of
-from pipelines.storage.headers import Header, declared_columns, meanings, read_header
+from pipelines.storage.headers import MEANINGS, meanings, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import keep_copy
 from pipelines.storage.objects import StoreError
@@ -118,8 +118,8 @@ def fault_of(home: Path) -> str | None:
 
 def _made_as(store: Store) -> str:
     """Of what a catalog is made."""
-    said = [f"{table}.{c} {means}" for table in TABLES for c, means in declared_columns(table).items()]
-    return digest(_folder(store), *(sql for _, sql in sorted(views().items())), *said)
+    said = [f"{table}.{c} {means}" for table, columns in MEANINGS.items() for c, means in columns.items()]
+    return hash_of("\n".join([_folder(store), *(sql for _, sql in sorted(views().items())), *said]).encode())
 
 
 def _folder(store: Store) -> str:
@@ -131,9 +131,12 @@ def _folder(store: Store) -> str:
 def add_views(con: duckdb.DuckDBPyConnection) -> None:
     """Every view, over the schema `tables`, with its question and the meaning of its columns as comments."""
     known = {name: read_header(sql) for name, sql in views().items()}
-    for name, sql in ordered(views()):
+    for _, sql in ordered(views()):
         con.execute(sql)
-        _comment(con, name, known)
+    columns = {name: [column for column, *_ in con.execute(f"describe {name}").fetchall()] for name in known}
+    told = [f"comment on view {name} is {_quoted(header.question)}" for name, header in known.items()]
+    told += [f'comment on column {v}."{c}" is {_quoted(m)}' for (v, c), m in meanings(columns, known).items()]
+    con.execute("; ".join(told))  # at once: half the time
 
 
 def views() -> dict[str, str]:
@@ -164,17 +167,8 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> 
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
     """What each declared column of `tables.<table>` means, as its comment."""
-    told = (f"comment on column tables.{table}.{c} is {_quoted(m)}" for c, m in declared_columns(table).items())
+    told = (f"comment on column tables.{table}.{c} is {_quoted(m)}" for c, m in MEANINGS[table].items())
     con.execute("; ".join(told))
-
-
-def _comment(con: duckdb.DuckDBPyConnection, name: str, known: dict[str, Header]) -> None:
-    """The question on the view, the meaning on each of its columns."""
-    columns = [column for column, *_ in con.execute(f"describe {name}").fetchall()]
-    told = (f'comment on column {name}."{c}" is {_quoted(m)}' for c, m in meanings(name, columns, known).items())
-    con.execute(
-        "; ".join([f"comment on view {name} is {_quoted(known[name].question)}", *told])
-    )  # at once: half the time
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:

@@ -7,14 +7,16 @@ A change is one commit: all of it or nothing. A commit that another has overtake
 Any version is readable until its files are vacuumed.
 """
 
+import hashlib
 import io
 import json
 import re
+import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import polars as pl
 from deltalake import DeltaTable, Schema
@@ -27,9 +29,7 @@ from deltalake.transaction import (
     create_table_with_add_actions,
 )
 
-from pipelines.storage.fault_points import fault_point
 from pipelines.storage.files import Folder
-from pipelines.storage.hashes import hash_of
 from pipelines.storage.objects import Bucket, StoreError
 
 Held = Callable[[str], pl.DataFrame | None]
@@ -55,19 +55,30 @@ class Deltas:
 
     place: Folder | Bucket
     _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
+    _listed: dict[str, tuple[object, dict[str, str]]] = field(default_factory=dict)  # shards, by the newest commit
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:
         """The table now, or at a version; None where there is none."""
-        with self._one_line(table):
-            try:
-                return DeltaTable(f"{self.place.url}/{table}", version, self.place.options)
-            except TableNotFoundError:
-                return None
+        try:
+            return DeltaTable(f"{self.place.url}/{table}", version, self.place.options)
+        except TableNotFoundError:
+            return None
+        except (DeltaError, OSError) as error:
+            raise self._unreadable(table, error) from None
 
     def shards(self, table: str, version: int | None = None) -> dict[str, str]:
-        """The file of each shard, below the table's folder."""
-        held = self.open(table, version)
-        return {} if held is None else shards_of(held)
+        """The file of each shard, below the table's folder.
+
+        A table is opened once a commit: a night asks some five hundred times, and a log of years takes a while to read.
+        """
+        newest = self.place.newest_commit(table) if version is None else None
+        known, shards = self._listed.get(table, (None, {}))
+        if newest is None or newest != known:
+            held = self.open(table, version)
+            shards = {} if held is None else shards_of(held)
+        if newest is not None:
+            self._listed[table] = newest, shards
+        return shards
 
     def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
         """Places of the files of all or some shards; of a folder's name, all below it."""
@@ -102,13 +113,14 @@ class Deltas:
             if not made:
                 return now
             schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
-            new = {s: a for s, f in made.items() if (a := self._write(table, s, f, files.get(s)))}
+            new = {s: f for s, frame in made.items() if (f := _packed(s, frame)).name != files.get(s)}
             if now is None:
-                if self._begin(table, schema, list(new.values())):
-                    return self.open(table)
+                begun = self._begin(table, schema, list(new.values()))
+                if begun is not None:
+                    return begun
                 continue
             gone = [_removed(files[s]) for s in new if s in files]
-            if not new or self._commit(table, now, schema, [*new.values(), *gone]):
+            if not new or self._commit(table, now, schema, list(new.values()), gone):
                 return now
 
     def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> DeltaTable:
@@ -122,7 +134,7 @@ class Deltas:
         """Let the table be without some of its files, which are not what was written."""
         now, lost = self.open(table), set(files)
         if now is not None and (left := lost & set(shards_of(now).values())):
-            self._commit(table, now, now.schema(), [_removed(file) for file in sorted(left)])
+            self._commit(table, now, now.schema(), (), [_removed(file) for file in sorted(left)])
 
     def read(self, path: str) -> bytes:
         """A data file whole."""
@@ -142,49 +154,43 @@ class Deltas:
             self._sound.add(path)
         return f"{self.place.url}/{path}"
 
-    def _write(self, table: str, shard: str, frame: pl.DataFrame, before: str | None) -> AddAction | None:
-        """Write a shard's file; None where its content is what the table holds already."""
-        packed = io.BytesIO()
-        frame.write_parquet(packed, compression="zstd")
-        content = packed.getvalue()
-        file = f"{shard}.{hash_of(content)}.parquet"
-        if file == before:
-            return None
-        self.place.put(f"{table}/{file}", content)
-        return AddAction(file, len(content), {}, time.time_ns() // 1_000_000, True, json.dumps(_stats(frame)))
+    def _put(self, table: str, files: Iterable["_File"]) -> list[AddAction]:
+        """Write files of a table; what a commit says of them."""
+        added = []
+        for file in files:
+            self.place.put(f"{table}/{file.name}", file.content)
+            now_ms = time.time_ns() // 1_000_000
+            added.append(AddAction(file.name, len(file.content), {}, now_ms, True, file.stats))
+        return added
 
-    @contextmanager
-    def _one_line(self, table: str) -> Iterator[None]:
-        """What keeps a log from being read, in one line; that there is none goes on its way."""
-        try:
-            yield
-        except TableNotFoundError:
-            raise
-        except (DeltaError, OSError) as error:
-            said = f"the log of {table} can't be read ({_first_line(error)})"
-            raise StoreError(said) if self.place.remote else DamageError(said) from None
+    def _unreadable(self, table: str, error: Exception) -> StoreError:
+        """What keeps a log from being read, in one line."""
+        said = f"the log of {table} can't be read ({_first_line(error)})"
+        return StoreError(said) if self.place.remote else DamageError(said)
 
-    def _begin(self, table: str, schema: Schema, added: list[AddAction]) -> bool:
-        """A table's first commit; False where another began it."""
-        self.place.prepare(table)
-        fault_point("before_commit")
+    def _begin(self, table: str, schema: Schema, files: Iterable["_File"]) -> DeltaTable | None:
+        """A table's first commit; None where another began it."""
+        added = self._put(table, files)
         where, how = f"{self.place.url}/{table}", self.place.options
+        sys.audit("hdt.before_commit")
         try:
-            with self._one_line(table):
-                create_table_with_add_actions(
-                    where, schema, added, "error", storage_options=how, configuration=_KEPT, **_ONCE
-                )
-        except StoreError:
+            create_table_with_add_actions(
+                where, schema, added, "error", storage_options=how, configuration=_KEPT, **_ONCE
+            )
+        except (DeltaError, OSError) as error:
             if self.open(table) is None:
-                raise
-            return False
-        fault_point("after_commit")
+                raise self._unreadable(table, error) from None
+            return None
+        sys.audit("hdt.after_commit")
         self.place.settle(table, 0)
-        return True
+        return DeltaTable(where, None, how)
 
-    def _commit(self, table: str, now: DeltaTable, schema: Schema, actions: list[AddAction | RemoveAction]) -> bool:
+    def _commit(
+        self, table: str, now: DeltaTable, schema: Schema, files: Iterable["_File"], gone: Iterable[RemoveAction]
+    ) -> bool:
         """One commit; False where another came first."""
-        fault_point("before_commit")
+        actions: list[AddAction | RemoveAction] = [*self._put(table, files), *gone]
+        sys.audit("hdt.before_commit")
         have = {f.name for f in now.schema().fields}
         more = [f for f in schema.fields if f.name not in have]
         try:
@@ -195,19 +201,44 @@ class Deltas:
             return False
         except DeltaError as error:
             raise StoreError(f"{table}: {_first_line(error)}") from None
-        fault_point("after_commit")
+        sys.audit("hdt.after_commit")
         now.update_incremental()
         self.place.settle(table, now.version())
         return True
 
 
+class _File(NamedTuple):
+    """A data file to be written: its name below the table's folder, its bytes, and what a commit says of its rows."""
+
+    name: str
+    content: bytes
+    stats: str
+
+
+def _packed(shard: str, frame: pl.DataFrame) -> _File:
+    packed = io.BytesIO()
+    frame.write_parquet(packed, compression="zstd")
+    content = packed.getvalue()
+    return _File(f"{shard}.{hash_of(content)}.parquet", content, json.dumps(_stats(frame)))
+
+
 _KEPT: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
+
+
+def hash_of(content: bytes) -> str:
+    """What names a file by its content: 20 digits of SHA-256."""
+    return hashlib.sha256(content).hexdigest()[:20]
 
 
 def hash_in(path: str) -> str:
     """The hash that a data file's name holds."""
     named = _NAMED.fullmatch(path)
     return named["hash"] if named else ""
+
+
+def hashes(root: Path, names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Of each file the hash that its name holds, if any, and that of its content."""
+    return {name: (hash_in(name), hash_of((root / name).read_bytes())) for name in names}
 
 
 def shards_of(table: DeltaTable) -> dict[str, str]:

@@ -3,14 +3,13 @@
 import os
 import secrets
 import shutil
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import ClassVar
-
-from pipelines.storage.fault_points import fault_point
 
 LOG = "_delta_log"
 
@@ -32,12 +31,12 @@ def replacing(path: Path) -> Iterator[Path]:
     _make_folder(path.parent)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        fault_point("before_write")
+        sys.audit("hdt.before_write")  # for tests, which kill at named places (benchmarks/fault_points.py)
         yield temporary
         _sync(temporary)
-        fault_point("before_rename")
+        sys.audit("hdt.before_rename")
         temporary.replace(path)
-        fault_point("after_rename")
+        sys.audit("hdt.after_rename")
         _sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
@@ -72,11 +71,11 @@ def replacing_folder(path: Path, ours: Collection[str]) -> Iterator[Path]:
         yield temporary
         for file in (*temporary.iterdir(), temporary):
             _sync(file)
-        fault_point("before_rename")
+        sys.audit("hdt.before_rename")
         if path.exists():
             path.rename(old)
         temporary.rename(path)
-        fault_point("after_rename")
+        sys.audit("hdt.after_rename")
         _sync(path.parent)
     finally:
         for left in (temporary, old):
@@ -112,14 +111,11 @@ class Folder:
     """Tables below one local folder."""
 
     root: Path
-    url: str = field(init=False)
+    url: str
     """What the place of every file begins with."""
     remote: ClassVar[bool] = False
     options: ClassVar[dict[str, str]] = {}
     """What a reader of the files must be told beside their names: nothing."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "url", str(self.root.resolve()))
 
     def get(self, path: str) -> bytes:
         """A file whole."""
@@ -135,17 +131,23 @@ class Folder:
         with suppress(OSError):
             os.utime(self.root / path, (0, 0))
 
-    def prepare(self, table: str) -> None:
-        """Make the folder of a table's log, so that its name survives a power cut."""
-        _make_folder(self.root / table / LOG)
+    def newest_commit(self, table: str) -> tuple[str, int, int] | None:
+        """Name, time and size of the newest commit of a table's log; None where there is none."""
+        try:
+            newest = max((f for f in os.scandir(self.root / table / LOG) if f.name.endswith(".json")), key=_name)
+            now = newest.stat()
+        except (FileNotFoundError, ValueError):
+            return None
+        return newest.name, now.st_mtime_ns, now.st_size
 
     def settle(self, table: str, version: int) -> None:
-        """Wait until a commit, and the one before it, are on the disk: who wrote the log did not."""
+        """Wait until a commit, the one before it and the log's own name are on the disk: who wrote the log did not."""
         log = self.root / table / LOG
         for name in (f"{v:020}.{end}" for v in (version - 1, version) for end in ("json", "checkpoint.parquet")):
             with suppress(FileNotFoundError):
                 _sync(log / name)
-        _sync(log)
+        for folder in (log, log.parent) if version == 0 else (log,):
+            _sync(folder)
 
     def sweep(self) -> int:
         """Remove what killed writers left: parts of files, and a last commit that a power cut tore."""
@@ -158,6 +160,10 @@ class Folder:
         for left in self.root.glob(f"*/{LOG}/*#*"):
             left.unlink()
         return sweep(self.root)
+
+
+def _name(file: os.DirEntry[str]) -> str:
+    return file.name
 
 
 def sweep(folder: Path) -> int:

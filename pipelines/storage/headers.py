@@ -1,9 +1,8 @@
 """What views and columns mean: headers of the views, declarations of the tables."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 
 import dataframely as dy
 
@@ -39,15 +38,9 @@ def read_header(sql: str) -> Header:
     return Header(question, text.pop(""), text.pop("Grain", "").rstrip("."), reads, text)
 
 
-def meanings(view: str, columns: Iterable[str], known: dict[str, Header]) -> dict[str, str]:
-    """`meaning` of some columns of a view."""
-    return {column: meaning(view, column, known) for column in columns}
-
-
-@cache
-def declared_columns(table: str) -> dict[str, str]:
-    """What each declared column of a table means, with its unit."""
-    return {name: declared(column) for name, column in TABLES[table].schema.columns().items()}
+def meanings(columns: Mapping[str, Iterable[str]], known: dict[str, Header]) -> dict[tuple[str, str], str]:
+    """`meaning` of each column of some views."""
+    return {(view, column): meaning(view, column, known) for view, own in columns.items() for column in own}
 
 
 def meaning(view: str, column: str, known: dict[str, Header]) -> str:
@@ -57,8 +50,8 @@ def meaning(view: str, column: str, known: dict[str, Header]) -> str:
         return header.columns[column]
     tables = [r.removeprefix("tables.") for r in header.reads if r.startswith("tables.")]
     for table in tables:
-        if column in declared_columns(table):
-            return declared_columns(table)[column]
+        if column in MEANINGS[table]:
+            return MEANINGS[table][column]
     for other in header.reads:
         if other in known and (found := meaning(other, column, known)):
             return found
@@ -69,3 +62,7 @@ def declared(column: dy.Column) -> str:
     """What a declared column means, with its unit."""
     said = column.metadata or {}
     return str(said.get("meaning", "")) + (f" [{said['unit']}]" if said.get("unit") else "")
+
+
+MEANINGS = {t: {name: declared(c) for name, c in entry.schema.columns().items()} for t, entry in TABLES.items()}
+"""What each declared column of each table means, with its unit."""

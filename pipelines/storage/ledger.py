@@ -11,6 +11,7 @@ need not look at every cell.
 import os
 import re
 import sqlite3
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,6 @@ from typing import Any, TypeVar
 import polars as pl
 
 from pipelines.storage import postgres, sqlite_reader
-from pipelines.storage.fault_points import fault_point
 
 _SCHEMA = """
 create table if not exists files (
@@ -156,8 +156,8 @@ class Ledger:
             if con.execute("select made_as from settled").fetchall():  # else any cell may be stale
                 moved = {(r[1], r[2], f) for r in rows for f in ("", *flights.get(r[0], []))}
                 con.executemany("insert into moved values (?, ?, ?) on conflict do nothing", sorted(moved))
-            fault_point("before_register")
-        fault_point("after_register")
+            sys.audit("hdt.before_register")
+        sys.audit("hdt.after_register")
 
     def files(self, kinds: Iterable[str]) -> pl.DataFrame:
         """Files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
@@ -179,14 +179,18 @@ class Ledger:
         """Stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
         return self._cells("select operator, tail, flight_id, version from done where asset = ?", "done", [asset])
 
+    def versions(self, assets: Iterable[str]) -> dict[str, pl.DataFrame]:
+        """`done` of each of some assets."""
+        return {asset: self.done(asset) for asset in assets}
+
     def mark(self, asset: str, cells: pl.DataFrame) -> None:
         """Note that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
         wanted = cells.select(pl.lit(asset).alias("asset"), "operator", "tail", "flight_id", "version")
         rows = sorted(wanted.rows(), key=lambda row: row[:4])  # in one order, or two who mark the same cells deadlock
         with self._write() as con:
             con.executemany(_SET_VERSION, rows)
-            fault_point("before_mark")
-        fault_point("after_mark")
+            sys.audit("hdt.before_mark")
+        sys.audit("hdt.after_mark")
 
     def settle(self, made_as: str) -> None:
         """Note that nothing is stale where cells are made in this way."""

@@ -6,12 +6,12 @@ logs, and which files a table was made of. Objects have no seal: an object store
 
 import json
 from collections.abc import Collection, Iterable, Mapping
+from os import stat_result
 from pathlib import Path
 from typing import NamedTuple
 
-from pipelines.storage.delta import hash_in
+from pipelines.storage.delta import hash_in, hash_of, hashes
 from pipelines.storage.files import LOG, replacing
-from pipelines.storage.hashes import hash_of
 from pipelines.storage.store import Store
 
 NAME = "seal.json"
@@ -42,9 +42,11 @@ def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
         return
     root, before = Path(store.root), read(store.home)
     known = before.files if before else {}
-    names = (str(p.relative_to(root)) for p in root.rglob("[!.]*") if p.is_file() and p.name != _HINT)
-    files = {name: _entry(root / name, name, known.get(name)) for name in names}
-    _write(store.home, files, {table: list(paths) for table, paths in held.items()})
+    there = (p for p in root.rglob("[!.]*") if p.is_file() and p.name != _HINT)
+    files = {str(p.relative_to(root)): p.stat() for p in there}
+    new = hashes(root, [name for name, told in files.items() if not _as_before(told, known.get(name))])
+    entries = {n: _entry(told, known.get(n), *new[n]) if n in new else known[n] for n, told in files.items()}
+    _write(store.home, entries, {table: list(paths) for table, paths in held.items()})
 
 
 def read(home: Path) -> Seal | None:
@@ -81,11 +83,13 @@ def _write(home: Path, files: dict[str, Entry], tables: dict[str, list[str]]) ->
         temporary.write_text(f"{hash_of(text.encode())}\n{text}")
 
 
-def _entry(file: Path, name: str, before: Entry | None) -> Entry:
-    told = file.stat()
-    if before and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns):
-        return before
-    wanted, found = hash_in(name) or (before.hash if before else ""), hash_of(file.read_bytes())
+def _as_before(told: stat_result, before: Entry | None) -> bool:
+    return before is not None and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns)
+
+
+def _entry(told: stat_result, before: Entry | None, named: str, found: str) -> Entry:
+    """A file that is new or changed, whose name may hold a hash; one that is not what was written stays as it was."""
+    wanted = named or (before.hash if before else "")
     if wanted and wanted != found:
         return before or Entry(-1, 0, wanted)
     return Entry(told.st_size, told.st_mtime_ns, found)
@@ -93,8 +97,7 @@ def _entry(file: Path, name: str, before: Entry | None) -> Entry:
 
 def _is_same(file: Path, name: str, before: Entry | None, whole: bool) -> bool:
     try:
-        told = file.stat()
-        if not whole and before and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns):
+        if not whole and _as_before(file.stat(), before):
             return True
         return hash_of(file.read_bytes()) == (before.hash if before else hash_in(name))
     except OSError:

@@ -46,7 +46,8 @@ class Store:
             return bucket(self.url)
         if "://" in self.url.removeprefix("file://"):
             raise StoreError(f"{URL} is a folder or s3://bucket/prefix, not {self.url!r}")
-        return Folder(Path(self.url.removeprefix("file://")) if self.url else self.home / "tables")
+        root = Path(self.url.removeprefix("file://")) if self.url else self.home / "tables"
+        return Folder(root, str(root.resolve()))
 
     @cached_property
     def tables(self) -> Deltas:
@@ -63,12 +64,17 @@ class Store:
         """Whether objects keep the rows, which no other program changes, moves or copies."""
         return self.place.remote
 
-    def scan(self, table: str, aircraft: Iterable[Aircraft] | None = None) -> pl.LazyFrame:
+    def scan(
+        self, table: str, aircraft: Iterable[Aircraft] | None = None, flights: Iterable[str] | None = None
+    ) -> pl.LazyFrame:
         """The table as a lazy frame in its declared types, of all or some aircraft; empty where nothing is stored.
 
-        Columns that are declared since are null.
+        Where only some `flights` of these aircraft are asked for, no file is read in which none of them can be. Columns
+        that are declared since are null.
         """
-        stored = self.tables.scan(table, None if aircraft is None else [shard_of(a) for a in aircraft])
+        names = [""] if flights is None else _shards(table, flights)
+        wanted = None if aircraft is None else [shard_of(a, name) for a in aircraft for name in names]
+        stored = self.tables.scan(table, wanted)
         if stored is None:
             return TABLES[table].schema.create_empty().lazy()
         held = stored.collect_schema()
@@ -124,6 +130,12 @@ def shard_of(aircraft: Aircraft, shard: str = "") -> str:
     return f"{operator}/{tail}/{shard}".rstrip("/")
 
 
+def _shards(table: str, flights: Iterable[str]) -> list[str]:
+    """Names of the shards that hold some flights of a table by flight."""
+    asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String})
+    return asked.select(TABLES[table].shard_of).to_series().unique().sort().to_list()
+
+
 def _own(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:
     """Rows of one aircraft."""
     return frame if aircraft == FLEET else frame.filter(operator=aircraft[0], tail=aircraft[1])
@@ -131,19 +143,21 @@ def _own(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:
 
 def _merged(table: str, aircraft: Aircraft, flights: Iterable[str], frame: pl.DataFrame) -> Change:
     """An aircraft's shards with the rows of `flights` replaced by `frame`."""
-    entry = TABLES[table]
-    asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
-    fresh = frame.with_columns(entry.shard_of).partition_by("shard", as_dict=True, include_key=False)
+    entry, shard = TABLES[table], TABLES[table].shard_of
+    ids = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(shard)
+    asked = {name: own["flight_id"].implode() for (name,), own in ids.partition_by("shard", as_dict=True).items()}
+    shards = {name: shard_of(aircraft, str(name)) for name in asked}
+    fresh = frame.with_columns(shard).partition_by("shard", as_dict=True, include_key=False)
 
     def change(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
-        for (name,), own in asked.partition_by("shard", as_dict=True).items():
-            shard = shard_of(aircraft, str(name))
-            new, before = fresh.get((name,)), held(shard)
+        stored = {name: held(shard) for name, shard in shards.items()}
+        for name, shard in shards.items():
+            new, before = fresh.get((name,)), stored[name]
             if new is None and before is None:
                 continue
             new = entry.conform(frame.clear() if new is None else new)
             if before is not None:
-                kept = before.filter(~pl.col("flight_id").is_in(own["flight_id"].implode()))
+                kept = before.filter(~pl.col("flight_id").is_in(asked[name]))
                 new = pl.concat([entry.conform(kept), new], how="diagonal")
             yield shard, new.sort(entry.key)
 

@@ -16,7 +16,6 @@ import duckdb
 
 from pipelines.lineage import STAGES
 from pipelines.storage.catalog import connect
-from pipelines.storage.hashes import digest
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
 from pipelines.trial.document import Part, bullets, code, document, heading, section, table, verbatim
@@ -24,6 +23,7 @@ from pipelines.trial.frozen import frozen
 from pipelines.trial.log import entries
 from pipelines.trial.log import faults as faults_of_log
 from pipelines.trial.seal import log_folder
+from pipelines.versions import digest
 
 _PURPOSE = (
     "Advisory: it tells line maintenance which exchanger or compressor of an air-conditioning pack wears, why, and "

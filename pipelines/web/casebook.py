@@ -4,31 +4,46 @@ Everything it shows is read from the catalog and the log of cases, read only; th
 log. No script runs in it.
 """
 
+import re
 import secrets
+import socket
 from collections.abc import Awaitable, Callable, Collection
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import uvicorn
+from jinja2 import Environment
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.middleware import Middleware
 from starlette.middleware.sessions import SessionMiddleware
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from pipelines.casework.changes import DONE, FOUND, KINDS, change_case
 from pipelines.casework.listing import OPEN, find_case, history_of, list_cases, outlook_of
+from pipelines.report import words
+from pipelines.report.templating import source_hash, templates_of
 from pipelines.storage.cases import ConflictError
+from pipelines.web.address import LOCAL
 from pipelines.web.guard import Guard, Guesses
-from pipelines.web.pages import show
 from pipelines.web.people import Person, people, person_of, session_secret
 
+_POLICY = "default-src 'none'; style-src {}; img-src data:; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 HOURS = 8
 """How long a session lasts."""
 _ASKED = ("note", "assignee", "until", "finding", "action", "on", "reference")
 Answer = Callable[[Request, Person], Awaitable[Response]]
+
+
+def serve_cases(home: Path, sock: socket.socket, names: tuple[str, ...] = (), https: bool = False) -> None:
+    """Serve the page until someone stops it."""
+    app = application(home, LOCAL | set(names), https)
+    config = uvicorn.Config(app, log_level="warning", server_header=False, proxy_headers=False)
+    uvicorn.Server(config).run(sockets=[sock])
 
 
 def application(home: Path, names: Collection[str], https: bool = False) -> Starlette:
@@ -114,7 +129,7 @@ class Casebook:
         mine = "(len($operators::varchar[]) = 0 or list_contains($operators::varchar[], c.operator))"
         where = mine if every else f"{OPEN} and {mine}"
         found = await run_in_threadpool(list_cases, self.home, where, {"operators": list(person.operators)})
-        return show("cases.html", title="Cases", person=person, token=_token(request), cases=found, every=every)
+        return _page("cases.html", title="Cases", person=person, token=_token(request), cases=found, every=every)
 
     async def show(self, request: Request, person: Person) -> Response:
         """One case."""
@@ -158,14 +173,14 @@ class Casebook:
         told = await run_in_threadpool(history_of, self.home, case["alert_id"])
         due, choices = await run_in_threadpool(outlook_of, self.home, case)
         title = f"{case['tail']} pack {case['pack']}: {case['diagnosis']}"
-        return show(
+        return _page(
             "case.html", status, title=title, person=person, token=_token(request), case=case, told=told, said=said,
             found=list(FOUND), done=DONE, due=due, choices=choices,
         )  # fmt: skip
 
 
 def _login(request: Request, status: int = 200, said: str = "") -> Response:
-    return show("login.html", status, title="Log in", token=_token(request), said=said)
+    return _page("login.html", status, title="Log in", token=_token(request), said=said)
 
 
 def _none(request: Request, person: Person) -> Response:
@@ -174,7 +189,7 @@ def _none(request: Request, person: Person) -> Response:
 
 
 def _told(request: Request, person: Person, status: int, said: str) -> Response:
-    return show("told.html", status, title="Cases", person=person, token=_token(request), said=said)
+    return _page("told.html", status, title="Cases", person=person, token=_token(request), said=said)
 
 
 def _token(request: Request) -> str:
@@ -190,3 +205,17 @@ async def _brings_token(request: Request) -> bool:
 def _word(form: FormData, name: str) -> str:
     value = form.get(name)
     return value.strip() if isinstance(value, str) else ""
+
+
+def _page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
+    """A page; nothing in it runs, and nothing is fetched for it."""
+    html = _environment().get_template(template).render(language="en", **context)
+    (style,) = re.findall(r"<style>(.*?)</style>", html, flags=re.DOTALL)
+    return HTMLResponse(html, status, {"content-security-policy": _POLICY.format(source_hash(style))})
+
+
+@cache
+def _environment() -> Environment:
+    made = templates_of("pipelines.web", "pipelines.report")
+    made.filters["plainly"] = words.diagnosis
+    return made

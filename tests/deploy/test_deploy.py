@@ -4,10 +4,12 @@ import importlib
 import re
 import shutil
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 import typer
 import yaml
+from celery.bin.celery import celery
 from dagster._cli import create_dagster_cli
 from dagster._core.instance.config import dagster_instance_config
 from dagster._daemon.cli import create_dagster_daemon_cli
@@ -21,16 +23,35 @@ SERVICES = COMPOSE["services"]
 OURS = {name: s for name, s in SERVICES.items() if "build" in s}
 COMMANDS = {"dagster-webserver": create_dagster_webserver_cli, "dagster-daemon": create_dagster_daemon_cli,
             "dagster": create_dagster_cli, "hdt": lambda: typer.main.get_command(app)}  # fmt: skip
+GIVEN = {"webserver": {"listen": "0.0.0.0"}, "daemon": {"module_name": ("pipelines.definitions",)}, "night": {}}
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", sorted(set(OURS) - {"worker"}))
 def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
     program, *words = OURS[name]["entrypoint"]
     command = COMMANDS[program]()
     if hasattr(command, "commands") and words[0] in command.commands:
         command = command.commands[words.pop(0)]
     taken = command.make_context(program, list(words)).params
-    assert taken.get("module_name") == ("pipelines.definitions",) or (program, taken["listen"]) == ("hdt", "0.0.0.0")
+    assert {k: taken.get(k) for k in GIVEN[name]} == GIVEN[name]
+
+
+def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(monkeypatch):
+    """The command as Celery reads it, and the service's own broker in the address that the settings name."""
+    monkeypatch.setenv("HDT_BROKER_URL", "memory://")
+    program, of, module, worker, flag, runs_at_once = OURS["worker"]["entrypoint"]
+    options = {o for p in celery.commands[worker].params for o in p.opts}
+    assert (program, of, flag in options, runs_at_once.isdigit()) == ("celery", "--app", True, True)
+    tasks = importlib.import_module(module).app.tasks
+    assert any(task.endswith("execute_job") for task in tasks), sorted(tasks)
+    environment = OURS["worker"]["environment"]
+    assert urlsplit(environment["HDT_BROKER_URL"]).hostname in OURS["worker"]["depends_on"]
+    wanted = set(re.findall(r"env: (\w+)", (ROOT / "deploy/celery.yaml").read_text()))
+    assert wanted <= set(environment)
+
+
+def test_nothing_of_the_workers_starts_unasked():
+    assert {name for name, s in SERVICES.items() if "profiles" in s} == {"broker", "worker", "night"}
 
 
 def test_services_volumes_and_files_that_are_named_are_there():
@@ -65,7 +86,8 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
 @pytest.mark.parametrize(
     ("before", "now", "name"),
     [
-        ("pipelines.eventlog", "dagster_batched.sqlite", "BatchedSqliteEventLogStorage"),
+        ("dagster_batched.sqlite", "dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
+        ("pipelines.eventlog", "dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
         ("pipelines.eventlog_postgres", "dagster_batched.postgres", "BatchedPostgresEventLogStorage"),
         ("pipelines.broker", "dagster_batched.celery", "WatchedCeleryRunLauncher"),
     ],

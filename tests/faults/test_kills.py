@@ -13,9 +13,9 @@ import dagster as dg
 import pytest
 from soundness import faults
 
+from benchmarks.fault_points import POINTS
 from benchmarks.fingerprint import fingerprint
 from pipelines.orchestration.runs import open_instance
-from pipelines.storage.fault_points import POINTS
 
 KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
 """Kills at random moments, beside those at the named places."""

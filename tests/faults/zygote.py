@@ -1,10 +1,10 @@
 """A process that has imported everything and done nothing: it forks a child for each night, so that a kill is cheap.
 
 It must not touch a frame itself: a fork would take over Polars' threads as locks without owners. It reads one JSON
-object a line: `landing`, `home` and, if wanted, `fault` (HDT_FAULT), `kill_after_s`, `file_limit` (bytes a file may
-grow to), `nobody` (drop privileges), `steps` (only the first of the chain), `publish` (so often, instead of a night),
-`only` (flights up to this one), `cut` (the fault is a power cut). It answers with the child's wait status and what it
-said.
+object a line: `landing`, `home` and, if wanted, `fault` (see `fault_points.arm`), `kill_after_s`, `file_limit` (bytes
+a file may grow to), `nobody` (drop privileges), `steps` (only the first of the chain), `publish` (so often, instead of
+a night), `only` (flights up to this one), `cut` (the fault is a power cut). It answers with the child's wait status and
+what it said.
 """
 
 import json
@@ -13,6 +13,7 @@ import resource
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "support")]
@@ -24,8 +25,9 @@ from powercut import Disk  # noqa: E402
 
 import pipelines.definitions  # noqa: E402
 import pipelines.orchestration.runs  # noqa: E402, F401
+from benchmarks import fault_points  # noqa: E402
 from pipelines.orchestration import nightly  # noqa: E402
-from pipelines.storage import fault_points, files  # noqa: E402
+from pipelines.storage import files  # noqa: E402
 from pipelines.storage.catalog import publish  # noqa: E402
 
 
@@ -33,7 +35,7 @@ def work(asked: dict) -> None:
     """One child's life."""
     landing, home = Path(asked["landing"]), Path(asked["home"])
     if "fault" in asked:
-        os.environ["HDT_FAULT"] = asked["fault"]
+        fault_points.arm(asked["fault"], cut_of(home, **asked["cut"]) if "cut" in asked else None)
     if "file_limit" in asked:
         resource.setrlimit(resource.RLIMIT_FSIZE, (asked["file_limit"],) * 2)
     if asked.get("nobody") and os.geteuid() == 0:
@@ -43,8 +45,6 @@ def work(asked: dict) -> None:
         for _ in range(asked["publish"]):
             publish(home)
         return
-    if "cut" in asked:
-        cut_the_power(home, **asked["cut"])
     # the empty flight_id of cells above flights comes before all others
     only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
     nightly.STAGES = stages_of(0, asked.get("steps"))
@@ -56,17 +56,12 @@ def work(asked: dict) -> None:
         sys.exit(f"failed: {night.failed}")
 
 
-def cut_the_power(home: Path, lose_history: bool = False, sync: bool = True) -> None:
-    """Let the fault take the power with it, after a night that syncs its files or, to see that it matters, doesn't."""
+def cut_of(home: Path, lose_history: bool = False, sync: bool = True) -> Callable[[], None]:
+    """A power cut, after a night that syncs its files or, to see that it matters, doesn't."""
     disk = Disk(home, home.with_name(f"shadow{os.getpid()}"))
-
-    def strike(*_: str) -> None:
-        disk.cut(lose_history)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    fault_points._strike = strike
     if not sync:
         files._sync = lambda path: None
+    return lambda: disk.cut(lose_history)
 
 
 def child(asked: dict, told: int) -> None:

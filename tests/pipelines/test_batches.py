@@ -115,9 +115,9 @@ class Together(Runner):
 
 def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch):
     batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
-    done = Together(None, None, None).make([], batch, "alerts")
+    done = Together(None, None, None, {}).make([], batch, "alerts")
     assert (done.runs, done.failed) == (5, {})
     assert done.mended == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
     monkeypatch.setattr(Together, "bad", (KEYS[1],))
-    done = Together(None, None, None).make([], batch, "alerts")
+    done = Together(None, None, None, {}).make([], batch, "alerts")
     assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())

@@ -1,6 +1,8 @@
 """What `dagster dev` shows: every stage, with owners, kinds, descriptions, checks and the agreed partitions."""
 
 import pickle
+import tomllib
+from pathlib import Path
 
 import dagster as dg
 import polars as pl
@@ -16,10 +18,13 @@ from pipelines.assets.stage import CHECK, _checked
 from pipelines.definitions import build_defs
 from pipelines.lineage import LINEAGE
 from pipelines.orchestration.local_executor import EngineError
-from pipelines.orchestration.runs import open_instance
+from pipelines.orchestration.runs import LOCATION, open_instance
+from pipelines.partitions import NIGHT
+from pipelines.storage.catalog import views
+from pipelines.storage.headers import read_header
 from pipelines.storage.ledger import Ledger
 
-STAGES = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis"}
+GROUPS = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"}
 
 
 @pytest.fixture(scope="module")
@@ -30,22 +35,38 @@ def defs(tmp_path_factory) -> dg.Definitions:
 
 @pytest.fixture(scope="module")
 def specs(defs) -> dict[str, dg.AssetSpec]:
-    return {s.key.path[-1]: s for s in defs.resolve_all_asset_specs()}
+    """By table, by `catalog/VIEW`, and the report."""
+    return {"/".join(s.key.path): s for s in defs.resolve_all_asset_specs()}
 
 
 def test_there_is_an_asset_for_every_declared_table(specs):
-    assert set(specs) == set(TABLES) == set(LINEAGE)
+    assert set(specs) == {*TABLES, *(f"catalog/{view}" for view in views()), "report"}
+    assert set(TABLES) == set(LINEAGE)
 
 
-def test_all_seven_stages_are_groups(specs):
-    assert {s.group_name for s in specs.values()} == STAGES
+def test_all_seven_stages_and_what_is_published_are_groups(specs):
+    assert {s.group_name for s in specs.values()} == GROUPS
+
+
+@pytest.mark.parametrize("view", views())
+def test_a_view_stands_behind_what_it_reads(specs, view):
+    spec, header = specs[f"catalog/{view}"], read_header(views()[view])
+    read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.reads}
+    assert {"/".join(d.asset_key.path) for d in spec.deps} == read
+    assert spec.description.startswith(header.question)
+
+
+def test_the_report_stands_behind_the_views_it_shows(specs):
+    read = {d.asset_key.path[-1] for d in specs["report"].deps}
+    assert {"fleet_ranking", "alert_states", "quarantine"} <= read < set(views())
 
 
 @pytest.mark.parametrize("table", TABLES)
 def test_an_asset_says_what_it_is(specs, table):
     spec = specs[table]
-    assert spec.owners
+    assert len(spec.owners) == 1
     assert "deltalake" in spec.kinds
+    assert len(spec.kinds) == 2
     assert len(spec.description or "") > 30
     assert spec.code_version == LINEAGE[table].code
     partitions = {"flight": dg.MultiPartitionsDefinition, "aircraft": dg.DynamicPartitionsDefinition}
@@ -64,10 +85,10 @@ def test_an_account_that_does_not_balance_blocks():
     """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
     row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
     account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
-    (check, output) = _checked("raw_deliveries", account, {})
+    (check, output) = _checked("raw_deliveries", account, {}, {})
     assert check.passed
     assert output.value.equals(account)
-    events = _checked("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {})
+    events = _checked("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {})
     assert not next(events).passed
     with pytest.raises(dg.Failure, match="not stored: balances"):
         next(events)
@@ -84,9 +105,17 @@ def test_what_the_ledger_calls_a_parent_is_a_dependency_in_the_graph(specs):
 def test_schedule_and_sensor_are_there_and_off(defs):
     repository = defs.get_repository_def()
     assert [s.name for s in repository.schedule_defs] == ["every_night"]
-    assert [s.name for s in repository.sensor_defs] == ["landing_zone"]
-    stopped = dg.DefaultScheduleStatus.STOPPED, dg.DefaultSensorStatus.STOPPED
-    assert (repository.schedule_defs[0].default_status, repository.sensor_defs[0].default_status) == stopped
+    sensors = {s.name: s.default_status for s in repository.sensor_defs}
+    assert set(sensors) == {"landing_zone", "publish_what_is_newer", "make_what_follows"}
+    assert set(sensors.values()) == {dg.DefaultSensorStatus.STOPPED}
+    assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
+
+
+def test_dagster_may_make_what_follows_from_assets_alone(specs):
+    """None of what is made from files; nor what follows a baseline, which seldom moves when its parents do."""
+    alone = {key for key, spec in specs.items() if spec.automation_condition}
+    files = {table for table, recipe in LINEAGE.items() if recipe.files or recipe.baseline or not recipe.parents}
+    assert alone == set(specs) - files
 
 
 def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):
@@ -107,12 +136,27 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
     assert first[0].run_key == second[0].run_key
 
 
-def test_the_job_does_what_the_command_does(own_home):
+def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own_home):
     landing, home = own_home
-    instance = open_instance(home)
-    done = build_defs(landing=landing, home=home).resolve_job_def("nightly").execute_in_process(instance=instance)
-    assert done.success
-    instance.dispose()
+    ledger = Ledger(home)
+    ledger.mark("features_alerts", ledger.done("features_alerts").with_columns(version=pl.lit("")))
+    scheduled = {"dagster/schedule_name": "every_night"}
+    job = build_defs(landing=landing, home=home).resolve_job_def("nightly")
+    with open_instance(home) as instance:
+        by_command = {run.run_id: run.tags for run in instance.get_runs()}
+        done = job.execute_in_process(instance=instance, tags=scheduled)
+        assert done.success
+        tags = {run.run_id: run.tags for run in instance.get_runs() if run.run_id not in {*by_command, done.run_id}}
+        assert tags
+        for own in tags.values():
+            assert own.items() >= {**scheduled, **NIGHT, "hdt/night_run": done.run_id}.items()
+            assert "user" not in own
+    assert {own["user"] for own in by_command.values()} == {"hdt nightly"}
+
+
+def test_dagster_and_dg_find_these_definitions():
+    tool = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["tool"]
+    assert tool["dagster"]["module_name"] == tool["dg"]["project"]["code_location_target_module"] == LOCATION
 
 
 def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing, tmp_path):
@@ -141,7 +185,7 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
 
 
 def test_a_cells_key_is_the_one_that_dagster_makes():
-    ours = partitions.cell_key("AAA:T1", "20260101_02")
+    (ours,) = partitions.cell_keys([("AAA:T1", "20260101_02")])
     stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
     for other in (stock, pickle.loads(pickle.dumps(ours))):
         assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)

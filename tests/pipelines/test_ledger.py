@@ -91,10 +91,11 @@ def test_nights_are_told_in_order(ledger):
 
 
 def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
-    def fail(name: str) -> None:
-        raise OSError(name)
+    def fail(event: str, *_: object) -> None:
+        if event.startswith("hdt."):
+            raise OSError(event)
 
-    monkeypatch.setattr("pipelines.storage.ledger.fault_point", fail)
+    monkeypatch.setattr("sys.audit", fail)
     with pytest.raises(OSError, match="before_mark"):
         ledger.mark("raw_flights", _cells((*A, "f1", "v1")))
     assert ledger.done("raw_flights").is_empty()

@@ -57,10 +57,11 @@ def test_what_was_written_since_is_no_damage(ledger):
 def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeypatch):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
 
-    def killed(name: str) -> None:
-        raise RuntimeError(name)
+    def killed(event: str, *_: object) -> None:
+        if event.startswith("hdt."):
+            raise RuntimeError(event)
 
-    monkeypatch.setattr("pipelines.storage.files.fault_point", killed)
+    monkeypatch.setattr("sys.audit", killed)
     with pytest.raises(RuntimeError, match="before_write"):
         keep_copy(ledger)
     monkeypatch.undo()

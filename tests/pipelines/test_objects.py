@@ -14,12 +14,12 @@ import pytest
 from nights import run
 from soundness import faults
 
+from benchmarks.fault_points import OF_OBJECTS
 from benchmarks.fingerprint import fingerprint
 from pipelines.report.page import write_report
 from pipelines.sharing.export import export
 from pipelines.sharing.redaction import access_scope
 from pipelines.storage.catalog import connect, publish, views
-from pipelines.storage.fault_points import OF_OBJECTS
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError, bucket
 from pipelines.storage.store import FLEET, URL, Store
@@ -43,8 +43,8 @@ def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_pa
     store = Store(tmp_path, s3_url)
     write(store, "old")
     row = json.dumps([{"model_version": "new", "card": "{}", "model": ""}])
-    told = os.environ | {URL: s3_url, "HDT_FAULT": f"{point}:1"}
-    died = subprocess.run([sys.executable, "-c", WRITE, str(tmp_path), row], env=told, check=False)
+    told, armed = os.environ | {URL: s3_url}, f"from benchmarks.fault_points import arm; arm('{point}:1'); {WRITE}"
+    died = subprocess.run([sys.executable, "-c", armed, str(tmp_path), row], env=told, check=False)
     assert died.returncode == -signal.SIGKILL
     assert version(store) == ["new" if point == "after_commit" else "old"]
     held = [key for key in store.place.sizes(TABLE) if key.endswith(".parquet")]

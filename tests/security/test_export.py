@@ -192,19 +192,22 @@ def test_text_is_made_harmless_and_numbers_stay_numbers(text, number):
 # --- the folder ----------------------------------------------------------------------------------------------------
 
 
-def hdt(*words: object, **env: str) -> tuple[int, str]:
-    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *map(str, words)]
+KILLED = "from benchmarks.fault_points import arm; arm('before_rename:1');"
+
+
+def hdt(*words: object, before: str = "", **env: str) -> tuple[int, str]:
+    command = [sys.executable, "-c", f"{before} from pipelines.cli import main; main()".strip(), *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | env)
     return done.returncode, done.stdout + done.stderr
 
 
 def test_an_export_comes_whole_or_not_at_all(home, tmp_path):
     out, words = tmp_path / "out", ("export", "--home", home, "--view", "flights", "--out", tmp_path / "out")
-    assert hdt(*words, HDT_FAULT="before_rename:1")[0] < 0
+    assert hdt(*words, before=KILLED)[0] < 0
     assert not out.exists()
     assert hdt(*words)[0] == 0
     before = (out / "flights.parquet").read_bytes()
-    assert hdt(*words, "--operator", "AQX", HDT_FAULT="before_rename:1")[0] < 0
+    assert hdt(*words, "--operator", "AQX", before=KILLED)[0] < 0
     assert (out / "flights.parquet").read_bytes() == before
     pseudonyms = ("--pseudonymise", "--format", "csv")
     assert hdt(*words, *pseudonyms, HDT_EXPORT_KEY=KEY.decode())[0] == 0

@@ -1,9 +1,15 @@
-"""Medians of late flights, of which a channel may have measured any number."""
+"""Medians of late flights, of which a channel may have measured any number; records that end while one doubts."""
+
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
+import polars as pl
 import pytest
 
-from hdt_core.health.naming import MEDIAN_WORTH, _median_z
+from hdt_core.health.detection import watch
+from hdt_core.health.diagnosis import CHANNELS
+from hdt_core.health.grid import Grid
+from hdt_core.health.naming import MEDIAN_WORTH, Evidence, _median_z
 
 
 @pytest.mark.parametrize("flights", [0, 1, 2, 5, 12])
@@ -17,3 +23,20 @@ def test_medians_of_what_was_measured_are_numpys(flights):
         seen = column[np.isfinite(column) & (column != 0.0)]
         assert worth[k] == (max(seen.size, 1e-9) if seen.size < 3 else MEDIAN_WORTH * seen.size)
         assert np.isnan(middle[k]) if not seen.size else middle[k] == np.median(seen) * np.sqrt(worth[k])
+
+
+def test_a_doubt_that_outlasts_the_record_is_left_open() -> None:
+    """The last aircraft has the shorter record: what the grid holds beyond it is padding and no flight."""
+    flown = [(tail, f, p) for tail, flights in (("T-1", 60), ("T-2", 30)) for f in range(flights) for p in (1, 2)]
+    rows = pl.DataFrame(flown, schema=["tail", "flight", "pack"], orient="row").with_columns(
+        pl.col("pack").cast(pl.Int32),
+        operator=pl.lit("TST"),
+        flight_id=pl.col("tail") + pl.col("flight").cast(pl.String),
+        departed_at=datetime(2024, 1, 1, tzinfo=UTC) + pl.col("flight") * timedelta(hours=6),
+    )
+    grid = Grid.cut(rows)
+    still = np.where(grid.flown[:, :, None], np.zeros(len(CHANNELS)), np.nan)
+    shift = watch(still, np.array([c.sd for c in CHANNELS]), np.zeros(still.shape, dtype=bool))
+    evidence = Evidence(grid, shift, np.zeros(grid.shape), grid.partner())
+    assert [evidence.name(0, (unit, 25, None)) for unit in range(4)] == [None] * 4
+    assert evidence.name(0, (3, 25, 40)) is None

@@ -70,6 +70,19 @@ def test_controller_holds_its_target_and_hides_the_wear():
     np.testing.assert_allclose(hot_k[door < 0.99], asked.target_k[door < 0.99], atol=0.2)
 
 
+def test_a_worn_compressor_heats_the_exchanger_by_what_its_efficiency_lost():
+    design, one = draw_design(np.random.default_rng(1)), np.ones(3)
+    now, asked, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
+    inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
+    _, exit_k = packs.compressor_rows(
+        diameter_m=one, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa,
+        efficiency=design.cc_efficiency * (1.0 - loss),
+    )  # fmt: skip
+    hotter_k = packs.behind_worn_compressor(design, now, asked, loss).hot_in_k - asked.hot_in_k
+    np.testing.assert_allclose(hotter_k, exit_k - exit_k[0], atol=1e-9)
+    assert 5.0 < hotter_k[1] < 25.0
+
+
 def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
     design, one = draw_design(np.random.default_rng(2)), np.ones(3)
     ratio, apparent, ram = packs.loss_ratios(design, packs.Wear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one))

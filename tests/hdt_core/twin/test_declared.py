@@ -16,6 +16,7 @@ from hdt_core.twin import exchanger as hx
 from hdt_core.twin import machine
 from hdt_core.twin.crossing import cruise_samples
 from hdt_core.twin.flights import estimate_flights
+from hdt_core.twin.wear import PACES
 
 LEG = ["tail", "pack", "flight_id"]
 N_LEGS = 40
@@ -87,7 +88,7 @@ def test_the_robust_form_lies_within_a_tenth_of_its_stated_deviation(legs, model
 def test_the_compressors_filter_is_the_kalman_filter_of_the_declared_drift(loss):
     """Level and loss seen as their sum; no flight lies so far off that the filter would count it for less."""
     rng = np.random.default_rng(3)
-    drift, scatter, level_sd = CC.model.drift(loss), 0.006, 0.01
+    drift, scatter, level_sd = CC.model.param(loss).drift, 0.006, 0.01
     seen = 0.004 + np.linspace(0.0, 0.02, 60) + scatter * np.clip(rng.standard_normal(60), -1.5, 1.5)
     seen[rng.choice(np.arange(1, 60), 8, replace=False)] = np.nan
     ours, ours_sd = machine._filter(seen, np.zeros(60), scatter, level_sd, drift)
@@ -104,3 +105,9 @@ def test_the_compressors_filter_is_the_kalman_filter_of_the_declared_drift(loss)
     found = ExtendedKalman(smoother_passes=0).estimate(walk)
     np.testing.assert_allclose(ours, 1.0 - np.exp(-found.path[:, 1]), atol=1e-6)
     np.testing.assert_allclose(ours_sd, np.exp(-found.path[:, 1]) * found.path_sd[:, 1], atol=1e-6)
+
+
+def test_the_declared_drift_is_what_the_ways_to_wear_come_to():
+    """An estimator of one's own is told one number, the nightly filter three ways to wear: of about the same size."""
+    rate = np.sqrt(sum(pace.share * (pace.rate**2 + pace.rate_sd**2) for pace in PACES))
+    assert HX.model.param("hx_fouling").drift == pytest.approx(rate, rel=0.25)

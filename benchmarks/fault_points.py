@@ -1,0 +1,47 @@
+"""Named places where a test or a benchmark makes the process die or the disk full.
+
+The storage tells of each as an audit event (`sys.audit("hdt.before_rename")`), which nobody hears in production. After
+`arm("before_rename:3")` the process is killed (SIGKILL) when it comes to `before_rename` for the third time;
+`before_mark:1:full` raises "no space left on device" there, `any:5:term` sends SIGTERM at the fifth place of any name.
+"""
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Callable
+from itertools import count
+
+POINTS = (
+    "before_write",
+    "before_rename",
+    "after_rename",
+    "before_commit",
+    "after_commit",
+    "before_register",
+    "after_register",
+    "before_mark",
+    "after_mark",
+)
+"""In `files.replacing`, which writes every file, in a table's commit, and in the two writers of the ledger."""
+OF_OBJECTS = ("before_write", "before_commit", "after_commit")
+"""Where a shard becomes an object and a commit names it, in an object store."""
+_ENDS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
+
+
+def arm(plan: str, cut: Callable[[], None] | None = None) -> None:
+    """Let a fault happen in this process, once; `cut` goes before a kill. A hook stays as long as its process."""
+    wanted, nth, action = (*plan.split(":"), "kill")[:3]
+    events = {f"hdt.{point}" for point in POINTS if wanted in (point, "any")}
+    passed = count(1)
+
+    def strike(event: str, _: object) -> None:
+        if event not in events or next(passed) != int(nth):
+            return
+        if action == "full":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), event)
+        if cut:
+            cut()
+        os.kill(os.getpid(), _ENDS[action])
+
+    sys.addaudithook(strike)

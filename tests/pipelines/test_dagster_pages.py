@@ -1,0 +1,140 @@
+"""What Dagster's pages tell of a night, and of cells that were asked for there: each speaks of itself."""
+
+import logging
+import time
+from graphlib import TopologicalSorter
+
+import dagster as dg
+import pytest
+from dagster._core.execution.backfill import BulkActionStatus, PartitionBackfill
+from dagster._core.workspace.context import WorkspaceProcessContext
+from dagster._core.workspace.load_target import ModuleTarget
+from dagster._daemon.backfill import execute_backfill_iteration
+
+from dagster_batched.runs import execute
+from pipelines.assets.published import VIEWS
+from pipelines.definitions import build_defs
+from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
+from pipelines.storage.catalog import fault_of
+from pipelines.storage.store import Store
+
+CHAIN = ["raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"]
+
+
+def told(instance: dg.DagsterInstance, table: str) -> list[dg.EventLogRecord]:
+    """The events of an asset's page, newest first."""
+    return list(instance.fetch_materializations(dg.AssetKey(table), limit=5_000).records)
+
+
+def numbers(record: dg.EventLogRecord) -> dict[str, object]:
+    return {label: value.value for label, value in record.asset_materialization.metadata.items()}
+
+
+@pytest.mark.parametrize(("table", "cell"), [("legs_samples", ("tail", "flight_id")), ("twin_health", ("tail",))])
+def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, cell):
+    frame = Store(sample_home).read(table)
+    rows = {tuple(key): n for *key, n in frame.group_by(*cell).len().rows()}
+    with open_instance(sample_home) as instance:
+        events = told(instance, table)
+    assert len({round(1000 * e.timestamp) for e in events}) == len(events) == len(rows)
+    for event in events:
+        tail, _, flight = event.partition_key.split(":")[1].partition("|")
+        assert numbers(event) == {"rows": rows[(tail, f"{tail}_{flight}")[: len(cell)]]}
+
+
+def test_the_last_flight_of_a_run_stands_first(sample_home):
+    with open_instance(sample_home) as instance:
+        events = told(instance, "raw_flights")
+    for run_id in {e.run_id for e in events}:
+        own = [e for e in events if e.run_id == run_id]
+        flights = [e.partition_key.split("|")[1] for e in own]
+        assert flights == sorted(flights, reverse=True)
+        assert [e.timestamp for e in own] == sorted((e.timestamp for e in own), reverse=True)
+
+
+def test_groups_are_a_chain(sample_landing, tmp_path):
+    """No arrow leads back: in the order of the stages, and so in no circle."""
+    specs = {s.key: s for s in build_defs(landing=sample_landing, home=tmp_path).resolve_all_asset_specs()}
+    made_from: dict[str, set[str]] = {group: set() for group in CHAIN}
+    for spec in specs.values():
+        made_from[spec.group_name] |= {specs[d.asset_key].group_name for d in spec.deps} - {spec.group_name}
+    assert all(CHAIN.index(before) < CHAIN.index(group) for group, all_ in made_from.items() for before in all_)
+    assert set(TopologicalSorter(made_from).static_order()) == set(CHAIN)
+
+
+@pytest.mark.filterwarnings("ignore:Function `AssetSelection.sources`:DeprecationWarning")  # Dagster's own call
+def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_home, monkeypatch):
+    landing, home = own_home
+    for name, folder in (("HDT_LANDING", landing), ("HDT_HOME", home)):
+        monkeypatch.setenv(name, str(folder))
+    defs = build_defs(landing=landing, home=home)
+    graph, keys = defs.resolve_asset_graph(), [dg.AssetKey(t) for t in ("twin_flights", "residuals")]
+    with open_instance(home) as instance:
+        flown, never = flown_and_never(instance)
+        backfill = PartitionBackfill.from_asset_partitions(
+            "three", graph, [*flown, never], keys, time.time(), {}, instance, False, None, None, None
+        )
+        instance.add_backfill(backfill)
+        where = ModuleTarget(LOCATION, attribute=None, working_directory=None, location_name=None)
+        with WorkspaceProcessContext(instance, where) as workspace:
+            for _ in range(20):
+                assert not any(execute_backfill_iteration(workspace, logging.getLogger("backfill")))
+                for run in instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.QUEUED])):
+                    job = defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=run.asset_selection)
+                    assert execute(job, run.with_status(dg.DagsterRunStatus.NOT_STARTED), instance).success
+                if (ended := instance.get_backfill("three")).status != BulkActionStatus.REQUESTED:
+                    break
+        assert ended.status == BulkActionStatus.COMPLETED_SUCCESS, ended.error
+        for key in keys:
+            newest = {e.partition_key: numbers(e) for e in told(instance, key.path[-1])[:3]}
+            assert newest[never] == {"rows": 0, "expected": 0}
+            assert all(newest[cell]["rows"] for cell in flown)
+            assert never in instance.get_materialized_partitions(key)
+
+
+def test_a_night_tells_that_it_published_and_the_page_can_do_it_too(own_home):
+    landing, home = own_home
+    defs = build_defs(landing=landing, home=home)
+    with open_instance(home) as instance:
+        publish_night(home, instance)
+        nights = {key: instance.get_latest_materialization_event(key) for key in (view.key for view in VIEWS)}
+        assert all(event.run_id == "" for event in nights.values())
+        (home / "catalog.duckdb").unlink()
+        keys = [*nights, dg.AssetKey("report")]
+        job = defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=set(keys))
+        assert job.execute_in_process(instance=instance).success
+        assert all(instance.get_latest_materialization_event(key).run_id for key in keys)
+    assert fault_of(home) is None
+    assert (home / "report.html").stat().st_size > 100_000
+
+
+@pytest.mark.filterwarnings("ignore:Parameter `include_sources`")  # Dagster's own call
+def test_after_a_night_nothing_is_left_for_dagster_and_what_follows_a_newer_parent_is(sample_landing, own_home):
+    """The parent's own cell and no other; and where a table is newer than the views over it all are published again."""
+    _, home = own_home
+    defs = build_defs(landing=sample_landing, home=home)
+    report, residuals = dg.AssetKey("report"), dg.AssetKey("residuals")
+    with open_instance(home) as instance:
+        night = dg.evaluate_automation_conditions(defs, instance)
+        assert night.total_requested == 0
+        cell = min(instance.get_materialized_partitions(residuals))
+        instance.report_runless_asset_event(dg.AssetMaterialization("twin_flights", partition=cell))
+        newer = dg.evaluate_automation_conditions(defs, instance, cursor=night.cursor)
+        assert newer.get_requested_partitions(residuals) == {cell}
+        assert newer.get_num_requested(report) == 0
+        made = dg.AssetMaterialization("features_alerts", partition=cell.split("|")[0])
+        instance.report_runless_asset_event(made)
+        published = dg.evaluate_automation_conditions(defs, instance, cursor=newer.cursor)
+        assert {published.get_num_requested(key) for key in (report, *(view.key for view in VIEWS))} == {1}
+
+
+def flown_and_never(instance: dg.DagsterInstance) -> tuple[list[str], str]:
+    """Two cells that hold flights, and one of their aircraft that holds none."""
+    flown = sorted(instance.get_materialized_partitions(dg.AssetKey("residuals")))
+    aircraft = flown[0].split("|")[0]
+    never = next(
+        f"{aircraft}|{flight}"
+        for flight in instance.get_dynamic_partitions("flight")
+        if f"{aircraft}|{flight}" not in instance.get_materialized_partitions(dg.AssetKey("twin_flights"))
+    )
+    return flown[:2], never
