@@ -6,8 +6,9 @@ from hdt_core.flight.legs import PACK_OFF_FLOW_KG_S
 from hdt_core.flight.phases import CRUISE_FLOOR_M, LEG_KEY
 
 BLEED = "BLEED"
-ODD_BLEED = "a printed report of the cruise says that a bleed or a pack was off, or the cross-feed open"
 """Reason of such a leg."""
+ODD_BLEED = "a printed report of the cruise says that a bleed or a pack was off, or the cross-feed open"
+"""What that reason means."""
 LONGEST_FLIGHT = "20h"
 _FLIGHT = list(LEG_KEY[:3])
 

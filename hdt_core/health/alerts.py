@@ -129,7 +129,7 @@ def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.D
 def alert_row(grid: Grid, came: Came, case: Case, said: Diagnosis) -> tuple[Any, ...]:
     """A case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
-    flown = int((grid.unit == case.unit).sum())
+    flown = grid.count(case.unit)
     closed = case.closed if case.closed is not None and case.closed < flown else None
     now = (flown if closed is None else closed) - 1
     since = str(grid.at("flight_id", case.unit, int(case.facts["since"])))

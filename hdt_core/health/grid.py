@@ -67,6 +67,11 @@ class Grid:
         row = int(np.searchsorted(self.unit, unit)) + flight
         return self.rows[name][row]
 
+    def count(self, unit: int) -> int:
+        """Flights of one unit."""
+        start, end = np.searchsorted(self.unit, [unit, unit + 1])
+        return int(end - start)
+
     def track(self, name: str, unit: int) -> Array:
         """Column of one unit's flights; NaN where null or absent. (its flights,)"""
         start, end = np.searchsorted(self.unit, [unit, unit + 1])

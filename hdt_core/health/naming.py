@@ -44,7 +44,7 @@ class Evidence:
         """First flight that blames a sensor of this pack with confidence, and what it says; None where none does."""
         unit, first, end = spell
         # a shift still there when the record ends is called beyond it too, where the grid is but padding
-        flown = int((self.grid.unit == unit).sum())
+        flown = self.grid.count(unit)
         last = min(end if end is not None else flown, flown, first + PATIENCE)
         for k, z, flights in self._along(unit, first, last):
             told = classify(z, flights)
@@ -60,9 +60,9 @@ class Evidence:
                 return k, facts | {"channel": CHANNELS[channel].name, **moved}
         return None
 
-    def same_time(self, unit: int, flight: int, other: int) -> int:
-        """How many flights the other pack had recorded by this one's departure."""
-        return int(np.searchsorted(self.departed[other], self.departed[unit, flight], side="right"))
+    def same_time(self, unit: int, flights: Array, other: int) -> Array:
+        """Last flight that the other pack had recorded by this one's departure on each; -1 before its first."""
+        return np.asarray(np.searchsorted(self.departed[other], self.departed[unit, flights], side="right") - 1)
 
     def _along(self, unit: int, first: int, last: int) -> Iterator[tuple[int, Array, Array]]:
         """Each flight with what `at` says of it."""
@@ -78,8 +78,8 @@ class Evidence:
         if other < 0:
             theirs: tuple[Array, Array] = np.full_like(mine[0], np.nan), np.ones_like(mine[1])
         else:
-            then = np.searchsorted(self.departed[other], self.departed[unit, flights], side="right") - 1
-            theirs = self._half(other, then, self.same_time(unit, first, other) - 1)
+            *then, began = self.same_time(unit, np.append(flights, first), other)
+            theirs = self._half(other, np.array(then), int(began))
         z, worth = (np.concatenate(both, axis=1) for both in zip(mine, theirs, strict=True))
         return z, worth
 

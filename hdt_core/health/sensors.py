@@ -116,10 +116,10 @@ def _shared(evidence: Evidence, case: Case) -> list[Case]:
     other = int(evidence.partner[case.unit])
     if case.facts["whose"] != "both" or other < 0:
         return []
-    raised, since = (evidence.same_time(case.unit, k, other) - 1 for k in (case.raised, case.facts["since"]))
-    flown = int((evidence.grid.unit == case.unit).sum())
-    over = case.closed is not None and case.closed < flown
-    closed = evidence.same_time(case.unit, int(case.closed or 0), other) - 1 if over else None
+    over = case.closed is not None and case.closed < evidence.grid.count(case.unit)
+    here = np.array([case.raised, case.facts["since"], case.closed if over else 0])
+    raised, since, closed = evidence.same_time(case.unit, here, other).tolist()
+    closed = closed if over else None
     if raised < 0 or (closed is not None and closed <= raised):
         return []
     return [replace(case, unit=other, raised=raised, closed=closed, facts=case.facts | {"since": max(since, 0)})]
@@ -143,7 +143,7 @@ def _one_each(cases: list[Case], evidence: Evidence) -> list[Case]:
         if not known and not echoes:
             kept.append(case)
             for wrong in theirs:
-                now = max(evidence.same_time(case.unit, case.raised, other), wrong.raised + 1)
+                now = max(int(evidence.same_time(case.unit, np.array(case.raised), other)), wrong.raised) + 1
                 wrong.closed = now if wrong.closed is None else min(wrong.closed, now)
         elif known and known[0].closed is not None:
             known[0].closed = None if case.closed is None else max(known[0].closed, case.closed)

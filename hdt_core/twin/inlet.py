@@ -89,17 +89,16 @@ def full_open_inlet_k(
     recorded = rows["hx_in_k"].to_numpy().astype(float)
     if not slopes:
         return recorded
-    signals = _signals(rows, bias)
-    now = _terms(rows, design, bias) @ np.array(slopes)
+    signals, discharge_k, inlet_bias = _signals(rows, bias), _discharge_k(rows), bias[hx.BIASES.index("hx_in_k")]
     full = signals | {"ram_door_open": np.ones_like(recorded)}
     with np.errstate(all="ignore"):
-        ram = clean_ram_flow_kg_s(full, design)
-        flows = signals["pack_flow_kg_s"] / ram
+        ram, full_ram = (clean_ram_flow_kg_s(of, design) for of in (signals, full))
+        now = _by_stream(discharge_k, _ram_outlet_k(signals, ram), ram, signals) @ np.array(slopes)
         # linear in the ram outlet, which is itself linear in the inlet
-        at_tat, per_k = (_by_stream(_discharge_k(rows), signals["tat_k"] + up, ram, signals) for up in (0.0, 1.0))
-        per_k = np.clip((per_k - at_tat) @ np.array(slopes), 0.0, MOST_EFFECTIVE) * flows
-        above_held = recorded - bias[hx.BIASES.index("hx_in_k")] + at_tat @ np.array(slopes) - now - held_k
-        moved = above_held / (1.0 - per_k) + held_k + bias[hx.BIASES.index("hx_in_k")]
+        at_tat, per_k = (_by_stream(discharge_k, signals["tat_k"] + up, full_ram, signals) for up in (0.0, 1.0))
+        share = np.clip((per_k - at_tat) @ np.array(slopes), 0.0, MOST_EFFECTIVE)
+        above_held = recorded - inlet_bias + at_tat @ np.array(slopes) - now - held_k
+        moved = above_held / (1.0 - share * (signals["pack_flow_kg_s"] / full_ram)) + held_k + inlet_bias
     return np.where(np.isfinite(moved), moved, recorded)
 
 
@@ -112,8 +111,13 @@ def _terms(cruise: pl.DataFrame, design: Array, bias: Array) -> Array:
     signals = _signals(cruise, bias)
     with np.errstate(all="ignore"):
         ram = clean_ram_flow_kg_s(signals, design)
-        heated_k = signals["pack_flow_kg_s"] / ram * (signals["hx_in_k"] - signals["hx_out_k"])
-    return _by_stream(_discharge_k(cruise), signals["tat_k"] + heated_k, ram, signals)
+        return _by_stream(_discharge_k(cruise), _ram_outlet_k(signals, ram), ram, signals)
+
+
+def _ram_outlet_k(signals: dict[str, Array], ram: Array) -> Array:
+    """Ram air behind the core, by the heat that the bleed air lost there. (n,) [K]"""
+    heated_k = signals["pack_flow_kg_s"] / ram * (signals["hx_in_k"] - signals["hx_out_k"])
+    return np.asarray(signals["tat_k"] + heated_k)
 
 
 def _by_stream(discharge_k: Array, ram_outlet_k: Array, ram: Array, signals: dict[str, Array]) -> Array:

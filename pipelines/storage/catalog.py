@@ -210,7 +210,29 @@ def _verify(con: duckdb.DuckDBPyConnection, home: Path, files: list[str]) -> Non
 
 
 def _opened(home: Path) -> duckdb.DuckDBPyConnection:
-    return duckdb.connect(str(home / CATALOG), read_only=True)
+    """Read only. DuckDB opens a file three times by name: one that was replaced in between is opened once more."""
+    path = home / CATALOG
+    for _ in range(9):
+        before = _identity(path)
+        try:
+            con = duckdb.connect(str(path), read_only=True)
+        except duckdb.Error:
+            if _identity(path) == before:
+                raise
+            continue
+        if _identity(path) == before:
+            return con
+        con.close()
+    raise duckdb.IOException(f"{path} was replaced nine times while it was opened")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Which file stands there: another one after each publication."""
+    try:
+        told = path.stat()
+    except FileNotFoundError:
+        return None
+    return told.st_ino, told.st_mtime_ns
 
 
 def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:

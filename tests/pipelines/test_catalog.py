@@ -104,6 +104,34 @@ def test_a_reader_keeps_reading_while_the_catalog_is_published(own_home):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("meets", ["the new one's end", "a mixture of both"])
+def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeypatch, meets):
+    """DuckDB opens a database by name three times: where another is renamed into its place, it mixes them."""
+    _, home = own_home
+    new = Path(shutil.copyfile(home / CATALOG, home / "new"))
+    with duckdb.connect(str(new)) as con:
+        con.execute("comment on view flights is 'new'")
+    stock, opened = duckdb.connect, []
+
+    def connect_slowly(path, **options):
+        opened.append(path)
+        con = stock(path, **options)
+        if new.exists():
+            new.replace(path)
+            if meets == "a mixture of both":
+                con.close()
+                raise duckdb.IOException("could not read enough bytes")
+        return con
+
+    monkeypatch.setattr(duckdb, "connect", connect_slowly)
+    with connect(home) as con:
+        told = con.execute(
+            "select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'"
+        ).fetchone()
+    assert told == ("new",)
+    assert len(opened) == 2
+
+
 def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
     _, home = own_home
     for file in (home / "tables/raw_flights").rglob("*.parquet"):
