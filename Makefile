@@ -4,6 +4,7 @@ BIN := $(VENV)/bin
 HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
+PACKAGES := hdt_core pipelines dagster_batched sql benchmarks
 
 .PHONY: run test real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
@@ -60,6 +61,7 @@ $(READY): requirements.lock pyproject.toml
 	python3 -m venv $(VENV)
 	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	$(BIN)/python -m compileall -q $(PACKAGES)  # a second of every process where Python is told to write no bytecode
 	touch $@
 
 # setuptools builds this project from the same pinned set, so it is named here and not in the dependencies

@@ -10,8 +10,6 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
-import skops.io
-
 from hdt_core.prognosis.card import from_parts
 from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.rows import INPUTS
@@ -51,4 +49,6 @@ def shipped_recipe() -> dict[str, Any]:
 @lru_cache(maxsize=2)
 def loaded(stored: bytes) -> Prognosis:
     """A base from skops bytes, read once a process; those that name a type beyond `TRUSTED` are refused."""
+    import skops.io  # a second to load, and most processes of a night read no model
+
     return from_parts(skops.io.loads(stored, trusted=TRUSTED))

@@ -133,10 +133,18 @@ def add_views(con: duckdb.DuckDBPyConnection) -> None:
     known = {name: read_header(sql) for name, sql in views().items()}
     for _, sql in ordered(views()):
         con.execute(sql)
-    columns = {name: [column for column, *_ in con.execute(f"describe {name}").fetchall()] for name in known}
+    columns: dict[str, list[str]] = {}
+    for view, column in con.execute(_COLUMNS).fetchall():
+        columns.setdefault(view, []).append(column)
     told = [f"comment on view {name} is {_quoted(header.question)}" for name, header in known.items()]
     told += [f'comment on column {v}."{c}" is {_quoted(m)}' for (v, c), m in meanings(columns, known).items()]
     con.execute("; ".join(told))  # at once: half the time
+
+
+_COLUMNS = """
+select table_name, column_name from duckdb_columns()
+where database_name = current_database() and schema_name = 'main' and not internal
+order by table_name, column_index"""
 
 
 def views() -> dict[str, str]:
