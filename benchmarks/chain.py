@@ -12,6 +12,7 @@ import polars as pl
 from hdt_core.flight.admission import admit_by, learn_norm
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.norm import leg_signs
+from hdt_core.flight.windows import baseline_flights
 from hdt_core.health.alerts import raise_alerts
 from hdt_core.health.asks import CRITICAL, margin_flights
 from hdt_core.health.controller import learn_laws
@@ -22,7 +23,6 @@ from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.model import out_of_fold
 from hdt_core.prognosis.rows import ASKS
 from hdt_core.records.keys import PACK
-from hdt_core.twin.calibrate import baseline_flights
 from hdt_core.twin.calibrate import calibrate as fit
 from hdt_core.twin.flights import estimate_flights
 from hdt_core.twin.track import track

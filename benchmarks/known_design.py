@@ -7,6 +7,7 @@ import polars as pl
 
 from benchmarks.legs import fleet_of
 from hdt_core.flight.admission import admit
+from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK, PACK
@@ -17,7 +18,7 @@ from hdt_core.simulate.packs import clean, outlets
 from hdt_core.simulate.signals import demand
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin import hierarchy
-from hdt_core.twin.calibrate import baseline_flights, calibrate
+from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.characterise import fit_compressor
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
 from hdt_core.twin.crossing import cruise_samples, flights_of

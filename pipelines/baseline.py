@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.twin.calibrate import baseline_flights
+from hdt_core.flight.windows import baseline_flights
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store

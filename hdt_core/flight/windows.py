@@ -1,4 +1,4 @@
-"""Flights around maintenance actions and fault messages: what calibration must not learn from, known with hindsight."""
+"""Which flights calibration learns from: the first of each tail, none around maintenance or a message."""
 
 import polars as pl
 
@@ -14,6 +14,32 @@ AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
 # looking changes nothing; a wash finds the exchanger it leaves, and how foul that was its own flights show
 HARMLESS = ("INSPECTED", "CLEANED")
 LONGEST_PAUSE = "21d"
+MILESTONES = (10, 20, 40, 80, 160)
+"""Flights of a tail after which its baseline grows; the last is the commissioning window's end: what comes later is
+judged by the model and never teaches it, or slow wear would be learned as normal."""
+
+
+def baseline_flights(flights: pl.DataFrame) -> list[str]:
+    """Flights that the model rests on: the first of each tail, up to the last milestone it has passed.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        `operator, tail, flight_id, departed_at`; more columns and rows (packs) do no harm.
+
+    Returns
+    -------
+    list of str
+        Sorted flight ids. A tail that has not reached the first milestone gives all it has. The answer depends on the
+        flights held, not on the order in which they came.
+    """
+    each = flights.group_by("operator", "tail", "flight_id").agg(pl.col("departed_at").min())
+    ordered = each.with_columns(
+        order=pl.struct("departed_at", "flight_id").rank("ordinal").over("operator", "tail"),
+        held=pl.len().over("operator", "tail"),
+    )
+    reached = pl.max_horizontal(pl.when(pl.col("held") >= m).then(m) for m in MILESTONES)
+    return sorted(ordered.filter(pl.col("order") <= reached.fill_null(MILESTONES[0]))["flight_id"].to_list())
 
 
 def number_flights(legs: pl.DataFrame) -> pl.DataFrame:

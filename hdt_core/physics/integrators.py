@@ -9,8 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import RK45, solve_ivp
-from scipy.sparse import eye_array, kron
 
 Array = NDArray[np.float64]
 Rates = Callable[[Array], Array]
@@ -70,6 +68,8 @@ def _adaptive(rates: Rates, x: Array, dt_s: float) -> Array:
 
 def _tried(rates: Rates, x: Array, slope: Array, step: float) -> tuple[Array, Array, Array]:
     """One step: states and rates after it, and every column's error to that allowed; 0 where it has no answer."""
+    from scipy.integrate import RK45  # half a second to load, which a component without rates need not wait for
+
     stages = [slope]
     for row in RK45.A[1:]:
         stages.append(rates(x + step * _weighted(row, stages)))
@@ -94,6 +94,9 @@ def _weighted(weights: Array, stages: list[Array]) -> Array:
 
 def _stiff(rates: Rates, x: Array, dt_s: float, hard: NDArray[np.bool_]) -> Array:
     """SciPy's Radau over the columns that are `hard`, as one system of blocks; NaN where even that ends nowhere."""
+    from scipy.integrate import solve_ivp
+    from scipy.sparse import eye_array, kron
+
     answer = np.full(x.shape, np.nan)
     first = x[:, hard]
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
+from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
@@ -24,32 +25,6 @@ from hdt_core.twin.pooling import Level, levels_of
 from hdt_core.twin.sensors import sensor_prior
 
 TERM_ROUNDS = 3
-MILESTONES = (10, 20, 40, 80, 160)
-"""Flights of a tail after which its baseline grows; the last is the commissioning window's end: what comes later is
-judged by the model and never teaches it, or slow wear would be learned as normal."""
-
-
-def baseline_flights(flights: pl.DataFrame) -> list[str]:
-    """Flights that the model rests on: the first of each tail, up to the last milestone it has passed.
-
-    Parameters
-    ----------
-    flights : DataFrame
-        `operator, tail, flight_id, departed_at`; more columns and rows (packs) do no harm.
-
-    Returns
-    -------
-    list of str
-        Sorted flight ids. A tail that has not reached the first milestone gives all it has. The answer depends on the
-        flights held, not on the order in which they came.
-    """
-    each = flights.group_by("operator", "tail", "flight_id").agg(pl.col("departed_at").min())
-    ordered = each.with_columns(
-        order=pl.struct("departed_at", "flight_id").rank("ordinal").over("operator", "tail"),
-        held=pl.len().over("operator", "tail"),
-    )
-    reached = pl.max_horizontal(pl.when(pl.col("held") >= m).then(m) for m in MILESTONES)
-    return sorted(ordered.filter(pl.col("order") <= reached.fill_null(MILESTONES[0]))["flight_id"].to_list())
 
 
 def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: tuple[str, ...] = ()) -> Dsm:

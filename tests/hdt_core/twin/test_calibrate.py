@@ -7,12 +7,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.flight.windows import MILESTONES, baseline_flights
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.tables.calibration import CalibrationDesign
 from hdt_core.twin import exchanger as hx
 from hdt_core.twin.audit import audit_drift
-from hdt_core.twin.calibrate import MILESTONES, baseline_flights, calibrate
+from hdt_core.twin.calibrate import calibrate
 from hdt_core.twin.dsm import Dsm
 from hdt_core.twin.parameters import design_parameters, elasticities, flow_elasticities
 
