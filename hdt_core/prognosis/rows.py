@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hdt_core.components import Limit
 from hdt_core.health.asks import CRITICAL, EXCESS_K, SHARES
-from hdt_core.health.conditions import repeated
+from hdt_core.health.conditions import WINDOW, repeated
 from hdt_core.health.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.limits import PRIORS, learn_limit
@@ -206,16 +206,23 @@ def _critical(track: Tracks, says: Says) -> tuple[Array, Array]:
     if isinstance(says, Limit):
         critical = np.full(track.curves.shape[:2], np.log1p(-says.mean))
         return critical, np.full(len(track.at), says.sd / (1.0 - says.mean))
-    critical, doubt = np.full(track.curves.shape[:2], np.nan), np.zeros(track.curves.shape[0])
+    critical, doubt = np.full(track.curves.shape[:2], np.nan), np.zeros(track.curves.shape[:2])
     operator = np.empty(track.curves.shape[0], dtype=object)
     operator[track.where[:, 0]] = track.keys["operator"].to_numpy()
-    for name in np.unique(operator.astype(str)):
+    for name in track.keys["operator"].unique().sort():
         packs, rule = operator == name, says.get(name, says[""])
         curve = track.curves[packs][:, :, SHARES.index(rule.share)]
         critical[packs] = repeated(at_excess(curve, rule.excess_k), rule.of)
         per_k = np.abs(at_excess(curve, rule.excess_k + 1.0) - at_excess(curve, rule.excess_k - 1.0)) / 2.0
-        doubt[packs] = rule.excess_sd_k * (float(np.nanmedian(per_k)) if np.isfinite(per_k).any() else LN_RATIO_PER_K)
-    return critical, doubt[track.where[:, 0]]
+        doubt[packs] = rule.excess_sd_k * _usual(per_k)
+    return critical, doubt[tuple(track.where.T)]
+
+
+def _usual(per_k: Array) -> Array:
+    """Median over each pack's last flights, up to each of them: no later flight has a part in what one says."""
+    known = pl.DataFrame(per_k.T).fill_nan(None)
+    median = pl.all().rolling_median(WINDOW, min_samples=1).forward_fill().fill_null(LN_RATIO_PER_K)
+    return known.select(median).to_numpy().T
 
 
 def learn_says(track: Tracks, component: str, use: NDArray[np.bool_]) -> Says:

@@ -9,13 +9,14 @@ import polars as pl
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from hdt_core.health.margin import PRIOR_RULE
 from hdt_core.prognosis.card import from_parts, model_card, promote, taught, to_lessons, to_parts
 from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import fit_member, fit_prognosis, out_of_fold, predict_prognosis
 from hdt_core.prognosis.record import Record
-from hdt_core.prognosis.rows import INPUTS
+from hdt_core.prognosis.rows import INPUTS, fleet_rows, tracks
 from hdt_core.prognosis.service import serve
 from pipelines.learned import shipped_base
 
@@ -63,6 +64,14 @@ def test_nothing_from_the_future(fitted):
     for name in ("rul_flights", "rul_low", "rul_high", "p_event_50"):
         left, right = (f.sort(keys)[name].to_numpy() for f in (now, then))
         np.testing.assert_allclose(left, right, atol=1e-9)
+
+
+def test_what_is_told_to_the_learner_holds_no_later_flight(fitted):
+    features, lives, _ = fitted
+    cut = features["departed_at"].sort()[features.height // 2]
+    early, whole = (tracks(f, lives, "HX") for f in (features.filter(pl.col("departed_at") <= cut), features))
+    now, then = (fleet_rows(t, {"": PRIOR_RULE}).features for t in (early, whole))
+    np.testing.assert_array_equal(now, then[(whole.keys["departed_at"] <= cut).to_numpy()])
 
 
 def test_unseen_lives_are_foretold(held_out):
