@@ -64,20 +64,21 @@ class Grid:
 
     def at(self, name: str, unit: int, flight: int) -> object:
         """One value of one flight."""
-        row = int(np.searchsorted(self.unit, unit)) + flight
-        return self.rows[name][row]
+        return self.rows[name][self._first_row(unit) + flight]
 
     def count(self, unit: int) -> int:
         """Flights of one unit."""
-        start, end = np.searchsorted(self.unit, [unit, unit + 1])
-        return int(end - start)
+        return self._first_row(unit + 1) - self._first_row(unit)
 
     def track(self, name: str, unit: int) -> Array:
         """Column of one unit's flights; NaN where null or absent. (its flights,)"""
-        start, end = np.searchsorted(self.unit, [unit, unit + 1])
         if name not in self.rows.columns:
-            return np.full(end - start, np.nan)
-        return self.rows[name].slice(int(start), int(end - start)).cast(pl.Float64).to_numpy()
+            return np.full(self.count(unit), np.nan)
+        return self.rows[name].slice(self._first_row(unit), self.count(unit)).cast(pl.Float64).to_numpy()
+
+    def _first_row(self, unit: int) -> int:
+        """Where a unit begins in `rows`; where the last one ends, of the one after it."""
+        return int(np.searchsorted(self.unit, unit))
 
     @property
     def flown(self) -> Array:
