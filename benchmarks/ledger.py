@@ -1,12 +1,13 @@
 """Priors and thresholds, where each comes from, and what halving and doubling it does: `python -m benchmarks.ledger`.
 
-    python -m benchmarks.ledger run --fleet NAME HOME TRUTH [--fleet ...] --results FILE [--only PATTERN]
+    python -m benchmarks.ledger run --fleet NAME HOME TRUTH [--fleet ...] --results FILE [--only PATTERN ...]
     python -m benchmarks.ledger write --results FILE
 
 Claim: no figure hangs on a number that somebody chose. `constants.toml` holds every constant with its source. `run`
 changes one in a copy of the sources, makes again what follows from it (`benchmarks.chain`) on fleets that another
 simulator flew, and scores it against their truth; a line of the results file a run, so that it goes on where it
-stopped. `write` puts the table into docs/constants.md. The shipped base of the prognosis is not learned again.
+stopped. `write` puts the table into docs/constants.md; a cell that the results file does not hold stays as the page has
+it. The shipped base of the prognosis is not learned again.
 """
 
 import argparse
@@ -41,6 +42,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "constants.md"
 LEDGER = Path(__file__).with_name("constants.toml")
 FACTORS = (0.5, 2.0)
+WAYS = ("halved", "doubled")
 MOVES = {
     "alerted": 0.02, "lead": 10.0, "early": 0.5, "false": 0.25, "diagnosis": 0.03, "fouling": 0.002,
     "fouling score": 0.01, "yield": 0.02, "contamination": 0.01, "RUL score": 0.02, "coverage": 0.02, "AUC": 0.01,
@@ -143,7 +145,7 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def run(fleets: list[list[str]], results: Path, only: str, every: int) -> None:
+def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> None:
     """Try what the results file does not hold yet; of each fleet one aircraft in `every`."""
     for name, home, folder in fleets:
         kept = results.with_suffix(f".{name}.pickle")
@@ -157,7 +159,7 @@ def run(fleets: list[list[str]], results: Path, only: str, every: int) -> None:
         copy = copied(Path(folder))
         for constant, (name, _, _), factor in product(ledger(), fleets, FACTORS):
             at = f"{constant.module}:{constant.path}"
-            if fnmatch(at, only) and (name, at, factor) not in held:
+            if any(fnmatch(at, pattern) for pattern in only) and (name, at, factor) not in held:
                 said = tried(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
                 _note(results, {"fleet": name, "at": at, "factor": factor, "figures": said})
 
@@ -176,17 +178,32 @@ def table(results: Path) -> str:
     """The ledger with what was measured: of each change what moved by more than `MOVES`."""
     rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _held(results)}
     fleets = sorted({fleet for fleet, _, _ in rows})
-    lines = [["constant", "source", *(f"{f}, {w}" for f in fleets for w in ("halved", "doubled"))]]
+    head = ["constant", "source", *(f"{f}, {w}" for f in fleets for w in WAYS)]
+    lines, stood = [head], told()
     for constant in ledger():
         at = f"{constant.module}:{constant.path}"
-        cells = [_moved(rows.get((f, at, k)), rows[f, "", 1.0]) for f in fleets for k in FACTORS]
-        lines.append([f"`{at.removeprefix('hdt_core.')}`", constant.source, *cells])
+        name = f"`{at.removeprefix('hdt_core.')}`"
+        cells = [
+            _moved(rows[f, at, k], rows[f, "", 1.0])
+            if (f, at, k) in rows
+            else stood.get((name, f"{f}, {w}"), "not run")
+            for f in fleets
+            for k, w in zip(FACTORS, WAYS, strict=True)
+        ]
+        lines.append([name, constant.source, *cells])
     return markdown(lines)
 
 
-def _moved(now: dict[str, Any] | None, before: dict[str, float]) -> str:
-    if now is None:
-        return "not run"
+def told() -> dict[tuple[str, str], str]:
+    """Cells of the page's table, by constant and column."""
+    lines = [line.strip("| ").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    if not lines:
+        return {}
+    head, _, *rows = lines
+    return {(cells[0], column): cell for cells in rows for column, cell in zip(head, cells, strict=True)}
+
+
+def _moved(now: dict[str, Any], before: dict[str, float]) -> str:
     if "error" in now:
         return f"fails: {now['error'][:60]}"
     moved = {name: now[name] - before[name] for name, least in MOVES.items() if abs(now[name] - before[name]) > least}
@@ -198,7 +215,7 @@ def main() -> None:
     verbs = parser.add_subparsers(dest="verb", required=True)
     running = verbs.add_parser("run")
     running.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
-    running.add_argument("--only", default="*", help="pattern of module:constant")
+    running.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="of module:constant")
     running.add_argument("--every", type=int, default=1, help="of the aircraft one in so many")
     writing = verbs.add_parser("write")
     one = verbs.add_parser("one")

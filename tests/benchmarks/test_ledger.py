@@ -83,3 +83,20 @@ def test_the_chain_in_memory_is_the_night(sample_home):
     assert set(made["alerts"].select(alerts).iter_rows()) == set(
         store.read("features_alerts").select(alerts).iter_rows()
     )
+
+
+def test_a_cell_that_was_not_run_again_stays_as_the_page_has_it(tmp_path, monkeypatch):
+    page, results = tmp_path / "constants.md", tmp_path / "results.jsonl"
+    page.write_text("<!-- ledger: begin -->\n<!-- ledger: end -->\n")
+    monkeypatch.setattr(ledger, "PAGE", page)
+    first, second = (f"{c.module}:{c.path}" for c in ledger.ledger()[:2])
+    base = dict.fromkeys(ledger.MOVES, 1.0)
+    ledger._note(results, {"fleet": "A", "at": "", "factor": 1.0, "figures": base})
+    ledger._note(results, {"fleet": "A", "at": first, "factor": 0.5, "figures": base | {"lead": 50.0}})
+    ledger.put("ledger", ledger.table(results), page)
+    ledger._note(results, {"fleet": "A", "at": second, "factor": 0.5, "figures": base | {"lead": -50.0}})
+    kept = [row for row in results.read_text().splitlines(keepends=True) if first not in row]
+    results.write_text("".join(kept))
+    ledger.put("ledger", ledger.table(results), page)
+    told = page.read_text()
+    assert told.count("lead +49") == told.count("lead -51") == 1
