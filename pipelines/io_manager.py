@@ -22,19 +22,24 @@ class FrameIO(dg.IOManager):
 
     def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
         """Store, then mark as done, then tell what each cell of the run holds."""
-        table, began = context.asset_key.path[-1], time.monotonic()
+        began = time.monotonic()
         scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
+        cells = self.keep(context.asset_key.path[-1], scope, frame)
+        if scope.aircraft is None:
+            stored_s = round(time.monotonic() - began, 3)
+            context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
+        else:
+            report(context, frame, cells)
+
+    def keep(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
+        """Store a frame and mark as done the cells that were due, which are returned."""
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
             self.store.replace(table, scope.aircraft or [FLEET], frame.sort(TABLES[table].key))
         cells = scope.due(self.ledger, table)
         self.ledger.mark(table, cells)
-        if scope.aircraft is None:
-            stored_s = round(time.monotonic() - began, 3)
-            context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
-        else:
-            report(context, frame, cells)
+        return cells
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:
         """Whole table, for a notebook or `dg`; assets read what they need through their stage."""

@@ -28,6 +28,8 @@ class Scan:
 
     files: int
     new: int
+    flights: int
+    """Flights that the new files hold; one in two of them counts twice."""
 
 
 def scan(landing: Path, ledger: Ledger) -> Scan:
@@ -43,7 +45,7 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     rows += [r for r in told if digests.get(r[0]) != r[6]]
     if rows:
         ledger.register(rows, held)
-    return Scan(len(listing.files), len(new))
+    return Scan(len(listing.files), len(new), sum(map(len, held.values())))
 
 
 def _settings(home: Path, digests: Mapping[str, str]) -> Iterator[Row]:

@@ -1,5 +1,6 @@
 """Which cells share a run: as many flights as one may hold, of one or several aircraft, never one flight each."""
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -91,25 +92,36 @@ class PartitionIndex:
     flown: dict[str, set[str]]
 
     def batches(
-        self, grain: str, wanted: pl.DataFrame, folded: int = 1, *, ranges: bool = False
+        self, grain: str, wanted: pl.DataFrame, folded: int = 1, among: int = 1, *, ranges: bool = False
     ) -> Iterator[PartitionBatch]:
         """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`.
 
-        As `ranges` each is all that was flown from its first cell to its last, for machines that are told no more.
+        Each holds its share `among` so many processes, by whole aircraft. As `ranges` each is all that was flown from
+        its first cell to its last, for machines that are told no more.
         """
         if grain == "fleet":
             return iter([PartitionBatch()])
-        of, most = self._aircraft if grain == "aircraft" else self._flights, folded * CELLS_A_RUN
-        return self._gathered(of(by_aircraft(wanted), most), most, ranges)
+        of = self._aircraft if grain == "aircraft" else self._flights
+        most, share = folded * CELLS_A_RUN, math.ceil(self.count(grain, wanted) / among)
+        return self._gathered(of(by_aircraft(wanted), min(most, share)), most, share, ranges)
 
-    def _gathered(self, stretches: Iterator[list[Cell]], most: int, ranges: bool) -> Iterator[PartitionBatch]:
-        """Stretches together as long as they hold no more flights than one run may."""
+    def count(self, grain: str, wanted: pl.DataFrame) -> int:
+        """Flights of the wanted cells; of an aircraft's, all that it has flown."""
+        if grain == "flight":
+            return wanted.height
+        return sum(len(self.flown.get(aircraft, ())) for aircraft in by_aircraft(wanted))
+
+    def _gathered(
+        self, stretches: Iterator[list[Cell]], most: int, share: int, ranges: bool
+    ) -> Iterator[PartitionBatch]:
+        """Stretches together as long as they hold no more flights than one run may, nor much more than its share."""
         place = {key: i for i, key in enumerate(self.flights)}
         flown = [sorted(place[f] for f in self.flown.get(a, ()) if f in place) for a in self.aircraft] if ranges else []
         held, size = list[Cell](), 0
         for stretch in stretches:
             more = len(stretch) if stretch[0][1] else len(self.flown.get(stretch[0][0], ()))
-            if held and (size + more > most or (ranges and not self._is_range([*held, *stretch], flown, place))):
+            full = size + more > most or size + more / 2 > share
+            if held and (full or (ranges and not self._is_range([*held, *stretch], flown, place))):
                 yield _batch(held, place)
                 held, size = [], 0
             held, size = held + stretch, size + more

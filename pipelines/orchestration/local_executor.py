@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from functools import cache
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import forkserver, get_context, resource_tracker
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
-    from pipelines.orchestration.runs import Runner
 
-BLOCKS_TO_SHARE = 3  # a process takes four seconds to start, a full block ten to make
-_SET_PARENT_DEATH_SIGNAL = 1
+FLIGHTS_TO_SHARE = 2_000  # a second process takes as long to load as a thousand flights to read
+WORKER = "pipelines.orchestration.worker"
 
 
 def cores() -> int:
@@ -46,19 +44,32 @@ class LocalExecutor:
         self.landing, self.home, self.jobs = landing.resolve(), home.resolve(), jobs
         self._pool: ProcessPoolExecutor | None = None
 
-    def worth(self, batches: list[PartitionBatch], few: bool) -> bool:
-        """Whether the batches are enough to share out; not where there is little new in each of a few."""
-        return not few and self.jobs > 1 and len(batches) >= BLOCKS_TO_SHARE
+    def among(self, flights: int) -> int:
+        """How many processes share so many new flights: several only where that pays for their start."""
+        return self.jobs if flights >= FLIGHTS_TO_SHARE else 1
+
+    def expect(self, flights: int) -> None:
+        """Begin to load what processes are forked from, if so many flights will be shared out: it takes seconds."""
+        if self.among(flights) > 1:
+            self._forked()
+            with deaf():
+                forkserver.ensure_running()
+
+    def worth(self, batches: list[PartitionBatch], flights: int) -> bool:
+        """Whether batches of so many new flights are shared out."""
+        return len(batches) > 1 and self.among(flights) > 1
 
     def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
         """Make the batches in any order and say of each when it is done.
 
         A worker that dies, for want of memory say, takes the step with it: the night says so and the next one goes on.
         """
-        pool = self._ready()
+        from pipelines.orchestration import worker
+
         try:
             with deaf():  # it is a submission that starts a process
-                made = [pool.submit(_make, self.landing, self.home, tables, b, label) for b in batches]
+                pool = self._ready(worker.begin)
+                made = [pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
             for future in as_completed(made):
                 yield future.result()
         except BrokenProcessPool:
@@ -67,10 +78,16 @@ class LocalExecutor:
             self._pool = None
             yield BatchResult(0, 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
 
-    def _ready(self) -> ProcessPoolExecutor:
+    def _ready(self, begin: Callable[[Mapping[str, str]], None]) -> ProcessPoolExecutor:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.jobs, get_context("spawn"), _die_with, (os.getpid(),))
+            self._pool = ProcessPoolExecutor(self.jobs, self._forked(), begin, (dict(os.environ),))
         return self._pool
+
+    def _forked(self) -> BaseContext:
+        """Processes forked from one that has loaded what they need: this one has threads, which a fork would lose."""
+        context = get_context("forkserver")
+        context.set_forkserver_preload([WORKER])
+        return context
 
     def stop(self) -> None:
         """Let the processes end, and what they hold in memory with them; there will be others when there is need."""
@@ -98,24 +115,3 @@ def deaf() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _die_with(parent: int) -> None:
-    """End when the night does, however it ends: once killed it holds its home no longer, and another may begin."""
-    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
-
-
-def _make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
-    return _runner(landing, home).make(tables, batch, label)
-
-
-@cache
-def _runner(landing: Path, home: Path) -> Runner:
-    """This worker's own."""
-    from pipelines.assets.location import asset_definitions
-    from pipelines.orchestration.runs import BY, Runner, open_instance
-    from pipelines.storage.ledger import Ledger
-
-    return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home), BY)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from pipelines.orchestration.remote_executor import RemoteExecutor
     from pipelines.orchestration.runs import Runner
 
-MANY_FLIGHTS = 3_000
-
 
 class BusyError(Exception):
     """Another run holds this home."""
@@ -127,6 +125,7 @@ def run_night(
         store.sweep()
         chain.mended += mend(landing, store, ledger)
         found = scan(landing, ledger)
+        chain.hands.expect(found.flights)
         chain.settled_as = ledger.settled_as()
         for step in () if ledger.is_settled(made_as(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
@@ -184,10 +183,11 @@ class _Chain:
             self.flights = max(self.flights, wanted.height)
         self.progress.start(step.label, wanted.height)
         apart = self.hands.ranges
-        batches = self.runner.known(None if apart else wanted).batches(
-            step.grain, wanted, 1 if apart else step.folded, ranges=apart
-        )
-        for made in self._make(tables, list(batches), step):
+        index = self.runner.known(None if apart else wanted)
+        flights = self.flights or index.count(step.grain, wanted)  # an aircraft goes on from what is new
+        folded, among = 1 if apart else step.folded, self.hands.among(flights)
+        batches = list(index.batches(step.grain, wanted, folded, among, ranges=apart))
+        for made in self._make(tables, batches, step.label, flights):
             self.runs, self.cells = self.runs + made.runs, self.cells + made.cells
             self.failed |= made.failed
             self.mended += made.mended
@@ -205,13 +205,14 @@ class _Chain:
         cells = stale(narrowed(self.ledger, stage, *self.moved) if few else self.ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
-    def _make(self, tables: list[str], batches: list[PartitionBatch], step: Step) -> Iterator[BatchResult]:
-        """Share the batches out, unless all that is new of whole aircraft are a few flights: they go on from there."""
-        few = step.grain == "aircraft" and 0 < self.flights < MANY_FLIGHTS
-        if self.hands.worth(batches, few):
-            return self.hands.make(tables, batches, step.label)
+    def _make(
+        self, tables: list[str], batches: list[PartitionBatch], label: str, flights: int
+    ) -> Iterator[BatchResult]:
+        """Share the batches out, if so many new flights are worth it."""
+        if self.hands.worth(batches, flights):
+            return self.hands.make(tables, batches, label)
         self.hands.stop()
-        return (self.runner.make(tables, batch, step.label) for batch in batches)
+        return (self.runner.make(tables, batch, label) for batch in batches)
 
     @cached_property
     def runner(self) -> Runner:

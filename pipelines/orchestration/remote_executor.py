@@ -39,7 +39,14 @@ class RemoteExecutor:
         while remote.under_way(self.instance, NIGHT):
             time.sleep(LOOK_S)
 
-    def worth(self, batches: list[PartitionBatch], few: bool) -> bool:
+    def among(self, flights: int) -> int:
+        """Nothing to divide by: how many workers there are is not known here, and runs are small."""
+        return 1
+
+    def expect(self, flights: int) -> None:
+        """They are there."""
+
+    def worth(self, batches: list[PartitionBatch], flights: int) -> bool:
         """Whether the batches are sent out: always, for the night's own machine may be a small one."""
         return bool(batches)
 

@@ -27,7 +27,7 @@ def landing(tmp_path_factory) -> Path:
 def small_blocks(monkeypatch) -> None:
     """An aircraft a run, shared out however few; up to the twin, whose fleet-wide steps are no different."""
     monkeypatch.setattr(batches, "CELLS_A_RUN", 12)
-    monkeypatch.setattr(local_executor, "BLOCKS_TO_SHARE", 2)
+    monkeypatch.setattr(local_executor, "FLIGHTS_TO_SHARE", 1)
     monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
 
 
@@ -64,7 +64,7 @@ def _night(landing: Path, home: Path) -> None:
         def advance(self, cells: int) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
-    local_executor.BLOCKS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 2, 12, unfolded(nightly.STAGES)
+    local_executor.FLIGHTS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 1, 12, unfolded(nightly.STAGES)
     with nightly.holding(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 

@@ -23,7 +23,10 @@ from pipelines.orchestration.runs import open_instance
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
 
-SMALL = "from pipelines.orchestration import batches; batches.CELLS_A_RUN = 60; from pipelines.cli import main; main()"
+SMALL = (
+    "from pipelines.orchestration import batches, local_executor; batches.CELLS_A_RUN = 60;"
+    " local_executor.FLIGHTS_TO_SHARE = 1; from pipelines.cli import main; main()"
+)
 LINE = "hdt: stopped; the next run goes on from here\n"
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 QUICK_S = 2.0

@@ -1,0 +1,44 @@
+"""What a process of a night does beside others. It is loaded once, by the process that all of them are forked from."""
+
+import os
+from collections.abc import Mapping
+from functools import cache
+from multiprocessing import parent_process
+from pathlib import Path
+from threading import Thread
+
+import dagster as dg
+
+from pipelines import assets
+from pipelines.assets.location import asset_definitions
+from pipelines.orchestration.batches import BatchResult, PartitionBatch
+from pipelines.orchestration.runs import BY, Runner, open_instance
+from pipelines.storage.ledger import Ledger
+
+dg.load_assets_from_package_module(assets)  # loads the stages, which takes longer than all the rest
+
+
+def begin(environment: Mapping[str, str]) -> None:
+    """Take the night's `environment`, which may be younger than the parent's, and end when the night does."""
+    os.environ.clear()
+    os.environ.update(environment)
+    Thread(target=_end_with_the_night, daemon=True).start()
+
+
+def _end_with_the_night() -> None:
+    """However it ends: once killed it holds its home no longer, and another may begin."""
+    night = parent_process()
+    if night is not None:
+        night.join()
+        os._exit(1)
+
+
+def make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
+    """One batch, as `Runner.make` does it."""
+    return _runner(landing, home).make(tables, batch, label)
+
+
+@cache
+def _runner(landing: Path, home: Path) -> Runner:
+    """This process's own."""
+    return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home), BY)
