@@ -1,5 +1,6 @@
 """Where a run reads from and writes to."""
 
+from functools import cached_property
 from pathlib import Path
 
 import dagster as dg
@@ -16,9 +17,9 @@ class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
     landing: str = Field(description="Folder the ground station drops files into (HDT_LANDING).")
     home: str = Field(description="Folder that holds tables, catalog, ledger and Dagster's own storage (HDT_HOME).")
 
-    @property
+    @cached_property
     def store(self) -> Store:
-        """The Parquet store."""
+        """The Parquet store, which remembers what it has read of its tables' logs."""
         return Store(Path(self.home))
 
     @property

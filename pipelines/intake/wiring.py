@@ -118,15 +118,13 @@ def miswritten_rows(raw: pl.DataFrame) -> pl.DataFrame:
     flight_of = np.zeros(int(units.max(initial=-1)) + 1, np.int64)
     flight_of[units] = flights
     columns = {n: raw[n].to_numpy().astype(float) for n in SIGNAL_NAMES}
-    odd = np.isin(units, np.flatnonzero(_look(columns, units).share.max(axis=0) >= MOST))
-    found = []
-    for change in CHANGES if odd.any() else ():
-        here = np.flatnonzero(odd)
-        part = {n: v[here] for n, v in columns.items()}
-        cured = _cured(change, part, units[here], flight_of)
+    odd = np.flatnonzero(np.isin(units, np.flatnonzero(_look(columns, units).share.max(axis=0) >= MOST)))
+    suspects, found = _suspects(columns, units, odd), []
+    for change in CHANGES if odd.size else ():
+        cured = _cured(change, suspects, flight_of)
         if cured.any():
-            found.append(_told(change, part, here, cured))
-            odd[here[cured]] = False
+            found.append(_told(change, suspects, cured))
+            suspects = _suspects(columns, units, suspects.rows[~cured])
     return pl.concat([_none(), *found])
 
 
@@ -135,6 +133,20 @@ class _Look(NamedTuple):
 
     share: Array
     spread: Array
+
+
+class _Suspects(NamedTuple):
+    """Rows of units that break a law and are not explained yet."""
+
+    rows: Index
+    columns: Columns
+    units: Index
+    look: _Look
+
+
+def _suspects(columns: Columns, units: Index, rows: Index) -> _Suspects:
+    part, own = {name: values[rows] for name, values in columns.items()}, units[rows]
+    return _Suspects(rows, part, own, _look(part, own))
 
 
 def _look(columns: Columns, units: Index) -> _Look:
@@ -160,22 +172,23 @@ def _numbered(raw: pl.DataFrame, key: tuple[str, ...]) -> Index:
     return raw.select(pl.struct(key).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
 
 
-def _cured(change: Change, columns: Columns, units: Index, flight_of: Index) -> Mask:
-    """Of each row whether its unit, the rows of a pack, breaks a law as written and none after the change.
+def _cured(change: Change, suspects: _Suspects, flight_of: Index) -> Mask:
+    """Of each suspect row whether its unit, the rows of a pack, breaks a law as written and none after the change.
 
     One sensor that reads too much all along can be brought back within the spans by many a change of zero and scale.
     So such a change must be that of all packs of the flight, for sensors fail one by one; or, where a column has a
     partner that moves as it does, must let the broken laws vary less.
     """
+    columns, units, before = suspects.columns, suspects.units, suspects.look
     if all(np.isnan(columns[name]).all() for name in change.made):
         return np.zeros(len(units), bool)
-    before, after = _look(columns, units), _look(change.of(columns), units)
+    after = _look(change.of(columns), units)
     cured: Mask = (before.share.max(axis=0) >= MOST) & (after.share.max(axis=0) <= FEW)
     if change.shifts and _WITH_PARTNER.issuperset(change.made):
         cured &= ((before.share < MOST) | (after.spread < before.spread)).all(axis=0)
     elif change.shifts:
         cured &= _in_all_packs(cured, flight_of)
-    for name in change.made:
+    for name in change.made if cured.any() else ():
         cured &= _lively(columns[name], units, len(cured))
         if change.reason == SWAPPED:  # with a column that is not recorded there is nothing to change places with
             cured &= np.bincount(units[~np.isnan(columns[name])], minlength=len(cured)) > 0
@@ -199,9 +212,9 @@ def _lively(values: Array, units: Index, n_units: int) -> Mask:
     return lively
 
 
-def _told(change: Change, columns: Columns, here: Index, cured: Mask) -> pl.DataFrame:
-    recorded = np.any([~np.isnan(columns[name]) for name in change.made], axis=0)
-    index = pl.Series("index", here[cured & recorded], dtype=pl.UInt32)
+def _told(change: Change, suspects: _Suspects, cured: Mask) -> pl.DataFrame:
+    recorded = np.any([~np.isnan(suspects.columns[name]) for name in change.made], axis=0)
+    index = pl.Series("index", suspects.rows[cured & recorded], dtype=pl.UInt32)
     words = {"reason": change.reason, "column_name": ", ".join(change.made), "told": change.says}
     return pl.DataFrame(index).with_columns(pl.lit(v).alias(k) for k, v in words.items())
 
