@@ -8,6 +8,7 @@ import polars as pl
 from dagster_batched import report_partitions
 from hdt_core.tables import TABLES
 from pipelines import partitions
+from pipelines.lineage import LINEAGE, Recipe
 from pipelines.partitions import NIGHT, PartitionScope
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import FLEET, Store
@@ -19,6 +20,7 @@ class FrameIO(dg.IOManager):
 
     def __init__(self, store: Store, ledger: Ledger) -> None:
         self.store, self.ledger = store, ledger
+        self._due: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
 
     def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
         """Store, then mark as done, then tell what each cell of the run holds."""
@@ -37,8 +39,19 @@ class FrameIO(dg.IOManager):
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
             self.store.replace(table, scope.aircraft or [FLEET], frame.sort(TABLES[table].key))
-        cells = scope.due(self.ledger, table)
+        cells = self._due_cells(table, scope)
         self.ledger.mark(table, cells)
+        return cells
+
+    def _due_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
+        """Asked once for all tables of a recipe, which are stored one after the other when their parents are made."""
+        recipe = LINEAGE[table]
+        if not (recipe.parents or recipe.files):  # made of nothing but its name
+            return scope.due(self.ledger, table)
+        asked, cells = self._due.get(recipe, (None, None))
+        if cells is None or asked != scope:
+            cells = scope.due(self.ledger, table)
+            self._due[recipe] = scope, cells
         return cells
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:

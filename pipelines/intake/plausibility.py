@@ -66,10 +66,12 @@ def _none() -> pl.DataFrame:
 
 def _by_band(raw: pl.DataFrame, slip: Slip) -> pl.DataFrame:
     like = {c: pl.col(c).is_between(*band).fill_null(False) for c, band in slip.bands.items()}
-    if not any(raw.select(expr.any().alias(c) for c, expr in like.items()).row(0)):
+    flights = raw.filter(pl.any_horizontal(like.values())).select(FLIGHT).unique()
+    if flights.is_empty():
         return _none()
+    some = raw.with_row_index().join(flights, on=FLIGHT, how="semi", maintain_order="left", nulls_equal=True)
     lasting = (_most(pl.col(c), e).alias(f"most {c}") for c, e in like.items())
-    marks = raw.select(*FLIGHT, *(e.alias(c) for c, e in like.items()), *lasting)
+    marks = some.select("index", *(e.alias(c) for c, e in like.items()), *lasting)
     slipped = (pl.sum_horizontal(*like) >= 2) | pl.any_horizontal(pl.col(c) & pl.col(f"most {c}") for c in like)
     return _rows(marks.with_columns(slipped.alias("slipped")), list(like), slip.reason)
 
@@ -82,11 +84,7 @@ def _most(value: pl.Expr, like: pl.Expr) -> pl.Expr:
 
 def _rows(marks: pl.DataFrame, columns: list[str], reason: str) -> pl.DataFrame:
     named = pl.concat_list(pl.when(c).then(pl.lit(c)) for c in columns).list.drop_nulls().list.join(", ")
-    return (
-        marks.with_row_index("index")
-        .filter("slipped")
-        .select("index", pl.lit(reason).alias("reason"), named.alias("column_name"))
-    )
+    return marks.filter("slipped").select("index", pl.lit(reason).alias("reason"), named.alias("column_name"))
 
 
 def _kilograms(raw: pl.DataFrame) -> pl.DataFrame:
@@ -102,7 +100,7 @@ def _kilograms(raw: pl.DataFrame) -> pl.DataFrame:
     cooled_k = (pl.col("hx_in_degc") - pl.col("hx_out_degc")).median()
     turning = (pl.col("cc_speed_rpm").median() > 5000.0).fill_null(cooled_k > 25.0)
     flights = raw.group_by(unit).agg((turning & _steady(pl.col(c), e)).alias(f"all {c}") for c, e in like.items())
-    marks = raw.select(*unit, *(e.alias(c) for c, e in like.items()))
+    marks = raw.with_row_index().select("index", *unit, *(e.alias(c) for c, e in like.items()))
     marks = marks.join(flights, on=unit, how="left", maintain_order="left", nulls_equal=True)
     slipped = pl.any_horizontal(pl.col(c) & pl.col(f"all {c}").fill_null(False) for c in like)
     return _rows(marks.with_columns(slipped.alias("slipped")), list(like), "unit_kg_s")
