@@ -45,8 +45,8 @@ _ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
 }
 
 
-class _Seen(NamedTuple):
-    """A table as it was opened, None where there is none, and the file of each of its shards."""
+class _Taken(NamedTuple):
+    """A table as one writer has opened it, None where there is none, and the file of each of its shards."""
 
     table: DeltaTable | None
     shards: dict[str, str]
@@ -62,45 +62,46 @@ class Deltas:
 
     place: Folder | Bucket
     _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
-    _seen: dict[str, tuple[object, "_Seen"]] = field(default_factory=dict)  # tables, each with its newest commit
+    _listed: dict[str, tuple[object, dict[str, str]]] = field(default_factory=dict)  # shards, by the newest commit
+    _idle: dict[str, tuple[object, "_Taken"]] = field(default_factory=dict)  # opened tables, by the newest commit
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:
         """The table now, or at a version; None where there is none."""
-        return self._now(table).table if version is None else self._opened(table, version)
-
-    def shards(self, table: str, version: int | None = None) -> dict[str, str]:
-        """The file of each shard, below the table's folder."""
-        if version is None:
-            return self._now(table).shards
-        held = self._opened(table, version)
-        return {} if held is None else shards_of(held)
-
-    def _now(self, table: str) -> "_Seen":
-        """The table and its shards now.
-
-        A table is opened once a commit: a night asks some five hundred times, and a log of years takes a while to read.
-        """
-        newest = self.place.newest_commit(table)
-        known, seen = self._seen.get(table, (None, None))
-        if seen is None or newest is None or newest != known:
-            held = self._opened(table)
-            seen = _Seen(held, {} if held is None else shards_of(held))
-            self._seen[table] = newest, seen
-        return seen
-
-    def _note(self, table: str, held: DeltaTable) -> None:
-        """Keep a table as a commit of ours has left it, unless another has come since."""
-        newest = self.place.newest_commit(table)
-        if newest is not None and newest[0] == f"{held.version():020}.json":
-            self._seen[table] = newest, _Seen(held, shards_of(held))
-
-    def _opened(self, table: str, version: int | None = None) -> DeltaTable | None:
         try:
             return DeltaTable(f"{self.place.url}/{table}", version, self.place.options)
         except TableNotFoundError:
             return None
         except (DeltaError, OSError) as error:
             raise self._unreadable(table, error) from None
+
+    def shards(self, table: str, version: int | None = None) -> dict[str, str]:
+        """The file of each shard, below the table's folder.
+
+        A table is opened once a commit: a night asks some five hundred times, and a log of years takes a while to read.
+        """
+        newest = self.place.newest_commit(table) if version is None else None
+        known, shards = self._listed.get(table, (None, {}))
+        if newest is None or newest != known:
+            held = self.open(table, version)
+            shards = {} if held is None else shards_of(held)
+        if newest is not None:
+            self._listed[table] = newest, shards
+        return shards
+
+    def _take(self, table: str) -> "_Taken":
+        """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""
+        newest = self.place.newest_commit(table)
+        known, taken = self._idle.pop(table, (None, None))
+        if taken is not None and newest is not None and newest == known:
+            return taken
+        held = self.open(table)
+        return _Taken(held, {} if held is None else shards_of(held))
+
+    def _leave(self, table: str, taken: "_Taken") -> None:
+        """Leave a table to the next writer, unless another commit has come since."""
+        newest = self.place.newest_commit(table)
+        if taken.table is not None and newest is not None and newest[0] == f"{taken.table.version():020}.json":
+            self._idle[table], self._listed[table] = (newest, taken), (newest, taken.shards)
 
     def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
         """Places of the files of all or some shards; of a folder's name, all below it."""
@@ -125,13 +126,14 @@ class Deltas:
     def change(self, table: str, change: Change) -> DeltaTable | None:
         """Write shards of a table in one commit, all or none; the table then, or None where there still is none."""
         while True:
-            now, files = self._now(table)
+            now, files = taken = self._take(table)
 
             def held(shard: str, files: dict[str, str] = files) -> pl.DataFrame | None:
                 return pl.read_parquet(io.BytesIO(self.read(f"{table}/{files[shard]}"))) if shard in files else None
 
             made = dict(change(held))
             if not made:
+                self._leave(table, taken)
                 return now
             schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
             new = {s: f for s, frame in made.items() if (f := _packed(s, frame)).name != files.get(s)}
@@ -225,7 +227,7 @@ class Deltas:
         sys.audit("hdt.after_commit")
         now.update_incremental()
         self.place.settle(table, now.version())
-        self._note(table, now)
+        self._leave(table, _Taken(now, shards_of(now)))
         return True
 
 
