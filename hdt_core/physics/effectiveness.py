@@ -108,15 +108,18 @@ def _by_series(a: Array, b: Array) -> tuple[Array, Array]:
     term_a, term_b = np.exp(-a), np.exp(-b)
     p_a = -np.expm1(-a)
     q_b = np.where(b == 0.0, 1.0, -np.expm1(-b) / np.where(b == 0.0, 1.0, b))  # P(n+1, b) / b
-    fewest = np.fmax.reduce(np.fmin(np.real(a), np.real(b)), axis=None, initial=0.0)
+    fewest = np.fmin(np.real(a), np.real(b))
     total = np.zeros(a.shape, dtype=np.result_type(a, b, 1.0))
     slope = np.zeros_like(total)
+    on = np.ones(a.shape, bool)
     for n in range(MAX_TERMS):
         added = p_a * q_b
-        total = total + added
+        total = total + on * added
         term_a = term_a * a / (n + 1.0)
-        slope = slope + term_a * term_b
-        if n >= fewest and not np.any(np.abs(added) > SERIES_TOLERANCE):  # a NaN has nothing to wait for
+        slope = slope + on * (term_a * term_b)
+        # each ends for itself, so that its digits do not hang on its neighbours; a NaN has nothing to wait for
+        on &= (n < fewest) | (np.abs(added) > SERIES_TOLERANCE)
+        if not on.any():
             break
         q_b = q_b - term_b / (n + 1.0)
         term_b = term_b * b / (n + 1.0)
@@ -227,15 +230,17 @@ def crossflow_ntu(effectiveness: Array, ntu_ratio: Array) -> Array:
         wanted = _counterflow_ntu(eps, ratio)
     possible &= np.isfinite(wanted)
     ntu = wanted = np.where(possible, wanted, 0.0)
+    on = np.ones(ntu.shape, bool)
     for _ in range(MAX_NEWTON_STEPS):
         found, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
         with np.errstate(all="ignore"):  # an effectiveness that rounds to its ceiling has no counterflow equal
             by_ntu = slope / ntu / ((1.0 - found) * (1.0 - ratio * found))
             step = (wanted - _counterflow_ntu(found, ratio)) / by_ntu
             near = np.fmax(1e-13, 2.0**-53 * eps / slope) * ntu
-        step = np.clip(np.where(np.isfinite(step), step, 0.0), -0.5 * ntu, 4.0 * ntu)
+        step = on * np.clip(np.where(np.isfinite(step), step, 0.0), -0.5 * ntu, 4.0 * ntu)
         ntu = ntu + step
-        if not np.any(np.abs(step) > near):
+        on &= np.abs(step) > near
+        if not on.any():
             break
     return np.where(possible, ntu, np.nan)
 

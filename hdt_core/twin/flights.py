@@ -193,7 +193,7 @@ def _located(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
     if not rows.height:
         schema = {c: rows.schema[c] for c in FLIGHT_PACK}
         return pl.DataFrame(schema=schema | {name: pl.Float64, f"{name}_sd": pl.Float64, "n": pl.UInt32})
-    ordered = rows.select(*FLIGHT_PACK, column).sort(FLIGHT_PACK)
+    ordered = rows.select(*FLIGHT_PACK, column).sort(FLIGHT_PACK, maintain_order=True)  # sums keep their last digits
     keys = ordered.group_by(FLIGHT_PACK, maintain_order=True).agg(
         pl.col(column).median().alias("start"), pl.len().alias("n")
     )

@@ -162,7 +162,7 @@ class Ledger:
     def files(self, kinds: Iterable[str]) -> pl.DataFrame:
         """Files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
         kinds = list(kinds)
-        marks = ",".join("?" * len(kinds))
+        marks = ",".join("?" * len(kinds)) or "null"  # PostgreSQL knows no empty list
         return self._cells(f"select {_COLUMNS} from files where kind in ({marks})", "files", kinds)
 
     def flight_files(self) -> pl.DataFrame:

@@ -55,6 +55,7 @@ def test_what_is_registered_is_known(ledger):
     assert ledger.known_files() == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
     assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
     assert ledger.files(["acms"]).schema["mtime_ns"] == pl.Int64
+    assert ledger.files([]).is_empty()
     assert ledger.holdings().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
     assert ledger.flight_files().height == 3
 

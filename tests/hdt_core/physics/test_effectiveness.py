@@ -152,3 +152,15 @@ def test_missing_values_stay_missing_and_cost_nothing_more():
     assert np.isnan(found).tolist() == [False, True, False]
     assert found[0] == pytest.approx(0.617790718, abs=5e-10)
     assert np.isnan(crossflow_ntu(np.array([np.nan, 0.5]), np.array([0.7, np.nan]))).all()
+
+
+def test_no_digit_hangs_on_what_else_is_asked():
+    """Iterations end for each value by itself, so a flight's numbers are the same whatever shares its run."""
+    rng = np.random.default_rng(7)
+    ntu, ratio = rng.uniform(0.05, 20.0, 2_000), rng.uniform(0.1, 1.2, 2_000)
+    value, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
+    whole = (value, slope, crossflow_ntu(value, ratio))
+    for part in (slice(0, 3), slice(3, 700), slice(700, None)):
+        alone = crossflow_effectiveness_and_slope(ntu[part], (ntu * ratio)[part])
+        for one, of in zip((*alone, crossflow_ntu(value[part], ratio[part])), whole, strict=True):
+            assert np.array_equal(one, of[part])
