@@ -25,6 +25,7 @@ from dagster._daemon.controller import all_daemons_live
 from benchmarks.addresses import BRIDGE_IP, namespaces
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.ledger import NAMES
+from pipelines.storage.seal import NAME
 
 BIN = Path(sys.executable).parent
 SETTINGS = Path(__file__).parents[1] / "deploy/celery.yaml"
@@ -131,6 +132,8 @@ class Site:
     def forget(self) -> None:
         """An empty fleet again; Dagster keeps its history."""
         shutil.rmtree(self.root / "store", ignore_errors=True)
+        for sealed in self.root.glob(f"*/{NAME}"):  # or the next night takes the store for damaged
+            sealed.unlink()
         for table in NAMES:
             with suppress(psycopg2.errors.UndefinedTable):
                 self.rows(f"truncate {table}")
