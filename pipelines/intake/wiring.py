@@ -119,8 +119,10 @@ def miswritten_rows(raw: pl.DataFrame) -> pl.DataFrame:
     flight_of[units] = flights
     columns = {n: raw[n].to_numpy().astype(float) for n in SIGNAL_NAMES}
     odd = np.flatnonzero(np.isin(units, np.flatnonzero(_look(columns, units).share.max(axis=0) >= MOST)))
+    if not odd.size:
+        return _none()
     suspects, found = _suspects(columns, units, odd), []
-    for change in CHANGES if odd.size else ():
+    for change in CHANGES:
         cured = _cured(change, suspects, flight_of)
         if cured.any():
             found.append(_told(change, suspects, cured))

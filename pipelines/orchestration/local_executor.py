@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, resource_tracker
-from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,6 +41,9 @@ class LocalExecutor:
 
     def __init__(self, landing: Path, home: Path, jobs: int) -> None:
         self.landing, self.home, self.jobs = landing.resolve(), home.resolve(), jobs
+        # not forked from this process, whose threads a fork would lose, but from one that has loaded what they need
+        self._forked = get_context("forkserver")
+        self._forked.set_forkserver_preload([WORKER])
         self._pool: ProcessPoolExecutor | None = None
 
     def among(self, flights: int) -> int:
@@ -51,7 +53,6 @@ class LocalExecutor:
     def expect(self, flights: int) -> None:
         """Begin to load what processes are forked from, if so many flights will be shared out: it takes seconds."""
         if self.among(flights) > 1:
-            self._forked()
             with deaf():
                 forkserver.ensure_running()
 
@@ -68,8 +69,9 @@ class LocalExecutor:
 
         try:
             with deaf():  # it is a submission that starts a process
-                pool = self._ready(worker.begin)
-                made = [pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
+                if self._pool is None:
+                    self._pool = ProcessPoolExecutor(self.jobs, self._forked, worker.begin, (dict(os.environ),))
+                made = [self._pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
             for future in as_completed(made):
                 yield future.result()
         except BrokenProcessPool:
@@ -77,17 +79,6 @@ class LocalExecutor:
 
             self._pool = None
             yield BatchResult(0, 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
-
-    def _ready(self, begin: Callable[[Mapping[str, str]], None]) -> ProcessPoolExecutor:
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.jobs, self._forked(), begin, (dict(os.environ),))
-        return self._pool
-
-    def _forked(self) -> BaseContext:
-        """Processes forked from one that has loaded what they need: this one has threads, which a fork would lose."""
-        context = get_context("forkserver")
-        context.set_forkserver_preload([WORKER])
-        return context
 
     def stop(self) -> None:
         """Let the processes end, and what they hold in memory with them; there will be others when there is need."""

@@ -92,7 +92,7 @@ class Deltas:
         """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""
         newest = self.place.newest_commit(table)
         known, taken = self._idle.pop(table, (None, None))
-        if taken is not None and newest is not None and newest == known:
+        if taken is not None and newest == known:
             return taken
         held = self.open(table)
         return _Taken(held, {} if held is None else shards_of(held))

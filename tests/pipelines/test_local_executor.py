@@ -34,14 +34,16 @@ def small_blocks(monkeypatch) -> None:
 def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_path, small_blocks, monkeypatch):
     """To the last digit: no flight's numbers hang on those it shares a run with."""
     told = {}
-    for jobs, cells in ((1, 48), (2, 5)):
-        monkeypatch.setattr(batches, "CELLS_A_RUN", cells)
+    for jobs in (1, 2):
         with nightly.holding(tmp_path / f"{jobs}"):
             night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
-        told[jobs] = (night.cells, night.failed)
+        told[jobs] = (night.runs, night.cells, night.failed)
     assert told[2] == told[1]
-    assert not told[1][1]
-    assert fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
+    assert not told[1][2]
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 5)
+    with nightly.holding(tmp_path / "cut"):
+        assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > told[1][0]
+    assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
 
 def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path, small_blocks):

@@ -58,12 +58,12 @@ def drawn(page: Page, chart: str = FIRST) -> None:
     page.locator(f"{chart} .bk-Figure").first.wait_for()
 
 
-def told_in_time(page: Page, chart: Locator, ask: str, wanted: object) -> object:
+def told_in_time(chart: Locator, ask: str, wanted: object) -> object:
     """What a chart answers, asked until it is what is wanted, for ten seconds: a busy machine draws late."""
     for _ in range(100):
         if chart.evaluate(ask) == wanted:
             break
-        page.wait_for_timeout(100)
+        chart.page.wait_for_timeout(100)
     return chart.evaluate(ask)
 
 
@@ -145,7 +145,7 @@ def test_units_are_switched_and_never_mixed(opened):
     assert not re.search(r"°C|\d K\b|kg/s|W/K", us)
     if before is not None:
         hotter = pytest.approx(1.8 * before + 32, abs=1e-3)
-        assert told_in_time(page, page.locator(figure).nth(2), level, hotter) == hotter
+        assert told_in_time(page.locator(figure).nth(2), level, hotter) == hotter
 
 
 def test_the_ground_is_dark_where_the_reader_wants_it(opened):
@@ -155,7 +155,7 @@ def test_the_ground_is_dark_where_the_reader_wants_it(opened):
     axis = "box => box.view.model.below[0].major_label_text_color"
     assert page.locator(FIRST).first.evaluate(axis) == "#e6e6e6"
     page.emulate_media(color_scheme="light")
-    assert told_in_time(page, page.locator(FIRST).first, axis, "#1a1a1a") == "#1a1a1a"
+    assert told_in_time(page.locator(FIRST).first, axis, "#1a1a1a") == "#1a1a1a"
 
 
 def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
