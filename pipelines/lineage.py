@@ -175,7 +175,7 @@ STAGES = (
             "calibration_window",
             parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"),
             baseline=True,
-            code="11",
+            code="12",
         ),
         label="digital system model",
     ),
@@ -196,7 +196,7 @@ STAGES = (
     Stage(
         "features_margin",
         "features",
-        alike("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_laws")),
+        alike("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_laws"), code="2"),
     ),
     Stage(
         "twin_health",
@@ -220,14 +220,14 @@ STAGES = (
         alike(
             "features",
             parents=("twin_health", "residuals", "features_witnesses", "features_margin", "raw_maintenance"),
-            code="7",
+            code="8",
         ),
         fresh="features",
     ),
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="13"),
+        alike("features_alerts", parents=("features",), code="14"),
     ),
     Stage(
         "raw_components",

@@ -11,12 +11,9 @@ import numpy as np
 import polars as pl
 
 from hdt_core.health.controller import RUNNING_KG_S, Laws, has_authority
-from hdt_core.physics.air import (
-    standard_pressure_pa,
-    standard_temperature_k,
-    total_to_static_pressure,
-    total_to_static_temperature,
-)
+from hdt_core.health.curves import falls_through
+from hdt_core.health.delivery import delivery_flights
+from hdt_core.health.reference_air import hot_day_tat_k, reference_air
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
@@ -35,11 +32,9 @@ SHARES = (0.2, 0.5)
 EXCESS_K = (-20.0, -10.0, 0.0, 5.0, 10.0)
 """Outlet above its held level at which critical ratios are kept; others are read between them. [K]"""
 SHOWN = ("high_n", "held_k", "held_status", "full_open_share", *(f"overheat_p{round(100 * s)}_k" for s in SHARES))
-REFERENCE_M, REFERENCE_MACH, REFERENCE_INLET_K = 11_000.0, 0.84, 390.0
+REFERENCE_INLET_K = 390.0
 LN_RATIOS = np.array([-1.2, -0.8, -0.55, -0.35, -0.2, -0.05, 0.1, 0.3, 0.6])
 """Conductance ratios at which the model is asked; between them the outlet is all but linear. [-]"""
-HOT_DAY_K = 15.0
-"""The hot day that a margin is stated for: the standard atmosphere and 15 K, at the flight's level, speed and flow."""
 TRIM_SAMPLES = 2
 """Samples with the door in motion that give a flight's own held level."""
 
@@ -89,24 +84,28 @@ def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     )
     curves = {s: found.select(f"{s}_{j}" for j in range(LN_RATIOS.size)).to_numpy() for s in SHARES}
     critical = [
-        pl.Series(critical_name(s, e), critical_ln_ratio(curves[s], e)).fill_nan(None) for s in SHARES for e in EXCESS_K
+        pl.Series(critical_name(s, e), falls_through(curves[s], LN_RATIOS, e)).fill_nan(None)
+        for s in SHARES
+        for e in EXCESS_K
     ]
     middle = {name: found[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ln_ram_ratio", "trim_k")}
     parts = [*_hot_day(middle, found, dsm, laws), *margin_parts(middle, found, dsm, laws)]
     found = found.select(*FLIGHT_PACK, *SHOWN).with_columns(*critical, *parts)
     keep = flights.select(*FLIGHT_PACK, "departed_at").join(found, on=FLIGHT_PACK, how="left")
+    keep = keep.join(delivery_flights(samples, dsm, laws), on=FLIGHT_PACK, how="left")
     return keep.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
 
 
 def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: Laws) -> list[pl.Series]:
     """Critical ratios on the hot day, at the flight's own level, speed, flow and trim."""
-    tat_k = (standard_temperature_k(middle["altitude_m"]) + HOT_DAY_K) * total_to_static_temperature(middle["mach"])
+    tat_k = hot_day_tat_k(middle["altitude_m"], middle["mach"])
     # bleed and compressor warm what they take in: the inlet follows the air
     hot = {**middle, "tat_k": tat_k, "hx_in_k": middle["hx_in_k"] + tat_k - middle["tat_k"]}
     held_k = laws.outlet.column(flights["tail"].to_numpy(), tat_k).to_numpy() + middle["trim_k"]
     excess = full_open_outlet_k(hot, dsm.design, LN_RATIOS) - held_k[:, None]
     return [
-        pl.Series(name, critical_ln_ratio(excess, e)).fill_nan(None) for name, e in zip(HOT_DAY, EXCESS_K, strict=True)
+        pl.Series(name, falls_through(excess, LN_RATIOS, e)).fill_nan(None)
+        for name, e in zip(HOT_DAY, EXCESS_K, strict=True)
     ]
 
 
@@ -118,12 +117,7 @@ def margin_parts(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, l
     """
     n = flights.height
     tail, level_k = flights["tail"].to_numpy(), laws.outlet.levels.get("", 0.0)
-    altitude_m, mach = np.full(n, REFERENCE_M), np.full(n, REFERENCE_MACH)
-    now = {
-        "altitude_m": altitude_m,
-        "mach": mach,
-        "tat_k": standard_temperature_k(altitude_m) * total_to_static_temperature(mach),
-        "total_pressure_pa": standard_pressure_pa(altitude_m) * total_to_static_pressure(mach),
+    now = reference_air(n) | {
         "hx_in_k": np.full(n, REFERENCE_INLET_K),
         "pack_flow_kg_s": np.full(n, dsm.cruise_flows_kg_s[0]),
     }
@@ -139,18 +133,6 @@ def margin_parts(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, l
     steps += [margin_k(now, middle["trim_k"]), margin_k(now, middle["trim_k"], middle["ln_ram_ratio"])]
     values = [steps[0], *np.diff(steps, axis=0)]
     return [pl.Series(name, value).fill_nan(None) for name, value in zip(PARTS, values, strict=True)]
-
-
-def critical_ln_ratio(excess_k: Array, at_k: float) -> Array:
-    """Where curves of the outlet above its level, over `LN_RATIOS`, fall through a value: (n, ratios) to (n,).
-
-    Straight lines between the ratios and beyond the last two at either end.
-    """
-    left = np.clip((excess_k > at_k).sum(axis=1) - 1, 0, LN_RATIOS.size - 2)
-    rows = np.arange(len(excess_k))
-    high, low = excess_k[rows, left], excess_k[rows, left + 1]
-    share = (high - at_k) / np.maximum(high - low, 1e-9)
-    return np.asarray(LN_RATIOS[left] + share * (LN_RATIOS[left + 1] - LN_RATIOS[left]))
 
 
 def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:

@@ -7,13 +7,14 @@ pressure scheduled on altitude; the compressor delivers that, and the pressure i
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from hdt_core.health.detection import Array
+from hdt_core.health.speed_limit import SpeedLimit, speed_limit
 from hdt_core.robust import huber_weights, spread
 
 DOOR_FREE = (0.08, 0.95)
@@ -75,7 +76,7 @@ class Law:
 
 @dataclass(frozen=True, slots=True)
 class Laws:
-    """Both laws of a fleet.
+    """What the controllers of a fleet hold.
 
     Attributes
     ----------
@@ -83,15 +84,18 @@ class Laws:
         Hot outlet temperature [K] on total temperature [K]; a flight and pack has its own constant.
     delivery : Law
         ln of compressor exit pressure on altitude [m] and pack flow squared [kg2/s2]; a pack has its own constant.
+    speed : SpeedLimit
+        What the compressors are held below.
     """
 
     outlet: Law
     delivery: Law
+    speed: SpeedLimit = field(default_factory=SpeedLimit)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, fit for JSON."""
         both = {"outlet": self.outlet, "delivery": self.delivery}
-        return {
+        plain: dict[str, Any] = {
             name: {
                 "knots": list(v.knots),
                 "shapes": {k: list(s) for k, s in v.shapes.items()},
@@ -100,6 +104,7 @@ class Laws:
             }
             for name, v in both.items()
         }
+        return plain | {"speed": asdict(self.speed)}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "Laws":
@@ -109,7 +114,7 @@ class Laws:
             shapes = {k: tuple(v) for k, v in p["shapes"].items()}
             return Law(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
 
-        return cls(law(plain["outlet"]), law(plain["delivery"]))
+        return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
 
 
 def learn_laws(samples: pl.DataFrame) -> Laws:
@@ -131,10 +136,15 @@ def learn_laws(samples: pl.DataFrame) -> Laws:
     held = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
     flow2 = pl.col("pack_flow_kg_s") ** 2
     running = (pl.col("phase") == "cruise") & (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("cc_out_pa") > 0)
-    delivered = window.filter(running).select(
-        "tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2
-    )
-    return Laws(_learn(held, TAT_KNOTS_K), _learn(delivered, ALTITUDE_KNOTS_M))
+    flown = window.filter(running)
+    delivered = flown.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
+    delivery = _learn(delivered, ALTITUDE_KNOTS_M)
+    scheduled = delivery.column(*(delivered[c].to_numpy() for c in ("tail", "x", "third")))
+    beyond = delivered["y"] - scheduled - delivery.level_column(delivered)
+    no_speed = pl.repeat(None, flown.height, dtype=pl.Float64, eager=True)
+    speed = flown.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
+    limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
+    return Laws(_learn(held, TAT_KNOTS_K), delivery, limit)
 
 
 def has_authority(prefix: str = "") -> pl.Expr:

@@ -71,7 +71,9 @@ _MARGIN = (
     "hx_passage_100", "hx_passage_300", "hx_margin_k", "hx_margin_sd_k", "hx_margin_hot_day_k", "hx_margin_design_k",
     "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_wear_k", "overheat_p20_k",
 )  # fmt: skip
-_COMPRESSOR = ("cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss")
+_COMPRESSOR = (
+    "cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss", "cc_diameter_left", "cc_diameter_left_hot_high",
+)  # fmt: skip
 
 DIAGNOSES = {
     d.code: d

@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.health.first_passage import passages
-from hdt_core.health.margin import SHOWN_MARGIN, left_margin
+from hdt_core.health.margin import SHOWN_DELIVERY, SHOWN_MARGIN, left_delivery, left_margin
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
@@ -19,6 +19,9 @@ HORIZONS = (10, 30, 100)
 """Flights over which trends are taken."""
 HEALTH = ("hx_fouling", "cc_efficiency_loss", "cc_diameter_loss", "cc_effective_diameter_m")
 """Health parameters that get a column, an `_sd`, a `_status` and trends."""
+WORN = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
+ALONE = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
+"""What the margins stand on: losses as tracked, and what the flight alone says."""
 SHORT: dict[str, Any] = {
     "operator": pl.String,
     "tail": pl.String,
@@ -143,10 +146,14 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
 
 def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFrame) -> pl.DataFrame:
     """Margin columns of each flight; rows of `wide` are in order of departure."""
-    seen = wide.select(*LEG, "hx_fouling", "hx_life").join(
-        twin_flights.select(*LEG, "ln_ua_ratio"), on=LEG, how="left", maintain_order="left"
+    alone = twin_flights.select(*LEG, pl.selectors.by_name(*ALONE, require_all=False))
+    seen = wide.select(*LEG, pl.selectors.by_name(*WORN, require_all=False)).join(
+        alone, on=LEG, how="left", maintain_order="left"
     )
-    return left_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
+    told = left_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
+    if "cc_flow_asked_kg_s" not in margin.columns:
+        return told
+    return told.join(left_delivery(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left")
 
 
 def since_maintenance(

@@ -54,6 +54,12 @@ SHRUNK = (
 NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
 SHRUNK_ELSE = "a drifting speed or pressure sensor"
 DIAMETER_LOST = "effective diameter lost (cc_diameter_loss) {share} %"
+DIAMETER_LEFT = (
+    "{share} % more of it (cc_diameter_left) may go before the flow of the last flight is no longer delivered"
+)
+TOO_SMALL = "at its highest speed {share} % too small (cc_diameter_left) for the flow of the last flight"
+LEFT_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, {share} % may go (cc_diameter_left_hot_high)"
+SMALL_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, it is {share} % too small (cc_diameter_left_hot_high)"
 
 JAMMED = (
     "The ram door (ram_door_open) stays at {stop} % from climb to descent since {since} while its controller's need "

@@ -200,7 +200,7 @@ def compressor(facts: Facts, since: str) -> Evidence:
     smaller, sigma = f"{-100 * shrunk:.1f}", f"{-shrunk / DIAMETER_SD:.1f}"
     moved = phrases.SHRUNK.format(share=smaller, sigma=sigma, since=since)
     witness = Witness(NEUTRAL, phrases.NO_EFFICIENCY)
-    return Evidence(moved, (witness,), phrases.SHRUNK_ELSE, phrases.COMPRESSOR_COSTS)
+    return Evidence(moved, (witness, *_reserve(facts)), phrases.SHRUNK_ELSE, phrases.COMPRESSOR_COSTS)
 
 
 def _diameter(facts: Facts) -> tuple[Witness, ...]:
@@ -209,7 +209,20 @@ def _diameter(facts: Facts) -> tuple[Witness, ...]:
     if math.isnan(lost):
         return ()
     role = SUPPORTS if lost > 0.25 * efficiency else NEUTRAL if lost > -DIAMETER_SD else AGAINST
-    return (Witness(role, phrases.DIAMETER_LOST.format(share=f"{100 * lost:.1f}")),)
+    return (Witness(role, phrases.DIAMETER_LOST.format(share=f"{100 * lost:.1f}")), *_reserve(facts))
+
+
+def _reserve(facts: Facts) -> tuple[Witness, ...]:
+    """What is left before the machine cannot deliver what is asked."""
+    left, hot_high = facts["cc_diameter_left"], facts["cc_diameter_left_hot_high"]
+    if math.isnan(left):
+        return ()
+    own = phrases.DIAMETER_LEFT if left > 0.0 else phrases.TOO_SMALL
+    high = phrases.LEFT_HOT_HIGH if hot_high > 0.0 else phrases.SMALL_HOT_HIGH
+    return (
+        Witness(NEUTRAL if left > 0.0 else SUPPORTS, own.format(share=f"{100 * abs(left):.0f}")),
+        Witness(NEUTRAL, high.format(share=f"{100 * abs(hot_high):.0f}")),
+    )
 
 
 def door(facts: Facts, since: str) -> Evidence:

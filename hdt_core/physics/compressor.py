@@ -37,6 +37,15 @@ def area_diameter_tan_beta_m3(flow_kg_s: Array, inlet_pa: Array, inlet_k: Array,
     return 2.0 * flow_kg_s / (density_kg_m3(inlet_pa, inlet_k) * speed_rad_s)
 
 
+def group_at_m3(vda_counts: Array, group_m3: Array, at_counts: Array, slope_m3_per_count: Array) -> Array:
+    """G = A D tan(beta) with the diffuser at a position: a wider one lets more through at the same speed. [m3]
+
+    The paper's angle is a constant, which would fix flow over density and speed for good. What is seen moves with the
+    diffuser (`group_m3` at `at_counts`); a line is enough.
+    """
+    return group_m3 + slope_m3_per_count * (vda_counts - at_counts)
+
+
 def pressure_ratio(diameter_m: Array, inlet_k: Array, speed_rad_s: Array) -> Array:
     r"""Pressure ratio by equation (5). [-]
 

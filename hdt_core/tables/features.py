@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import dataframely as dy
 
-from hdt_core.tables.base import DatedLegTable, Table, count, moment, number, operator_key, pack_key, text
+from hdt_core.tables.base import DatedLegTable, Table, count, flag, moment, number, operator_key, pack_key, text
 from hdt_core.tables.raw import Signals
 
 _HEALTH = {
@@ -72,6 +72,24 @@ _MARGIN = {
     "hx_margin_profile_k": "of the margin: what the hottest fifth of the flight adds to its middle",
     "overheat_p20_k": "outlet above its level with the ram door full open, hottest fifth of the high samples",
     "full_open_share": "share of the high samples with the ram door full open",
+}
+_DELIVERY = {
+    "cc_ln_diameter_ratio": "ln of the effective diameter that is left over equation (6)'s, unit's offset included, as "
+    "tracked",
+    "cc_diameter_left": "share of it that may still go before flow or pressure falls short, hardest fifth of cruise",
+    "cc_diameter_left_sd": "standard deviation of it",
+    "cc_diameter_left_hot_high": "the same with that flow asked at 41,000 ft on a hot day (ISA + 15 K)",
+    "cc_flow_asked_kg_s": "flow that the flight asked of the compressor, by speed and diffuser, median in cruise",
+    "cc_flow_margin_kg_s": "margin: flow it can deliver at its highest speed less the flow asked, hardest fifth of the "
+    "cruise",
+    "cc_flow_margin_sd_kg_s": "standard deviation of it; null where it is as much as the diffuser's map reaches to",
+    "cc_flow_margin_hot_high_kg_s": "the same with that flow asked at 41,000 ft on a hot day (ISA + 15 K)",
+    "cc_flow_margin_hot_high_sd_kg_s": "standard deviation of it; null in the same way",
+    "cc_flow_margin_design_kg_s": "margin of a machine as built at the reference cruise, the baseline's flow asked",
+    "cc_flow_margin_demand_kg_s": "of the margin: what the flight's own flow adds",
+    "cc_flow_margin_ambient_kg_s": "of the margin: what its level and the air outside add",
+    "cc_flow_margin_wear_kg_s": "of the margin: what wear and the unit's own build add",
+    "cc_flow_margin_profile_kg_s": "of the margin: what the hardest fifth of the cruise adds to its middle",
 }
 _DOOR = {
     "door_span": "5 to 95 % span of the ram door's position in the flight",
@@ -167,6 +185,10 @@ def _of_margin() -> Iterator[tuple[str, dy.Column]]:
         )
         yield _number(f"hx_passage_{ahead}", what)
     yield "hx_margin_status", _kept(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
+    yield from (_number(name, what) for name, what in _DELIVERY.items())
+    reach = "ok, at_least (as far as the diffuser's map or the speeds on record reach) or not_known"
+    yield "cc_flow_margin_status", _kept(dy.String, "", reach)
+    yield "cc_flow_margin_hot_high_status", _kept(dy.String, "", reach)
 
 
 def _of_life() -> Iterator[tuple[str, dy.Column]]:
@@ -199,7 +221,7 @@ FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (DatedLegTable
 
 
 class _Margin(DatedLegTable):
-    """What a flight asked of the exchanger, whatever its wear: flight, pack."""
+    """What a flight asked of exchanger and compressor, whatever their wear: flight, pack."""
 
     high_n = count("samples above 15,000 ft behind it")
     held_k = number("level the controller holds the hot outlet at, median of the high samples", "K")
@@ -225,8 +247,30 @@ def _critical(where: str) -> dict[str, dy.Column]:
     }
 
 
+def _delivery(where: str) -> dict[str, dy.Float64]:
+    words = {"p20": "a fifth of the cruise", "middle": "its middle", "hot_high": "its middle, were it hot and high"}
+    said = f"of the flow asked for in {words[where]}, at the highest speed"
+    least = "ln of the least diameter over equation (6)'s that delivers"
+    critical = {
+        f"critical_ln_diameter_{where}_{n}pct": number(f"{least} {n} % {said}") for n in (60, 80, 100, 120, 150)
+    }
+    return critical | {f"cc_widest_share_{where}": number(f"share {said}, that the widest diffuser known delivers")}
+
+
 _CRITICAL = {**_critical("p20"), **_critical("p50"), **_critical("hot_day")}
-FeaturesMargin = cast("type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL}))
+_ASKED = {
+    "cc_flow_asked_kg_s": number("flow asked of the compressor, by speed and diffuser, median in cruise", "kg/s"),
+    "cc_speed_limit_met": flag("the compressors' highest speed is known to be their limit", nullable=True),
+    **_delivery("p20"),
+    **_delivery("middle"),
+    **_delivery("hot_high"),
+    "cc_flow_margin_design_kg_s": number("flow margin of a machine as built at the reference cruise", "kg/s"),
+    "cc_flow_margin_demand_kg_s": number("what the flight's own flow adds to it", "kg/s"),
+    "cc_flow_margin_ambient_kg_s": number("what its level and the air outside add", "kg/s"),
+}
+FeaturesMargin = cast(
+    "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **_ASKED})
+)
 
 
 class FeaturesAlerts(Table):

@@ -1,8 +1,7 @@
 """What thousands of nominal flights say of the compressor as built: equation (6) and its rivals, the group of
 equations (2)-(4), the efficiency.
 
-A diameter is a flight's own level times a curve of the diffuser's position that the fleet shares. Levels are free for
-every twenty flights of a pack, so that units, sensors, wear and replacements fall into them and not into the curve.
+A diameter is a flight's own level times a curve of the diffuser's position that the fleet shares.
 """
 
 from dataclasses import dataclass
@@ -11,11 +10,13 @@ import numpy as np
 import polars as pl
 
 from hdt_core.components.compressor import CC
+from hdt_core.physics.compressor import expected_diameter_m, group_at_m3
 from hdt_core.physics.model import declared
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.robust import huber_weights, median_error, spread, spread_expr
+from hdt_core.robust import median_error, spread
 from hdt_core.twin.crossing import Array
-from hdt_core.twin.forms import FormFit, Rows, compare_forms
+from hdt_core.twin.diffuser import BLOCK_FLIGHTS, rows_of, shared_line
+from hdt_core.twin.forms import FormFit, compare_forms
 from hdt_core.twin.pooling import Level, levels_of
 from hdt_core.twin.sensors import CC_FLOW_BIAS_SD
 
@@ -24,12 +25,6 @@ PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
 BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO = float(np.deg2rad(36.0)), float(np.deg2rad(3.0)), 0.4
 """Angle from tangential and hub to eye diameter of inducers of this kind: assumed, seen in no record."""
 MIN_POINTS = 30
-BLOCK_FLIGHTS = 20
-"""Flights within which a compressor hardly wears; also those from which a level as built is taken."""
-VDA_NOISE_COUNTS = declared(CC.model.signal("vda_counts").sigma)
-HUBER_STEPS = 8
-FAR_SD = 4.0
-"""Robust standard deviations beyond which a position is a spike of its sensor: one would turn a slope."""
 ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
 """Mean ln loss of diameter of a compressor when first seen, how well that is known, and the spread of units: by so much
 an as-built level lies above the seen one. No record tells; efficiency loses twice as much."""
@@ -39,7 +34,11 @@ PROBE_SD_LN = 0.003
 
 @dataclass(frozen=True, slots=True)
 class CompressorFit:
-    """Equation (6), the group of equations (2)-(4) and the efficiency as built, each with its standard deviation."""
+    """Equation (6), the group of equations (2)-(4) and the efficiency as built, each with its standard deviation.
+
+    `vda_counts` is the middle of the diffuser's positions, where the group is stated; `vda_widest_counts` the widest
+    on record, as far as its map is known, 0 where it is not known at all.
+    """
 
     intercept_m: float
     intercept_sd_m: float
@@ -54,8 +53,24 @@ class CompressorFit:
     efficiency_sd: float
     vda_counts: float
     n_flights: int
+    group_slope_m3_per_count: float
+    group_slope_sd_m3_per_count: float
+    vda_widest_counts: float
     forms: tuple[FormFit, ...] = ()
     levels: tuple[Level, ...] = ()
+
+    def diameter_m(self, vda_counts: Array) -> Array:
+        """Effective diameter of a sound machine with the diffuser at these positions. [m]"""
+        return expected_diameter_m(vda_counts, np.asarray(self.intercept_m), np.asarray(self.slope_m_per_count))
+
+    def group_at_m3(self, vda_counts: Array) -> Array:
+        """A D tan(beta) with the diffuser at these positions. [m3]"""
+        given = map(np.asarray, (self.group_m3, self.vda_counts, self.group_slope_m3_per_count))
+        return group_at_m3(vda_counts, *given)
+
+    def position_counts(self, group_m3: Array) -> Array:
+        """Positions at which the group is this: `group_at_m3` turned round. [count]"""
+        return self.vda_counts + (group_m3 - self.group_m3) / self.group_slope_m3_per_count
 
 
 def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
@@ -76,7 +91,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     The diffuser's reading is noisy, which flattens a slope by the share of noise in its variance; the slope is raised
     by as much. Levels are those of machines as first seen, raised by the wear that these bring along.
     """
-    rows = _rows(samples)
+    rows = rows_of(samples, "diameter_m")
     group, group_sd, group_levels = _pooled(
         samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, wear=False
     )
@@ -86,35 +101,32 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     flights = samples.select(FLIGHT_PACK).unique().height
     if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
         return _prior(flights)  # one flight a pack: nothing to compare within a machine
-    slope, level, weight = _shared_slope(rows)
-    x_mean = np.bincount(rows.block, weight * rows.x) / np.bincount(rows.block, weight)
-    inside = rows.x - x_mean[rows.block]
-    reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(inside**2, weights=weight)), 0.5)
-    centre = float(np.average(rows.x, weights=weight))
-    residual = rows.y - _fitted(rows, slope, level, centre)
-    seen = pl.DataFrame({"seen": level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
+    line = shared_line(rows)
+    seen = pl.DataFrame({"seen": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
     as_built, as_built_sd = _as_built(seen["seen"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
     # the slope belongs to machines as they were; an as-built one is that much larger
-    slope = slope / reliable * as_built / float(np.mean(level))
-    slope_sd = float(
-        np.hypot(_clustered_sd(inside, residual, rows.flight, weight) / reliable, slope * as_built_sd / as_built)
-    )
+    slope = line.slope * as_built / float(np.mean(line.level))
+    slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
+    group_slope, group_slope_sd = _group_slope(samples)
     form_fits = compare_forms(rows)
-    line = form_fits[1] if form_fits else None
+    linear = form_fits[1] if form_fits else None
     return CompressorFit(
-        intercept_m=as_built - slope * centre,
-        intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * centre)),
+        intercept_m=as_built - slope * line.centre,
+        intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * line.centre)),
         slope_m_per_count=slope,
         slope_sd_m_per_count=slope_sd,
-        scatter_m=spread(residual),
-        mae_m=line.cv_mae_m if line else float(np.abs(residual).mean()),
-        r_squared=line.r_squared if line else 0.0,
+        scatter_m=spread(line.residual),
+        mae_m=linear.cv_mae_m if linear else float(np.abs(line.residual).mean()),
+        r_squared=linear.r_squared if linear else 0.0,
         group_m3=group,
         group_sd_m3=group_sd,
         efficiency=efficiency,
         efficiency_sd=efficiency_sd,
-        vda_counts=centre,
+        vda_counts=line.centre,
         n_flights=flights,
+        group_slope_m3_per_count=group_slope,
+        group_slope_sd_m3_per_count=group_slope_sd,
+        vda_widest_counts=float(rows.x.max()),
         forms=form_fits,
         levels=(*group_levels, *efficiency_levels),
     )
@@ -124,51 +136,17 @@ def _prior(flights: int) -> CompressorFit:
     """The paper's equation (6) with a wide band, where the fleet's own records hold too little."""
     return CompressorFit(
         *PRIOR["cc_diameter_vda_intercept"], *PRIOR["cc_diameter_vda_slope"], 0.0055, 0.0055, 0.0,
-        *PRIOR["cc_area_diameter_tan_beta_m3"], *PRIOR["cc_efficiency"], 400.0, flights,
+        *PRIOR["cc_area_diameter_tan_beta_m3"], *PRIOR["cc_efficiency"], 400.0, flights, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
 
-def _rows(samples: pl.DataFrame) -> Rows:
-    known = samples.drop_nulls(["diameter_m", "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
-    middle = pl.col("vda_counts").median().over(PACK)
-    scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
-    known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
-    order = known.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
-    turned = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
-    block = turned.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
-    flight = turned.select(pl.struct(*PACK, "order").rle_id())[:, 0].to_numpy().astype(np.int64)
-    blocks = turned.select(*PACK, "turn").unique(maintain_order=True)
-    x, y = (known[c].to_numpy().astype(float) for c in ("vda_counts", "diameter_m"))
-    return Rows(x, y, block, flight, blocks)
-
-
-def _shared_slope(rows: Rows) -> tuple[float, Array, Array]:
-    """Slope of a machine of mean level, level of each block at the mean position, Huber's weights."""
-    x, y, block = rows.x, rows.y, rows.block
-    weight, scale = np.ones(len(x)), np.ones(len(rows.blocks))
-    slope, level = 0.0, scale
-    for _ in range(HUBER_STEPS):
-        total = np.bincount(block, weight)
-        x_mean, y_mean = (np.bincount(block, weight * v) / total for v in (x, y))
-        dx, dy = x - x_mean[block], (y - y_mean[block]) / scale[block]
-        slope = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9))
-        level = y_mean + slope * scale * (np.average(x, weights=weight) - x_mean)
-        # wear takes its share of the whole diameter, of the slope too
-        scale = level / level.mean()
-        off = np.abs(dy - slope * dx)
-        weight = huber_weights(off, spread(off))
-    return slope, level, weight
-
-
-def _fitted(rows: Rows, slope: float, level: Array, centre: float) -> Array:
-    return np.asarray(level[rows.block] * (1.0 + slope / level.mean() * (rows.x - centre)))
-
-
-def _clustered_sd(inside: Array, residual: Array, flight: Array, weight: Array) -> float:
-    """Standard error of the slope where samples of a flight err together: sandwich over flights, of Huber's
-    estimate, to whose slope a sample beyond the bend adds nothing."""
-    score = np.bincount(flight, weight * inside * residual)
-    return float(np.sqrt((score**2).sum()) / max((inside[weight >= 1.0] ** 2).sum(), 1e-9))
+def _group_slope(samples: pl.DataFrame) -> tuple[float, float]:
+    """What a count of the diffuser adds to the group, and its standard error; 0 where too few tell. [m3/count]"""
+    rows = rows_of(samples, "group_m3")
+    if len(rows.x) < MIN_POINTS:
+        return 0.0, 0.0
+    line = shared_line(rows)
+    return line.slope, line.slope_sd
 
 
 def _as_built(seen: Array, wear: float, wear_sd: float) -> tuple[float, float]:

@@ -72,8 +72,8 @@ def _exit_pressure_bias(cruise: pl.DataFrame) -> pl.DataFrame:
 
 
 def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.DataFrame:
-    """Cruise samples with `diameter_m` (equation 5), `group_m3` (equations 2-4) and `efficiency`; null where not
-    recorded."""
+    """Cruise samples with `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and the inlet they stand
+    on, `inlet_k` and `inlet_pa`; null where not recorded."""
     ordered = cruise.sort(*FLIGHT_PACK, "time_utc")
     rows = _steadied(ordered).join(corrections, on=PACK, how="left", maintain_order="left")
     s = {
@@ -85,6 +85,8 @@ def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.Da
     inlet_pa = s["cc_in_pa"] * np.exp(-rows["inlet_bias_ln"].fill_null(0.0).to_numpy())
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = {
+            "inlet_k": inlet_k,
+            "inlet_pa": inlet_pa,
             "diameter_m": effective_diameter_m(inlet_pa, exit_pa, inlet_k, s["cc_speed_rad_s"]),
             "group_m3": area_diameter_tan_beta_m3(s["cc_flow_kg_s"], inlet_pa, inlet_k, s["cc_speed_rad_s"]),
             "efficiency": isentropic_efficiency(inlet_pa, exit_pa, inlet_k, s["cc_out_k"]),

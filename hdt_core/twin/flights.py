@@ -64,7 +64,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     joined = finite(joined)
     odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
     odd &= pl.col("ln_ua_ratio").is_not_null()
-    expected = dsm.compressor.intercept_m + dsm.compressor.slope_m_per_count * pl.col("vda_counts")
+    expected_m = dsm.compressor.diameter_m(joined["vda_counts"].cast(pl.Float64).to_numpy())
     status = (
         pl.when(odd)
         .then(pl.lit("implausible"))
@@ -76,7 +76,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     )
     return (
         joined.with_columns(
-            expected.alias("expected_diameter_m"),
+            pl.Series("expected_diameter_m", expected_m).fill_nan(None),
             pl.col("n_samples", "cc_n_samples").fill_null(0).cast(pl.Int32),
             status.alias("status"),
             *(pl.when(~odd.fill_null(False)).then(c).alias(c) for c in EXCHANGER),

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 
 from hdt_core.twin.crossing import Array
+from hdt_core.twin.diffuser import Rows
 
 FOLDS, RESAMPLES = 5, 200
 FORMS = {"constant": 0, "linear": 1, "quadratic": 2, "cubic": 3}
@@ -33,17 +33,6 @@ class FormFit:
     r_squared: float
     r_squared_low: float
     r_squared_high: float
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Diameters against positions, the block (level) and the flight of each, and the pack and turn of each block."""
-
-    x: Array
-    y: Array
-    block: Array
-    flight: Array
-    blocks: pl.DataFrame
 
 
 def compare_forms(rows: Rows) -> tuple[FormFit, ...]:

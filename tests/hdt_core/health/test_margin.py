@@ -4,8 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.health.asks import CRITICAL, EXCESS_K, LN_RATIOS, PARTS, critical_ln_ratio, full_open_outlet_k
+from hdt_core.health.asks import CRITICAL, EXCESS_K, LN_RATIOS, PARTS, full_open_outlet_k
 from hdt_core.health.conditions import asked, repeated
+from hdt_core.health.curves import falls_through
 from hdt_core.health.first_passage import passage, wear_rate
 from hdt_core.health.margin import at_excess, left_margin
 from hdt_core.twin import exchanger as hx
@@ -46,7 +47,7 @@ def test_a_blocked_ram_side_takes_margin():
 @pytest.mark.parametrize("held_k", [285.0, 300.0, 315.0])
 def test_at_its_critical_ratio_the_outlet_stands_at_its_level(held_k):
     excess = full_open_outlet_k(cruise(), hx.MEAN, LN_RATIOS) - held_k
-    ratio = critical_ln_ratio(excess, 0.0)
+    ratio = falls_through(excess, LN_RATIOS, 0.0)
     # straight lines between the ratios asked: half a kelvin
     assert full_open_outlet_k(cruise(), hx.MEAN, ratio)[0, 0] == pytest.approx(held_k, abs=0.5)
 
