@@ -85,7 +85,7 @@ def _compressor_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
         ("cc_diameter_vda_mae_m", c.mae_m, None, "m"),
         ("cc_diameter_vda_r_squared", c.r_squared, None, "-"),
         ("cc_area_diameter_tan_beta_m3", c.group_m3, c.group_sd_m3, "m3"),
-        ("cc_area_diameter_tan_beta_m3_per_count", c.group_slope_m3_per_count, c.group_slope_sd_m3_per_count, "m3/count"),
+        ("cc_flow_group_m3_per_count", c.group_slope_m3_per_count, c.group_slope_sd_m3_per_count, "m3/count"),
         ("cc_efficiency", c.efficiency, c.efficiency_sd, "-"),
     ]
     return [
