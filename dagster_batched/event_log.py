@@ -27,12 +27,12 @@ from dagster._core.events import (
     AssetMaterializationPlannedData,
 )
 from dagster._core.events.log import EventLogEntry
-from dagster._core.storage.event_log.schema import SqlEventLogStorageTable
+from dagster._core.storage.event_log.schema import AssetCheckExecutionsTable, SqlEventLogStorageTable
 from dagster._core.storage.event_log.sql_event_log import SqlEventLogStorage
 from dagster._core.storage.event_log.sqlite import SqliteEventLogStorage
 from dagster._core.storage.event_log.sqlite.sqlite_event_log import INDEX_SHARD_NAME
 from dagster._serdes import ConfigurableClassData
-from sqlalchemy import Connection, Engine, create_engine
+from sqlalchemy import Connection, Engine, and_, create_engine, func, select
 
 from dagster_batched.event_group import EventGroup
 
@@ -118,6 +118,8 @@ class CoalescingEventLog(SqlEventLogStorage):
                 if kind in ASSET_EVENTS:
                     newest[one.row["asset_key"], kind] = one.event, event_id
                 elif kind in ASSET_CHECK_EVENTS:
+                    if kind == DagsterEventType.ASSET_CHECK_EVALUATION:
+                        _place_last(conn, one.event)
                     self.store_asset_check_event(one.event, event_id)
             for event, event_id in newest.values():
                 self.store_asset_event(event, event_id)
@@ -260,6 +262,23 @@ def _what(event: EventLogEntry) -> tuple[str, AssetKey]:
     key = event.get_dagster_event().asset_key
     assert key is not None
     return event.run_id, key
+
+
+def _place_last(conn: Connection, event: EventLogEntry) -> None:
+    """Move what the run planned of a check behind what runs beside it planned meanwhile.
+
+    A page holds the last record of a check against the last materialisation, and says that nothing was checked where
+    they are of two runs. An evaluation comes with its materialisation, in one transaction.
+    """
+    said, kept = event.get_dagster_event().asset_check_evaluation_data, AssetCheckExecutionsTable.c
+    of_check = and_(kept.asset_key == said.asset_key.to_string(), kept.check_name == said.check_name)
+    own = and_(of_check, kept.run_id == event.run_id)
+    last = conn.execute(select(func.max(kept.id)).where(of_check)).scalar()
+    names = [c for c in AssetCheckExecutionsTable.columns if c.name not in ("id", "create_timestamp")]
+    planned = conn.execute(select(*names, kept.id).where(own)).mappings().all()
+    if planned and last not in {row["id"] for row in planned}:
+        conn.execute(AssetCheckExecutionsTable.delete().where(own))
+        conn.execute(AssetCheckExecutionsTable.insert(), [{c.name: row[c.name] for c in names} for row in planned])
 
 
 def _of(event: EventLogEntry, partition: str | None) -> EventLogEntry:

@@ -2,11 +2,13 @@
 
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from pipelines.report.page import write_report
 
@@ -15,27 +17,33 @@ WIDTH, COLOURS = 960, 200
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
-def take(home: Path, folder: Path) -> list[Path]:
-    """Pictures of the page's head and of a pack with its alert.
+@contextmanager
+def started_browser() -> Iterator[Browser]:
+    """A Chromium that shows nothing.
 
     Raises
     ------
     FileNotFoundError
-        There is no Chromium.
+        There is none.
     """
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise FileNotFoundError(f"none of {', '.join(BROWSERS)} is installed")
-    with TemporaryDirectory() as scratch, sync_playwright() as started:
+    with sync_playwright() as started:
+        yield started.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+
+
+def take(home: Path, folder: Path) -> list[Path]:
+    """Pictures of the page's head and of a pack with its alert."""
+    with TemporaryDirectory() as scratch, started_browser() as shown:
         page = Path(scratch) / "report.html"
         write_report(home, page)
-        shown = started.chromium.launch(executable_path=browser, args=["--no-sandbox"])
         told = shown.new_page(viewport={"width": WIDTH, "height": 900})
         told.goto(page.as_uri())
-        return [_small(_head(told, folder / "report.png")), _small(_alert(told, folder / "alert.png"))]
+        return [small(_head(told, folder / "report.png")), small(_alert(told, folder / "alert.png"))]
 
 
-def _small(picture: Path) -> Path:
+def small(picture: Path) -> Path:
     """In as few colours as it has need of."""
     few = Image.open(picture).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(picture, optimize=True)

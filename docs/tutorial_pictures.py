@@ -6,13 +6,11 @@ HOME is one after a night over `data_samples/`. What a terminal shows is set by 
 import importlib.util
 import io
 import os
-import shutil
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pictures import BROWSERS, IMAGES, _small
-from playwright.sync_api import sync_playwright
+from pictures import IMAGES, small, started_browser
 from rich.console import Console
 
 from pipelines.cli import night
@@ -34,12 +32,9 @@ def terminals(home: Path) -> dict[str, str]:
 
 def photographed(pages: dict[str, str], folder: Path) -> list[Path]:
     """A picture of each page's text."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        raise FileNotFoundError(f"none of {', '.join(BROWSERS)} is installed")
     made = []
-    with TemporaryDirectory() as scratch, sync_playwright() as started:
-        shown = started.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page()
+    with TemporaryDirectory() as scratch, started_browser() as browser:
+        shown = browser.new_page()
         shown.set_viewport_size({"width": 1100, "height": 900})
         for name, text in pages.items():
             page = Path(scratch) / f"{name}.html"
@@ -68,4 +63,4 @@ def lessons(home: Path, folder: Path) -> list[Path]:
 if __name__ == "__main__":
     where, target = Path(sys.argv[1]), Path(*sys.argv[2:]) if sys.argv[2:] else IMAGES
     for picture in [*photographed(terminals(where), target), *lessons(where, target)]:
-        print(_small(picture))
+        print(small(picture))

@@ -270,6 +270,26 @@ def test_every_run_has_a_shard_like_stocks(tmp_path, monkeypatch):
     assert len(set(map(str, ours))) == 1
 
 
+@dg.asset(check_specs=[dg.AssetCheckSpec("fine", asset="shared")])
+def shared(context):
+    """An asset that another run makes meanwhile."""
+    if not context.run.tags.get("meanwhile"):
+        assert dg.materialize([shared], instance=context.instance, tags={"meanwhile": "yes"}).success
+    return dg.MaterializeResult(check_results=[dg.AssetCheckResult(passed=True, check_name="fine")])
+
+
+def test_of_runs_side_by_side_the_last_check_is_that_of_the_last_materialisation(new_log, monkeypatch):
+    """Or else a page says that nothing was checked: it takes the last that was planned."""
+    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
+    with new_log("ours").instance(OURS) as instance:
+        done = dg.materialize([shared], instance=instance)
+        key = dg.AssetCheckKey(dg.AssetKey("shared"), "fine")
+        records = instance.event_log_storage.get_asset_check_execution_history(key, limit=9)
+        assert instance.get_latest_materialization_event(key.asset_key).run_id == done.run_id
+    assert [r.run_id == done.run_id for r in records] == [True, False]
+    assert {r.status.value for r in records} == {"SUCCEEDED"}
+
+
 @dg.asset
 def plain() -> None:
     """No partition."""
