@@ -186,12 +186,18 @@ def full_open_outlet_k(
         ln of conductance over that of the clean model at the same flows, (ratios,). [-]
     ln_ram_ratio : array, optional
         ln of ram flow over that of the clean duct, (n,). [-]
+
+    Returns
+    -------
+    array
+        NaN where the speed leaves no ram flow.
     """
     full = {**signals, "ram_door_open": np.ones_like(signals["tat_k"])}
     ram = clean_ram_flow_kg_s(full, design) * np.exp(ln_ram_ratio)
-    expected = ln_clean_conductance(full, ram, design)
-    columns = [
-        outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(expected + r))[0]
-        for r in ln_ratio
-    ]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a Mach number of 0 aloft leaves no ram flow, and no answer
+        expected = ln_clean_conductance(full, ram, design)
+        columns = [
+            outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(expected + r))[0]
+            for r in ln_ratio
+        ]
     return np.stack(columns, axis=1)

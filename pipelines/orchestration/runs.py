@@ -98,29 +98,29 @@ class Runner:
     def _pinned_down(self, tables: list[str], batch: PartitionBatch, why: str, label: str) -> tuple[int, str]:
         """Make what can be made of an aircraft's batch that failed, half by half; how many runs, and what fails why.
 
-        After `MOST_PINNED` flights the rest is left as it is: then it is not the flights.
+        After `MOST_PINNED` flights the rest is left as it is: then it is not the flights. Each reason is told once.
         """
-        left, runs, told = [(batch, why)], 0, list[str]()
+        left, runs, where = [(batch, why)], 0, dict[str, list[str]]()
         while left:
             one, said = left.pop()
-            halves = one.parts() if len(told) < MOST_PINNED else []
+            halves = one.parts() if sum(map(len, where.values())) < MOST_PINNED else []
             if not halves:
-                told.append(self._named(one, said))
+                where.setdefault(said, []).append(self._named(one))
             runs += len(halves)
             left += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half, label))]
-        return runs, "; ".join(told)
+        return runs, "; ".join(": ".join(filter(None, (", ".join(places), said))) for said, places in where.items())
 
-    def _named(self, batch: PartitionBatch, why: str) -> str:
-        """Why a batch failed, with the flight and its files, or the first and last of its flights."""
+    def _named(self, batch: PartitionBatch) -> str:
+        """The flight of a batch and its files, or the first and last of its flights; nothing where it has none."""
         first, last = batch.flights
         if first != last:
-            return f"flights {first} to {last}: {why}"
+            return f"flights {first} to {last}"
         if not first:
-            return why
+            return ""
         aircraft = partitions.aircraft_of(batch.label)
         flight = f"{aircraft[1]}_{first}"
         files = sorted(self.ledger.of([aircraft]).flight_files().filter(flight_id=flight)["path"])
-        return f"{flight} ({', '.join(files)}): {why}"
+        return f"{flight} ({', '.join(files)})"
 
     def job(self, tables: list[str]) -> dg.JobDefinition:
         """Dagster's job that makes `tables`."""

@@ -121,3 +121,20 @@ def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch)
     monkeypatch.setattr(Together, "bad", (KEYS[1],))
     done = Together(None, None, None, {}).make([], batch, "alerts")
     assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())
+
+
+class Halved(Runner):
+    """A runner whose two bad flights fail for one reason, and a third for its own."""
+
+    def _run(self, tables, batch, label):
+        flown = {flight for _, flight in batch.cells}
+        return "boom" if flown & {"3", "6"} else "bang" if "5" in flown else None
+
+    def _named(self, batch):
+        return f"flight {batch.flights[0]}"
+
+
+def test_each_reason_is_told_once_with_the_flights_it_stopped():
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
+    done = Halved(None, None, None, {}).make([], batch, "twins")
+    assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]

@@ -33,6 +33,11 @@ def test_where_the_door_stands_now_does_not_matter():
     np.testing.assert_array_equal(shut, open_)
 
 
+def test_a_speed_that_reads_nothing_gives_no_answer_and_no_warning():
+    still = cruise(mach=0.0, total_pressure_pa=22_632.0)
+    assert np.isnan(full_open_outlet_k(still, hx.MEAN, LN_RATIOS)).all()
+
+
 @pytest.mark.parametrize("changed", [{"tat_k": 262.0}, {"pack_flow_kg_s": 0.95}, {"hx_in_k": 425.0}])
 def test_hotter_air_more_flow_and_warmer_bleed_take_margin(changed):
     plain, harder = (full_open_outlet_k(cruise(**c), hx.MEAN, np.zeros(1))[0, 0] for c in ({}, changed))
