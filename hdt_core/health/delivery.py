@@ -66,27 +66,17 @@ def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFram
         delivers) and `CLEAN_PARTS`. Missing is null.
     """
     fit, limit_rad_s = dsm.compressor, laws.speed.rad_s
-    known = limit_rad_s is not None and fit.vda_widest_counts > 0.0 and fit.group_slope_m3_per_count > 0.0
-    cruise = cruise_samples(samples, monitored=False) if known else samples.clear()
-    if limit_rad_s is None or not cruise.height:
+    mapped = fit.vda_widest_counts > 0.0 and fit.group_slope_m3_per_count > 0.0
+    cruise = cruise_samples(samples, monitored=False)
+    if limit_rad_s is None or not mapped or not cruise.height:
         nothing = (pl.lit(None, dtype).alias(name) for name, dtype in ASKED.items())
         return samples.select(FLIGHT_PACK).clear().with_columns(nothing)
-    seen = compressor_samples(cruise, dsm.pack_table()).drop_nulls(SIGNALS).filter(pl.col("cc_speed_rad_s") > 0.0)
-    rows = _with_flow(seen, fit)
-    critical, widest = needed(_with_pressure(rows, dsm, laws), fit, limit_rad_s)
-    hard = critical - _hunting_ln(rows, fit)[:, None]
-    flights = (
-        rows.with_columns(_columns("p20", hard, widest))
-        .group_by(FLIGHT_PACK, maintain_order=True)
-        .agg(
-            pl.col(*SIGNALS, "flow_kg_s").median(),
-            pl.col(CRITICAL_DIAMETER["p20"]).quantile(1.0 - HARDEST),
-            pl.col(WIDEST["p20"]).quantile(HARDEST),
-        )
-    )
-    told = flights.with_columns(_at_the_middle(flights, dsm, laws, limit_rad_s))
-    met = pl.lit(laws.speed.met).alias("cc_speed_limit_met")
-    return told.with_columns(pl.col("flow_kg_s").alias("cc_flow_asked_kg_s"), met).select(*FLIGHT_PACK, *ASKED)
+    flights = _at_their_hardest(cruise, dsm, laws, limit_rad_s)
+    return flights.with_columns(
+        *_at_the_middle(flights, dsm, laws, limit_rad_s),
+        cc_flow_asked_kg_s=pl.col("flow_kg_s"),
+        cc_speed_limit_met=pl.lit(laws.speed.met),
+    ).select(*FLIGHT_PACK, *ASKED)
 
 
 def needed(asked: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple[Array, Array]:
@@ -101,21 +91,22 @@ def needed(asked: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple
     Returns
     -------
     array, shape (n, flows); array, shape (n,)
-        NaN where any diameter does.
+        NaN where any diameter does, or a reading can't be.
     """
     flow, inlet_k, inlet_pa, no_flow_ln, flow_ln = (
         asked[c].to_numpy() for c in ("flow_kg_s", "inlet_k", "inlet_pa", "no_flow_ln", "flow_ln")
     )
     speed = np.full(asked.height, speed_rad_s)
     columns = []
-    for share in FLOWS:
-        least_m = effective_diameter_m(inlet_pa, np.exp(no_flow_ln + share**2 * flow_ln), inlet_k, speed)
-        group_m3 = area_diameter_tan_beta_m3(share * flow, inlet_pa, inlet_k, speed)
-        position = fit.position_counts(group_m3)
-        built_m = fit.diameter_m(position)
-        columns.append(np.log(least_m / np.where(built_m > 0.0, built_m, np.nan)))
-    widest_m3 = fit.group_at_m3(np.asarray(fit.vda_widest_counts))
-    return np.stack(columns, axis=1), inlet_flow_kg_s(widest_m3, inlet_pa, inlet_k, speed) / flow
+    with np.errstate(all="ignore"):  # a probe that reads nothing gives no answer
+        for share in FLOWS:
+            least_m = effective_diameter_m(inlet_pa, np.exp(no_flow_ln + share**2 * flow_ln), inlet_k, speed)
+            group_m3 = area_diameter_tan_beta_m3(share * flow, inlet_pa, inlet_k, speed)
+            built_m = fit.diameter_m(fit.position_counts(group_m3))
+            columns.append(np.log(least_m / np.where(built_m > 0.0, built_m, np.nan)))
+        widest_m3 = fit.group_at_m3(np.asarray(fit.vda_widest_counts))
+        share_of_widest = inlet_flow_kg_s(widest_m3, inlet_pa, inlet_k, speed) / flow
+    return _finite(np.stack(columns, axis=1)), _finite(np.where(flow > 0.0, share_of_widest, np.nan))
 
 
 def curves_of(flights: pl.DataFrame, where: str) -> tuple[Array, Array]:
@@ -130,6 +121,27 @@ def share_left(ln_diameter: Array, critical: Array, widest: Array) -> tuple[Arra
     """
     share, slope = read_across(critical, FLOWS, ln_diameter)
     return np.minimum(share, widest), np.where(share < widest, slope, np.nan)
+
+
+def _at_their_hardest(cruise: pl.DataFrame, dsm: Dsm, laws: Laws, limit_rad_s: float) -> pl.DataFrame:
+    """Curves in the hardest fifth of each flight's cruise; medians of `SIGNALS` and of the flow."""
+    seen = compressor_samples(cruise, dsm.pack_table()).drop_nulls(SIGNALS).filter(pl.col("cc_speed_rad_s") > 0.0)
+    rows = _with_flow(seen, dsm.compressor)
+    critical, widest = needed(_with_pressure(rows, dsm, laws), dsm.compressor, limit_rad_s)
+    curves = _columns("p20", critical - _hunting_ln(rows, dsm.compressor)[:, None], widest)
+    return (
+        rows.with_columns(curves)
+        .group_by(FLIGHT_PACK, maintain_order=True)
+        .agg(
+            pl.col(*SIGNALS, "flow_kg_s").median(),
+            pl.col(CRITICAL_DIAMETER["p20"]).quantile(1.0 - HARDEST),
+            pl.col(WIDEST["p20"]).quantile(HARDEST),
+        )
+    )
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def _with_flow(rows: pl.DataFrame, fit: CompressorFit) -> pl.DataFrame:

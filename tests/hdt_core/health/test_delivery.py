@@ -161,6 +161,18 @@ def test_one_sample_without_a_reading_costs_its_flight_nothing(cruise_model, cru
     assert asks.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
 
 
+@pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])
+def test_readings_that_cannot_be_cost_no_other_flight(cruise_model, cruise_samples, name):
+    first = pl.col("flight_id") == "T-00_000"
+    clean = delivery_flights(cruise_samples, cruise_model, laws()).filter(~first)
+    for value in (0.0, -5000.0, 1e9):
+        odd = cruise_samples.with_columns(pl.when(first).then(value).otherwise(name).alias(name))
+        told = delivery_flights(odd, cruise_model, laws())
+        assert told.filter(~first).equals(clean)
+        numbers = told.select(pl.selectors.float())
+        assert numbers.select(pl.all().is_finite().fill_null(True).all()).row(0) == (True,) * numbers.width
+
+
 def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Speeds held below a limit, read with their noise, and how far the pressure is beyond its schedule."""
     needed_rad_s = 3500.0 + 330.0 * rng.standard_normal(40_000)
