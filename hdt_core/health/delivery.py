@@ -27,6 +27,8 @@ from hdt_core.twin.dsm import Dsm
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
 """Flow over the flow asked for at which critical diameters are kept; others are read between them."""
+SURE_SD, LEAST_SLOPE_M3_COUNT = 5.0, 1e-8
+"""Standard deviations, and m3 a count, beyond which the diffuser is known to move the flow: else there is no map."""
 HARDEST = 0.2
 """Share of the cruise that is harder than what the margin is stated for."""
 WHERE = ("p20", "middle", "hot_high")
@@ -66,7 +68,7 @@ def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFram
         delivers) and `CLEAN_PARTS`. Missing is null.
     """
     fit, limit_rad_s = dsm.compressor, laws.speed.rad_s
-    mapped = fit.vda_widest_counts > 0.0 and fit.group_slope_m3_per_count > 0.0
+    mapped = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
     cruise = cruise_samples(samples, monitored=False)
     if limit_rad_s is None or not mapped or not cruise.height:
         nothing = (pl.lit(None, dtype).alias(name) for name, dtype in ASKED.items())

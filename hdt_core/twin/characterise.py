@@ -37,7 +37,7 @@ class CompressorFit:
     """Equation (6), the group of equations (2)-(4) and the efficiency as built, each with its standard deviation.
 
     `vda_counts` is the middle of the diffuser's positions, where the group is stated; `vda_widest_counts` the widest
-    on record, as far as its map is known, 0 where it is not known at all.
+    on record, as far as its map is known; the map has no slope where it is not known at all.
     """
 
     intercept_m: float

@@ -145,9 +145,10 @@ def test_a_limit_that_was_never_met_and_a_machine_without_a_map_are_said_so(crui
     )  # fmt: skip
     assert set(left_delivery(wide, asks)["cc_flow_margin_status"]) == {"at_least"}
     assert set(told["cc_flow_margin_status"][10:]) == {"ok"}
-    blind = replace(cruise_model, compressor=replace(FIT, vda_widest_counts=0.0))
-    nothing = delivery_flights(cruise_samples, blind, laws())
-    assert nothing.height == 0
+    for unsure in ({"group_slope_m3_per_count": 1e-9}, {"group_slope_sd_m3_per_count": 1e-7}):
+        blind = replace(cruise_model, compressor=replace(FIT, **unsure))
+        nothing = delivery_flights(cruise_samples, blind, laws())
+        assert nothing.height == 0
     unknown = left_delivery(wide, nothing)
     assert set(unknown["cc_flow_margin_status"]) == {"not_known"}
     assert unknown["cc_flow_margin_kg_s"].null_count() == unknown.height

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.physics.compressor import COMPRESSOR, inlet_flow_kg_s
+from hdt_core.physics.compressor import COMPRESSOR, group_at_m3, inlet_flow_kg_s
 from hdt_core.records.keys import PACK
 from hdt_core.twin.characterise import BLADE_ANGLE_RAD, HUB_RATIO, fit_compressor, inlet_geometry
 from hdt_core.twin.compressor import compressor_samples, probe_corrections
@@ -50,6 +50,22 @@ def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, made):
 
 def test_group_is_recovered_within_half_a_per_cent(fit, made):
     assert fit.group_m3 == pytest.approx(made.GROUP_M3, rel=0.005)
+
+
+def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, made):
+    """A group that grows by a third of a millionth a count, read by a flow sensor and a position with their noise."""
+    slope, rng = 3.3e-7, np.random.default_rng(5)
+    inlet = [fleet.samples[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")]
+    group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), made.GROUP_M3, 450.0, slope)
+    flow = inlet_flow_kg_s(group, *inlet) * (1.0 + 0.02 * rng.standard_normal(group.size))
+    noise = pl.Series(5.0 * rng.standard_normal(group.size))
+    found = fit_compressor(seen(fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow))))
+    sd = found.group_slope_sd_m3_per_count
+    assert abs(found.group_slope_m3_per_count - slope) < 3.0 * sd < 0.1 * slope
+    assert abs(fit.group_slope_m3_per_count) < 0.003 * slope  # a group that the diffuser does not move
+    positions = np.array([320.0, 450.0, 580.0])
+    np.testing.assert_allclose(found.position_counts(found.group_at_m3(positions)), positions, rtol=1e-12)
+    assert found.vda_widest_counts == pytest.approx(600.0, abs=25.0)
 
 
 def test_worn_machine_does_not_flatten_the_line(fleet, made):
