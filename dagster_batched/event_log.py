@@ -35,6 +35,7 @@ from dagster._serdes import ConfigurableClassData
 from sqlalchemy import Connection, Engine, and_, create_engine, func, select
 
 from dagster_batched.event_group import EventGroup
+from dagster_batched.partitions import uncollected
 
 _PLANNED, _MADE = DagsterEventType.ASSET_MATERIALIZATION_PLANNED, DagsterEventType.ASSET_MATERIALIZATION
 _PATIENT = {
@@ -49,6 +50,7 @@ _PATIENT = {
 _INDEXED = ASSET_EVENTS | ASSET_CHECK_EVENTS | set(EVENT_TYPE_TO_PIPELINE_RUN_STATUS)
 """Of these the index of all runs tells."""
 _PAGE_BYTES = 8192  # an event and its columns take a third of 4 kB, and a little more
+_MOST_NAMED = 30_000  # partitions or events in one question: SQLite takes 32,766 values
 _BUSY_S = 30  # as stock has it, which gives it no name in every version
 _SHARED = "run_id, dagster_event_type, step_key, asset_key"
 # bound values cost half of what a copy of the first row within SQLite does
@@ -107,6 +109,32 @@ class CoalescingEventLog(SqlEventLogStorage):
         if not all(e.dagster_event_type in _PATIENT for e in events):
             due, self._waiting = self._waiting, []
             self._store([self._one(e, *self._partitions(e)) for e in due])
+
+    @uncollected()
+    def get_materialized_partitions(
+        self, asset_key: AssetKey, before_cursor: int | None = None, after_cursor: int | None = None
+    ) -> set[str]:
+        """Partitions that were made, as stock finds them."""
+        return super().get_materialized_partitions(asset_key, before_cursor, after_cursor)
+
+    def get_latest_asset_partition_materialization_attempts_without_materializations(
+        self, asset_key: AssetKey, after_storage_id: int | None = None
+    ) -> dict[str, tuple[str, int]]:
+        """Run and event of each partition that was planned and not made since.
+
+        Looks for what was made among the partitions that were planned: few here, while stock reads all that were made.
+        """
+        latest = self.get_latest_storage_id_by_partition
+        planned = {p: i for p, i in latest(asset_key, _PLANNED).items() if i > (after_storage_id or 0)}
+        asked = set(planned) if len(planned) <= _MOST_NAMED else None
+        made = latest(asset_key, _MADE, asked) if planned else {}
+        left = {i: p for p, i in planned.items() if i > made.get(p, 0)}
+        ids, kept, found = list(left), SqlEventLogStorageTable.c, dict[str, tuple[str, int]]()
+        with self.index_connection() as conn:
+            for at in range(0, len(ids), _MOST_NAMED):
+                own = kept.id.in_(ids[at : at + _MOST_NAMED])
+                found |= {left[i]: (run_id, i) for i, run_id in conn.execute(select(kept.id, kept.run_id).where(own))}
+        return found
 
     def _mirror(self, groups: Sequence[EventGroup]) -> None:
         """Write the groups into the index with their tags; of each asset the newest of a type counts."""

@@ -186,7 +186,8 @@ def test_keys_that_a_page_counts_are_those_that_stock_finds():
         instance.add_dynamic_partitions("flight", ["1", "2"])
         for some in (asked, {"C|1"}, {"A"}, set()):
             ours, stock = valid_keys(both, some), stock_keys(both, some)
-            assert {key: key.keys_by_dimension for key in ours} == {key: key.keys_by_dimension for key in stock}
+            parts = {key: both.get_partition_key_from_str(key).keys_by_dimension for key in stock}  # 1.12 finds texts
+            assert {key: key.keys_by_dimension for key in ours} == parts
             assert {type(key) for key in ours} <= {dg.MultiPartitionKey}
         assert valid_keys(both, asked) == {"A|1", "B|2"}
 
@@ -224,6 +225,46 @@ def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
             )
     stock, ours = found
     assert ours == stock == {"sound": {}, "broken": dict.fromkeys(cells, True)}
+
+
+@dg.asset(partitions_def=both)
+def fickle(context) -> None:
+    """Cells of aircraft A, and none of others."""
+    if not context.partition_key.startswith("A"):
+        raise ValueError("no")
+
+
+@pytest.mark.parametrize("named", [1, 2, 30_000])
+def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, named):
+    """After any event: cells that failed, were made, made and then failed, failed and then made, or wiped."""
+    monkeypatch.setattr("dagster_batched.event_log._MOST_NAMED", named)
+    log, runs = new_log("log"), (("A|1", "A|1"), ("B|1", "B|1"), ("B|2", "B|2"), ("B|1", "B|1"))
+    in_vain = "get_latest_asset_partition_materialization_attempts_without_materializations"
+    with log.instance(STOCK) as instance:
+        instance.add_dynamic_partitions("aircraft", ["A", "B"])
+        instance.add_dynamic_partitions("flight", ["1", "2"])
+        for first_cell, last_cell in runs:
+            for assets in ([fickle], [sound]):
+                ends = {
+                    "dagster/asset_partition_range_start": first_cell,
+                    "dagster/asset_partition_range_end": last_cell,
+                }
+                dg.materialize(assets, instance=instance, tags=ends, raise_on_error=False)
+        instance.report_runless_asset_event(dg.AssetMaterialization("fickle", partition="B|2"))
+        with log.tables.connect() as con:
+            newest = int(con.exec_driver_sql("select max(id) from event_logs").scalar())
+    found = []
+    for who in (STOCK, OURS):
+        with log.instance(who) as instance:
+            ask = getattr(instance.event_log_storage, in_vain)
+            asked = ((dg.AssetKey(name), after) for name in ("fickle", "sound") for after in (None, *range(newest + 1)))
+            found.append([ask(key, after) for key, after in asked])
+            if who is OURS:
+                instance.wipe_assets([dg.AssetKey("fickle")])
+                assert ask(dg.AssetKey("fickle")) == {}
+    stock, ours = found
+    assert ours == stock
+    assert set(stock[0]) == {"B|1"}
 
 
 @pytest.mark.parametrize("assets", [[first, second, third], [sound, broken]])
