@@ -28,11 +28,10 @@ def digest(*parts: str) -> str:
 
 def expected(ledger: Ledger, table: str) -> pl.DataFrame:
     """Version each cell of `table` should have now: operator, tail, flight_id (empty above flights), version."""
-    parents = LINEAGE[table].parents
-    return _expected(ledger, table, ledger.versions(parents) if parents else {})
+    return _expected(ledger, table, _parents(ledger, [table]))
 
 
-def _expected(ledger: Ledger, table: str, done: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
+def _expected(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
     recipe, grain = LINEAGE[table], TABLES[table].grain
     if recipe.files:
         return _of_files(ledger, grain, recipe)
@@ -41,7 +40,7 @@ def _expected(ledger: Ledger, table: str, done: Mapping[str, pl.DataFrame]) -> p
         return _hashed(pl.DataFrame({"made_of": [lines]}), recipe.code)
     if not recipe.parents:
         return _hashed(pl.DataFrame({"made_of": [table]}), recipe.code)
-    first, *others = (_at(grain, done[parent], parent) for parent in recipe.parents)
+    first, *others = (parents[parent] for parent in recipe.parents)
     for other in others:
         on = [c for c in CELL if c in other.columns]
         first = first.join(other, on=on, how="left") if on else first.join(other, how="cross")
@@ -74,10 +73,10 @@ def narrowed(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], flights
 
 
 def undone(ledger: Ledger, tables: Iterable[str]) -> pl.DataFrame:
-    """Cells of some tables whose stored version is absent or not the expected one."""
+    """Cells of some tables, of one grain, whose stored version is absent or not the expected one."""
     tables = list(tables)
-    done = ledger.versions(dict.fromkeys([*tables, *(parent for table in tables for parent in LINEAGE[table].parents)]))
-    found = (_expected(ledger, t, done).join(done[t], on=[*CELL, "version"], how="anti") for t in tables)
+    parents = _parents(ledger, tables)
+    found = (_expected(ledger, t, parents).join(ledger.done(t), on=[*CELL, "version"], how="anti") for t in tables)
     return pl.concat(found)
 
 
@@ -102,14 +101,26 @@ def _folded(held: pl.DataFrame) -> pl.DataFrame:
     return pl.concat([held.filter(~several), many]).rename({"line": "made_of"})
 
 
-def _at(grain: str, versions: pl.DataFrame, name: str) -> pl.DataFrame:
-    """A parent's versions at the child's grain: finer ones folded into one hash, coarser ones as they are."""
-    depth = min(_DEPTH[grain], _DEPTH[TABLES[name].grain])
-    if depth == _DEPTH[TABLES[name].grain]:
-        return versions.select(*CELL[:depth], pl.col("version").alias(name))
-    line = pl.concat_str(*CELL, "version", separator="=").sort().str.join("|").alias(name)
-    folded = versions.group_by(CELL[:depth]).agg(line) if depth else versions.select(line)
-    return folded.with_columns(pl.col(name).map_elements(digest, return_dtype=pl.String))
+def _parents(ledger: Ledger, tables: Iterable[str]) -> dict[str, pl.DataFrame]:
+    """Versions of all that some tables, of one grain, are made from, each in a column of its table's name."""
+    recipes = [(LINEAGE[table], _DEPTH[TABLES[table].grain]) for table in tables]
+    asked = {parent: depth for recipe, depth in recipes if not recipe.baseline for parent in recipe.parents}
+    return {parent: _at(ledger, depth, parent) for parent, depth in asked.items()}
+
+
+def _at(ledger: Ledger, depth: int, table: str) -> pl.DataFrame:
+    """A table's versions at a depth of cells: finer ones folded into one hash, coarser ones as they are."""
+    own = _DEPTH[TABLES[table].grain]
+    if own <= depth:
+        return ledger.done(table).select(*CELL[:own], pl.col("version").alias(table))
+    held = ledger.lines(table)
+    lines = pl.col("lines") if depth else pl.col("lines").str.join("|")
+    return held.select(*CELL[:depth], lines.map_elements(_fold, return_dtype=pl.String).alias(table))
+
+
+def _fold(lines: str) -> str:
+    """One hash of lines in any order."""
+    return digest("|".join(sorted(lines.split("|"))))
 
 
 def _hashed(cells: pl.DataFrame, code: str) -> pl.DataFrame:

@@ -208,6 +208,17 @@ def test_cells_of_some_flights_are_those_of_the_whole_that_are_named(ledger):
     assert ledger.of([("AAA", "T1")], map(str, range(20_000))).done("raw_flights").height == 3
 
 
+def test_an_aircrafts_cells_come_as_one_text(ledger):
+    """Of each aircraft its own, also where one's name begins as another's does."""
+    for tail in ("T1", "T10"):
+        cells = pl.DataFrame({"operator": "AAA", "tail": tail, "flight_id": list("ba"), "version": list("12")})
+        ledger.mark("raw_flights", cells)
+    said = {tail: sorted(lines.split("|")) for _, tail, lines in ledger.lines("raw_flights").rows()}
+    assert said == {tail: [f"AAA={tail}=a=2", f"AAA={tail}=b=1"] for tail in ("T1", "T10")}
+    assert ledger.of([("AAA", "T1")]).lines("raw_flights")["tail"].to_list() == ["T1"]
+    assert ledger.lines("legs_samples").is_empty()
+
+
 def test_its_tables_are_named_otherwise_than_dagsters():
     """In PostgreSQL both may live in one database, where `create table if not exists` would take the other's."""
     from dagster._core.storage.event_log.schema import SqlEventLogStorageMetadata

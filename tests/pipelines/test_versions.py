@@ -122,6 +122,25 @@ ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.o
 """Those that the ledger follows: what is published is read off them after a night."""
 
 
+@pytest.mark.parametrize("table", ["twin_health", "prognoses"])
+def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(ledger, monkeypatch, table):
+    """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
+    made = "calibration_laws", "legs_signs", "features_margin", "features", "prognosis_base", "raw_messages"
+    make(ledger, *made, "raw_maintenance")
+    assert ledger.done("features_margin").height == 3
+    answers, as_asked = Ledger.lines, expected(ledger, table)
+
+    def turned(self: Ledger, asset: str) -> pl.DataFrame:
+        backwards = pl.col("lines").str.split("|").list.reverse().list.join("|")
+        return answers(self, asset).with_columns(backwards).reverse()
+
+    monkeypatch.setattr(Ledger, "lines", turned)
+    assert expected(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+    for finer in ("features_margin", "twin_flights"):
+        ledger.mark(finer, ledger.done(finer)[:1].with_columns(version=pl.lit("other")))
+    assert not expected(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+
+
 @pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.op.name)
 def test_whatever_an_asset_reads_counts_in_its_version(asset):
     """Dagster's graph holds no arrow from a table whose changes the ledger does not follow, and none is missing."""
