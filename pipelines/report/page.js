@@ -43,7 +43,7 @@
   }
 
   // charts: drawn when they come into view, anew when units or ground change
-  const dark = matchMedia("(prefers-color-scheme: dark)"), coarse = matchMedia("(pointer: coarse)").matches;
+  const dark = () => matchMedia("(prefers-color-scheme: dark)"), coarse = matchMedia("(pointer: coarse)").matches;
   const lighter = {
     "#1a1a1a": "#e6e6e6", "#d5d5d5": "#3d3d3d", "#6b6b6b": "#a8a8a8", "#0072B2": "#56B4E9",
     "#56B4E9": "#8fd0f5", "#D55E00": "#ff8f4d", "#B0578D": "#e39ac6", "#009E73": "#3fcf9f",
@@ -70,14 +70,19 @@
     if (coarse && node.name === "Toolbar") node.attributes.active_drag = null; // a finger scrolls the page
     for (const child of Object.values(node)) fill(child, values);
   };
-  const draw = async (box) => {
-    box.dataset.drawn = "1";
+  const drawNow = async (box) => {
     const chart = structuredClone(asked(box));
     fill(chart.figure, chart.fill);
     box.replaceChildren();
-    const view = await Bokeh.embed.embed_item(dark.matches ? coloured(chart.figure) : chart.figure, box);
+    const view = await Bokeh.embed.embed_item(dark().matches ? coloured(chart.figure) : chart.figure, box);
     box.view = [...view.roots][0] ?? view;
     if (box.dataset.print) await toPaper(box, chart.figure);
+  };
+  // one after the other: units or ground may change while a chart is being drawn, and the last to come must stay
+  const draw = (box) => {
+    const now = () => drawNow(box);
+    box.dataset.drawn = "1";
+    return (box.drawing = Promise.resolve(box.drawing).then(now, now));
   };
   // what is printed is a picture: a page's width is another one on paper, and its ground is white
   const toPaper = async (box, figure) => {
@@ -86,7 +91,7 @@
     const image = new Image();
     image.className = "paper";
     image.alt = "";
-    image.src = `data:image/svg+xml,${encodeURIComponent(dark.matches ? plain.reduce((s, [a, b]) => s.replaceAll(a, b), svg) : svg)}`;
+    image.src = `data:image/svg+xml,${encodeURIComponent(dark().matches ? plain.reduce((s, [a, b]) => s.replaceAll(a, b), svg) : svg)}`;
     box.nextElementSibling?.matches(".paper") && box.nextElementSibling.remove();
     box.after(image);
   };
@@ -97,7 +102,7 @@
   }, { rootMargin: "300px" });
   for (const box of boxes) seen.observe(box);
   const again = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
-  dark.addEventListener("change", again);
+  dark().addEventListener("change", again); // of its own: one whose `matches` was read first tells of no change
   document.getElementById("units").addEventListener("change", (event) => {
     root.dataset.units = event.target.value;
     boxes.filter((box) => box.dataset.drawn && box.dataset.units).forEach(draw);

@@ -7,7 +7,7 @@
 -- last_departed_at: departure of that
 -- diagnoses: diagnoses of its open alerts
 -- place: 1 is the most urgent
--- Grain: operator, tail, pack, component. Reads: component_features, prognoses, alert_states, tables.components.
+-- Grain: operator, tail, pack, component. Reads: component_features, prognoses, alert_urgencies, tables.components.
 create or replace view component_ranking as
 with latest as (
     select
@@ -46,7 +46,7 @@ alerted as (
         component,
         string_agg(distinct diagnosis, ', ') as diagnoses,
         bool_or(urgency = 'act') as any_act
-    from alert_states
+    from alert_urgencies
     where closed_at is null
     group by operator, tail, pack, component
 ),

@@ -13,7 +13,7 @@
 -- cc_rul_flights: flights left of the compressor [flights]
 -- cc_p_event_50: probability of a compressor event within the next 50 flights [-]
 -- place: 1 is the most urgent
--- Grain: pack. Reads: health_parameters, prognoses, alert_states, tables.components.
+-- Grain: pack. Reads: health_parameters, prognoses, alert_urgencies, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
@@ -63,7 +63,7 @@ diagnosed as (
         min(place_in_pack) as first_place,
         min(raised_at) as raised_at,
         bool_or(urgency = 'act') as any_act
-    from alert_states
+    from alert_urgencies
     where closed_at is null and component not in (select o.component from others as o)
     group by operator, tail, pack, diagnosis
 ),

@@ -42,17 +42,38 @@ said as (
         min(status) as status
     from findings
     group by operator, tail, pack, component, counts_from
+),
+
+spells as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        status,
+        counts_from,
+        coalesce(
+            lead(counts_from) over (partition by operator, tail, pack, component order by counts_from), 'infinity'
+        ) as counts_to
+    from said
+),
+
+contradicted as (
+    select *
+    from spells
+    where status = 'contradicted'
 )
 
 select
     o.*,
     (o.departed_at at time zone 'UTC')::date as departed_on,
-    coalesce(s.status, 'ok') as status
+    coalesce(c.status, 'ok') as status
 from outlook as o
-asof left join said as s
+left join contradicted as c -- few rows, so that no prognosis need be sorted
     on
-        o.operator = s.operator
-        and o.tail = s.tail
-        and o.pack = s.pack
-        and o.component = s.component
-        and o.departed_at >= s.counts_from;
+        o.operator = c.operator
+        and o.tail = c.tail
+        and o.pack = c.pack
+        and o.component = c.component
+        and o.departed_at >= c.counts_from
+        and o.departed_at < c.counts_to;

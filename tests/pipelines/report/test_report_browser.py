@@ -158,6 +158,21 @@ def test_the_ground_is_dark_where_the_reader_wants_it(opened):
     assert told_in_time(page.locator(FIRST).first, axis, "#1a1a1a") == "#1a1a1a"
 
 
+def test_a_chart_that_changes_while_it_is_drawn_is_there_once_and_as_asked_last(opened):
+    page, figure = opened(), '#figures [data-units="1"]'
+    drawn(page, figure)
+    choose = "unit => { const one = document.getElementById('units'); one.value = unit;" + (
+        " one.dispatchEvent(new Event('change')); }"
+    )
+    level = "box => box.view.model.y_range.start"
+    before = page.locator(figure).first.evaluate(level)
+    page.evaluate(f"() => ['us', 'si', 'us', 'si'].forEach({choose})")
+    assert told_in_time(page.locator(figure).first, "box => box.querySelectorAll('.bk-Figure').length", 1) == 1
+    page.wait_for_timeout(1000)
+    assert page.locator(figure).first.evaluate("box => box.children.length") == 1
+    assert page.locator(figure).first.evaluate(level) == before
+
+
 def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
     page = opened(800)
     urgent = page.locator("[data-print]").count()
