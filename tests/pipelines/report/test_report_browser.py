@@ -161,16 +161,15 @@ def test_the_ground_is_dark_where_the_reader_wants_it(opened):
 def test_a_chart_that_changes_while_it_is_drawn_is_there_once_and_as_asked_last(opened):
     page, figure = opened(), '#figures [data-units="1"]'
     drawn(page, figure)
-    choose = "unit => { const one = document.getElementById('units'); one.value = unit;" + (
-        " one.dispatchEvent(new Event('change')); }"
+    chart, level = page.locator(figure).first, "box => box.view.model.y_range.start"
+    before = chart.evaluate(level)
+    page.locator("#units").evaluate(
+        "one => ['us', 'si', 'us', 'si'].forEach(u => { one.value = u; one.dispatchEvent(new Event('change')); })"
     )
-    level = "box => box.view.model.y_range.start"
-    before = page.locator(figure).first.evaluate(level)
-    page.evaluate(f"() => ['us', 'si', 'us', 'si'].forEach({choose})")
-    assert told_in_time(page.locator(figure).first, "box => box.querySelectorAll('.bk-Figure').length", 1) == 1
-    page.wait_for_timeout(1000)
-    assert page.locator(figure).first.evaluate("box => box.children.length") == 1
-    assert page.locator(figure).first.evaluate(level) == before
+    chart.evaluate("box => box.drawing")  # a promise, waited for
+    assert told_in_time(chart, "box => box.querySelectorAll('.bk-Figure').length", 1) == 1
+    assert chart.evaluate("box => box.children.length") == 1
+    assert chart.evaluate(level) == before
 
 
 def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
