@@ -88,8 +88,10 @@ def watch(values: Array, prior_sd: Array, restart: Array, settings: Cusum | None
     walk = _Walk.start(n_units, n_channels, np.asarray(prior_sd, dtype=float))
     z, moved, high, low = (np.zeros(values.shape) for _ in range(4))
     called = np.zeros(values.shape, dtype=bool)
+    renewed = np.asarray(restart.any(axis=(0, 2)))
     for k in range(n_flights):
-        walk.restart(restart[:, k])
+        if renewed[k]:
+            walk.restart(restart[:, k])
         z[:, k] = walk.take(values[:, k], settings)
         called[:, k], moved[:, k] = walk.on, walk.moved
         high[:, k], low[:, k] = walk.high, walk.low
@@ -183,23 +185,23 @@ def persistent(
     """
     keep = flags if keep is None else flags | keep
     ended = np.zeros_like(flags) if ended is None else ended
-    recent = np.zeros((flags.shape[0], n), dtype=bool)
-    on, quiet = np.zeros(flags.shape[0], dtype=bool), np.zeros(flags.shape[0], dtype=int)
-    out = np.zeros(flags.shape, dtype=bool)
-    for j in range(flags.shape[1]):
-        recent[ended[:, j]] = False
-        recent = np.concatenate([recent[:, 1:], flags[:, j : j + 1]], axis=1)
-        quiet = np.where(keep[:, j], 0, quiet + 1)
-        on = (recent.sum(axis=1) >= k) | (on & ~ended[:, j] & (quiet < hold))
-        out[:, j] = on
-    return out
+    flight, begun = np.arange(flags.shape[1]), _last(ended)
+    flagged = np.pad(np.cumsum(flags, axis=1), ((0, 0), (1, 0)))
+    before = np.maximum(np.maximum(flight + 1 - n, begun), 0)  # what is older, or from before the end, counts no more
+    called = flagged[:, 1:] - np.take_along_axis(flagged, before, axis=1) >= k
+    let_go = ended | (flight - _last(keep) >= hold)
+    return np.asarray(_last(called) >= np.maximum(_last(let_go), 0))
+
+
+def _last(events: Array) -> Array:
+    """The last flight, up to each, on which it was so; -1 before the first. (units, flights)"""
+    return np.asarray(np.maximum.accumulate(np.where(events, np.arange(events.shape[1]), -1), axis=1))
 
 
 def since(events: Array) -> Array:
     """Flights since the last event, 0 on it; a million before the first. (units, flights)"""
-    flight = np.arange(events.shape[1])
-    last = np.maximum.accumulate(np.where(events, flight, -(10**7)), axis=1)
-    return np.minimum(flight - last, 10**6)
+    last = _last(events)
+    return np.where(last < 0, 10**6, np.arange(events.shape[1]) - last)
 
 
 def lingering(events: Array, flights: int) -> Array:

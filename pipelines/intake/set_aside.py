@@ -29,7 +29,7 @@ def set_aside(store: Store, ledger: Ledger, scope: PartitionScope, table: str, b
     def change(held: Held) -> Iterator[tuple[str, pl.DataFrame]]:
         for aircraft, flights in asked.items():
             shard = shard_of(aircraft, name) if aircraft != FLEET else name
-            before = held(shard)
+            before = held.get(shard)
             own = broken if aircraft == FLEET else broken.filter(operator=aircraft[0], tail=aircraft[1])
             if before is not None or own.height:
                 told = _told(ledger, aircraft, table, own)

@@ -96,13 +96,15 @@ class PartitionIndex:
     ) -> Iterator[PartitionBatch]:
         """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`.
 
-        Each holds its share `among` so many processes, by whole aircraft. As `ranges` each is all that was flown from
+        They are shared evenly `among` so many processes, by whole aircraft. As `ranges` each is all that was flown from
         its first cell to its last, for machines that are told no more.
         """
         if grain == "fleet":
             return iter([PartitionBatch()])
         of = self._aircraft if grain == "aircraft" else self._flights
-        most, share = folded * CELLS_A_RUN, math.ceil(self.count(grain, wanted) / among)
+        most, flights = folded * CELLS_A_RUN, self.count(grain, wanted)
+        runs = among * max(1, math.ceil(flights / (among * most)))  # none left over that one process makes alone
+        share = math.ceil(flights / runs)
         return self._gathered(of(by_aircraft(wanted), min(most, share)), most, share, ranges)
 
     def count(self, grain: str, wanted: pl.DataFrame) -> int:

@@ -17,7 +17,7 @@ import polars as pl
 
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
-from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, workers
+from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
 from pipelines.storage import earlier, history, ledger_copy, postgres
@@ -125,7 +125,7 @@ def run_night(
         store.sweep()
         chain.mended += mend(landing, store, ledger)
         found = scan(landing, ledger)
-        chain.hands.expect(found.flights)
+        chain.expect(found.flights)
         chain.settled_as = ledger.settled_as()
         for step in () if ledger.is_settled(made_as(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
@@ -169,6 +169,11 @@ class _Chain:
         self.hands = RemoteExecutor(self.runner)
         self.hands.settle()
 
+    def expect(self, new: int) -> None:
+        """Prepare for so many new flights, of aircraft that have flown before."""
+        past = self.ledger.of(self.moved[0]).flown().height if new else 0
+        self.hands.expect(work(new, past))
+
     def step(self, step: Step) -> None:
         """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
         few = self.settled_as == made_as(self.ledger, STAGES)  # a new model of the fleet makes every cell stale
@@ -184,7 +189,7 @@ class _Chain:
         self.progress.start(step.label, wanted.height)
         apart = self.hands.ranges
         index = self.runner.known(None if apart else wanted)
-        flights = self.flights or index.count(step.grain, wanted)  # an aircraft goes on from what is new
+        flights = work(self.flights, index.count(step.grain, wanted))
         folded, among = 1 if apart else step.folded, self.hands.among(flights)
         batches = list(index.batches(step.grain, wanted, folded, among, ranges=apart))
         for made in self._make(tables, batches, step.label, flights):

@@ -20,6 +20,7 @@ from pipelines.storage.cases import CaseLog
 from pipelines.storage.delta import DamageError, hash_in, shards_of
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.months import in_shard, without_folded
 from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store
 
 
@@ -117,7 +118,7 @@ def _flights(ledger: Ledger, table: str, aircraft: Aircraft, name: str) -> list[
     if TABLES[table].grain != "flight":
         return None
     cells = ledger.of([aircraft]).done(table).filter(operator=aircraft[0], tail=aircraft[1])
-    return cells.with_columns(TABLES[table].shard_of).filter(shard=name)["flight_id"].to_list()
+    return cells.with_columns(TABLES[table].shard_of).filter(in_shard(name))["flight_id"].to_list()
 
 
 def _absent(landing: Path, ledger: Ledger, stage: Stage, aircraft: Aircraft, flights: Iterable[str] | None) -> set[str]:
@@ -144,5 +145,5 @@ def _write_log(store: Store, table: str, files: list[str] | None) -> bool:
     shards = {f.removesuffix(f".{hash_in(f)}.parquet"): f for f in whole if hash_in(f)}
     for _, own in groupby(sorted(shards.items()), key=lambda item: item[0].rpartition("/")[0]):
         frames = {shard: pl.read_parquet(root / file) for shard, file in own}
-        store.tables.put(table, frames)
+        store.tables.put(table, without_folded(TABLES[table], frames))
     return files is not None and not lost

@@ -13,13 +13,13 @@ import json
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
-from deltalake import DeltaTable, Schema
+from deltalake import DeltaTable, Field, Schema
 from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
 from deltalake.transaction import (
     AddAction,
@@ -32,10 +32,10 @@ from deltalake.transaction import (
 from pipelines.storage.files import Folder
 from pipelines.storage.objects import Bucket, StoreError
 
-Held = Callable[[str], pl.DataFrame | None]
-"""What a shard of a table holds, by the shard's name; None where there is none."""
-Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame]]]
-"""Of what a table holds, the shards to write."""
+Held = Mapping[str, pl.DataFrame]
+"""What a table holds, by the names of its shards; a shard is read when it is asked for."""
+Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame | None]]]
+"""Of what a table holds, the shards to write; None where a shard goes, since another takes its rows."""
 _NAMED = re.compile(r"(?P<shard>.+)\.(?P<hash>[0-9a-f]{20})\.parquet")
 _SKIPPED_BY = ("operator", "tail", "flight_id")  # whose span in each file lets a reader leave files out
 QUIET = PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False)  # upkeep has its own time
@@ -50,6 +50,14 @@ class _Taken(NamedTuple):
 
     table: DeltaTable | None
     shards: dict[str, str]
+
+
+class _Written(NamedTuple):
+    """What a commit will say: the columns of what was written, files that came and files that go."""
+
+    columns: list[Field]
+    added: list[AddAction]
+    gone: list[RemoveAction]
 
 
 class DamageError(StoreError):
@@ -127,23 +135,15 @@ class Deltas:
         """Write shards of a table in one commit, all or none; the table then, or None where there still is none."""
         while True:
             now, files = taken = self._take(table)
-
-            def held(shard: str, files: dict[str, str] = files) -> pl.DataFrame | None:
-                return pl.read_parquet(io.BytesIO(self.read(f"{table}/{files[shard]}"))) if shard in files else None
-
-            made = dict(change(held))
-            if not made:
+            made = self._write(table, change(_Shards(self, table, files)), files)
+            if not (made.added or made.gone):
                 self._leave(table, taken)
                 return now
-            schema = Schema.from_arrow(next(iter(made.values())).clear().to_arrow().schema)
-            new = {s: f for s, frame in made.items() if (f := _packed(s, frame)).name != files.get(s)}
             if now is None:
-                begun = self._begin(table, schema, list(new.values()))
+                begun = self._begin(table, made)
                 if begun is not None:
                     return begun
-                continue
-            gone = [_removed(files[s]) for s in new if s in files]
-            if not new or self._commit(table, now, schema, list(new.values()), gone):
+            elif self._commit(table, now, made):
                 return now
 
     def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> DeltaTable:
@@ -157,7 +157,7 @@ class Deltas:
         """Let the table be without some of its files, which are not what was written."""
         now, lost = self.open(table), set(files)
         if now is not None and (left := lost & set(shards_of(now).values())):
-            self._commit(table, now, now.schema(), (), [_removed(file) for file in sorted(left)])
+            self._commit(table, now, _Written([], [], [_removed(file) for file in sorted(left)]))
 
     def read(self, path: str) -> bytes:
         """A data file whole."""
@@ -177,28 +177,37 @@ class Deltas:
             self._sound.add(path)
         return f"{self.place.url}/{path}"
 
-    def _put(self, table: str, files: Iterable["_File"]) -> list[AddAction]:
-        """Write files of a table; what a commit says of them."""
-        added = []
-        for file in files:
-            self.place.put(f"{table}/{file.name}", file.content)
-            now_ms = time.time_ns() // 1_000_000
-            added.append(AddAction(file.name, len(file.content), {}, now_ms, True, file.stats))
-        return added
+    def _write(
+        self, table: str, shards: Iterable[tuple[str, pl.DataFrame | None]], files: Mapping[str, str]
+    ) -> "_Written":
+        """Write what is new of a table's shards, one after the other; a commit is yet to name it."""
+        written, fields = _Written([], [], []), dict[str, Field]()
+        for shard, frame in shards:
+            name = files.get(shard)
+            if frame is not None:
+                fields |= {f.name: f for f in Schema.from_arrow(frame.clear().to_arrow().schema).fields}
+                file = _packed(shard, frame)
+                if file.name == name:
+                    continue
+                self.place.put(f"{table}/{file.name}", file.content)
+                now_ms = time.time_ns() // 1_000_000
+                written.added.append(AddAction(file.name, len(file.content), {}, now_ms, True, file.stats))
+            if name is not None:
+                written.gone.append(_removed(name))
+        return written._replace(columns=list(fields.values()))
 
     def _unreadable(self, table: str, error: Exception) -> StoreError:
         """What keeps a log from being read, in one line."""
         said = f"the log of {table} can't be read ({_first_line(error)})"
         return StoreError(said) if self.place.remote else DamageError(said)
 
-    def _begin(self, table: str, schema: Schema, files: Iterable["_File"]) -> DeltaTable | None:
+    def _begin(self, table: str, made: "_Written") -> DeltaTable | None:
         """A table's first commit; None where another began it."""
-        added = self._put(table, files)
         where, how = f"{self.place.url}/{table}", self.place.options
         sys.audit("hdt.before_commit")
         try:
             create_table_with_add_actions(
-                where, schema, added, "error", storage_options=how, configuration=_KEPT, **_ONCE
+                where, Schema(made.columns), made.added, "error", storage_options=how, configuration=_KEPT, **_ONCE
             )
         except (DeltaError, OSError) as error:
             if self.open(table) is None:
@@ -208,18 +217,15 @@ class Deltas:
         self.place.settle(table, 0)
         return self.open(table)
 
-    def _commit(
-        self, table: str, now: DeltaTable, schema: Schema, files: Iterable["_File"], gone: Iterable[RemoveAction]
-    ) -> bool:
+    def _commit(self, table: str, now: DeltaTable, made: "_Written") -> bool:
         """One commit; False where another came first."""
-        actions: list[AddAction | RemoveAction] = [*self._put(table, files), *gone]
         sys.audit("hdt.before_commit")
         have = {f.name for f in now.schema().fields}
-        more = [f for f in schema.fields if f.name not in have]
+        more = [f for f in made.columns if f.name not in have]
         try:
             if more:
                 now.alter.add_columns(more, **_ONCE)
-            now.create_write_transaction(actions, "append", now.schema(), **_ONCE)
+            now.create_write_transaction([*made.added, *made.gone], "append", now.schema(), **_ONCE)
         except CommitFailedError:
             return False
         except DeltaError as error:
@@ -229,6 +235,24 @@ class Deltas:
         self.place.settle(table, now.version())
         self._leave(table, _Taken(now, shards_of(now)))
         return True
+
+
+@dataclass(frozen=True)
+class _Shards(Held):
+    """A table's shards, each read when it is asked for."""
+
+    tables: Deltas
+    table: str
+    files: Mapping[str, str]
+
+    def __getitem__(self, shard: str) -> pl.DataFrame:
+        return pl.read_parquet(io.BytesIO(self.tables.read(f"{self.table}/{self.files[shard]}")))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
 
 
 class _File(NamedTuple):

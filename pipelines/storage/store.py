@@ -13,8 +13,9 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.storage.delta import Change, Deltas, Held, shards_of
+from pipelines.storage.delta import Deltas, shards_of
 from pipelines.storage.files import Folder, sweep
+from pipelines.storage.months import merged, shards_with
 from pipelines.storage.objects import Bucket, StoreError, bucket
 
 if TYPE_CHECKING:
@@ -72,9 +73,11 @@ class Store:
         Where only some `flights` of these aircraft are asked for, no file is read in which none of them can be. Columns
         that are declared since are null.
         """
-        names = [""] if flights is None else _shards(table, flights)
-        wanted = None if aircraft is None else [shard_of(a, name) for a in aircraft for name in names]
-        stored = self.tables.scan(table, wanted)
+        folders = None if aircraft is None else [shard_of(a) for a in aircraft]
+        if folders is not None and flights is not None:
+            asked, there = list(flights), self.tables.shards(table)
+            folders = [s for folder in folders for s in shards_with(TABLES[table], folder, asked, there)]
+        stored = self.tables.scan(table, folders)
         if stored is None:
             return TABLES[table].schema.create_empty().lazy()
         held = stored.collect_schema()
@@ -93,7 +96,7 @@ class Store:
 
     def merge(self, table: str, flights: Mapping[Aircraft, Iterable[str]], frame: pl.DataFrame) -> None:
         """Replace the rows of some flights of each aircraft by `frame`; other flights stay as they are."""
-        changes = [_merged(table, a, ids, _own(frame, a)) for a, ids in flights.items()]
+        changes = [merged(TABLES[table], shard_of(a), ids, _own(frame, a)) for a, ids in flights.items()]
         self.tables.change(table, lambda held: chain.from_iterable(change(held) for change in changes))
 
     def declare(self, table: str) -> "DeltaTable":
@@ -133,35 +136,6 @@ def shard_of(aircraft: Aircraft, shard: str = "") -> str:
     return f"{operator}/{tail}/{shard}".rstrip("/")
 
 
-def _shards(table: str, flights: Iterable[str]) -> list[str]:
-    """Names of the shards that hold some flights of a table by flight."""
-    asked = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String})
-    return asked.select(TABLES[table].shard_of).to_series().unique().sort().to_list()
-
-
 def _own(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:
     """Rows of one aircraft."""
     return frame if aircraft == FLEET else frame.filter(operator=aircraft[0], tail=aircraft[1])
-
-
-def _merged(table: str, aircraft: Aircraft, flights: Iterable[str], frame: pl.DataFrame) -> Change:
-    """An aircraft's shards with the rows of `flights` replaced by `frame`."""
-    entry, shard = TABLES[table], TABLES[table].shard_of
-    ids = pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(shard)
-    asked = {name: own["flight_id"].implode() for (name,), own in ids.partition_by("shard", as_dict=True).items()}
-    shards = {name: shard_of(aircraft, str(name)) for name in asked}
-    fresh = frame.with_columns(shard).partition_by("shard", as_dict=True, include_key=False)
-
-    def change(held: Held) -> Iterable[tuple[str, pl.DataFrame]]:
-        stored = {name: held(shard) for name, shard in shards.items()}
-        for name, shard in shards.items():
-            new, before = fresh.get((name,)), stored[name]
-            if new is None and before is None:
-                continue
-            new = entry.conform(frame.clear() if new is None else new)
-            if before is not None:
-                kept = before.filter(~pl.col("flight_id").is_in(asked[name]))
-                new = pl.concat([entry.conform(kept), new], how="diagonal")
-            yield shard, new.sort(entry.key)
-
-    return change

@@ -1,8 +1,8 @@
 """What a store does by itself after a night, once a day: files and versions that nobody may want any more go.
 
 `retention.toml` of the home declares it: `keep_days` (30 by default) for what a night has replaced, and `hold`, nights
-(dates, or times as `hdt query --as-of` takes them) that stay for as long as they stand there. Months are compacted as
-they are written: a flight is merged into its aircraft's file of the month.
+(dates, or times as `hdt query --as-of` takes them) that stay for as long as they stand there. Files are compacted as
+they are written (`pipelines/storage/months.py`).
 """
 
 import json

@@ -27,6 +27,6 @@ def test_peers_give_the_same_answers():
     assert fit.apart["SciPy trf, tolerances of 1e-14"] < 1e-6
     assert max(filtered.apart.values()) < 1e-10
     text = table([fit, filtered], ["numpy"])
-    assert text.count("130 x") == 1
-    assert text.count("| 100 x") == 2
+    cells = [line.split(" | ")[5] for line in text.splitlines() if line.count(" | ") > 5][2:]
+    assert (cells.count("130 x"), cells.count("100 x")) == (1, 2)
     assert f"{filtered.ratios['filterpy in a Python loop']:,.0f} x | 100 x" in text

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from hdt_core.health.detection import Cusum, Shift, lingering, persistent, since, watch
 
 SD = np.array([0.8])
+Flags = NDArray[np.bool_]
 
 
 def walked(values: NDArray[np.float64], settings: Cusum | None = None) -> Shift:
@@ -87,6 +88,32 @@ def test_persistence_with_hysteresis_and_end() -> None:
     assert persistent(flags, 2, 3, 2, keep=keep)[0].astype(int).tolist() == [0, 0, 0, 1, 1, 1, 1, 0, 0]
     ended[0, 3] = True
     assert not persistent(flags, 2, 3, 2, keep=keep, ended=ended).any()
+
+
+def flight_by_flight(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, hold: int) -> list[list[bool]]:
+    """The rule as it is said: a window that work empties, a call that lasts until nothing has kept it for a while."""
+    told = []
+    for flag, kept, end in zip(flags, flags | keep, ended, strict=True):
+        recent, on, quiet, said = [False] * n, False, 0, []
+        for now, holds, over in zip(flag, kept, end, strict=True):
+            recent = [*([False] * n if over else recent)[1:], bool(now)]
+            quiet = 0 if holds else quiet + 1
+            on = sum(recent) >= k or (on and not over and quiet < hold)
+            said.append(on)
+        told.append(said)
+    return told
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_persistence_all_at_once_is_that_of_flight_by_flight(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(60):
+        shape, often = (3, int(rng.integers(0, 50))), rng.uniform(0.0, 0.6)
+        flags, keep, ended = (rng.random(shape) < share for share in (often, often, 0.07))
+        n, hold = int(rng.integers(1, 8)), int(rng.integers(1, 10))
+        k = int(rng.integers(1, n + 1))
+        found = persistent(flags, k, n, hold, keep=keep, ended=ended)
+        assert found.tolist() == flight_by_flight(flags, keep, ended, k, n, hold)
 
 
 def test_flights_since() -> None:

@@ -1,0 +1,136 @@
+"""What years of nights do to a home: `python -m benchmarks.nights [--nights N] [--write]`.
+
+Fifty aircraft with a hundred flights of history; then a night a day, each of which brings a flight of two aircraft, the
+next in turn, a CSV file each. Every one is a whole night in one process: intake, chain, catalog, upkeep, seal. An
+aircraft's flights of its history are flown again under later dates, so a thousand nights spread over 33 months. What
+thirty days do to replaced files is done every thirty nights. A row tells medians of the ten nights up to its own, so
+that a month that begins, in which prognosis learns anew, decides none. `--write` puts the table into docs/beyond.md. A
+thousand nights take two to four hours of one core.
+"""
+
+import os
+import platform
+import tempfile
+import time
+from datetime import date, datetime, timedelta
+from pathlib import Path
+from statistics import median
+from unittest.mock import patch
+
+import duckdb
+import polars as pl
+
+from benchmarks.growth import PAGE
+from benchmarks.harness import arguments, markdown, show
+from benchmarks.scale import Silent, ranking_ms
+from hdt_core.simulate.design import FleetSettings
+from pipelines.intake.simulated import write_fleet
+from pipelines.orchestration.nightly import holding, run_night
+from pipelines.orchestration.runs import publish_night
+from pipelines.storage import delta
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
+from pipelines.storage.upkeep import Retention, keep_house
+
+FLEET = FleetSettings(operators=5, tails=10, flights=100)
+SHOWN = (10, 30, 100, 200, 300, 500, 700, 1000)
+AROUND, UPKEEP_DAYS, A_NIGHT = 10, 30, 2
+GOAL = 1.3
+
+
+class Flown:
+    """An aircraft's history, to be flown again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.tail = folder, folder.name
+        self.rows = pl.concat(
+            [pl.read_parquet(f) for f in sorted((folder / "acms").glob("*.parquet"))], how="diagonal_relaxed"
+        )
+        self.flights, self.again = self.rows["flight_id"].unique().sort(), 0
+        self.last = self.rows["report_time"].max().date()
+
+    def fly(self, day: date) -> None:
+        """The next flight of the history once more, on `day`."""
+        own = self.rows.filter(flight_id=self.flights[self.again % self.flights.len()])
+        later = own.with_columns(pl.col("report_time") + (day - own["report_time"].min().date()))
+        name = f"{self.tail}_{day:%Y%m%d}_01"
+        stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
+        later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(self.folder / "acms" / f"{name}.csv")
+        self.again += 1
+
+
+def night(landing: Path, home: Path) -> dict[str, float]:
+    """What a night took."""
+    commits, began, cpu = list[float](), time.monotonic(), time.process_time()
+    commit = delta.Deltas._commit
+
+    def timed(*told: object) -> bool:
+        since = time.perf_counter()
+        done = commit(*told)
+        commits.append(1e3 * (time.perf_counter() - since))
+        return done
+
+    with patch.object(delta.Deltas, "_commit", timed), holding(home):
+        done = run_night(landing, home, Silent())
+        assert not done.failed, done.failed
+        assert not done.idle
+        publish_night(home)
+    took = {"wall_s": time.monotonic() - began, "cpu_s": time.process_time() - cpu}
+    return took | {"commit_ms": median(commits) if commits else 0.0}
+
+
+def held(home: Path) -> dict[str, float]:
+    """Files of the tables as they are now and of earlier nights, size of Dagster's history, time of the ranking."""
+    with duckdb.connect(str(home / "catalog.duckdb"), read_only=True) as con:
+        live = con.execute("select count(*) from tables.files").fetchall()[0][0]
+    there = sum(f.suffix == ".parquet" for f in (home / "tables").rglob("*"))
+    history = sum(f.stat().st_size for f in (home / "dagster").rglob("*") if f.is_file()) / 1e6
+    return {"files": live, "on_disk": there, "history_mb": history, "ranking_ms": ranking_ms(home)}
+
+
+def years(nights: int, scratch: Path) -> list[dict[str, float]]:
+    """A row for each of the nights that are shown."""
+    for _ in write_fleet(scratch, 11, FLEET):
+        pass
+    landing, home, rows, taken = scratch / "landing", scratch / "home", list[dict[str, float]](), list[dict]()
+    night(landing, home)
+    fleet = [Flown(f.parent) for f in sorted(landing.glob("*/*/acms"))]
+    first = max(aircraft.last for aircraft in fleet) + timedelta(days=1)
+    for n in range(1, nights + 1):
+        for k in range(A_NIGHT):
+            fleet[(A_NIGHT * n + k) % len(fleet)].fly(first + timedelta(days=n))
+        taken.append(night(landing, home))
+        if n % UPKEEP_DAYS == 0:
+            keep_house(Store(home.resolve()), Ledger(home), Retention(0))
+        if n in SHOWN or n == nights:
+            last = taken[-AROUND:]
+            rows.append({"night": n} | {c: median(t[c] for t in last) for c in last[0]} | held(home))
+            print(datetime.now(), rows[-1], flush=True)
+    return rows
+
+
+def table(rows: list[dict[str, float]]) -> str:
+    """As Markdown, with each night's cost by that of night 10."""
+    first = rows[0]
+    head = ["night", "wall [s]", "processor [s]", "of night 10's", "a commit [ms]", "files", "on the disk",
+            "Dagster's history [MB]", "ranking [ms]"]  # fmt: skip
+    lines = [head] + [
+        [f"{r['night']:.0f}", f"{r['wall_s']:.1f}", f"{r['cpu_s']:.1f}", f"{r['cpu_s'] / first['cpu_s']:.2f}",
+         f"{r['commit_ms']:.1f}", f"{r['files']:,.0f}", f"{r['on_disk']:,.0f}", f"{r['history_mb']:.0f}",
+         f"{r['ranking_ms']:.0f}"] for r in rows
+    ]  # fmt: skip
+    machine = f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."
+    return f"{markdown(lines)}\n\n{machine} Goal: {GOAL} times night 10."
+
+
+def main() -> None:
+    said = arguments(__doc__)
+    said.add_argument("--nights", type=int, default=1000)
+    given = said.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        text = table(years(given.nights, Path(scratch)))
+    show("nights", text, PAGE, write=given.write)
+
+
+if __name__ == "__main__":
+    main()

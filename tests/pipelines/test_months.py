@@ -1,0 +1,101 @@
+"""Where an aircraft's months lie: the newest in files of their own, the others in their year's, every flight once."""
+
+import random
+from datetime import UTC, datetime
+
+import polars as pl
+import pytest
+
+from hdt_core.tables import TABLES
+from pipelines.repair.mend import mend
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.months import OPEN
+from pipelines.storage.store import Store
+
+AIRCRAFT = ("AQX", "LX-AAA")
+MONTHS = [f"{year}{month:02}" for year in (2022, 2023, 2024) for month in range(1, 13)]
+FLIGHTS = [f"LX-AAA_{month}{day:02}_01" for month in MONTHS for day in (3, 17)]
+
+
+def rows(ids: list[str], n: int) -> pl.DataFrame:
+    at = datetime(2024, 5, 1, tzinfo=UTC)
+    own = {"operator": "AQX", "tail": "LX-AAA", "departed_at": at, "landed_at": at, "source": "acms", "n_seconds": 0}
+    told = pl.DataFrame({"flight_id": ids}, schema={"flight_id": pl.String}).with_columns(n_snapshots=n)
+    return TABLES["raw_flights"].conform(told.with_columns(pl.lit(value).alias(name) for name, value in own.items()))
+
+
+def merge(store: Store, ids: list[str], n: int = 0) -> None:
+    store.merge("raw_flights", {AIRCRAFT: ids}, rows(ids, n))
+
+
+def held(store: Store) -> list[tuple[str, int]]:
+    return sorted(store.read("raw_flights").select("flight_id", "n_snapshots").rows())
+
+
+def names(store: Store) -> list[str]:
+    return sorted(shard.rpartition("/")[2] for shard in store.tables.shards("raw_flights"))
+
+
+def test_years_take_in_all_months_but_the_newest(tmp_path):
+    merge(store := Store(tmp_path), FLIGHTS)
+    assert names(store) == ["2022", "2023", "2024", "2024-10", "2024-11", "2024-12"]
+    assert held(store) == [(flight, 0) for flight in FLIGHTS]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_flight_is_held_once_and_as_it_came_last_in_whatever_order(tmp_path, seed):
+    """Nights in order, late flights, whole histories and flights that vanish, against a plain dictionary."""
+    drawn, store, known = random.Random(seed), Store(tmp_path), dict[str, int]()
+    for n in range(40):
+        asked = drawn.sample(FLIGHTS, drawn.choice((1, 2, 5, 30)))
+        gone = set(asked) if drawn.random() < 0.1 else set()
+        store.merge("raw_flights", {AIRCRAFT: asked}, rows(sorted(set(asked) - gone), n))
+        known = {f: k for f, k in known.items() if f not in gone} | dict.fromkeys(set(asked) - gone, n)
+        assert held(store) == sorted(known.items())
+        looked = drawn.sample(FLIGHTS, 3)
+        found = store.scan("raw_flights", [AIRCRAFT], looked).collect()["flight_id"]
+        assert set(found) >= set(looked) & set(known)
+    assert len([name for name in names(store) if "-" in name]) <= OPEN
+
+
+def test_a_flight_of_an_open_month_reads_no_other_file(tmp_path):
+    merge(store := Store(tmp_path), FLIGHTS)
+    assert set(store.scan("raw_flights", [AIRCRAFT], FLIGHTS[-2:]).collect()["flight_id"]) == set(FLIGHTS[-2:])
+
+
+@pytest.mark.parametrize("lost", [["2024-12"], ["2024-11", "2024-12"], ["2024"], ["2024-10", "2024-11", "2024-12"]])
+def test_months_that_were_lost_come_back_once(tmp_path, lost):
+    """With the newest months gone, others are the newest: they stay in the year that has taken them in."""
+    merge(store := Store(tmp_path), FLIGHTS)
+    files = store.tables.shards("raw_flights")
+    store.tables.drop("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in lost])
+    late = [f for f in FLIGHTS if "_202409" in f]
+    merge(store, late, n=1)
+    left = set(store.read("raw_flights")["flight_id"])
+    merge(store, [f for f in FLIGHTS if f not in left], n=2)
+    assert [flight for flight, _ in held(store)] == FLIGHTS
+    assert {n for flight, n in held(store) if flight in late} == {1}
+
+
+def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
+    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    merge(store, FLIGHTS)
+    done = [{"operator": "AQX", "tail": "LX-AAA", "flight_id": f, "version": "1"} for f in FLIGHTS]
+    ledger.mark("raw_flights", pl.DataFrame(done))
+    ledger.note_snapshot({"raw_flights": 0})
+    file = store.tables.shards("raw_flights")["AQX/LX-AAA/2023"]
+    (store.place.root / "raw_flights" / file).write_bytes(b"torn")
+    mend(tmp_path / "landing", store, ledger)
+    assert sorted(ledger.done("raw_flights")["flight_id"]) == [f for f in FLIGHTS if "_2023" not in f]
+    assert [flight for flight, _ in held(store)] == [f for f in FLIGHTS if "_2023" not in f]
+
+
+def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
+    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    for month in range(0, len(FLIGHTS), 2):
+        merge(store, FLIGHTS[month : month + 2])
+    ledger.note_snapshot({"raw_flights": store.tables.open("raw_flights").version()})
+    for commit in (store.place.root / "raw_flights/_delta_log").iterdir():
+        commit.unlink()
+    mend(tmp_path / "landing", store, ledger)
+    assert [flight for flight, _ in held(store)] == FLIGHTS
