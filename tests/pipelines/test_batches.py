@@ -36,6 +36,15 @@ def test_aircraft_share_a_run_up_to_a_number_of_flights(each, found):
     assert shared(dict.fromkeys(KEYS, each), KEYS) == found
 
 
+def test_processes_share_runs_evenly():
+    """Two of 20 flights and one of 10 would keep one process waiting for the other's last."""
+    keys = [f"AAA:T{i:02}" for i in range(50)]
+    known = batches.PartitionIndex(keys, [], {key: {"1"} for key in keys})
+    cells = pl.DataFrame([("AAA", key[4:], "") for key in keys], schema=["operator", "tail", "flight_id"], orient="row")
+    assert [b.size for b in known.batches("aircraft", cells, folded=2, among=2)] == [13, 13, 13, 11]
+    assert [b.size for b in known.batches("aircraft", cells, folded=2)] == [17, 17, 16]
+
+
 def test_an_aircraft_that_is_not_wanted_parts_the_range():
     assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
 

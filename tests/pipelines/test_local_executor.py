@@ -61,6 +61,14 @@ def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path
         assert not nightly.run_night(landing, tmp_path, Silent()).failed
 
 
+@pytest.mark.parametrize(
+    ("new", "past", "flights"), [(100, 700, 100), (100, 99_000, 6_600), (5_000, 5_000, 5_000), (0, 8_000, 8_000)]
+)
+def test_a_long_past_is_work_too(new, past, flights):
+    """A few late flights of many aircraft let features and alerts walk all that these have flown."""
+    assert local_executor.work(new, past) == flights
+
+
 def _night(landing: Path, home: Path) -> None:
     """A night in a process that will be killed; prints who works for it."""
 

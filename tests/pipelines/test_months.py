@@ -44,9 +44,17 @@ def test_years_take_in_all_months_but_the_newest(tmp_path):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_every_flight_is_held_once_and_as_it_came_last_in_whatever_order(tmp_path, seed):
+    check_any_order(Store(tmp_path), seed, nights=40)
+
+
+def test_and_so_it_is_over_objects(tmp_path, s3_url):
+    check_any_order(Store(tmp_path, s3_url), seed=8, nights=15)
+
+
+def check_any_order(store: Store, seed: int, nights: int) -> None:
     """Nights in order, late flights, whole histories and flights that vanish, against a plain dictionary."""
-    drawn, store, known = random.Random(seed), Store(tmp_path), dict[str, int]()
-    for n in range(40):
+    drawn, known = random.Random(seed), dict[str, int]()
+    for n in range(nights):
         asked = drawn.sample(FLIGHTS, drawn.choice((1, 2, 5, 30)))
         gone = set(asked) if drawn.random() < 0.1 else set()
         store.merge("raw_flights", {AIRCRAFT: asked}, rows(sorted(set(asked) - gone), n))
