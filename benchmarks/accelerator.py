@@ -6,8 +6,6 @@ docs/beyond.md.
 """
 
 import importlib
-import os
-import platform
 import tempfile
 import time
 from collections import Counter
@@ -15,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import SIZES, night
 from pipelines.intake.simulated import write_fleet
 
@@ -59,7 +57,7 @@ def table(size: str, whole_s: float, spent: Counter[str]) -> str:
     for part in PARTS:
         share = spent[part] / whole_s
         lines.append(f"| {part} | {spent[part]:.2f} | {share:.1%} | {1 / (1 - share):.3f} |")
-    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    lines.append(f"\n{machine()}")
     return "\n".join(lines)
 
 

@@ -7,7 +7,6 @@ asked. `--write` puts the table into docs/beyond.md.
 """
 
 import os
-import platform
 import tempfile
 import time
 import uuid
@@ -26,7 +25,7 @@ from dagster._core.events import StepMaterializationData
 from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.partition_status_cache import get_and_update_asset_status_cache_value
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from pipelines import partitions
 from pipelines.io_manager import report
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
@@ -215,7 +214,7 @@ def table(found: dict[str, list[dict[str, float]]]) -> str:
         ]
     told = ", ".join(f"{rows[0]['register_s']:.1f} s in {name}" for name, rows in found.items())
     lines.append(f"\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {told}.")
-    lines.append(f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    lines.append(machine())
     return "\n".join(lines)
 
 

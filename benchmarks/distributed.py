@@ -8,7 +8,6 @@ plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the tabl
 """
 
 import os
-import platform
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from pathlib import Path
 from dagster import DagsterRun, RunsFilter
 
 from benchmarks.fingerprint import fingerprint
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
@@ -161,7 +160,7 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
             *(row.line(first, flights, workers) for row, workers in rows),
             f"\nThroughput of the steps that are shared out, two workers to one: {gained:.2f}; of the whole backfill:"
             f" {by['one worker'].wall_s / by['two workers'].wall_s:.2f}.",
-            f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.",
+            f"\n{machine()}",
         ]
     )
 

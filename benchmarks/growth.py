@@ -5,8 +5,6 @@ under other tails, every table of them, through the store itself. At each size: 
 catalog, and of some questions, each the median of several askings. `--write` puts the table into docs/beyond.md.
 """
 
-import os
-import platform
 import tempfile
 import time
 from pathlib import Path
@@ -14,7 +12,7 @@ from statistics import median
 
 import polars as pl
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import SIZES, measured
 from hdt_core.tables import TABLES
 from pipelines.intake.simulated import write_fleet
@@ -108,7 +106,7 @@ def table(rows: list[dict[str, float]], flights: int) -> str:
         cells = [f"{r['aircraft']:,}", f"{r['aircraft'] * flights:,}", f"{r['files']:,}", f"{r['megabytes']:,.0f}"]
         cells += [f"{r['publish_s']:.1f}", *(f"{r[q]:,.0f}" for q in QUESTIONS)]
         lines.append("| " + " | ".join(cells) + " |")
-    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    lines.append(f"\n{machine()}")
     return "\n".join(lines)
 
 

@@ -1,6 +1,8 @@
 """What the benchmarks share: arguments, tables in Markdown, and the places of docs/ that they are written to."""
 
 import argparse
+import os
+import platform
 from pathlib import Path
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmark.md"
@@ -11,6 +13,11 @@ def arguments(doc: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="put what is found into its page of docs/")
     return parser
+
+
+def machine() -> str:
+    """What it ran on, in a line."""
+    return f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."
 
 
 def markdown(lines: list[list[str]]) -> str:

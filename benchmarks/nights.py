@@ -8,8 +8,6 @@ that a month that begins, in which prognosis learns anew, decides none. `--write
 thousand nights take two to four hours of one core.
 """
 
-import os
-import platform
 import tempfile
 import time
 from datetime import date, datetime, timedelta
@@ -21,8 +19,8 @@ import duckdb
 import polars as pl
 
 from benchmarks.growth import PAGE
-from benchmarks.harness import arguments, markdown, show
-from benchmarks.scale import Silent, ranking_ms
+from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.scale import Silent, fly_again, ranking_ms
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration.nightly import holding, run_night
@@ -42,7 +40,7 @@ class Flown:
     """An aircraft's history, to be flown again."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.tail = folder, folder.name
+        self.folder = folder
         self.rows = pl.concat(
             [pl.read_parquet(f) for f in sorted((folder / "acms").glob("*.parquet"))], how="diagonal_relaxed"
         )
@@ -51,11 +49,8 @@ class Flown:
 
     def fly(self, day: date) -> None:
         """The next flight of the history once more, on `day`."""
-        own = self.rows.filter(flight_id=self.flights[self.again % self.flights.len()])
-        later = own.with_columns(pl.col("report_time") + (day - own["report_time"].min().date()))
-        name = f"{self.tail}_{day:%Y%m%d}_01"
-        stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
-        later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(self.folder / "acms" / f"{name}.csv")
+        flight = self.flights[self.again % self.flights.len()]
+        fly_again(self.folder, self.rows.filter(flight_id=flight), day, leg=1)
         self.again += 1
 
 
@@ -119,8 +114,7 @@ def table(rows: list[dict[str, float]]) -> str:
          f"{r['commit_ms']:.1f}", f"{r['files']:,.0f}", f"{r['on_disk']:,.0f}", f"{r['history_mb']:.0f}",
          f"{r['ranking_ms']:.0f}"] for r in rows
     ]  # fmt: skip
-    machine = f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."
-    return f"{markdown(lines)}\n\n{machine} Goal: {GOAL} times night 10."
+    return f"{markdown(lines)}\n\n{machine()} Goal: {GOAL} times night 10."
 
 
 def main() -> None:

@@ -6,13 +6,12 @@ docs/storage.md.
 """
 
 import os
-import platform
 import tempfile
 import time
 from pathlib import Path
 
 from benchmarks import object_server
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import SIZES, measured, ranking_ms
 from pipelines.intake.simulated import write_fleet
 from pipelines.report.page import write_report
@@ -68,9 +67,7 @@ def table(rows: dict[str, dict[str, object]]) -> str:
         ("megabytes", "megabytes", ".1f"),
     ):
         lines.append(f"| {says} | " + " | ".join(format(row[key], form) for row in rows.values()) + " |")
-    return "\n".join(
-        [*lines, f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."]
-    )
+    return "\n".join([*lines, f"\n{machine()}"])
 
 
 def main() -> None:

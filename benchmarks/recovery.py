@@ -9,8 +9,6 @@ reopenings count. `--write` puts the table into docs/scale.md.
 """
 
 import json
-import os
-import platform
 import signal
 import sqlite3
 import subprocess
@@ -28,7 +26,7 @@ import polars as pl
 
 import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
 from benchmarks.fault_points import arm
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
@@ -180,9 +178,7 @@ def table(flights: int, spent: Spent) -> str:
     """As Markdown."""
     lines = [f"| reopening at {flights:,} flights | wall [s] | processor [s] |", "| --- | ---: | ---: |"]
     lines += [f"| {says} | {spent[part][0]:.2f} | {spent[part][1]:.2f} |" for part, says in PARTS.items()]
-    return "\n".join(
-        [*lines, f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."]
-    )
+    return "\n".join([*lines, f"\n{machine()}"])
 
 
 def child(what: str, landing: Path, home: Path) -> None:

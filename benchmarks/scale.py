@@ -10,15 +10,13 @@ puts the table into docs/scale.md.
 
 import json
 import math
-import os
-import platform
 import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from datetime import timedelta
+from datetime import date, timedelta
 from multiprocessing import forkserver
 from pathlib import Path
 from statistics import median
@@ -28,7 +26,7 @@ import dagster as dg
 import polars as pl
 
 from benchmarks.bookkeeping import bookkeeping
-from benchmarks.harness import arguments, show
+from benchmarks.harness import arguments, machine, show
 from hdt_core.simulate.design import FleetSettings
 from pipelines import partitions
 from pipelines.intake.simulated import write_fleet
@@ -141,11 +139,15 @@ def deliver(landing: Path, count: int) -> None:
         day = rows["report_time"].max().date() + timedelta(days=1 + place % 5)
         flights = rows["flight_id"].unique().sort()[-math.ceil(count / len(aircraft)) :]
         for leg, flight in enumerate(flights, 1):
-            own = rows.filter(flight_id=flight)
-            later = own.with_columns(pl.col("report_time") + (day - own["report_time"].min().date()))
-            name = f"{flight.rsplit('_', 2)[0]}_{day:%Y%m%d}_{leg:02}"
-            stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
-            later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(folder / "acms" / f"{name}.csv")
+            fly_again(folder, rows.filter(flight_id=flight), day, leg)
+
+
+def fly_again(folder: Path, flight: pl.DataFrame, day: date, leg: int) -> None:
+    """Deliver an aircraft's flight once more, as a CSV file, as if it were of another day."""
+    later = flight.with_columns(pl.col("report_time") + (day - flight["report_time"].min().date()))
+    name = f"{folder.name}_{day:%Y%m%d}_{leg:02}"
+    stamped = pl.col("report_time").dt.strftime("%Y-%m-%dT%H:%M:%SZ")
+    later.with_columns(stamped, flight_id=pl.lit(name)).write_csv(folder / "acms" / f"{name}.csv")
 
 
 CONTESTANTS: dict[str, Callable[[Path, Path], dict[str, float] | None]] = {
@@ -233,7 +235,7 @@ def table(rows: dict[str, dict[str, float]]) -> str:
         first, *_, last = rows.values()
         grown = math.log(last["night_cpu_s"] / first["night_cpu_s"]) / math.log(last["flights"] / first["flights"])
         lines.append(f"\nExponent of the processor's cost from the first to the last size: {grown:.2f}.")
-    lines.append(f"\nMachine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.")
+    lines.append(f"\n{machine()}")
     return "\n".join(lines).replace("nan%", "-").replace("nan", "-")
 
 

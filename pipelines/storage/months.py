@@ -18,10 +18,11 @@ OPEN = 3
 _MONTH = re.compile(r"\d{4}-\d{2}")
 
 
-def shards_with(entry: Entry, folder: str, flights: Iterable[str], there: Collection[str]) -> list[str]:
-    """Shards of an aircraft in which some flights can be; `there` are those of the whole table."""
-    names = _named(flights, entry).select("shard").to_series().unique().sort()
-    return list(dict.fromkeys(f"{folder}/{n}" if f"{folder}/{n}" in there else f"{folder}/{_year(n)}" for n in names))
+def shards_with(entry: Entry, folders: Iterable[str], flights: Iterable[str], there: Collection[str]) -> list[str]:
+    """Shards of some aircraft in which some flights can be; `there` are those of the whole table."""
+    names = _named(flights, entry)["shard"].unique().sort()
+    own = ((f"{folder}/{n}", f"{folder}/{_year(n)}") for folder in folders for n in names)
+    return list(dict.fromkeys(shard if shard in there else year for shard, year in own))
 
 
 def in_shard(name: str) -> pl.Expr:
@@ -44,14 +45,14 @@ def without_folded(entry: Entry, frames: Mapping[str, pl.DataFrame]) -> dict[str
 def merged(entry: Entry, folder: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
     """An aircraft's shards with the rows of `flights` replaced by `frame`."""
     ids = {name: own["flight_id"] for name, own in _parted(_named(flights, entry)).items()}
-    fresh, none = _parted(frame.with_columns(entry.shard_of)), pl.Series([], dtype=pl.String)
+    fresh = _parted(frame.with_columns(entry.shard_of))
 
     def change(held: Held) -> Iterator[tuple[str, pl.DataFrame | None]]:
         for shard, names in _targets(entry, folder, ids, fresh, held).items():
             taken_in = [s for name in names if (s := f"{folder}/{name}") in held and s != shard]
             before = [entry.conform(held[s]) for s in (shard, *taken_in) if s in held]
             new = [entry.conform(fresh[name]) for name in names if name in fresh]
-            replaced = pl.concat([none, *(ids[name] for name in names if name in ids)]).implode()
+            replaced = [flight for name in names for flight in ids.get(name, ())]
             kept = [b.filter(~pl.col("flight_id").is_in(replaced)) for b in before]
             if kept or new:
                 yield shard, pl.concat([*kept, *new], how="diagonal").sort(entry.key)

@@ -75,8 +75,7 @@ class Store:
         """
         folders = None if aircraft is None else [shard_of(a) for a in aircraft]
         if folders is not None and flights is not None:
-            asked, there = list(flights), self.tables.shards(table)
-            folders = [s for folder in folders for s in shards_with(TABLES[table], folder, asked, there)]
+            folders = shards_with(TABLES[table], folders, flights, self.tables.shards(table))
         stored = self.tables.scan(table, folders)
         if stored is None:
             return TABLES[table].schema.create_empty().lazy()
