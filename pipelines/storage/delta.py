@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,11 +46,28 @@ _ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
 }
 
 
+class Version(NamedTuple):
+    """A table as it is at a version: its columns, and the file of each shard, below the table's folder."""
+
+    number: int
+    columns: frozenset[str]
+    shards: dict[str, str]
+
+
 class _Taken(NamedTuple):
     """A table as one writer has opened it, None where there is none, and the file of each of its shards."""
 
     table: DeltaTable | None
     shards: dict[str, str]
+
+
+@lru_cache(maxsize=2)
+def _opened(_place: str) -> dict[str, tuple[object, _Taken]]:
+    """Tables of a place that this process has opened and no writer holds, each with its newest commit then.
+
+    A night asks some five hundred times, through several stores, and a log of years takes a while to read.
+    """
+    return {}
 
 
 class _Written(NamedTuple):
@@ -70,8 +88,6 @@ class Deltas:
 
     place: Folder | Bucket
     _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
-    _listed: dict[str, tuple[object, dict[str, str]]] = field(default_factory=dict)  # shards, by the newest commit
-    _idle: dict[str, tuple[object, "_Taken"]] = field(default_factory=dict)  # opened tables, by the newest commit
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:
         """The table now, or at a version; None where there is none."""
@@ -82,34 +98,36 @@ class Deltas:
         except (DeltaError, OSError) as error:
             raise self._unreadable(table, error) from None
 
-    def shards(self, table: str, version: int | None = None) -> dict[str, str]:
-        """The file of each shard, below the table's folder.
+    def shards(self, table: str) -> dict[str, str]:
+        """The file of each shard, below the table's folder."""
+        taken = self._take(table)
+        self._leave(table, taken)
+        return taken.shards
 
-        A table is opened once a commit: a night asks some five hundred times, and a log of years takes a while to read.
-        """
-        newest = self.place.newest_commit(table) if version is None else None
-        known, shards = self._listed.get(table, (None, {}))
-        if newest is None or newest != known:
-            held = self.open(table, version)
-            shards = {} if held is None else shards_of(held)
-        if newest is not None:
-            self._listed[table] = newest, shards
-        return shards
+    def at(self, table: str, version: int | None = None) -> Version | None:
+        """The table now, or at a version, as data; None where there is none."""
+        taken = self._take(table) if version is None else _taken(self.open(table, version))
+        if taken.table is None:
+            return None
+        columns = frozenset(f.name for f in taken.table.schema().fields)
+        told = Version(taken.table.version(), columns, taken.shards)
+        if version is None:
+            self._leave(table, taken)
+        return told
 
-    def _take(self, table: str) -> "_Taken":
+    def _take(self, table: str) -> _Taken:
         """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""
         newest = self.place.newest_commit(table)
-        known, taken = self._idle.pop(table, (None, None))
+        known, taken = _opened(self.place.url).pop(table, (None, None))
         if taken is not None and newest == known:
             return taken
-        held = self.open(table)
-        return _Taken(held, {} if held is None else shards_of(held))
+        return _taken(self.open(table))
 
-    def _leave(self, table: str, taken: "_Taken") -> None:
-        """Leave a table to the next writer, unless another commit has come since."""
+    def _leave(self, table: str, taken: _Taken) -> None:
+        """Leave a table to the next who asks, unless another commit has come since."""
         newest = self.place.newest_commit(table)
         if taken.table is not None and newest is not None and newest[0] == f"{taken.table.version():020}.json":
-            self._idle[table], self._listed[table] = (newest, taken), (newest, taken.shards)
+            _opened(self.place.url)[table] = newest, taken
 
     def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
         """Places of the files of all or some shards; of a folder's name, all below it."""
@@ -131,27 +149,19 @@ class Deltas:
         how = self.place.options or None
         return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
 
-    def change(self, table: str, change: Change) -> DeltaTable | None:
-        """Write shards of a table in one commit, all or none; the table then, or None where there still is none."""
+    def change(self, table: str, change: Change) -> None:
+        """Write shards of a table in one commit, all or none."""
         while True:
             now, files = taken = self._take(table)
             made = self._write(table, change(_Shards(self, table, files)), files)
             if not (made.added or made.gone):
-                self._leave(table, taken)
-                return now
-            if now is None:
-                begun = self._begin(table, made)
-                if begun is not None:
-                    return begun
-            elif self._commit(table, now, made):
-                return now
+                return self._leave(table, taken)
+            if self._begin(table, made) if now is None else self._commit(table, now, made):
+                return None
 
-    def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> DeltaTable:
-        """Write some shards of a table whole, in one commit; the table then."""
-        held = self.change(table, lambda _: shards.items())
-        if held is None:
-            raise ValueError(f"no shard of {table} to write")
-        return held
+    def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> None:
+        """Write some shards of a table whole, in one commit."""
+        self.change(table, lambda _: shards.items())
 
     def drop(self, table: str, files: Iterable[str]) -> None:
         """Let the table be without some of its files, which are not what was written."""
@@ -201,8 +211,8 @@ class Deltas:
         said = f"the log of {table} can't be read ({_first_line(error)})"
         return StoreError(said) if self.place.remote else DamageError(said)
 
-    def _begin(self, table: str, made: "_Written") -> DeltaTable | None:
-        """A table's first commit; None where another began it."""
+    def _begin(self, table: str, made: "_Written") -> bool:
+        """A table's first commit; False where another began it."""
         where, how = f"{self.place.url}/{table}", self.place.options
         sys.audit("hdt.before_commit")
         try:
@@ -212,10 +222,10 @@ class Deltas:
         except (DeltaError, OSError) as error:
             if self.open(table) is None:
                 raise self._unreadable(table, error) from None
-            return None
+            return False
         sys.audit("hdt.after_commit")
         self.place.settle(table, 0)
-        return self.open(table)
+        return True
 
     def _commit(self, table: str, now: DeltaTable, made: "_Written") -> bool:
         """One commit; False where another came first."""
@@ -233,7 +243,7 @@ class Deltas:
         sys.audit("hdt.after_commit")
         now.update_incremental()
         self.place.settle(table, now.version())
-        self._leave(table, _Taken(now, shards_of(now)))
+        self._leave(table, _taken(now))
         return True
 
 
@@ -293,6 +303,10 @@ def shards_of(table: DeltaTable) -> dict[str, str]:
     """The file of each shard of a table, below its folder."""
     paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
     return {named["shard"]: path for path in paths if (named := _NAMED.fullmatch(path))}
+
+
+def _taken(table: DeltaTable | None) -> _Taken:
+    return _Taken(table, {} if table is None else shards_of(table))
 
 
 def _removed(file: str) -> RemoveAction:

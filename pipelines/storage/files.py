@@ -168,7 +168,20 @@ def _name(file: os.DirEntry[str]) -> str:
 
 def sweep(folder: Path) -> int:
     """Remove temporary files of killed writers below a folder."""
-    left = [f for f in folder.glob("**/.*.part") if f.is_file()]
+    left = [f for f in files_below(folder) if f.name.startswith(".") and f.name.endswith(".part")]
     for f in left:
-        f.unlink()
+        os.unlink(f)
     return len(left)
+
+
+def files_below(folder: Path | str) -> Iterator[os.DirEntry[str]]:
+    """Every file below a folder; a home has ten thousand, and paths that are taken apart would cost most of a look."""
+    try:
+        there = list(os.scandir(folder))
+    except FileNotFoundError:
+        return
+    for entry in there:
+        if entry.is_dir(follow_symlinks=False):
+            yield from files_below(entry.path)
+        elif entry.is_file():
+            yield entry

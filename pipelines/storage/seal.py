@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipelines.storage.delta import hash_in, hash_of, hashes
-from pipelines.storage.files import LOG, replacing
+from pipelines.storage.files import LOG, files_below, replacing
 from pipelines.storage.store import Store
 
 NAME = "seal.json"
@@ -42,8 +42,8 @@ def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
         return
     root, before = Path(store.root), read(store.home)
     known = before.files if before else {}
-    there = (p for p in root.rglob("[!.]*") if p.is_file() and p.name != _HINT)
-    files = {str(p.relative_to(root)): p.stat() for p in there}
+    there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != _HINT)
+    files = {f.path.removeprefix(f"{root}/"): f.stat() for f in there}
     new = hashes(root, [name for name, told in files.items() if not _as_before(told, known.get(name))])
     entries = {n: _entry(told, known.get(n), *new[n]) if n in new else known[n] for n, told in files.items()}
     _write(store.home, entries, {table: list(paths) for table, paths in held.items()})

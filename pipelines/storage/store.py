@@ -13,14 +13,13 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.storage.delta import Deltas, shards_of
+from pipelines.storage.delta import Deltas, Version
 from pipelines.storage.files import Folder, sweep
 from pipelines.storage.months import merged, shards_with
 from pipelines.storage.objects import Bucket, StoreError, bucket
 
 if TYPE_CHECKING:
     import duckdb
-    from deltalake import DeltaTable
 
 Aircraft = tuple[str, str]
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
@@ -98,20 +97,22 @@ class Store:
         changes = [merged(TABLES[table], shard_of(a), ids, _own(frame, a)) for a, ids in flights.items()]
         self.tables.change(table, lambda held: chain.from_iterable(change(held) for change in changes))
 
-    def declare(self, table: str) -> "DeltaTable":
+    def declare(self, table: str) -> Version:
         """The table now, which has its columns even while nothing is stored."""
-        now, columns = self.tables.open(table), TABLES[table].schema.columns()
-        if now is not None and EMPTY in shards_of(now) and {f.name for f in now.schema().fields} >= set(columns):
-            return now
-        return self.tables.put(table, {EMPTY: TABLES[table].schema.create_empty()})
+        now, columns = self.tables.at(table), TABLES[table].schema.columns()
+        if now is None or EMPTY not in now.shards or not now.columns >= set(columns):
+            self.tables.put(table, {EMPTY: TABLES[table].schema.create_empty()})
+            now = self.tables.at(table)
+        assert now is not None
+        return now
 
     def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
         """Of every table its version, and the files below `root` that it is; now, or of some at other versions."""
         if versions is None:
             held = {t: self.declare(t) for t in TABLES}
         else:
-            held = {t: d for t in TABLES if t in versions and (d := self.tables.open(t, versions[t]))}
-        return {t: (d.version(), sorted(f"{t}/{f}" for f in shards_of(d).values())) for t, d in held.items()}
+            held = {t: d for t in TABLES if t in versions and (d := self.tables.at(t, versions[t]))}
+        return {t: (d.number, sorted(f"{t}/{f}" for f in d.shards.values())) for t, d in held.items()}
 
     def open_to(self, con: "duckdb.DuckDBPyConnection") -> None:
         """Let a DuckDB connection read what the catalog's views name; local files it reads by itself."""

@@ -21,7 +21,7 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.store import Store
 
-NAME, _DONE = "retention.toml", ".upkeep"
+NAME, DONE = "retention.toml", ".upkeep"
 _EVERY_S = 20 * 3600
 _COMMITS = 20  # between two checkpoints, from which a log is read on
 
@@ -54,7 +54,7 @@ def keep_house(store: Store, ledger: Ledger, declared: Retention | None = None) 
 
     At most once a day, and as the home declares, unless it is `declared` here.
     """
-    done = store.home / _DONE
+    done = store.home / DONE
     if declared is None and not done.exists():  # a new home holds nothing old
         done.touch()
     if declared is None and time.time() - done.stat().st_mtime < _EVERY_S:

@@ -149,7 +149,7 @@ def test_an_earlier_version_stays_readable(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
     then = store.tables.open("raw_flights").version()
     store.merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=2))
-    (file,) = store.tables.shards("raw_flights", then).values()
+    (file,) = store.tables.at("raw_flights", then).shards.values()
     assert pl.read_parquet(store.place.get(f"raw_flights/{file}"))["n_snapshots"].to_list() == [1]
 
 
