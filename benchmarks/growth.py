@@ -16,7 +16,8 @@ from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import SIZES, measured
 from hdt_core.tables import TABLES
 from pipelines.intake.simulated import write_fleet
-from pipelines.storage.catalog import connect, publish
+from pipelines.storage.catalog import connect
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"

@@ -35,8 +35,9 @@ from pipelines.orchestration import nightly, runs
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft
 from pipelines.orchestration.local_executor import cores
 from pipelines.partitions import PartitionScope
-from pipelines.storage.catalog import connect, publish
+from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import publish
 
 SIZES = {
     "S": FleetSettings(operators=2, tails=2, flights=250),

@@ -49,7 +49,8 @@ _PATIENT = {
 """Always followed, in the same process, by the start, the end or a materialisation of a step."""
 _INDEXED = ASSET_EVENTS | ASSET_CHECK_EVENTS | set(EVENT_TYPE_TO_PIPELINE_RUN_STATUS)
 """Of these the index of all runs tells."""
-_PAGE_BYTES = 8192  # an event and its columns take a third of 4 kB, and a little more
+_PAGE_BYTES = 8192  # of the index: an event and its columns take a third of 4 kB, and a little more; an eighth less
+_RUN_PAGE_BYTES = 1024  # of a run: ten tables and fifteen indexes, all but empty, are half of it in pages of 4 kB
 _MOST_NAMED = 30_000  # partitions or events in one question: SQLite takes 32,766 values
 _BUSY_S = 30  # as stock has it, which gives it no name in every version
 _SHARED = "run_id, dagster_event_type, step_key, asset_key"
@@ -179,7 +180,7 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
         index = Path(base_dir) / f"{INDEX_SHARD_NAME}.db"
         if not index.exists():
             index.parent.mkdir(parents=True, exist_ok=True)
-            _written_whole(index, _blank())
+            _written_whole(index, _blank(_PAGE_BYTES))
         super().__init__(base_dir, inst_data)
         # whoever was killed while making the index left a file without tables, and stock takes any file for a whole one
         self._engine(INDEX_SHARD_NAME)
@@ -225,11 +226,11 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
     def _begin(self, shard: str) -> None:
         """Let a shard have its tables; a run's is a copy of the first that was made."""
         path = Path(self.path_for_shard(shard))
-        is_new = not path.exists()
-        if is_new and self._empty and _written_whole(path, self._empty):
+        is_new = shard != INDEX_SHARD_NAME and not path.exists()
+        if is_new and _written_whole(path, self._empty or _blank(_RUN_PAGE_BYTES)) and self._empty:
             return
         self._initdb(self._engines[shard])
-        if is_new and shard != INDEX_SHARD_NAME:
+        if is_new:
             with closing(sqlite3.connect(path)) as made:
                 self._empty = made.serialize()
 
@@ -316,10 +317,10 @@ def _of(event: EventLogEntry, partition: str | None) -> EventLogEntry:
     return event._replace(dagster_event=planned._replace(event_specific_data=data))
 
 
-def _blank() -> bytes:
-    """A database without tables, of pages that fit events better than SQLite's own: an eighth of the index less."""
+def _blank(page_bytes: int) -> bytes:
+    """A database without tables, of pages of that size."""
     with closing(sqlite3.connect(":memory:")) as made:
-        made.execute(f"pragma page_size = {_PAGE_BYTES}")
+        made.execute(f"pragma page_size = {page_bytes}")
         made.execute("vacuum")
         return made.serialize()
 

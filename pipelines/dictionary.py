@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hdt_core.tables import TABLES
-from pipelines.storage.catalog import connect, ordered, publish, views
+from pipelines.storage.catalog import connect
 from pipelines.storage.headers import declared, meaning, read_header
+from pipelines.storage.publication import ordered, publish, views
 
 _TITLE = """# Data dictionary
 

@@ -10,8 +10,9 @@ from pipelines.assets.automation import PUBLISHED, newer_than_made
 from pipelines.assets.stage import owners
 from pipelines.report.facts import views_read
 from pipelines.resources import Home
-from pipelines.storage.catalog import CATALOG, ordered, publish, views
+from pipelines.storage.catalog import CATALOG
 from pipelines.storage.headers import Header, read_header
+from pipelines.storage.publication import ordered, publish, views
 
 REPORT = "report.html"
 

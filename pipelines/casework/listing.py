@@ -7,7 +7,8 @@ import duckdb
 import polars as pl
 
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import connect, views
+from pipelines.storage.catalog import connect
+from pipelines.storage.publication import views
 
 _MADE = "create or replace view cases as"
 OPEN = "state != 'closed'"

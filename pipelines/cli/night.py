@@ -146,8 +146,8 @@ def convert(home: HomeDir = None) -> None:
     Nothing is made again. It may be stopped and started again; the next night goes on from there.
     """
     from pipelines.orchestration.nightly import holding
-    from pipelines.storage.catalog import publish
     from pipelines.storage.earlier import convert as take_over
+    from pipelines.storage.publication import publish
     from pipelines.storage.store import Store
 
     where = home_folder(home)
@@ -172,7 +172,7 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
     from pipelines.orchestration.nightly import holding, run_night
-    from pipelines.storage.catalog import fault_of, publish
+    from pipelines.storage.publication import fault_of, publish
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
 

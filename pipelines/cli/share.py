@@ -38,7 +38,7 @@ def export(
     """
     from pipelines.sharing.export import export as write
     from pipelines.sharing.redaction import access_scope
-    from pipelines.storage.catalog import views
+    from pipelines.storage.publication import views
 
     where, known = home_folder(home), views()
     if strange := [v for v in view or () if v not in known]:

@@ -17,8 +17,8 @@ from pipelines import partitions
 from pipelines.assets.published import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, made_apart
 from pipelines.partitions import NIGHT
-from pipelines.storage.catalog import publish
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import publish
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}

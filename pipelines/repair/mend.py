@@ -17,7 +17,8 @@ from pipelines.intake.findings import CASES, FINDINGS
 from pipelines.lineage import MAKER, Stage
 from pipelines.storage import ledger_copy, seal
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.delta import DamageError, hash_in, shards_of
+from pipelines.storage.data_file import hash_in
+from pipelines.storage.delta import DamageError, shards_of
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.months import in_shard, without_folded

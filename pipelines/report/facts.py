@@ -10,7 +10,8 @@ import duckdb
 import polars as pl
 
 from hdt_core.twin.dsm import Dsm
-from pipelines.storage.catalog import connect, views
+from pipelines.storage.catalog import connect
+from pipelines.storage.publication import views
 
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",

@@ -8,8 +8,9 @@ from typing import Any
 import duckdb
 
 from hdt_core.health.thresholds import Trial, trials
-from pipelines.storage.catalog import connect, ordered, views
+from pipelines.storage.catalog import connect
 from pipelines.storage.headers import read_header
+from pipelines.storage.publication import ordered, views
 
 JUDGED_BY = ("alert_hit_rates", "alert_lead_times")
 _ALERTS = ("features_alerts", "features_component_alerts")

@@ -12,8 +12,9 @@ import polars.selectors as cs
 import pyarrow.parquet as pq
 
 from pipelines.sharing.redaction import AccessScope, build
-from pipelines.storage.catalog import CATALOG, connect, views
+from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.files import replacing_folder
+from pipelines.storage.publication import views
 
 FORMATS = ("parquet", "csv", "duckdb")
 MANIFEST = "export.json"

@@ -16,7 +16,8 @@ from pathlib import Path
 import duckdb
 import polars as pl
 
-from pipelines.storage.catalog import add_meanings, add_views, connect, tables_read
+from pipelines.storage.catalog import connect
+from pipelines.storage.publication import add_meanings, add_views, tables_read
 
 WITHHELD = "[withheld]"
 _TAILS = ("tail",)

@@ -5,10 +5,11 @@ from pathlib import Path
 import duckdb
 
 from hdt_core.tables import TABLES
-from pipelines.storage.catalog import fill, lock
+from pipelines.storage.catalog import lock
 from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
+from pipelines.storage.publication import fill
 from pipelines.storage.store import EMPTY, Store
 from pipelines.storage.upkeep import night_by
 

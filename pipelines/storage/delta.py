@@ -7,16 +7,12 @@ A change is one commit: all of it or nothing. A commit that another has overtake
 Any version is readable until its files are vacuumed.
 """
 
-import hashlib
 import io
-import json
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
@@ -30,15 +26,15 @@ from deltalake.transaction import (
     create_table_with_add_actions,
 )
 
+from pipelines.storage.data_file import NAMED, hash_in, hash_of, pack
 from pipelines.storage.files import Folder
 from pipelines.storage.objects import Bucket, StoreError
+from pipelines.storage.panics import message_of
 
 Held = Mapping[str, pl.DataFrame]
 """What a table holds, by the names of its shards; a shard is read when it is asked for."""
 Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame | None]]]
 """Of what a table holds, the shards to write; None where a shard goes, since another takes its rows."""
-_NAMED = re.compile(r"(?P<shard>.+)\.(?P<hash>[0-9a-f]{20})\.parquet")
-_SKIPPED_BY = ("operator", "tail", "flight_id")  # whose span in each file lets a reader leave files out
 QUIET = PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False)  # upkeep has its own time
 _ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
     "commit_properties": CommitProperties(max_commit_retries=0),
@@ -196,7 +192,7 @@ class Deltas:
             name = files.get(shard)
             if frame is not None:
                 fields |= {f.name: f for f in Schema.from_arrow(frame.clear().to_arrow().schema).fields}
-                file = _packed(shard, frame)
+                file = pack(shard, frame)
                 if file.name == name:
                     continue
                 self.place.put(f"{table}/{file.name}", file.content)
@@ -208,7 +204,7 @@ class Deltas:
 
     def _unreadable(self, table: str, error: Exception) -> StoreError:
         """What keeps a log from being read, in one line."""
-        said = f"the log of {table} can't be read ({_first_line(error)})"
+        said = f"the log of {table} can't be read ({message_of(error)})"
         return StoreError(said) if self.place.remote else DamageError(said)
 
     def _begin(self, table: str, made: "_Written") -> bool:
@@ -239,7 +235,7 @@ class Deltas:
         except CommitFailedError:
             return False
         except DeltaError as error:
-            raise StoreError(f"{table}: {_first_line(error)}") from None
+            raise StoreError(f"{table}: {message_of(error)}") from None
         sys.audit("hdt.after_commit")
         now.update_incremental()
         self.place.settle(table, now.version())
@@ -265,44 +261,13 @@ class _Shards(Held):
         return len(self.files)
 
 
-class _File(NamedTuple):
-    """A data file to be written: its name below the table's folder, its bytes, and what a commit says of its rows."""
-
-    name: str
-    content: bytes
-    stats: str
-
-
-def _packed(shard: str, frame: pl.DataFrame) -> _File:
-    packed = io.BytesIO()
-    frame.write_parquet(packed, compression="zstd")
-    content = packed.getvalue()
-    return _File(f"{shard}.{hash_of(content)}.parquet", content, json.dumps(_stats(frame)))
-
-
 _KEPT: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
-
-
-def hash_of(content: bytes) -> str:
-    """What names a file by its content: 20 digits of SHA-256."""
-    return hashlib.sha256(content).hexdigest()[:20]
-
-
-def hash_in(path: str) -> str:
-    """The hash that a data file's name holds."""
-    named = _NAMED.fullmatch(path)
-    return named["hash"] if named else ""
-
-
-def hashes(root: Path, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Of each file the hash that its name holds, if any, and that of its content."""
-    return {name: (hash_in(name), hash_of((root / name).read_bytes())) for name in names}
 
 
 def shards_of(table: DeltaTable) -> dict[str, str]:
     """The file of each shard of a table, below its folder."""
     paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
-    return {named["shard"]: path for path in paths if (named := _NAMED.fullmatch(path))}
+    return {named["shard"]: path for path in paths if (named := NAMED.fullmatch(path))}
 
 
 def _taken(table: DeltaTable | None) -> _Taken:
@@ -311,15 +276,3 @@ def _taken(table: DeltaTable | None) -> _Taken:
 
 def _removed(file: str) -> RemoveAction:
     return RemoveAction(file, True, time.time_ns() // 1_000_000)
-
-
-def _stats(frame: pl.DataFrame) -> dict[str, Any]:
-    """Row count, and the span of the columns that name an aircraft and its flights."""
-    named = frame.select(pl.selectors.by_name(*_SKIPPED_BY, require_all=False) & pl.selectors.string())
-    spans = {side: named.select(getattr(pl.all(), side)()).to_dicts() for side in ("min", "max")}
-    told = {f"{side}Values": {k: v for row in rows for k, v in row.items() if v} for side, rows in spans.items()}
-    return {"numRecords": frame.height, **told, "nullCount": {c: named[c].null_count() for c in named.columns}}
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0]

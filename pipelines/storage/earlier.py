@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.storage.delta import hash_in
+from pipelines.storage.data_file import hash_in
 from pipelines.storage.files import LOG, Folder
 from pipelines.storage.objects import Bucket
 from pipelines.storage.store import Store

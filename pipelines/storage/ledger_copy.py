@@ -7,7 +7,7 @@ be the same; else SQLite itself is asked. A database server looks after its own.
 from pathlib import Path
 
 from pipelines.storage import sqlite_reader
-from pipelines.storage.delta import hash_of
+from pipelines.storage.data_file import hash_of
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import FILE, SEALED, Ledger
 

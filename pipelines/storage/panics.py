@@ -22,3 +22,8 @@ def panics_as_errors() -> Iterator[None]:
 def first_line(error: BaseException) -> str:
     """An error in one line: its type and how its message begins."""
     return f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
+
+
+def message_of(error: BaseException) -> str:
+    """The first line of an error's message, of a library whose messages say what kind they are."""
+    return str(error).strip().splitlines()[0]

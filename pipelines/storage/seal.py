@@ -10,7 +10,7 @@ from os import stat_result
 from pathlib import Path
 from typing import NamedTuple
 
-from pipelines.storage.delta import hash_in, hash_of, hashes
+from pipelines.storage.data_file import hash_in, hash_of, hashes
 from pipelines.storage.files import LOG, files_below, replacing
 from pipelines.storage.store import Store
 

@@ -28,7 +28,7 @@ import pipelines.orchestration.runs  # noqa: E402, F401
 from benchmarks import fault_points  # noqa: E402
 from pipelines.orchestration import nightly  # noqa: E402
 from pipelines.storage import files  # noqa: E402
-from pipelines.storage.catalog import publish  # noqa: E402
+from pipelines.storage.publication import publish  # noqa: E402
 
 
 def work(asked: dict) -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipelines.storage.catalog import CATALOG, HASH, connect, fault_of, ordered, publish, views
+from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.objects import StoreError
+from pipelines.storage.publication import HASH, fault_of, ordered, publish, views
 from pipelines.storage.store import Store
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()

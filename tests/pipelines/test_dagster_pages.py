@@ -15,7 +15,7 @@ from dagster_batched.runs import execute
 from pipelines.assets.published import VIEWS
 from pipelines.definitions import build_defs
 from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
-from pipelines.storage.catalog import fault_of
+from pipelines.storage.publication import fault_of
 from pipelines.storage.store import Store
 
 CHAIN = ["raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"]

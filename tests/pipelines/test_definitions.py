@@ -20,9 +20,9 @@ from pipelines.lineage import LINEAGE
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, open_instance
 from pipelines.partitions import NIGHT
-from pipelines.storage.catalog import views
 from pipelines.storage.headers import read_header
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import views
 
 GROUPS = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"}
 

@@ -29,7 +29,7 @@ from pipelines.digest import (
     tell_night,
     told,
 )
-from pipelines.storage.catalog import publish
+from pipelines.storage.publication import publish
 
 SECRET = "s3cret-pass-word"
 

@@ -19,9 +19,10 @@ from benchmarks.fingerprint import fingerprint
 from pipelines.report.page import write_report
 from pipelines.sharing.export import export
 from pipelines.sharing.redaction import access_scope
-from pipelines.storage.catalog import connect, publish, views
+from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError, bucket
+from pipelines.storage.publication import publish, views
 from pipelines.storage.store import FLEET, URL, Store
 
 TABLE = "prognosis_model"

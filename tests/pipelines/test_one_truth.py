@@ -15,7 +15,8 @@ from pipelines.report.explain import explain
 from pipelines.report.facts import read_facts
 from pipelines.report.page import page
 from pipelines.report.words import URGENCY
-from pipelines.storage.catalog import connect, publish
+from pipelines.storage.catalog import connect
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)

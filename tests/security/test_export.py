@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from hdt_core.tables import TABLES
 from pipelines.sharing.export import FORMATS, MANIFEST, export, safe
 from pipelines.sharing.redaction import AccessScope, access_scope
-from pipelines.storage.catalog import CATALOG, connect, publish, tables_read, views
+from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.publication import publish, tables_read, views
 from pipelines.storage.store import FLEET, Store
 
 KEY = b"canary-key-5e0d-tell-nobody"

@@ -6,7 +6,8 @@ import sys
 import duckdb
 import pytest
 
-from pipelines.storage.catalog import CATALOG, views
+from pipelines.storage.catalog import CATALOG
+from pipelines.storage.publication import views
 
 OTHER = """
 import sys, duckdb

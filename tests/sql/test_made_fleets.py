@@ -9,7 +9,7 @@ from made_catalog import OWN, START, alert, catalog, flight, fouling, message, r
 from scipy.stats import binomtest
 
 from hdt_core.records.unit_index import UTC, date_entries, number_units
-from pipelines.storage.catalog import views
+from pipelines.storage.publication import views
 
 
 def test_lead_is_counted_in_flights_from_the_first_alert_of_that_unit():

@@ -11,8 +11,9 @@ from answers import CHECKS, rows
 
 from hdt_core.tables import TABLES
 from pipelines.dictionary import dictionary, view_columns
-from pipelines.storage.catalog import CATALOG, views
+from pipelines.storage.catalog import CATALOG
 from pipelines.storage.headers import read_header
+from pipelines.storage.publication import views
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,7 +7,7 @@ from made_catalog import OWN, alert, flight, fouling
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.catalog import publish
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
 

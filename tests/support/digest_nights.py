@@ -7,7 +7,7 @@ from typing import NamedTuple
 import polars as pl
 
 from hdt_core.components import component_rows
-from pipelines.storage.catalog import publish
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)

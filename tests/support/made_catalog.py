@@ -8,7 +8,7 @@ import polars as pl
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.catalog import ordered, views
+from pipelines.storage.publication import ordered, views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}

@@ -8,8 +8,8 @@ from pathlib import Path
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.nightly import Night, holding, run_night
 from pipelines.orchestration.order import steps
-from pipelines.storage.catalog import publish
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import publish
 
 
 class Silent:

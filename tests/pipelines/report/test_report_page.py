@@ -13,7 +13,7 @@ from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page, write_report
 from pipelines.report.tracks import fleet_band
 from pipelines.report.words import pack_name
-from pipelines.storage.catalog import publish
+from pipelines.storage.publication import publish
 
 PARTS = {"tonight", "ranking", "alerts", "tracks", "trust", "gaps", "quarantine", "yield", "design", "figures", "card"}
 
