@@ -12,6 +12,7 @@ import pytest
 
 from hdt_core.tables import TABLES
 from pipelines.storage import earlier
+from pipelines.storage.delta import Deltas
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
 from pipelines.storage.store import FLEET, Store, shard_of
@@ -151,6 +152,24 @@ def test_an_earlier_version_stays_readable(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=2))
     (file,) = store.tables.at("raw_flights", then).shards.values()
     assert pl.read_parquet(store.place.get(f"raw_flights/{file}"))["n_snapshots"].to_list() == [1]
+
+
+def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):
+    """A log of years takes a while to read; another process may have written meanwhile."""
+    opened, open_ = [], Deltas.open
+    Store(tmp_path).declare("raw_flights")
+    monkeypatch.setattr(Deltas, "open", lambda *asked: opened.append(asked) or open_(*asked))
+    for n in (1, 2):
+        Store(tmp_path).merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=n))
+        assert held(Store(tmp_path)) == {MAY: n, JUNE: n}
+        assert Store(tmp_path).declare("raw_flights").number == n
+    assert opened == []
+    elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
+    Store(elsewhere).merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=3))
+    shutil.copytree(elsewhere / "tables", tmp_path / "tables", dirs_exist_ok=True)  # as another process would write
+    opened.clear()
+    assert held(Store(tmp_path)) == {MAY: 3, JUNE: 2}
+    assert len(opened) == 1
 
 
 def test_a_new_column_widens_the_table(tmp_path):
