@@ -18,8 +18,9 @@ from pathlib import Path
 
 import polars as pl
 
-from pipelines.intake import list_landing, merge_deliveries, read_snapshots
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.merge import merge_deliveries
+from pipelines.intake.snapshots import read_snapshots
 
 ROUNDS = 5
 NOW = datetime(2030, 1, 1, tzinfo=UTC)

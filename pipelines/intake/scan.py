@@ -10,7 +10,6 @@ from pipelines.intake.costs import COSTS
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.findings import case_files
 from pipelines.intake.landing import LandingFile, list_landing
-from pipelines.intake.snapshots import flights_in
 from pipelines.intake.types_of_zone import read_by
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.cases import CaseLog
@@ -37,7 +36,7 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     listing = list_landing(landing)
     known, digests = ledger.known_files(), ledger.digests()
     new = _new(listing.files, known, digests, _last_look_ns(ledger))
-    held = {f.path: flights_in(f) for f in new if f.kind in FLIGHT_FILES}
+    held = _flights([f for f in new if f.kind in FLIGHT_FILES])
     rows = [(f.path, f.operator, f.tail, _kind(f, held), f.size, f.mtime_ns, _digest(f)) for f in new]
     refused = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
     rows += [r for r in refused if r[0] not in known]
@@ -46,6 +45,15 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     if rows:
         ledger.register(rows, held)
     return Scan(len(listing.files), len(new), sum(map(len, held.values())))
+
+
+def _flights(files: Iterable[LandingFile]) -> dict[str, list[str]]:
+    """Flights that each file holds; pyarrow and the recorders' decoders are loaded only where there is one to read."""
+    if not files:
+        return {}
+    from pipelines.intake.snapshots import flights_in
+
+    return {f.path: flights_in(f) for f in files}
 
 
 def _settings(home: Path, digests: Mapping[str, str]) -> Iterator[Row]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.intake import Intake, LandingFile, list_landing, read_snapshots
+from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.snapshots import Intake, read_snapshots
 
 DIRTY = Path(__file__).parents[2] / "data" / "dirty" / "landing"
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -29,7 +29,7 @@ from spoils import (
     timed,
 )
 
-from pipelines.intake import merge_deliveries
+from pipelines.intake.merge import merge_deliveries
 from pipelines.intake.reasons import REASONS
 
 FLIGHT = "LX-AAA_20240525_04"

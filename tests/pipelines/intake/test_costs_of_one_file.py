@@ -77,7 +77,8 @@ UNDER_A_LIMIT = """
 import resource, sys
 from datetime import UTC, datetime
 from pathlib import Path
-from pipelines.intake import list_landing, read_snapshots
+from pipelines.intake.landing import list_landing
+from pipelines.intake.snapshots import read_snapshots
 held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (held + (600 << 20),) * 2)
 intake = read_snapshots(list_landing(Path(sys.argv[1])).files, datetime(2026, 1, 1, tzinfo=UTC))

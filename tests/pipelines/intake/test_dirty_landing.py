@@ -6,14 +6,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.intake import (
-    account,
-    list_landing,
-    merge_deliveries,
-    read_fleet,
-    read_maintenance,
-    read_messages,
-)
+from pipelines.intake.landing import list_landing
+from pipelines.intake.ledger import account
+from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
+from pipelines.intake.merge import merge_deliveries
 
 ROOT = Path(__file__).parents[2] / "data" / "dirty"
 

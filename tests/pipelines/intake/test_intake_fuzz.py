@@ -10,8 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipelines.intake import list_landing, read_fleet, read_maintenance, read_messages, read_snapshots
 from pipelines.intake import text as text_module
+from pipelines.intake.landing import list_landing
+from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
+from pipelines.intake.snapshots import read_snapshots
 
 SAMPLES = Path(__file__).parents[3] / "data_samples"
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -5,7 +5,7 @@ from datetime import date
 import polars as pl
 import pytest
 
-from pipelines.intake import read_fleet, read_maintenance, read_messages
+from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
 
 MESSAGE = "message_time,flight_id,pack,code,text\n"
 WORK = "done_on,pack,component,action,finding,reference\n"

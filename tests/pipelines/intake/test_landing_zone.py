@@ -6,8 +6,9 @@ from datetime import date
 
 import pytest
 
-from pipelines.intake import flights_in, list_landing
+from pipelines.intake.landing import list_landing
 from pipelines.intake.names import flight_day, flight_of_file, is_operator, is_tail
+from pipelines.intake.snapshots import flights_in
 
 GOOD = {
     "fleet.csv": ("", "", "fleet"),

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipelines.intake import account, merge_deliveries
 from pipelines.intake.columns import SIGNAL_COLUMNS
+from pipelines.intake.ledger import account
+from pipelines.intake.merge import merge_deliveries
 
 CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 COPY = "AQX/LX-AAA/acms/copy.csv"
@@ -72,7 +73,7 @@ def test_a_file_read_while_it_grows_says_nothing_that_it_does_not_say_when_it_is
 
 @pytest.fixture(scope="module")
 def growing(good_flight, tmp_path_factory, read):
-    from pipelines.intake import list_landing
+    from pipelines.intake.landing import list_landing
 
     root = tmp_path_factory.mktemp("zone")
     (root / CSV).parent.mkdir(parents=True)
@@ -132,7 +133,7 @@ def test_the_order_of_delivery_does_not_matter(seed, three_deliveries):
 
 @pytest.fixture(scope="module")
 def three_deliveries(good_flight, tmp_path_factory, read):
-    from pipelines.intake import list_landing
+    from pipelines.intake.landing import list_landing
 
     root = tmp_path_factory.mktemp("zone")
     spoiled = with_field(with_field(good_flight, 5, "mach", b"0.5"), 9, "vda_pos", b"")
