@@ -20,7 +20,7 @@ from pipelines.intake.simulated import write_fleet
 PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
 PARTS = {
     "estimation of all flights at once": [("pipelines.assets.twin", "estimate_flights")],
-    "the exchanger's equations over arrays, whoever asks": [("hdt_core.twin.exchanger", "ln_conductance_ratio")],
+    "the exchanger's equations over arrays, whoever asks": [("hdt_core.calibration.exchanger", "ln_conductance_ratio")],
     "the Digital System Model": [("pipelines.assets.calibration", "calibrate")],
     "tracks of the twins, flight after flight": [("pipelines.assets.twin", "track_on")],
     "boosting on simulated lives, once a code version": [("pipelines.assets.prognosis", "fit_base")],

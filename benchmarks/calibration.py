@@ -21,14 +21,14 @@ import polars as pl
 from benchmarks.harness import arguments, show
 from benchmarks.known_design import SIZE, Z90, one_fleet
 from benchmarks.legs import fleet_of
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import cruise_samples
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.records.keys import FLIGHT_PACK
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.crossing import cruise_samples
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.sequential import flight_by_flight
+from hdt_core.tracking.sequential import flight_by_flight
 
 PAGE = Path(__file__).parents[1] / "docs" / "calibration.md"
 Z95 = 1.960

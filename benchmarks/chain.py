@@ -9,6 +9,8 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.calibration.calibrate import calibrate as fit
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_norm
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.norm import leg_signs
@@ -23,9 +25,7 @@ from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.model import out_of_fold
 from hdt_core.prognosis.rows import ASKS
 from hdt_core.records.keys import PACK
-from hdt_core.twin.calibrate import calibrate as fit
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import track
+from hdt_core.tracking.track import track
 from pipelines.baseline import told_by_then
 from pipelines.learned import shipped_base
 

@@ -21,8 +21,8 @@ from hdt_core.health.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.limits import PRIORS, Limit
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import bootstrap, judge, score_prognoses
-from hdt_core.prognosis.model import Fit, Fits, Prognosis, fit_prognosis, named, predict_prognosis
-from hdt_core.prognosis.recalibrate import Correction
+from hdt_core.prognosis.model import ComponentFit, Fits, Prognosis, fit_prognosis, named, predict_prognosis
+from hdt_core.prognosis.recalibrate import HazardCorrection
 from hdt_core.prognosis.rows import UNTOLD, Says
 from hdt_core.simulate.design import FleetSettings
 from pipelines.learned import shipped_base
@@ -41,13 +41,13 @@ def averaged(fits: list[Fits]) -> Fits:
     return {c: _averaged([f[c] for f in fits]) for c in UNTOLD}
 
 
-def _averaged(fits: list[Fit]) -> Fit:
+def _averaged(fits: list[ComponentFit]) -> ComponentFit:
     weight = np.array([max(f.failures, 1e-9) for f in fits])
     weights = np.average([f.correction.weights for f in fits], axis=0, weights=weight)
     low, middle, high = (float(v) for v in np.average([f.levels for f in fits], axis=0, weights=weight))
-    return Fit(
+    return ComponentFit(
         _averaged_says([f.says for f in fits]),
-        Correction(tuple(float(w) for w in weights)),
+        HazardCorrection(tuple(float(w) for w in weights)),
         (low, middle, high),
         sum(f.failures for f in fits),
         sum(f.lives for f in fits),
@@ -107,7 +107,7 @@ def taught(base: Prognosis, parts: dict[str, list[str]], fleet: Frames) -> dict[
 def corrected(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """Judged prognoses of every tail by what others taught the simulated base, by way of learning."""
     fleets, said = tails_of(fleet), {}
-    unmoved = named(base, {c: Fit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
+    unmoved = named(base, {c: ComponentFit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
     for k in range(SIZE.tails):
         teach = {o: tails[:k] + tails[k + 1 :] for o, tails in fleets.items()}
         models = taught(base, teach, fleet)
@@ -131,7 +131,7 @@ def newcomer(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """The same for an operator of which no life was seen."""
     fleets, said = tails_of(fleet), {}
     models = taught(base, fleets, fleet)
-    unmoved = named(base, {c: Fit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
+    unmoved = named(base, {c: ComponentFit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
     for operator, tails in fleets.items():
         others = [m for o, m in models.items() if o != operator]
         every = [t for o, own in fleets.items() if o != operator for t in own]

@@ -11,7 +11,15 @@ from benchmarks.chain import RECORD, UP_TO_ALERTS, run
 from hdt_core.prognosis.lives import episodes
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.fleet import simulate_fleet
-from hdt_core.simulate.packs import Demand, Wear, outlets, reference, reference_demand, sized_target_k, target_k
+from hdt_core.simulate.packs import (
+    Demand,
+    ExchangerWear,
+    outlets,
+    reference,
+    reference_demand,
+    sized_target_k,
+    target_k,
+)
 from pipelines.intake.columns import SIGNAL_COLUMNS
 
 Frames = dict[str, pl.DataFrame]
@@ -82,7 +90,7 @@ def loss_at_message(design: PackDesign, warmer_k: float) -> float:
     standard = target_k(reference(np.ones(1)), np.zeros(1))[0]
     target = target_k(now, np.asarray(sized_target_k(design) - standard))
     asked = Demand(asked.flow_kg_s, asked.hot_in_k + 1.2 * warmer_k, target)
-    worn = Wear(loss / (1.0 - loss) / design.hx_ua_reference_w_k, 0.0 * one, 0.0 * one, one)
+    worn = ExchangerWear(loss / (1.0 - loss) / design.hx_ua_reference_w_k, 0.0 * one, 0.0 * one, one)
     over = outlets(design, now, asked, one, worn)[0] - target > design.unmet_limit_k
     return float(loss[over.argmax()]) if over.any() else 0.7
 

@@ -6,6 +6,15 @@ import numpy as np
 import polars as pl
 
 from benchmarks.legs import fleet_of
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration import exchanger_fit
+from hdt_core.calibration.arrays import cruise_samples, flights_of
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.compressor import compressor_samples, probe_corrections
+from hdt_core.calibration.compressor_fit import fit_compressor
+from hdt_core.calibration.design_table import elasticities, flow_elasticities
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.compressor import inlet_flow_kg_s
@@ -16,16 +25,7 @@ from hdt_core.simulate import flying
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
 from hdt_core.simulate.signals import demand
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin import hierarchy
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.characterise import fit_compressor
-from hdt_core.twin.compressor import compressor_samples, probe_corrections
-from hdt_core.twin.crossing import cruise_samples, flights_of
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.parameters import elasticities, flow_elasticities
-from hdt_core.twin.track import track
+from hdt_core.tracking.track import track
 
 KEY = ["tail", "flight_id", "pack"]
 FLOW_BIAS, FLOW_NOISE = 0.015, 0.02
@@ -87,11 +87,11 @@ def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
 
 def naive_shape(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, at: Envelope) -> float:
     """The peer: the same fit with health held at zero and flights compared as they come."""
-    step, hierarchy.HEALTH_STEP = hierarchy.HEALTH_STEP, 1e-6
+    step, exchanger_fit.HEALTH_STEP = exchanger_fit.HEALTH_STEP, 1e-6
     try:
         dsm = calibrate(samples, legs, maintenance)
     finally:
-        hierarchy.HEALTH_STEP = step
+        exchanger_fit.HEALTH_STEP = step
     return law_errors(dsm, at)["used_shape"]
 
 

@@ -17,15 +17,15 @@ import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
 from benchmarks.scale import Silent
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import cruise_samples
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flight_estimates import HUBER, SAMPLE_SD, estimate_flights
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import capacity_rates
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import cruise_samples
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.flights import HUBER, SAMPLE_SD, estimate_flights
 from pipelines.benchmark.timing import Candidate, Claim, race
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly

@@ -20,7 +20,7 @@ from hdt_core.recorder.decode import Series
 from hdt_core.recorder.fit import decode
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
-from hdt_core.twin.component import calibrate_component
+from hdt_core.tracking.component import calibrate_component
 from pipelines.aircraft_types import shipped
 from pipelines.intake.aircraft_types import AircraftType, read_type
 from pipelines.intake.recordings import open_recording

@@ -16,10 +16,10 @@ import numpy as np
 import polars as pl
 
 from benchmarks.scale import Silent
+from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import spread
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.twin.dsm import Dsm
 from pipelines.baseline import baseline_cells
 from pipelines.casework.terms import accept, proposals
 from pipelines.intake.simulated import write_fleet

@@ -21,6 +21,8 @@ import polars as pl
 
 from benchmarks.fleets import recorded_in_si
 from benchmarks.harness import put
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.windows import baseline_flights
@@ -28,9 +30,7 @@ from hdt_core.records.keys import IN_ORDER
 from hdt_core.robust import Z_90, spread_expr
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import track
+from hdt_core.tracking.track import track
 
 KEY = ["tail", "flight_id", "pack"]
 UNIT = ["tail", "pack", "hx_unit"]

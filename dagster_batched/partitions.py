@@ -114,7 +114,7 @@ def uncollected() -> Iterator[None]:
 _along = lru_cache(maxsize=100_000)(PartitionDimensionKey)
 
 
-class _Unpartitioned:
+class _UnpartitionedContext:
     """A step's context to which what it reads has no partitions."""
 
     def __init__(self, context: Any) -> None:
@@ -140,7 +140,7 @@ def skip_input_versions() -> None:
 
     @wraps(stock)
     def unlisted(self: DataVersionCache, context: Any) -> None:
-        stock(self, _Unpartitioned(context))  # type: ignore[arg-type]
+        stock(self, _UnpartitionedContext(context))  # type: ignore[arg-type]
 
     DataVersionCache.__init__ = unlisted  # type: ignore[method-assign]
 

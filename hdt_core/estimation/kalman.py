@@ -38,7 +38,7 @@ STILL_SD = 1e-4  # of its standard deviation: an estimate that another pass move
 
 
 @dataclass(frozen=True, slots=True)
-class Filtered:
+class FilterPass:
     """What one forward pass leaves: beliefs after each sample, (k, j) and (k, j, j), and what the smoother needs."""
 
     means: Array
@@ -54,7 +54,7 @@ class Filtered:
 
 def forward(
     problem: Problem, linearise: Linearise, about: list[Belief] | None = None, centre: Array | None = None
-) -> Filtered:
+) -> FilterPass:
     """One pass over the record, linearised about the running belief, or about the k beliefs given; what nothing is
     known of starts at `centre` (n,)."""
     lower, upper = limits(problem)
@@ -73,10 +73,10 @@ def forward(
             step = stepped(problem, linearise, belief if about is None else about[i], i)
             belief = predicted(belief, step)
             slopes.append(step.slope)
-    return Filtered(means, covs, slopes, corrections)
+    return FilterPass(means, covs, slopes, corrections)
 
 
-def smoothed(filtered: Filtered) -> list[Belief]:
+def smoothed(filtered: FilterPass) -> list[Belief]:
     """Beliefs given the whole record, by Bryson and Frazier's adjoint: no covariance is ever inverted."""
     k, j = filtered.means.shape
     pull, weight = np.zeros(j), np.zeros((j, j))
@@ -134,7 +134,7 @@ def passes_cost(problem: Problem) -> int:
     return 2 * (problem.start.mean.size + problem.prior.mean.size) + 1
 
 
-def _iterated(problem: Problem, linearise: Linearise, first: Filtered, passes: int) -> tuple[Filtered, Status, int]:
+def _iterated(problem: Problem, linearise: Linearise, first: FilterPass, passes: int) -> tuple[FilterPass, Status, int]:
     """Filter again until the estimate stands still: the last pass, how it ended, passes made."""
     if is_moving(problem):
         return _iterated_moving(problem, linearise, first, passes)
@@ -151,8 +151,8 @@ def _iterated(problem: Problem, linearise: Linearise, first: Filtered, passes: i
 
 
 def _iterated_moving(
-    problem: Problem, linearise: Linearise, first: Filtered, passes: int
-) -> tuple[Filtered, Status, int]:
+    problem: Problem, linearise: Linearise, first: FilterPass, passes: int
+) -> tuple[FilterPass, Status, int]:
     """The same where states or parameters move: what is found is the most likely trajectory. Without any pass asked
     for, one is made to see whether it would change anything."""
     last = first
@@ -165,7 +165,7 @@ def _iterated_moving(
     return last, "max_steps" if passes else "approximate", max(passes, 1)
 
 
-def _point(problem: Problem, filtered: Filtered) -> Array:
+def _point(problem: Problem, filtered: FilterPass) -> Array:
     """Parameters (n,) after the last sample, inside the bounds."""
     s = problem.start.mean.size
     return projected(Belief(filtered.means[-1, s:], filtered.covs[-1, s:, s:]), *problem.bounds.T)
@@ -185,7 +185,7 @@ def _stands_still(move: Array, cov: Array) -> bool:
     return bool((np.abs(move) <= STILL_SD * sd + 1e-15).all())
 
 
-def _moved_to(problem: Problem, filtered: Filtered, theta: Array) -> Filtered:
+def _moved_to(problem: Problem, filtered: FilterPass, theta: Array) -> FilterPass:
     """The pass with the parameters of its last belief at `theta`."""
     means = filtered.means.copy()
     means[-1, problem.start.mean.size :] = theta

@@ -64,7 +64,7 @@ class StrongTracking:
 
 
 @dataclass(frozen=True, slots=True)
-class Classified:
+class Classification:
     """Which parameters have left their nominal values: probability (k, n) after each sample."""
 
     names: tuple[str, ...]
@@ -79,7 +79,7 @@ class Classified:
 
 def classify(
     names: tuple[str, ...], estimate: Estimate, nominal: Belief, *, window: int = 30, prior_probability: float = 0.01
-) -> Classified:
+) -> Classification:
     r"""Two classes for every parameter, nominal or shifted, from the last `window` estimates of a path.
 
     The windowed estimates are summed up as N(m, s2), where s2 counts the filter's own variance. Nominal is N(m0,
@@ -114,4 +114,4 @@ def classify(
     mean, variance = windowed_change(estimate.path, estimate.path_sd, window)
     reference = np.diag(nominal.cov) + estimate.path_sd**2
     log_odds = 0.5 * (((mean - nominal.mean) ** 2 + variance) / reference - np.log(variance / reference) - 1.0)
-    return Classified(names, expit(log_odds + np.log(prior_probability / (1.0 - prior_probability))))
+    return Classification(names, expit(log_odds + np.log(prior_probability / (1.0 - prior_probability))))

@@ -30,7 +30,7 @@ TOLERANCE = {
     "door_apart_ln": 0.06,
 }
 TWIN_CHECKS = ("inlet_apart_k", "door_apart_ln")
-"""Of the twin's flights (`hdt_core.twin.witness`); not known before there is a twin."""
+"""Of the twin's flights (`hdt_core.tracking.sensor_shifts`); not known before there is a twin."""
 BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}
 LEG_CHECKS = (*(c for c in TOLERANCE if c not in TWIN_CHECKS), *BETWEEN_PACKS.values())
 CHECKS = (*LEG_CHECKS, *TWIN_CHECKS)

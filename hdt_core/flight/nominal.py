@@ -27,7 +27,7 @@ MCD_SUPPORT = 0.75  # what comes here has passed all rules: a quarter of it may 
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class IndexLevel:
     """What the fleet's levels of the index have in common.
 
     Attributes
@@ -42,13 +42,13 @@ class Level:
     stray: float | None = None
 
 
-def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> Level:
+def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> IndexLevel:
     """The fleet's, from levels as `judge_conductance` takes them."""
     smooth = _smooth(levels, maintenance)
-    return Level(*(_number(v) for v in (_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())))
+    return IndexLevel(*(_number(v) for v in (_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())))
 
 
-def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: Level) -> pl.DataFrame:
+def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: IndexLevel) -> pl.DataFrame:
     """Wear, unrest and strays, from the first-pass index.
 
     Parameters
@@ -57,7 +57,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: Le
         `LEG_KEY`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
     maintenance : DataFrame
         Replaced exchangers (`component` HX) begin a new unit.
-    fleet : Level
+    fleet : IndexLevel
         Of `learn_level`.
 
     Returns

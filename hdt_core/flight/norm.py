@@ -8,7 +8,7 @@ import polars as pl
 
 from hdt_core.flight.cross_checks import OutletLaw, leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
-from hdt_core.flight.nominal import Level, Scatter
+from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.tables.base import finite
 
@@ -19,7 +19,7 @@ class Norm:
 
     manifold: Manifold | None = None
     outlet: OutletLaw | None = None
-    level: Level = field(default_factory=Level)
+    level: IndexLevel = field(default_factory=IndexLevel)
     scatter: Scatter | None = None
 
     def to_json(self) -> str:
@@ -30,7 +30,7 @@ class Norm:
     def from_json(cls, text: str) -> "Norm":
         """Inverse of `to_json`."""
         plain = json.loads(text)
-        kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": Level, "scatter": Scatter}
+        kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": IndexLevel, "scatter": Scatter}
         return cls(**{name: kind(**_frozen(plain[name])) for name, kind in kinds.items() if plain[name] is not None})
 
 

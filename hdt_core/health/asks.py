@@ -10,7 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from hdt_core.health.controller import RUNNING_KG_S, Laws, has_authority
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import flights_of
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.inlet_law import full_open_inlet_k
+from hdt_core.health.controller import RUNNING_KG_S, ControlSchedules, has_authority
 from hdt_core.health.curves import falls_through
 from hdt_core.health.delivery import delivery_flights
 from hdt_core.health.reference_air import hot_day_tat_k, reference_air
@@ -18,10 +22,6 @@ from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin.crossing import flights_of
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.inlet import full_open_inlet_k
 
 HIGH_M = 4572.0
 """15,000 ft: below, the pack works against warm air for minutes, and no message comes of it."""
@@ -50,7 +50,7 @@ HOT_DAY = tuple(name.replace("_p20_", "_hot_day_") for name in CRITICAL[: len(EX
 PARTS = ("hx_margin_design_k", "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_blockage_k")
 
 
-def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
+def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """What each flight asked of the exchangers, whatever their wear: from that flight and the model alone.
 
     Parameters
@@ -59,7 +59,7 @@ def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
         Of the leg filter: signals in SI, `phase`, all phases.
     dsm : Dsm
         Digital System Model in service.
-    laws : Laws
+    laws : ControlSchedules
         What the controllers hold.
 
     Returns
@@ -96,7 +96,7 @@ def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     return keep.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
 
 
-def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: Laws) -> list[pl.Series]:
+def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> list[pl.Series]:
     """Critical ratios on the hot day, at the flight's own level, speed, flow and trim."""
     tat_k = hot_day_tat_k(middle["altitude_m"], middle["mach"])
     # bleed and compressor warm what they take in: the inlet follows the air
@@ -109,7 +109,9 @@ def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws:
     ]
 
 
-def margin_parts(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: Laws) -> list[pl.Series]:
+def margin_parts(
+    middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules
+) -> list[pl.Series]:
     """What a clean pack's margin is made of, taken in turn from the reference cruise to the flight: `PARTS`. [K]
 
     The reference: the standard day at 11 km and Mach 0.84, the flow of the baseline, inlet 390 K, the fleet's own
@@ -135,7 +137,7 @@ def margin_parts(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, l
     return [pl.Series(name, value).fill_nan(None) for name, value in zip(PARTS, values, strict=True)]
 
 
-def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
+def _high(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """Samples above `HIGH_M` with the level held and the conductance needed to hold it with the door full open."""
     known = samples.drop_nulls(list(hx.SIGNALS)).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     rows = _with_level(known, laws).filter((pl.col("altitude_m") > HIGH_M) & pl.col("held_k").is_not_null())
@@ -157,7 +159,7 @@ def _high(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
     )
 
 
-def _with_level(samples: pl.DataFrame, laws: Laws) -> pl.DataFrame:
+def _with_level(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
     """Each sample with the level its controller holds: schedule on TAT, and the flight's own trim or the pack's."""
     tail, tat_k = samples["tail"].to_numpy(), samples["tat_k"].to_numpy().astype(float)
     shaped = samples.with_columns(laws.outlet.column(tail, tat_k).alias("shape_k"))

@@ -15,7 +15,7 @@ from hdt_core.health.detection import persistent
 from hdt_core.health.diagnoses import Diagnosis
 from hdt_core.health.endings import end_with_the_unit
 from hdt_core.health.episodes import Case, Limits, spells
-from hdt_core.health.evidence import NEUTRAL, SUPPORTS, Evidence, Witness
+from hdt_core.health.evidence import NEUTRAL, SUPPORTS, Corroboration, Evidence
 from hdt_core.health.features import features
 from hdt_core.health.grid import Grid
 from hdt_core.health.wear import odds_above
@@ -122,7 +122,7 @@ def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
     if slope > 1e-5:
         moved.append(phrases.TREND.format(points=f"{1000 * slope:.1f}"))
     fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
-    told = [Witness(SUPPORTS if loss > NEAR * component.limit.mean else NEUTRAL, fails)]
+    told = [Corroboration(SUPPORTS if loss > NEAR * component.limit.mean else NEUTRAL, fails)]
     if not math.isnan(facts["loss_step_3"]) and facts["loss_step_3"] > STEP:
-        told.append(Witness(NEUTRAL, phrases.UNIT_STEP.format(points=f"{100 * facts['loss_step_3']:.0f}")))
+        told.append(Corroboration(NEUTRAL, phrases.UNIT_STEP.format(points=f"{100 * facts['loss_step_3']:.0f}")))
     return Evidence("; ".join(moved), tuple(told), component.otherwise, component.waiting)

@@ -32,7 +32,7 @@ ALTITUDE_KNOTS_M = tuple(np.arange(4800.0, 14401.0, 800.0).tolist())
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
+class ControlSchedule:
     """A reading as a piecewise-linear schedule of another, plus a gain on a third, up to a constant of its own.
 
     Attributes
@@ -75,21 +75,21 @@ class Law:
 
 
 @dataclass(frozen=True, slots=True)
-class Laws:
+class ControlSchedules:
     """What the controllers of a fleet hold.
 
     Attributes
     ----------
-    outlet : Law
+    outlet : ControlSchedule
         Hot outlet temperature [K] on total temperature [K]; a flight and pack has its own constant.
-    delivery : Law
+    delivery : ControlSchedule
         ln of compressor exit pressure on altitude [m] and pack flow squared [kg2/s2]; a pack has its own constant.
     speed : SpeedLimit
         What the compressors are held below.
     """
 
-    outlet: Law
-    delivery: Law
+    outlet: ControlSchedule
+    delivery: ControlSchedule
     speed: SpeedLimit = field(default_factory=SpeedLimit)
 
     def to_dict(self) -> dict[str, Any]:
@@ -107,17 +107,17 @@ class Laws:
         return plain | {"speed": asdict(self.speed)}
 
     @classmethod
-    def from_dict(cls, plain: Mapping[str, Any]) -> "Laws":
+    def from_dict(cls, plain: Mapping[str, Any]) -> "ControlSchedules":
         """Inverse of `to_dict`."""
 
-        def law(p: Mapping[str, Any]) -> Law:
+        def law(p: Mapping[str, Any]) -> ControlSchedule:
             shapes = {k: tuple(v) for k, v in p["shapes"].items()}
-            return Law(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
+            return ControlSchedule(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
 
         return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
 
 
-def learn_laws(samples: pl.DataFrame) -> Laws:
+def learn_laws(samples: pl.DataFrame) -> ControlSchedules:
     """Laws of each aircraft's controllers, from its baseline window: what else is in `samples` does not sway them.
 
     Parameters
@@ -144,7 +144,7 @@ def learn_laws(samples: pl.DataFrame) -> Laws:
     no_speed = pl.repeat(None, flown.height, dtype=pl.Float64, eager=True)
     speed = flown.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
     limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
-    return Laws(_learn(held, TAT_KNOTS_K), delivery, limit)
+    return ControlSchedules(_learn(held, TAT_KNOTS_K), delivery, limit)
 
 
 def has_authority(prefix: str = "") -> pl.Expr:
@@ -158,17 +158,17 @@ def _baseline(samples: pl.DataFrame) -> pl.DataFrame:
     return samples.join(start.filter(order <= LEARNING_FLIGHTS), on=["operator", "tail", "flight_id"], how="semi")
 
 
-def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> Law:
+def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> ControlSchedule:
     known = rows.drop_nulls()
     fits = {"": _fit(known, knots)}
     for (tail,), own in known.group_by("tail", maintain_order=True):
         if own.height >= ENOUGH:
             fits[str(tail)] = _fit(own, knots)
-    law = Law(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
+    law = ControlSchedule(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
     return replace(law, levels=_levels(law, known))
 
 
-def _levels(law: Law, rows: pl.DataFrame) -> dict[str, float]:
+def _levels(law: ControlSchedule, rows: pl.DataFrame) -> dict[str, float]:
     """What is left of the readings of each pack once the schedule is taken out, and of all packs under `""`."""
     scheduled = law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
     left = rows.select("tail", "pack", left=pl.col("y") - scheduled)

@@ -10,7 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from hdt_core.health.controller import Laws
+from hdt_core.calibration.arrays import cruise_samples
+from hdt_core.calibration.compressor import compressor_samples
+from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.health.controller import ControlSchedules
 from hdt_core.health.curves import read_across
 from hdt_core.health.reference_air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
 from hdt_core.physics.compressor import (
@@ -20,10 +24,6 @@ from hdt_core.physics.compressor import (
 )
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.twin.characterise import CompressorFit
-from hdt_core.twin.compressor import compressor_samples
-from hdt_core.twin.crossing import cruise_samples
-from hdt_core.twin.dsm import Dsm
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
 """Flow over the flow asked for at which critical diameters are kept; others are read between them."""
@@ -46,7 +46,7 @@ ASKED = {"cc_flow_asked_kg_s": pl.Float64, "cc_speed_limit_met": pl.Boolean} | d
 """What is kept of each flight: see `delivery_flights`."""
 
 
-def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
+def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """What each flight asked of the compressors, whatever their wear: from that flight and the model alone.
 
     Parameters
@@ -55,7 +55,7 @@ def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFram
         Of the leg filter: signals in SI, `phase`, all phases.
     dsm : Dsm
         Digital System Model in service.
-    laws : Laws
+    laws : ControlSchedules
         What the controllers hold.
 
     Returns
@@ -125,7 +125,7 @@ def share_left(ln_diameter: Array, critical: Array, widest: Array) -> tuple[Arra
     return np.minimum(share, widest), np.where(share < widest, slope, np.nan)
 
 
-def _at_their_hardest(cruise: pl.DataFrame, dsm: Dsm, laws: Laws, limit_rad_s: float) -> pl.DataFrame:
+def _at_their_hardest(cruise: pl.DataFrame, dsm: Dsm, laws: ControlSchedules, limit_rad_s: float) -> pl.DataFrame:
     """Curves in the hardest fifth of each flight's cruise; medians of `SIGNALS` and of the flow."""
     seen = compressor_samples(cruise, dsm.pack_table()).drop_nulls(SIGNALS).filter(pl.col("cc_speed_rad_s") > 0.0)
     rows = _with_flow(seen, dsm.compressor)
@@ -154,7 +154,7 @@ def _with_flow(rows: pl.DataFrame, fit: CompressorFit) -> pl.DataFrame:
     return rows.with_columns(flow_kg_s=pl.Series(inlet_flow_kg_s(fit.group_at_m3(vda), inlet_pa, inlet_k, speed)))
 
 
-def _with_pressure(rows: pl.DataFrame, dsm: Dsm, laws: Laws) -> pl.DataFrame:
+def _with_pressure(rows: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """`no_flow_ln` and `flow_ln` of the exit pressure that the controller asks for, its sensor's bias taken out."""
     tail, altitude_m, flow = (rows[c].to_numpy() for c in ("tail", "altitude_m", "pack_flow_kg_s"))
     still = laws.delivery.column(tail, altitude_m)
@@ -177,7 +177,7 @@ def _columns(where: str, critical: Array, widest: Array) -> list[pl.Series]:
     return [pl.Series(name, values).fill_nan(None) for name, values in named]
 
 
-def _at_the_middle(flights: pl.DataFrame, dsm: Dsm, laws: Laws, limit_rad_s: float) -> list[pl.Series]:
+def _at_the_middle(flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules, limit_rad_s: float) -> list[pl.Series]:
     """Curves at each flight's medians and hot and high; what a clean machine's margin is made of, taken in turn from
     the reference cruise to the flight: `CLEAN_PARTS`."""
     fit = dsm.compressor

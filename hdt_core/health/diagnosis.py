@@ -15,7 +15,7 @@ from hdt_core.health.detection import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class CrossCheck:
     """A cross check: name, flight-to-flight standard deviation of a sound unit, and what one unit of fault does to it.
 
     The scatter follows from the sensors' noise, quantisation and a flight's own trim; units of their own learn theirs.
@@ -44,28 +44,30 @@ INLET_BLURS = {"ram_door_open": 25.0, "hx": 8.0}
 other's. A film moves it by -5 K for the whole conductance, a blockage by 10. [K]"""
 
 CHANNELS = (
-    Channel("inlet_minus_tat_k", 0.35, {"cc_in_k": 1.0, "tat_k": -1.0}),
-    Channel("inlet_over_total_pressure_ln", 0.003, {"cc_in_pa": 1.0, "total_pressure_pa": -1.0}),
-    Channel("total_over_pitot_pressure_ln", 0.0008, {"total_pressure_pa": 1.0, "mach": -1.5, "altitude_m": 1.0}),
-    Channel("pack_over_compressor_flow_ln", 0.011, {"pack_flow_kg_s": 1.0, "cc_flow_kg_s": -1.0}),
-    Channel("tat_between_packs_k", 0.15, {"tat_k": 1.0}, between=True),
-    Channel("total_pressure_between_packs_ln", 0.0008, {"total_pressure_pa": 1.0}, between=True),
-    Channel("pack_flow_between_packs_ln", 0.02, {"pack_flow_kg_s": 1.0}, between=True),
-    Channel("compressor_flow_between_packs_ln", 0.022, {"cc_flow_kg_s": 1.0}, between=True),
-    Channel("cc_out_pressure_between_packs_ln", 0.005, {"cc_out_pa": 1.0}, between=True),
-    Channel("cc_out_pressure_over_schedule_ln", 0.003, {"cc_out_pa": 1.0, "pack_flow_kg_s": -DELIVERY_GAIN}),
-    Channel("hx_out_minus_target_k", 1.8, {"hx_out_k": 1.0, "tat_k": -SCHEDULE_SLOPE}, wander=0.6),
-    Channel("hx_out_between_packs_k", 0.8, {"hx_out_k": 1.0}, between=True),
-    Channel("hx_in_over_discharge_k", 0.7, INLET_MOVES | {"cc_out_k": -0.56, "tat_k": -0.57}, False, INLET_BLURS, 0.6),
+    CrossCheck("inlet_minus_tat_k", 0.35, {"cc_in_k": 1.0, "tat_k": -1.0}),
+    CrossCheck("inlet_over_total_pressure_ln", 0.003, {"cc_in_pa": 1.0, "total_pressure_pa": -1.0}),
+    CrossCheck("total_over_pitot_pressure_ln", 0.0008, {"total_pressure_pa": 1.0, "mach": -1.5, "altitude_m": 1.0}),
+    CrossCheck("pack_over_compressor_flow_ln", 0.011, {"pack_flow_kg_s": 1.0, "cc_flow_kg_s": -1.0}),
+    CrossCheck("tat_between_packs_k", 0.15, {"tat_k": 1.0}, between=True),
+    CrossCheck("total_pressure_between_packs_ln", 0.0008, {"total_pressure_pa": 1.0}, between=True),
+    CrossCheck("pack_flow_between_packs_ln", 0.02, {"pack_flow_kg_s": 1.0}, between=True),
+    CrossCheck("compressor_flow_between_packs_ln", 0.022, {"cc_flow_kg_s": 1.0}, between=True),
+    CrossCheck("cc_out_pressure_between_packs_ln", 0.005, {"cc_out_pa": 1.0}, between=True),
+    CrossCheck("cc_out_pressure_over_schedule_ln", 0.003, {"cc_out_pa": 1.0, "pack_flow_kg_s": -DELIVERY_GAIN}),
+    CrossCheck("hx_out_minus_target_k", 1.8, {"hx_out_k": 1.0, "tat_k": -SCHEDULE_SLOPE}, wander=0.6),
+    CrossCheck("hx_out_between_packs_k", 0.8, {"hx_out_k": 1.0}, between=True),
+    CrossCheck(
+        "hx_in_over_discharge_k", 0.7, INLET_MOVES | {"cc_out_k": -0.56, "tat_k": -0.57}, False, INLET_BLURS, 0.6
+    ),
     # where the discharge temperature is not recorded it is that of a nominal machine at this pressure ratio
-    Channel(
+    CrossCheck(
         "hx_in_over_pressure_k",
         0.9,
         INLET_MOVES | {"cc_in_pa": 75.0, "cc_out_pa": -75.0, "tat_k": -1.35, "cc": 56.0},
         blurs=INLET_BLURS | {"cc": 15.0},
         wander=0.6,
     ),
-    Channel(
+    CrossCheck(
         "conductance_off_cruise_ln",
         0.018,
         {"ram_door_open": -1.8, "hx_out_k": -0.006, "hx_in_k": 0.002, "tat_k": 0.005, "hx": 0.1},
@@ -74,7 +76,7 @@ CHANNELS = (
 )
 """Cross checks that a wearing film leaves alone: these raise the question."""
 
-HX_STEP = Channel(
+HX_STEP = CrossCheck(
     "hx_fouling_flight",
     0.016,
     {

@@ -6,7 +6,7 @@ from typing import NamedTuple
 SUPPORTS, NEUTRAL, AGAINST = ROLES = ("Supports", "Neutral", "Against")
 
 
-class Witness(NamedTuple):
+class Corroboration(NamedTuple):
     """A second look at what an alert claims: its role (of `ROLES`) and what it shows."""
 
     role: str
@@ -21,7 +21,7 @@ class Evidence:
     ----------
     moved : str
         What moved, by how much, since when.
-    witnesses : tuple of Witness
+    witnesses : tuple of Corroboration
         What else was looked at, each with its role.
     otherwise : str
         What else could explain it.
@@ -30,7 +30,7 @@ class Evidence:
     """
 
     moved: str
-    witnesses: tuple[Witness, ...]
+    witnesses: tuple[Corroboration, ...]
     otherwise: str
     waiting: str
 

@@ -10,7 +10,7 @@ from hdt_core.health.curves import read_across
 from hdt_core.health.delivery import CLEAN_PARTS, FLOWS, WHERE, curves_of, share_left
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK
-from hdt_core.twin.machine import PROBE_SD
+from hdt_core.tracking.compressor_tracking import PROBE_SD
 
 HELD_SD_K = {"flight": 0.5, "pack": 2.0}
 """How well the held level is known: from the flight itself, or from the pack's others (trims differ by 2 K)."""

@@ -27,7 +27,7 @@ AT_ONCE = 16
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Indications:
     """What the classifier may look at: shifts of the checks, the loss as each flight alone says, the other pack."""
 
     grid: Grid

@@ -10,6 +10,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import cruise_samples
+from hdt_core.calibration.compressor import compressor_samples
+from hdt_core.calibration.dsm import Dsm
 from hdt_core.health.detection import Array
 from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
@@ -17,10 +21,6 @@ from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_c
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.keys import LEG
 from hdt_core.tables.base import finite
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin.compressor import compressor_samples
-from hdt_core.twin.crossing import cruise_samples
-from hdt_core.twin.dsm import Dsm
 
 KINDS = ("sensor_minus_dsm", "dsm_minus_twin", "sensor_minus_twin")
 SIGNALS: dict[str, tuple[str, str, float]] = {

@@ -10,7 +10,7 @@ from hdt_core.health.detection import Array, Cusum, persistent, watch
 from hdt_core.health.diagnosis import CHANNELS, HX_STEP, SHARED
 from hdt_core.health.episodes import REPAIR, Case, Limits, spells
 from hdt_core.health.grid import Grid
-from hdt_core.health.naming import Evidence
+from hdt_core.health.naming import Indications
 from hdt_core.health.witnesses import SENSORS
 
 DOOR_MOVES = ("hx_out_minus_target_k", "hx_out_between_packs_k")
@@ -99,7 +99,7 @@ def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], 
         renewed = grid.worked_on(maintenance, (part,), REPAIR)
         new = new | (renewed[:, :, None] & np.array([c.name in checks for c in CHANNELS]))
     shift = watch(values, np.array([c.sd for c in CHANNELS]), new)
-    evidence = Evidence(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
+    evidence = Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
         for unit, first, end in spells(shift.called[:, :, channel], np.zeros_like(ended)):
@@ -111,7 +111,7 @@ def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], 
     return _one_each(cases, evidence)
 
 
-def _shared(evidence: Evidence, case: Case) -> list[Case]:
+def _shared(evidence: Indications, case: Case) -> list[Case]:
     """The same case of the other pack, where both record one sensor."""
     other = int(evidence.partner[case.unit])
     if case.facts["whose"] != "both" or other < 0:
@@ -125,7 +125,7 @@ def _shared(evidence: Evidence, case: Case) -> list[Case]:
     return [replace(case, unit=other, raised=raised, closed=closed, facts=case.facts | {"since": max(since, 0)})]
 
 
-def _one_each(cases: list[Case], evidence: Evidence) -> list[Case]:
+def _one_each(cases: list[Case], evidence: Indications) -> list[Case]:
     """One case for one fault: several checks may find it, and a left-minus-right one finds it twice.
 
     Two sensors of a pack hardly ever fail within a few flights: the second name is the first fault's, seen by another

@@ -2,9 +2,9 @@
 
 import polars as pl
 
+from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.records.keys import LEG
-from hdt_core.twin.exchanger import BIAS_SD, NOISE_SD
 
 BALANCED = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "ram_flow_kg_s", "tat_k")
 RAM_MAP_SD = 0.05

@@ -21,7 +21,7 @@ FEIGNED = 90
 """Flights that a faulty sensor may feign a better exchanger before its repair brings the loss back at once."""
 TEN, RISE_MARGIN = 10, 0.03
 """Flights taken together, and what the lowest of many tens lies below a later one by chance alone: scatter of the ten
-0.005, and 0.005 of the model's slow error (`twin.wear.MAP_SD`). [-]"""
+0.005, and 0.005 of the model's slow error (`tracking.wear_model.MAP_SD`). [-]"""
 BEYOND_DOUBT = 0.05
 """Loss beyond its limit at which a worn exchanger that has a case of little margin gets one of wear: two sigma. [-]"""
 SAME_CLOG = 40

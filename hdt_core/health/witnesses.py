@@ -7,11 +7,11 @@ against right where both controllers hold the same target. None needs the digita
 
 import polars as pl
 
-from hdt_core.health.controller import DOOR_FREE, RUNNING_KG_S, Laws, has_authority, learn_laws
+from hdt_core.calibration.arrays import departure
+from hdt_core.health.controller import DOOR_FREE, RUNNING_KG_S, ControlSchedules, has_authority, learn_laws
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG
 from hdt_core.tables.base import finite
-from hdt_core.twin.crossing import departure
 
 SENSORS = (
     "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s",
@@ -35,14 +35,14 @@ STILL_SAMPLES = 8
 """Fewer readings than this may agree by chance and quantisation."""
 
 
-def witnesses(samples: pl.DataFrame, laws: Laws | None = None) -> pl.DataFrame:
+def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl.DataFrame:
     """Witness statistics of every flight and pack.
 
     Parameters
     ----------
     samples : DataFrame
         `legs_samples`: signals in SI with `phase`; invalid values are null. Snapshots with a phase serve as well.
-    laws : Laws, optional
+    laws : ControlSchedules, optional
         The controllers' laws; learned from the first flights in `samples` where not given.
 
     Returns
@@ -98,7 +98,7 @@ def _setting() -> list[pl.Expr]:
     return [*median, door.median().alias("door_median"), (door > DOOR_FREE[1]).mean().alias("door_full_open_share")]
 
 
-def _with_laws(samples: pl.DataFrame, laws: Laws) -> pl.DataFrame:
+def _with_laws(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
     """What the controllers' schedules say of each sample."""
     tail = samples["tail"].to_numpy()
     tat_k, altitude_m, flow = (samples[c].to_numpy().astype(float) for c in ("tat_k", "altitude_m", "pack_flow_kg_s"))

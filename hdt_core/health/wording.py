@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from hdt_core.health import phrases
 from hdt_core.health.episodes import DIAMETER_SD, FAILS_AT
-from hdt_core.health.evidence import AGAINST, NEUTRAL, SUPPORTS, Evidence, Witness
+from hdt_core.health.evidence import AGAINST, NEUTRAL, SUPPORTS, Corroboration, Evidence
 from hdt_core.robust import Z_90
 
 Facts = Mapping[str, Any]
@@ -107,47 +107,47 @@ def clog(facts: Facts, since: str) -> Evidence:
     return Evidence(moved, tuple(w for w in witnesses if w), said.otherwise, said.waiting)
 
 
-def _full_open(facts: Facts) -> Witness:
+def _full_open(facts: Facts) -> Corroboration:
     """A controller that asks for more ram air than the door can give."""
     share = facts["door_full_open_share"]
     if math.isnan(share):
-        return Witness(NEUTRAL, phrases.DOOR_UNKNOWN)
+        return Corroboration(NEUTRAL, phrases.DOOR_UNKNOWN)
     spare = share < FULL_OPEN_SHARE
     said = phrases.DOOR_SPARE if spare else phrases.DOOR_FULL
-    return Witness(NEUTRAL if spare else SUPPORTS, said.format(share=f"{100 * share:.0f}"))
+    return Corroboration(NEUTRAL if spare else SUPPORTS, said.format(share=f"{100 * share:.0f}"))
 
 
-def _door_beside(facts: Facts) -> Witness | None:
+def _door_beside(facts: Facts) -> Corroboration | None:
     """The door of the pack that lost more should stand wider than the other's, on the same flight."""
     wider, more = facts["door_median_between_packs"], facts["hx_fouling_between_packs"]
     if math.isnan(wider) or not more > LOSS_APART:
         return None
     if abs(wider) <= DOOR_APART:
-        return Witness(NEUTRAL, phrases.DOOR_ALIKE)
+        return Corroboration(NEUTRAL, phrases.DOOR_ALIKE)
     points = f"{abs(100 * wider):.0f}"
     if wider > 0.0:
-        return Witness(SUPPORTS, phrases.DOOR_WIDER.format(points=points))
-    return Witness(AGAINST, phrases.DOOR_NARROWER.format(points=points))
+        return Corroboration(SUPPORTS, phrases.DOOR_WIDER.format(points=points))
+    return Corroboration(AGAINST, phrases.DOOR_NARROWER.format(points=points))
 
 
-def _loss_beside(facts: Facts) -> Witness | None:
+def _loss_beside(facts: Facts) -> Corroboration | None:
     """What both packs of an aircraft show alike may be something they share."""
     more = facts["hx_fouling_between_packs"]
     if math.isnan(more):
         return None
     if more > LOSS_APART:
-        return Witness(SUPPORTS, phrases.OTHER_LESS.format(points=f"{100 * more:.0f}"))
-    return Witness(NEUTRAL, phrases.OTHER_ALIKE)
+        return Corroboration(SUPPORTS, phrases.OTHER_LESS.format(points=f"{100 * more:.0f}"))
+    return Corroboration(NEUTRAL, phrases.OTHER_ALIKE)
 
 
-def _ram_flow(facts: Facts, otherwise: str) -> Witness | None:
+def _ram_flow(facts: Facts, otherwise: str) -> Corroboration | None:
     """Where the ram outlet is measured: a blockage starves the ram flow, a film does not."""
     lost = facts["ram_flow_loss"]
     if math.isnan(lost):
         return None
     if lost > RAM_FLOW_LOST:
-        return Witness(SUPPORTS, phrases.FLOW_STARVED.format(share=f"{100 * lost:.0f}"))
-    return Witness(otherwise, phrases.FLOW_CLEAN)
+        return Corroboration(SUPPORTS, phrases.FLOW_STARVED.format(share=f"{100 * lost:.0f}"))
+    return Corroboration(otherwise, phrases.FLOW_CLEAN)
 
 
 def margin_severity(facts: Facts) -> str:
@@ -169,11 +169,11 @@ def low_margin(facts: Facts, since: str) -> Evidence:
     }  # fmt: skip
     by = {said: facts[f"hx_margin_{name}_k"] for name, said in gives.items()}
     shares = ", ".join(said.format(k=f"{k:+.0f}") for said, k in by.items() if not math.isnan(k))
-    told = [Witness(NEUTRAL, phrases.MARGIN_PARTS.format(parts=shares))] if shares else []
+    told = [Corroboration(NEUTRAL, phrases.MARGIN_PARTS.format(parts=shares))] if shares else []
     worn = within(facts["hx_fouling"], facts["hx_fouling_sd"])
-    told.append(Witness(NEUTRAL, phrases.NOT_WEAR_ALONE.format(loss=worn)))
+    told.append(Corroboration(NEUTRAL, phrases.NOT_WEAR_ALONE.format(loss=worn)))
     if facts["overheat_p20_k"] > 1.0:
-        told.append(Witness(SUPPORTS, phrases.WARM_OUTLET.format(k=f"{facts['overheat_p20_k']:.0f}")))
+        told.append(Corroboration(SUPPORTS, phrases.WARM_OUTLET.format(k=f"{facts['overheat_p20_k']:.0f}")))
     return Evidence(moved, (*told, _full_open(facts)), phrases.MARGIN_ELSE, phrases.MARGIN_COSTS)
 
 
@@ -199,20 +199,20 @@ def compressor(facts: Facts, since: str) -> Evidence:
         return Evidence(moved, _diameter(facts), phrases.COMPRESSOR_ELSE, phrases.COMPRESSOR_COSTS)
     smaller, sigma = f"{-100 * shrunk:.1f}", f"{-shrunk / DIAMETER_SD:.1f}"
     moved = phrases.SHRUNK.format(share=smaller, sigma=sigma, since=since)
-    witness = Witness(NEUTRAL, phrases.NO_EFFICIENCY)
+    witness = Corroboration(NEUTRAL, phrases.NO_EFFICIENCY)
     return Evidence(moved, (witness, *_reserve(facts)), phrases.SHRUNK_ELSE, phrases.COMPRESSOR_COSTS)
 
 
-def _diameter(facts: Facts) -> tuple[Witness, ...]:
+def _diameter(facts: Facts) -> tuple[Corroboration, ...]:
     """Equation (5) takes the root of efficiency: a worn compressor's effective diameter shrinks by half of its loss."""
     lost, efficiency = facts["cc_diameter_loss"], facts["cc_efficiency_loss"]
     if math.isnan(lost):
         return ()
     role = SUPPORTS if lost > 0.25 * efficiency else NEUTRAL if lost > -DIAMETER_SD else AGAINST
-    return (Witness(role, phrases.DIAMETER_LOST.format(share=f"{100 * lost:.1f}")), *_reserve(facts))
+    return (Corroboration(role, phrases.DIAMETER_LOST.format(share=f"{100 * lost:.1f}")), *_reserve(facts))
 
 
-def _reserve(facts: Facts) -> tuple[Witness, ...]:
+def _reserve(facts: Facts) -> tuple[Corroboration, ...]:
     """What is left before the machine cannot deliver what is asked."""
     left, hot_high = facts["cc_diameter_left"], facts["cc_diameter_left_hot_high"]
     if math.isnan(left):
@@ -220,8 +220,8 @@ def _reserve(facts: Facts) -> tuple[Witness, ...]:
     own = phrases.DIAMETER_LEFT if left > 0.0 else phrases.TOO_SMALL
     high = phrases.LEFT_HOT_HIGH if hot_high > 0.0 else phrases.SMALL_HOT_HIGH
     return (
-        Witness(NEUTRAL if left > 0.0 else SUPPORTS, own.format(share=f"{100 * abs(left):.0f}")),
-        Witness(NEUTRAL, high.format(share=f"{100 * abs(hot_high):.0f}")),
+        Corroboration(NEUTRAL if left > 0.0 else SUPPORTS, own.format(share=f"{100 * abs(left):.0f}")),
+        Corroboration(NEUTRAL, high.format(share=f"{100 * abs(hot_high):.0f}")),
     )
 
 
@@ -229,12 +229,12 @@ def door(facts: Facts, since: str) -> Evidence:
     """A jam, or travel that ends too soon."""
     stop = f"{100 * facts['stop']:.0f}"
     if facts["kind"] == "jam":
-        flickers = Witness(SUPPORTS, phrases.FLICKERS)
+        flickers = Corroboration(SUPPORTS, phrases.FLICKERS)
         moved = phrases.JAMMED.format(stop=stop, since=since)
         return Evidence(moved, (flickers,), phrases.JAMMED_ELSE, phrases.JAMMED_COSTS)
     excess_k = facts["excess_k"]
     moved = phrases.STOPPED.format(stop=stop, since=since, k=f"{excess_k:.1f}", sigma=f"{excess_k / PEG_SD_K:.0f}")
-    return Evidence(moved, (Witness(SUPPORTS, phrases.ON_TARGET),), phrases.STOPPED_ELSE, phrases.STOPPED_COSTS)
+    return Evidence(moved, (Corroboration(SUPPORTS, phrases.ON_TARGET),), phrases.STOPPED_ELSE, phrases.STOPPED_COSTS)
 
 
 def sensor(facts: Facts, since: str) -> Evidence:
@@ -255,7 +255,7 @@ def sensor(facts: Facts, since: str) -> Evidence:
         sigma=f"{facts['sigma']:.1f}",
         since=since,
     )
-    witness = Witness(SUPPORTS, phrases.SENSOR_FITS.format(odds=_probability(facts["p"])))
+    witness = Corroboration(SUPPORTS, phrases.SENSOR_FITS.format(odds=_probability(facts["p"])))
     return Evidence(moved, (witness,), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
 
 
@@ -264,7 +264,7 @@ def _contradicted(facts: Facts, since: str) -> Evidence:
     moved = phrases.FOUND_CLEAN[facts["of"]].format(
         day=facts["looked_on"], level=f"{100 * facts['level']:.0f}", loss=f"{100 * facts['loss']:.0f}", since=since
     )
-    told = (Witness(SUPPORTS, phrases.CLEAN_LOSES_NOTHING),)
+    told = (Corroboration(SUPPORTS, phrases.CLEAN_LOSES_NOTHING),)
     return Evidence(moved, told, phrases.CLEAN_ELSE, phrases.SENSOR_COSTS)
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from hdt_core.components import Limit
 from hdt_core.health.margin import MessageRule
-from hdt_core.prognosis.model import Fit, Fits, Fold, Prognosis
-from hdt_core.prognosis.recalibrate import Correction
+from hdt_core.prognosis.model import ComponentFit, Fits, Fold, Prognosis
+from hdt_core.prognosis.recalibrate import HazardCorrection
 from hdt_core.prognosis.rows import Says
 
 Card = dict[str, Any]
@@ -41,9 +41,9 @@ def _plain(fits: Fits) -> dict[str, Any]:
 
 def _fits(plain: dict[str, Any]) -> Fits:
     return {
-        component: Fit(
+        component: ComponentFit(
             _says(fit["says"]),
-            Correction(tuple(fit["correction"]["weights"])),
+            HazardCorrection(tuple(fit["correction"]["weights"])),
             (fit["levels"][0], fit["levels"][1], fit["levels"][2]),
             fit["failures"],
             fit["lives"],

@@ -15,7 +15,7 @@ import polars as pl
 
 from hdt_core.health.asks import CRITICAL
 from hdt_core.prognosis.lives import told_lives
-from hdt_core.prognosis.record import Record
+from hdt_core.prognosis.record import FleetRecord
 from hdt_core.prognosis.rows import ASKS, LOSSES
 from hdt_core.records.keys import PACK
 
@@ -66,7 +66,7 @@ class Lesson:
         return json.dumps(asdict(self), separators=(",", ":"))
 
 
-def lesson_of(record: Record, learner: str) -> Lesson:
+def lesson_of(record: FleetRecord, learner: str) -> Lesson:
     """What a model that learns tonight is taught: all that was on record when the month of the last flight began."""
     month = record.month()
     past = record.before(month)
@@ -142,7 +142,7 @@ def _moved(now: Lesson, then: Lesson) -> dict[str, float]:
     return dict(zip(then.columns, (flights @ shift / flights.sum()).tolist(), strict=True))
 
 
-def _ended(past: Record) -> list[str]:
+def _ended(past: FleetRecord) -> list[str]:
     """Digests of the lives that a message or a replacement ended."""
     told = told_lives(past.features, past.lives()).filter(pl.col("removed") | pl.col("failed"))
     failed = pl.when("failed").then("end_flight_id")

@@ -16,7 +16,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import RISES
-from hdt_core.prognosis.recalibrate import NOMINAL, Correction, Levels, learn_correction, learn_levels
+from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
 from hdt_core.records.keys import IN_ORDER
 
@@ -36,17 +36,17 @@ HELD = "out_of_fold"
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ComponentFit:
     """What one component's lives taught: when the aircraft speaks, the hazard's correction, the levels told."""
 
     says: Says
-    correction: Correction = field(default_factory=Correction)
+    correction: HazardCorrection = field(default_factory=HazardCorrection)
     levels: Levels = NOMINAL
     failures: int = 0
     lives: int = 0
 
 
-Fits = dict[str, Fit]
+Fits = dict[str, ComponentFit]
 """By component."""
 
 
@@ -68,7 +68,7 @@ class Prognosis:
         The base: each learned from its own simulated fleets, their hazards averaged.
     base_levels : tuple of float
         Levels at which the distribution is told, from simulated lives held out.
-    fits : dict of str to Fit
+    fits : dict of str to ComponentFit
         By component.
     version : str
         Digest of all the above.
@@ -156,7 +156,9 @@ def say_by_fold(
     by: str = "tail",
 ) -> pl.DataFrame:
     """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
-    parts = [_say(base, track, Fit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()]
+    parts = [
+        _say(base, track, ComponentFit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()
+    ]
     for component, track in lived.items():
         wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
         own = track.keys[by].to_numpy().astype(str)
@@ -188,7 +190,7 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
     return fit_hazard(rows.features, rows.left, rows.failed, seed, (*RISES, 0))
 
 
-def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> Fit:
+def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> ComponentFit:
     """When the aircraft speaks, then the correction, then the levels, from the rows in `use`."""
     use = ~track.mute if use is None else use & ~track.mute
     says = learn_says(track, component, use)
@@ -197,16 +199,21 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
     rows = rows.take((rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
     failures, lives = int(np.unique(rows.life[rows.failed]).size), int(np.unique(rows.life).size)
     if not failures:
-        return Fit(says, levels=base.base_levels, lives=lives)
+        return ComponentFit(says, levels=base.base_levels, lives=lives)
     raw, reserve = hazards(base.hazard, rows.features), rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
     levels = learn_levels(by, rows.left, rows.failed, rows.life, base.base_levels)
-    return Fit(says, correction, levels, failures, lives)
+    return ComponentFit(says, correction, levels, failures, lives)
 
 
 def _say(
-    model: Prognosis, track: Tracks, fit: Fit, component: str, split: str, asked: NDArray[np.bool_] | None = None
+    model: Prognosis,
+    track: Tracks,
+    fit: ComponentFit,
+    component: str,
+    split: str,
+    asked: NDArray[np.bool_] | None = None,
 ) -> pl.DataFrame:
     asked = np.ones(len(track.at), bool) if asked is None else asked
     rows = fleet_rows(track, fit.says, asked)

@@ -30,7 +30,7 @@ NOMINAL: Levels = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
-class Correction:
+class HazardCorrection:
     """Shift of the hazard's log odds, a linear form in `TERMS`; one learned when there were fewer has fewer weights."""
 
     weights: tuple[float, ...] = (0.0,) * len(TERMS)
@@ -44,7 +44,7 @@ class Correction:
 
 def learn_correction(
     hazard: Array, reserve: Array, left: Array, failed: NDArray[np.bool_], life: NDArray[np.int_]
-) -> Correction:
+) -> HazardCorrection:
     """Correction from a fleet's lives.
 
     Parameters
@@ -72,7 +72,7 @@ def learn_correction(
     """
     row, span, hit, exposure = at_risk(left, failed)
     if not hit.any():
-        return Correction()
+        return HazardCorrection()
     offset = _log_odds(hazard[row, span])
     terms = _terms(span, reserve[row], offset)
     weight = exposure * np.unique(life).size / life.size
@@ -83,7 +83,7 @@ def learn_correction(
         return float(loss), terms.T @ (weight * (expit(log_odds) - hit)) + w / _PRIOR_SD**2
 
     found = minimize(cost, np.zeros(len(TERMS)), jac=True, method="L-BFGS-B")
-    return Correction(tuple(float(w) for w in found.x))
+    return HazardCorrection(tuple(float(w) for w in found.x))
 
 
 def learn_levels(

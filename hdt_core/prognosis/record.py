@@ -18,7 +18,7 @@ Heard = dict[str, tuple[int, list[str]]]
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class FleetRecord:
     """Flights with their health, messages and log of a fleet.
 
     Attributes
@@ -33,9 +33,9 @@ class Record:
     messages: pl.DataFrame
     maintenance: pl.DataFrame
 
-    def before(self, moment: datetime) -> "Record":
+    def before(self, moment: datetime) -> "FleetRecord":
         """What was known then: nothing that was flown, raised or signed later."""
-        return Record(
+        return FleetRecord(
             self.features.filter(pl.col("departed_at") < moment),
             self.messages.filter(pl.col("message_time") < moment),
             self.maintenance.filter(pl.col("done_on") < moment.date()),

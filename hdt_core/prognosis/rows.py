@@ -35,7 +35,7 @@ UNTOLD: dict[str, Says] = {"HX": {"": PRIOR_RULE}, "CC": PRIORS["CC"]}
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class FeatureRows:
     """Features and, for training, what became of each row.
 
     Attributes
@@ -58,12 +58,14 @@ class Rows:
     group: NDArray[np.str_]
     life: NDArray[np.int_]
 
-    def take(self, keep: NDArray[np.bool_]) -> "Rows":
+    def take(self, keep: NDArray[np.bool_]) -> "FeatureRows":
         """The rows where `keep` holds."""
-        return Rows(self.features[keep], self.left[keep], self.failed[keep], self.group[keep], self.life[keep])
+        return FeatureRows(self.features[keep], self.left[keep], self.failed[keep], self.group[keep], self.life[keep])
 
 
-def simulated_rows(seed: int, fleets: int = 50, aircraft: int = 20, flights: int = 600, stride: int = 20) -> Rows:
+def simulated_rows(
+    seed: int, fleets: int = 50, aircraft: int = 20, flights: int = 600, stride: int = 20
+) -> FeatureRows:
     """Rows of simulated lives; what flights ask is known no better than a fleet with few messages knows it."""
     rng = np.random.default_rng(seed + 1)
     parts = []
@@ -76,8 +78,8 @@ def simulated_rows(seed: int, fleets: int = 50, aircraft: int = 20, flights: int
         found = feature_rows(record, repeated(lives.asked), (unit, LEAD + flight))
         table = np.column_stack([found, np.full(unit.size, doubt)])
         life = number * left.shape[0] + unit
-        parts.append(Rows(table, left[keep], failed[keep], np.full(unit.size, f"{number}"), life))
-    return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
+        parts.append(FeatureRows(table, left[keep], failed[keep], np.full(unit.size, f"{number}"), life))
+    return FeatureRows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FeatureRows)))
 
 
 def _panel_of(lives: Episodes) -> Panel:
@@ -107,7 +109,7 @@ class Tracks:
     keys : DataFrame
         operator, tail, flight_id, pack, departed_at, one row a flight, sorted by pack and departure.
     left, failed : ndarray, shape (n,)
-        As in `Rows`.
+        As in `FeatureRows`.
     mute : ndarray of bool, shape (n,)
         Rows of an operator that has given no message of any kind: its lives end unheard.
     """
@@ -180,7 +182,7 @@ def _curves(rows: pl.DataFrame, component: str) -> Array:
     return out
 
 
-def fleet_rows(track: Tracks, says: Says, asked: NDArray[np.bool_] | None = None) -> Rows:
+def fleet_rows(track: Tracks, says: Says, asked: NDArray[np.bool_] | None = None) -> FeatureRows:
     """Features of flights of the tracks; unknown health gives NaN, not an error.
 
     Parameters
@@ -198,7 +200,7 @@ def fleet_rows(track: Tracks, says: Says, asked: NDArray[np.bool_] | None = None
     found = feature_rows(track.record[asked], critical, (pack, flight))
     features = np.where((column < 0)[:, None], np.nan, np.column_stack([found, doubt[asked]]))
     tail = track.keys["tail"].to_numpy().astype(str)
-    return Rows(features, track.left[asked], track.failed[asked], tail[asked], life)
+    return FeatureRows(features, track.left[asked], track.failed[asked], tail[asked], life)
 
 
 def _critical(track: Tracks, says: Says) -> tuple[Array, Array]:

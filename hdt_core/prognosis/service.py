@@ -25,12 +25,12 @@ from hdt_core.prognosis.lesson import lesson_of, not_learned_from, read_lesson, 
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
 from hdt_core.prognosis.recalibrate import TERMS
-from hdt_core.prognosis.record import Heard, Record, heard
+from hdt_core.prognosis.record import FleetRecord, Heard, heard
 from hdt_core.records.keys import IN_ORDER, PACK
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class ModelUpdate:
     """The model in service, its out-of-fold prognoses, its card with the reason.
 
     `lesson` is what it learned from as `Lesson.to_json` tells it, `heard` what it has spoken about, by component.
@@ -43,16 +43,16 @@ class Served:
     heard: dict[str, Heard]
 
 
-def serve(candidate: Prognosis, last: Served | None, record: Record) -> Served:
+def serve(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord) -> ModelUpdate:
     """Put a base into service, corrected by the fleet's lives, unless the one in service does better.
 
     Parameters
     ----------
     candidate : Prognosis
         Base as learned by the present code.
-    last : Served, optional
+    last : ModelUpdate, optional
         What served until now; None on the first night.
-    record : Record
+    record : FleetRecord
         All that is on record.
     """
     tails = record.features["tail"].unique().sort().to_list()
@@ -72,7 +72,7 @@ def serve(candidate: Prognosis, last: Served | None, record: Record) -> Served:
     model = replace(fit_tracks(chosen.base, past), folds=chosen.folds)
     card = model_card(model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
     card |= {"learned_because": why, "late_flights_not_learned_from": 0}
-    return Served(model, chosen.said, card, lesson.to_json(), {c: heard(track)[0] for c, track in lived.items()})
+    return ModelUpdate(model, chosen.said, card, lesson.to_json(), {c: heard(track)[0] for c, track in lived.items()})
 
 
 class _Taught(NamedTuple):
@@ -85,7 +85,7 @@ class _Taught(NamedTuple):
 
 
 def _chosen(
-    teach: Callable[[Prognosis], _Taught], candidate: Prognosis, last: Served | None
+    teach: Callable[[Prognosis], _Taught], candidate: Prognosis, last: ModelUpdate | None
 ) -> tuple[_Taught, Verdict]:
     """The candidate, or what served until now where that says better."""
     new = teach(candidate)
@@ -100,7 +100,7 @@ def _chosen(
     return (new if verdict.promoted else old), verdict
 
 
-def _speak(last: Served, record: Record, late: int) -> Served:
+def _speak(last: ModelUpdate, record: FleetRecord, late: int) -> ModelUpdate:
     """Say what has not been said, and again what no longer stands; `late` flights are not learned from yet."""
     lived = record.tracks()
     listened = {c: heard(track, last.heard.get(c)) for c, track in lived.items()}

@@ -49,7 +49,7 @@ class Segments:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class LookupTable:
     """Straight lines between points; no value outside them. `x` rises."""
 
     x: tuple[float, ...]

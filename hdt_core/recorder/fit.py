@@ -8,7 +8,7 @@ import numpy.typing as npt
 from hdt_core.recorder.bitstream import Bytes, Packing
 from hdt_core.recorder.decode import Series, decode_717, decode_767
 from hdt_core.recorder.frames_717 import find_packing, find_word_count
-from hdt_core.recorder.frames_767 import Found, Recording767, arrange_767, find_frames
+from hdt_core.recorder.frames_767 import Recording767, WholeFrames, arrange_767, find_frames
 from hdt_core.recorder.layout import WHOLE, Map717, Map767, MapError, Parameter, ParameterMap
 from hdt_core.recorder.timeline_717 import Recording717, arrange
 
@@ -107,7 +107,7 @@ def _recognise_767(data: Bytes, layout: Map767) -> Recording767:
     return recording
 
 
-def _check_lengths(found: Found, layout: Map767) -> None:
+def _check_lengths(found: WholeFrames, layout: Map767) -> None:
     """The commonest length of each frame. Frames that the map does not know are left out, but not all of them."""
     said = []
     for number, kind in layout.frames.items():
@@ -121,7 +121,7 @@ def _check_lengths(found: Found, layout: Map767) -> None:
         raise MapError(f"the recording has frames {_some(found.number)}; the map has {known}")
 
 
-def _check_rates(found: Found, layout: Map767) -> None:
+def _check_rates(found: WholeFrames, layout: Map767) -> None:
     for number, kind in layout.frames.items():
         time_ms = found.time_ms[found.number == number]
         if kind.rate_hz and time_ms.size > FEW_TESTED:

@@ -47,7 +47,7 @@ class Recording767:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class WholeFrames:
     """Whole frames as they lie in the file."""
 
     place: Ints
@@ -56,7 +56,7 @@ class Found:
     number: Ints
 
 
-def find_frames(data: Bytes) -> Found:
+def find_frames(data: Bytes) -> WholeFrames:
     """Every frame whose sync, length and two numbers agree, none within another."""
     sync = np.flatnonzero((data[:-1] == SYNC_767 >> 8) & (data[1:] == SYNC_767 & 0xFF)).astype(np.int64)
     sync = sync[sync + HEAD_767 <= data.size]
@@ -67,7 +67,7 @@ def find_frames(data: Bytes) -> Found:
     place, size = sync[agree], size[agree]
     kept = _one_after_another(place, size)
     place = place[kept]
-    return Found(place, size[kept], _number(data, place + 4, 4), number[agree][kept])
+    return WholeFrames(place, size[kept], _number(data, place + 4, 4), number[agree][kept])
 
 
 def _number(data: Bytes, places: Ints, size: int) -> Ints:
@@ -87,7 +87,7 @@ def _one_after_another(place: Ints, size: Ints) -> Flags:
     return kept
 
 
-def arrange_767(data: Bytes, found: Found, kinds: Mapping[int, Frame767]) -> Recording767:
+def arrange_767(data: Bytes, found: WholeFrames, kinds: Mapping[int, Frame767]) -> Recording767:
     """Frames by number and time; those of another length or time than they can have are not whole, and counted."""
     heads = np.flatnonzero(found.number == HEAD_FRAME)
     known = np.isin(found.number, list(kinds))
@@ -111,7 +111,7 @@ def arrange_767(data: Bytes, found: Found, kinds: Mapping[int, Frame767]) -> Rec
     return Recording767(head, frames, damage)
 
 
-def _text(data: Bytes, found: Found, head: int) -> str:
+def _text(data: Bytes, found: WholeFrames, head: int) -> str:
     begin, size = int(found.place[head]), int(found.size[head])
     return bytes(data[begin + 10 : begin + size - 2]).decode("ascii", "replace")
 
@@ -138,7 +138,7 @@ def _on_beat(time_ms: Ints, kind: Frame767) -> Flags:
     return common[which] if steady else np.ones(time_ms.size, bool)
 
 
-def _of_one_kind(data: Bytes, found: Found, at: Ints, kind: Frame767, end_s: float) -> Frames:
+def _of_one_kind(data: Bytes, found: WholeFrames, at: Ints, kind: Frame767, end_s: float) -> Frames:
     """Frames of one number as they follow each other; those that a short gap took are there, not whole.
 
     Nor is the frame before a gap: what is missing may be the end of this one, and the beginning of the next.

@@ -52,7 +52,7 @@ class ReportLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Rejected:
+class RejectedLine:
     """A line that can't be read, and why."""
 
     line: int
@@ -65,7 +65,7 @@ class Reports:
     """Lines of a file that could be read, those that could not, and titles of reports that no layout declares."""
 
     lines: tuple[ReportLine, ...]
-    rejected: tuple[Rejected, ...]
+    rejected: tuple[RejectedLine, ...]
     undeclared: tuple[str, ...]
 
 
@@ -125,7 +125,7 @@ def _pattern(word: str) -> str:
 def read_reports(data: bytes, layouts: Mapping[str, Layout]) -> Reports:
     """Reports of a message file, or of plain text. Raises nothing: what can't be read is set aside."""
     found: list[ReportLine] = []
-    rejected: list[Rejected] = []
+    rejected: list[RejectedLine] = []
     undeclared: list[str] = []
     layout, report = None, 0
     for place, line in _numbered_lines(unblock(data), rejected):
@@ -139,7 +139,7 @@ def read_reports(data: bytes, layouts: Mapping[str, Layout]) -> Reports:
         elif layout is not None and line.strip():
             read = _read_line(line, layout)
             if isinstance(read, str):
-                rejected.append(Rejected(place, line.strip(), read))
+                rejected.append(RejectedLine(place, line.strip(), read))
             elif read:
                 row, values = read
                 found.append(ReportLine(report, layout.number, place, row, values))
@@ -200,7 +200,7 @@ def unblock(data: bytes) -> str:
     return (b"".join(found) if found else data).decode("latin-1")
 
 
-def _numbered_lines(text: str, rejected: list[Rejected]) -> Iterator[tuple[int, str]]:
+def _numbered_lines(text: str, rejected: list[RejectedLine]) -> Iterator[tuple[int, str]]:
     """Lines with their numbers; messages whose length is not what their end says are told in `rejected`."""
     place = 1
     for part in text.split(_BEGIN):
@@ -210,8 +210,8 @@ def _numbered_lines(text: str, rejected: list[Rejected]) -> Iterator[tuple[int, 
         size = len(body) - _END_SIZE
         if told and int(told["size"]) != size:
             reason = f"message {int(told['number'])} has {size:,} characters, by its end {int(told['size']):,}"
-            rejected.append(Rejected(place, lines[0].strip(), reason))
+            rejected.append(RejectedLine(place, lines[0].strip(), reason))
         elif end and not told:
-            rejected.append(Rejected(place + len(lines) - 1, lines[-1].strip(), "no end of a message"))
+            rejected.append(RejectedLine(place + len(lines) - 1, lines[-1].strip(), "no end of a message"))
         yield from enumerate(map(str.rstrip, lines[:-1] if told else lines), place)
         place += part.count("\n")

@@ -53,7 +53,7 @@ def arrange(data: Bytes, packing: Packing, layout: Map717) -> Recording717:
     finder = Finder(data, packing, layout.words, layout.sync_words)
     runs = list(finder.runs())
     parts = [part for run in runs for part in _split(run, finder)]
-    placed = _Placed(finder, layout, alone=len(parts) == 1)
+    placed = _Timeline(finder, layout, alone=len(parts) == 1)
     for part in parts:
         placed.add(part)
     taken = sum(r.whole.size for r in runs) * finder.step // packing.byte
@@ -78,7 +78,7 @@ class _Stretch:
     last_count: int
 
 
-class _Placed:
+class _Timeline:
     """Runs by time. `at` is 4 x frame + number of the subframe, `shift` the counter less the frame, -1 if unknown."""
 
     def __init__(self, finder: Finder, layout: Map717, alone: bool) -> None:
@@ -171,7 +171,7 @@ class _Placed:
         self._counted = stretch.last_count, int(at[stretch.last]) // self.per_frame
 
 
-def _fill(placed: _Placed, skipped: int) -> Recording717:
+def _fill(placed: _Timeline, skipped: int) -> Recording717:
     """Frames in a regular grid; those that a short gap took are there, not whole."""
     layout, per_frame = placed.layout, placed.per_frame
     frame_s = per_frame * layout.subframe_s

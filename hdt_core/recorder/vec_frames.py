@@ -32,7 +32,7 @@ def read_fra(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map717
         raise MapError(f"{name}: no line of kind 1, the frame's length and sync words")
     frame = read_row(name, rows["1"][0], _Frame)
     supers = {fields[0]: fields for _, fields in rows["3"]}
-    listed: dict[str, list[_Listed]] = {}
+    listed: dict[str, list[_ParameterLine]] = {}
     for row in rows["2"]:
         listed.setdefault(row[1][0], []).append(read_row(name, row, frame.regular))
     for row in rows["4"]:
@@ -45,7 +45,7 @@ def read_fra(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map717
 
 
 @dataclass(frozen=True, slots=True)
-class _Listed:
+class _ParameterLine:
     """One line of a parameter: part of the word (a part 1 begins a sample), where, and frames of its cycle."""
 
     part: int
@@ -69,7 +69,7 @@ class _Frame:
             raise ValueError(f"word {word}, bits {top} to {top - bits + 1} are outside the frame")
         return Piece(((max(subframe, 1) - 1) * self.words + word - 1), top - bits, bits, into, frame)
 
-    def regular(self, fields: list[str]) -> _Listed:
+    def regular(self, fields: list[str]) -> _ParameterLine:
         """A part in every frame: as many places as its rate says, from its first on."""
         rate, subframe, word, top, bits, into = (int(f) for f in fields[2:8])
         first, all_words = self._piece(subframe, word, top, bits, into - bits), 4 * self.words
@@ -77,9 +77,9 @@ class _Frame:
             raise ValueError(f"rate {rate} does not divide the frame")
         step = all_words // rate
         places = tuple(replace(first, word=(first.word + i * step) % all_words) for i in range(rate))
-        return _Listed(int(fields[1]), places, 1)
+        return _ParameterLine(int(fields[1]), places, 1)
 
-    def superframe(self, fields: list[str], places: dict[str, list[str]]) -> _Listed:
+    def superframe(self, fields: list[str], places: dict[str, list[str]]) -> _ParameterLine:
         """A part in a superframe's word."""
         if fields[3] not in places:
             raise ValueError(f"no superframe {fields[3]}")
@@ -87,10 +87,10 @@ class _Frame:
         if int(fields[2]) < 1:
             raise ValueError(f"a superframe of {fields[2]} frames")
         piece = self._piece(int(place[1]), int(place[2]), top, bits, into - bits, frame - 1)
-        return _Listed(int(fields[1]), (piece,), int(fields[2]))
+        return _ParameterLine(int(fields[1]), (piece,), int(fields[2]))
 
 
-def _place(meaning: Parameter, listed: list[_Listed], frame_s: float) -> Iterator[Parameter]:
+def _place(meaning: Parameter, listed: list[_ParameterLine], frame_s: float) -> Iterator[Parameter]:
     """The parameter as listed; whole too, where the lines leave a part of its word to the reader."""
     regular = [line for line in listed if line.cycle == listed[0].cycle]
     if other := [line for line in listed if line.cycle != listed[0].cycle]:
@@ -98,7 +98,7 @@ def _place(meaning: Parameter, listed: list[_Listed], frame_s: float) -> Iterato
     if len({len(line.pieces) for line in regular}) > 1:
         yield replace(meaning, unreadable="its parts are recorded at different rates")
         return
-    groups: list[list[_Listed]] = []
+    groups: list[list[_ParameterLine]] = []
     for line in regular:
         if line.part == 1 or not groups:
             groups.append([])
@@ -117,7 +117,7 @@ def _as_written(coding: Coding) -> Coding:
     return replace(coding, steps=(Polynomial((coding.base, 10.0**-coding.decimals)),))
 
 
-def _complete(coding: Coding, groups: list[list[_Listed]]) -> list[list[_Listed]]:
+def _complete(coding: Coding, groups: list[list[_ParameterLine]]) -> list[list[_ParameterLine]]:
     """One word for samples that hold other bits of it; the sign in the places of the bits above the highest recorded.
 
     A number in two's complement that is recorded without its highest bits is small enough to do without them, and they
@@ -129,7 +129,7 @@ def _complete(coding: Coding, groups: list[list[_Listed]]) -> list[list[_Listed]
     return groups if coding.sign is None else [_extend(coding, group) for group in groups]
 
 
-def _extend(coding: Coding, group: list[_Listed]) -> list[_Listed]:
+def _extend(coding: Coding, group: list[_ParameterLine]) -> list[_ParameterLine]:
     pieces = [line.pieces[0] for line in group]
     sign = [i for i, p in enumerate(pieces) if p.into <= (coding.sign or 0) < p.into + p.bits]
     if not sign:
@@ -141,7 +141,7 @@ def _extend(coding: Coding, group: list[_Listed]) -> list[_Listed]:
     return group + [replace(line, pieces=tuple(replace(p, into=place) for p in bit)) for place in missing]
 
 
-def _sampled(meaning: Parameter, groups: list[list[_Listed]], frame_s: float) -> Parameter:
+def _sampled(meaning: Parameter, groups: list[list[_ParameterLine]], frame_s: float) -> Parameter:
     rate, cycle = len(groups[0][0].pieces), groups[0][0].cycle
     gap_s = frame_s / (rate * len(groups)) if cycle == 1 else 0.0
     samples = tuple(

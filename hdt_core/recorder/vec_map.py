@@ -7,7 +7,7 @@ in an ARINC 429 word of 32 bits (bits from 1), and the frame tells which bits of
 import re
 from collections.abc import Iterator, Mapping
 
-from hdt_core.recorder.coding import Coding, Kind, Polynomial, Segments, Step, Table
+from hdt_core.recorder.coding import Coding, Kind, LookupTable, Polynomial, Segments, Step
 from hdt_core.recorder.layout import MapError, Parameter, ParameterMap
 from hdt_core.recorder.vec_frames import read_fra, read_frd
 from hdt_core.recorder.vec_lines import Line, read_lines
@@ -100,7 +100,7 @@ def _steps(computation: str, rows: dict[str, list[list[str]]]) -> Iterator[Step]
         yield Segments(starts, scales, offsets)
     if numbers["3"]:
         x, y = zip(*(f[-2:] for f in numbers["3"]), strict=True)
-        yield Table(x, y)
+        yield LookupTable(x, y)
     if numbers["4"]:
         powers = {int(power): a for a, power in numbers["4"]}
         yield Polynomial(tuple(powers.get(i, 0.0) for i in range(max(powers) + 1)))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
-from hdt_core.recorder.coding import Coding, Kind, Polynomial, Step, Table, cut_digits
+from hdt_core.recorder.coding import Coding, Kind, LookupTable, Polynomial, Step, cut_digits
 from hdt_core.recorder.layout import (
     Counter,
     Frame767,
@@ -205,7 +205,7 @@ def _steps(element: ET.Element) -> Iterator[Step]:
             ("Real_Real_Table/Real_Real_Pair", "real_index"),
         ):
             if points := sorted((float(p.get(index, "")), float(p.text or "")) for p in step.iterfind(pairs)):
-                yield Table(*zip(*points, strict=True))
+                yield LookupTable(*zip(*points, strict=True))
 
 
 def _map_767(fred: ET.Element) -> Map767:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hdt_core.health.margin import MessageRule
-from hdt_core.simulate.margins import Asked, ask, critical_ratio, excess_at
+from hdt_core.simulate.margins import OutletExcess, ask, critical_ratio, excess_at
 from hdt_core.simulate.wear import Array, WearSettings, draw_wear
 
 LEAD = 150
@@ -204,7 +204,9 @@ def _message(seen: Array, rule: MessageRule) -> NDArray[np.int_]:
     return np.asarray(np.where(met.any(axis=1), met.argmax(axis=1), hot.shape[1]))
 
 
-def _believed(rng: np.random.Generator, flights: Asked, old: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
+def _believed(
+    rng: np.random.Generator, flights: OutletExcess, old: NDArray[np.bool_], settings: EpisodeSettings
+) -> Array:
     """What each flight is said to ask: by a rule not known exactly, through a model with its errors."""
     critical = critical_ratio(flights, 0.2, settings.believed_excess_k)
     error = settings.map_error * rng.standard_normal() + settings.pack_error * rng.standard_normal((old.size, 1))

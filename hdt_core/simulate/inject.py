@@ -82,7 +82,7 @@ Fault = Fouling | DoorLimit | SensorFault
 
 
 @dataclass(frozen=True, slots=True)
-class Injected:
+class Injection:
     """Rows with the fault, and what is true of each flight of the pack.
 
     `truth`: one row a flight in order, `flight_id`, `pack`, `since` (flights since the first faulty one, null before),
@@ -102,7 +102,7 @@ def inject(
     seed: int = 0,
     duct: PhysicsModel = TEXTBOOK_DUCT,
     exchanger: PhysicsModel = TEXTBOOK_EXCHANGER,
-) -> Injected:
+) -> Injection:
     """Lay a fault over the flights of one pack, from `first_flight` on.
 
     Parameters
@@ -120,7 +120,7 @@ def inject(
 
     Returns
     -------
-    Injected
+    Injection
         All rows, those of the pack changed. A row without the values that the physics need stays as it is, and new
         values are not rounded to the recorder's last digit.
 
@@ -151,7 +151,7 @@ def inject(
     else:
         new = _flown(rows, fault, since, duct, exchanger)
     changed = rows.with_columns(pl.Series(name, values).fill_nan(None) for name, values in new.items())
-    return Injected(changed, _truth(order, number, fault, pack))
+    return Injection(changed, _truth(order, number, fault, pack))
 
 
 def _check_columns(rows: pl.DataFrame, fault: Fault) -> None:

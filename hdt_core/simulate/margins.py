@@ -61,7 +61,7 @@ class Habits:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class OutletExcess:
     """What the flights of some packs ask.
 
     Attributes
@@ -75,9 +75,9 @@ class Asked:
     excess_k: Array
     day: Array
 
-    def after(self, flights: int) -> "Asked":
+    def after(self, flights: int) -> "OutletExcess":
         """All but the first flights."""
-        return Asked(self.excess_k[:, flights:], self.day[:, flights:])
+        return OutletExcess(self.excess_k[:, flights:], self.day[:, flights:])
 
 
 def draw_habits(rng: np.random.Generator) -> Habits:
@@ -104,7 +104,7 @@ def draw_type(rng: np.random.Generator) -> PackDesign:
     return replace(design, door_sizing=float(rng.uniform(0.12, 0.62)))
 
 
-def excess_at(asked: Asked, ratio: Array) -> Array:
+def excess_at(asked: OutletExcess, ratio: Array) -> Array:
     """Outlet above its level with the door full open at a ln conductance ratio of each flight. (packs, flights,
     samples)
 
@@ -118,7 +118,7 @@ def excess_at(asked: Asked, ratio: Array) -> Array:
     return np.asarray(low + share * (high - low))
 
 
-def critical_ratio(asked: Asked, share: float, excess_k: float) -> Array:
+def critical_ratio(asked: OutletExcess, share: float, excess_k: float) -> Array:
     """Ln ratio below which `share` of a flight's samples leave their level by `excess_k`. (packs, flights)"""
     curve = np.quantile(asked.excess_k, 1.0 - share, axis=2)
     at = np.clip((curve > excess_k).sum(axis=2) - 1, 0, LN_RATIOS.size - 2)
@@ -127,7 +127,7 @@ def critical_ratio(asked: Asked, share: float, excess_k: float) -> Array:
     return np.asarray(LN_RATIOS[at] + part * (LN_RATIOS[at + 1] - LN_RATIOS[at]))
 
 
-def ask(rng: np.random.Generator, aircraft: int, flights: int) -> Asked:
+def ask(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
     """What the flights of a fleet ask of its packs, two an aircraft with the same conditions.
 
     Parameters
@@ -143,17 +143,17 @@ def ask(rng: np.random.Generator, aircraft: int, flights: int) -> Asked:
             return asked
 
 
-def _fleet(rng: np.random.Generator, aircraft: int, flights: int) -> Asked:
+def _fleet(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
     design, habits = draw_type(rng), draw_habits(rng)
     operator = draw_operators(rng, FleetSettings(operators=1, tails=1))[0]
     first_day = float(rng.uniform(0.0, FIRST_DAYS))
     parts = [_aircraft(rng, design, operator, habits, flights, first_day) for _ in range(aircraft)]
-    return Asked(np.concatenate([p.excess_k for p in parts]), np.concatenate([p.day for p in parts]))
+    return OutletExcess(np.concatenate([p.excess_k for p in parts]), np.concatenate([p.day for p in parts]))
 
 
 def _aircraft(
     rng: np.random.Generator, design: PackDesign, operator: Operator, habits: Habits, flights: int, first_day: float
-) -> Asked:
+) -> OutletExcess:
     schedule = _weather(rng, draw_schedule(rng, operator, flights), habits, first_day)
     flight = np.repeat(np.arange(flights), SHARES_OF_FLIGHT.size)
     share = np.tile(SHARES_OF_FLIGHT, flights)
@@ -161,7 +161,7 @@ def _aircraft(
     now = conditions(rng, schedule, flight, after_s)
     day = np.tile(first_day + schedule.departed_s / 86400.0, (2, 1))
     shape = (2, flights, SHARES_OF_FLIGHT.size, LN_RATIOS.size)
-    return Asked(np.stack([_excess_k(rng, design, habits, now) for _ in range(2)]).reshape(shape), day)
+    return OutletExcess(np.stack([_excess_k(rng, design, habits, now) for _ in range(2)]).reshape(shape), day)
 
 
 def _weather(rng: np.random.Generator, schedule: Schedule, habits: Habits, first_day: float) -> Schedule:

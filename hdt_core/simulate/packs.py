@@ -30,7 +30,7 @@ _DUCT = (
 
 
 @dataclass(frozen=True, slots=True)
-class Wear:
+class ExchangerWear:
     """State of an exchanger: film resistance [K/W], blockage and lost area [-], unit's own conductance ratio [-]."""
 
     film_k_w: Array
@@ -38,9 +38,9 @@ class Wear:
     area_loss: Array
     unit_ua: Array
 
-    def at(self, index: NDArray[np.int_]) -> "Wear":
+    def at(self, index: NDArray[np.int_]) -> "ExchangerWear":
         """Wear of the flights given."""
-        return Wear(self.film_k_w[index], self.blockage[index], self.area_loss[index], self.unit_ua[index])
+        return ExchangerWear(self.film_k_w[index], self.blockage[index], self.area_loss[index], self.unit_ua[index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,10 @@ class Demand:
     target_k: Array
 
 
-def clean(like: Array) -> Wear:
+def clean(like: Array) -> ExchangerWear:
     """A nominal new exchanger."""
     zero = np.zeros_like(like)
-    return Wear(zero, zero, zero, zero + 1.0)
+    return ExchangerWear(zero, zero, zero, zero + 1.0)
 
 
 def ram_flow_kg_s(design: PackDesign, now: Conditions, door: Array, blockage: Array) -> Array:
@@ -80,7 +80,9 @@ def _raised(now: Conditions) -> Array:
     return np.where(now.ram_mach > now.mach, by_fan, 1.0)
 
 
-def conductance_w_k(design: PackDesign, demand: Demand, flow_kg_s: Array, cold_in_k: Array, wear: Wear) -> Array:
+def conductance_w_k(
+    design: PackDesign, demand: Demand, flow_kg_s: Array, cold_in_k: Array, wear: ExchangerWear
+) -> Array:
     """UA of the worn exchanger at these flows and temperatures. [W/K]"""
     clean_w_k = clean_conductance_w_k(
         demand.flow_kg_s,
@@ -95,7 +97,7 @@ def conductance_w_k(design: PackDesign, demand: Demand, flow_kg_s: Array, cold_i
 
 
 def outlets(
-    design: PackDesign, now: Conditions, demand: Demand, door: Array, wear: Wear
+    design: PackDesign, now: Conditions, demand: Demand, door: Array, wear: ExchangerWear
 ) -> tuple[Array, Array, Array, Array]:
     """Hot outlet [K], ram outlet [K], ram flow [kg/s] and UA [W/K] at a door position."""
     flow = ram_flow_kg_s(design, now, door, wear.blockage)
@@ -105,7 +107,7 @@ def outlets(
     return np.asarray(hot_out_k), np.asarray(ram_out_k), flow, ua
 
 
-def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: Wear) -> Array:
+def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: ExchangerWear) -> Array:
     """Door position that holds the outlet at its target, or the nearer stop where none does."""
     low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
     return held_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
@@ -147,14 +149,14 @@ def reference_demand(design: PackDesign, one: Array) -> Demand:
     return Demand(design.flow_cruise_kg_s * one, (360.0 + design.hot_rise_k) * one, 297.0 * one)
 
 
-def loss_ratios(design: PackDesign, wear: Wear) -> tuple[Array, Array, Array]:
+def loss_ratios(design: PackDesign, wear: ExchangerWear) -> tuple[Array, Array, Array]:
     """True and apparent conductance over that of the same unit when clean, and ram flow over the clean core's. [-]
 
     At the reference cruise and door; *apparent* is what an observer finds who takes the ram flow for the clean core's.
     """
     one = np.ones_like(wear.blockage)
     now, demand, door = reference(one), reference_demand(design, one), one * design.door_sizing
-    new = Wear(0.0 * one, 0.0 * one, 0.0 * one, wear.unit_ua)
+    new = ExchangerWear(0.0 * one, 0.0 * one, 0.0 * one, wear.unit_ua)
     hot_k, _, flow, ua = outlets(design, now, demand, door, wear)
     clean_hot_k, _, clean_flow, clean_ua = outlets(design, now, demand, door, new)
     cold_k = now.tat_k + design.ram_heating_k

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flying import Conditions
-from hdt_core.simulate.packs import FULL_OPEN, Demand, Wear, behind_worn_compressor, outlets
+from hdt_core.simulate.packs import FULL_OPEN, Demand, ExchangerWear, behind_worn_compressor, outlets
 from hdt_core.simulate.wear import draw_wear
 
 Array = NDArray[np.float64]
@@ -59,9 +59,9 @@ class PackHistory:
     maintenance: list[dict[str, Any]] = field(default_factory=list)
 
     @property
-    def wear(self) -> Wear:
+    def wear(self) -> ExchangerWear:
         """State of the exchanger, per flight."""
-        return Wear(self.film_k_w, self.blockage, self.area_loss, self.unit_ua)
+        return ExchangerWear(self.film_k_w, self.blockage, self.area_loss, self.unit_ua)
 
 
 def draw_history(
@@ -94,7 +94,7 @@ def draw_history(
     return history
 
 
-def unmet_k(design: PackDesign, cruise: Conditions, demand: Demand, wear: Wear, door: Array) -> Array:
+def unmet_k(design: PackDesign, cruise: Conditions, demand: Demand, wear: ExchangerWear, door: Array) -> Array:
     """By how much the outlet stays above its target with the door at its widest. [K]"""
     return outlets(design, cruise, demand, door, wear)[0] - demand.target_k
 
@@ -247,7 +247,9 @@ def _sensor_faults(rng: np.random.Generator, h: PackHistory) -> None:
             _log(rng, h, end, "SENSOR", "REPLACED", "DAMAGED")
 
 
-def _from(cruise: Conditions, demand: Demand, wear: Wear, start: int) -> tuple[Conditions, Demand, Wear]:
+def _from(
+    cruise: Conditions, demand: Demand, wear: ExchangerWear, start: int
+) -> tuple[Conditions, Demand, ExchangerWear]:
     later = np.arange(start, wear.blockage.size)
     now = Conditions(*(getattr(cruise, name)[later] for name in Conditions.__dataclass_fields__))
     asked = Demand(demand.flow_kg_s[later], demand.hot_in_k[later], demand.target_k[later])

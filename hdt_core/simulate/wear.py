@@ -42,7 +42,7 @@ class WearSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Wear:
+class UnitWear:
     """Wear of units over flights, without maintenance.
 
     Attributes
@@ -60,7 +60,7 @@ class Wear:
     clog: Array
 
 
-def draw_wear(rng: np.random.Generator, entry_age: Array, flights: int, settings: WearSettings) -> Wear:
+def draw_wear(rng: np.random.Generator, entry_age: Array, flights: int, settings: WearSettings) -> UnitWear:
     """Wear curves of units that enter with a given age.
 
     Parameters
@@ -76,7 +76,7 @@ def draw_wear(rng: np.random.Generator, entry_age: Array, flights: int, settings
 
     Returns
     -------
-    Wear
+    UnitWear
         Loss per unit and flight, never negative, at most 0.95.
     """
     units = entry_age.size
@@ -87,7 +87,7 @@ def draw_wear(rng: np.random.Generator, entry_age: Array, flights: int, settings
     gradual = _gradual(rng, kind, age, life, settings.reference_loss)
     clog = _clogs(rng, (units, flights), settings.clog_rate)
     loss = 1.0 - (1.0 - np.minimum(gradual, 0.9)) * (1.0 - clog)
-    return Wear(np.minimum(loss, 0.95), np.asarray(SHAPES)[kind], clog)
+    return UnitWear(np.minimum(loss, 0.95), np.asarray(SHAPES)[kind], clog)
 
 
 def _operating_age(rng: np.random.Generator, units: int, flights: int, log_sd: float) -> Array:

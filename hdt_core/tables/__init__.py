@@ -16,7 +16,7 @@ _SHARDS = {"month": _MONTH, "flight": pl.col("flight_id"), "all": pl.lit("all")}
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class StoredTable:
     """How a table is kept.
 
     Parameters
@@ -57,63 +57,65 @@ _SAMPLE = ("flight_id", "pack", "time_utc")
 _FLIGHT_PACK = ("flight_id", "pack")
 _COMPONENT = ("component", *_FLIGHT_PACK)
 
-TABLES: dict[str, Entry] = {
-    "raw_snapshots": Entry(raw.RawSnapshots, "flight", _SAMPLE, "month"),
-    "raw_logs": Entry(raw.RawLogs, "flight", _SAMPLE, "flight"),
-    "raw_flights": Entry(raw.RawFlights, "flight", ("flight_id",), "month"),
-    "raw_deliveries": Entry(raw.RawDeliveries, "flight", ("file", "flight_id"), "month", whole=True),
-    "raw_quarantine": Entry(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
-    "raw_reports": Entry(raw.RawReports, "aircraft", ("reported_at", "report", "file")),
-    "raw_messages": Entry(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
-    "raw_maintenance": Entry(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
-    "raw_checks": Entry(raw.RawChecks, "fleet", ("operator", "tail", "planned_on", "name")),
-    "raw_costs": Entry(raw.RawCosts, "fleet", ("component", "item")),
-    "raw_cases": Entry(raw.RawCases, "aircraft", ("line",)),
-    "raw_records_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
-    "raw_records_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
-    "raw_fleet": Entry(raw.RawFleet, "fleet", ("operator", "tail")),
-    "raw_coverage": Entry(raw.RawCoverage, "fleet", ("operator", "tail", "component", "parameter")),
-    "raw_files_deliveries": Entry(raw.RawDeliveries, "fleet", ("file",), whole=True),
-    "raw_files_quarantine": Entry(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
-    "legs_samples": Entry(legs.LegsSamples, "flight", _SAMPLE, "month"),
-    "legs_verdicts": Entry(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
-    "legs_signs": Entry(legs.LegsSigns, "flight", _FLIGHT_PACK, "month"),
-    "legs_admitted": Entry(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
-    "calibration_dsm": Entry(calibration.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
-    "calibration_design": Entry(
+TABLES: dict[str, StoredTable] = {
+    "raw_snapshots": StoredTable(raw.RawSnapshots, "flight", _SAMPLE, "month"),
+    "raw_logs": StoredTable(raw.RawLogs, "flight", _SAMPLE, "flight"),
+    "raw_flights": StoredTable(raw.RawFlights, "flight", ("flight_id",), "month"),
+    "raw_deliveries": StoredTable(raw.RawDeliveries, "flight", ("file", "flight_id"), "month", whole=True),
+    "raw_quarantine": StoredTable(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
+    "raw_reports": StoredTable(raw.RawReports, "aircraft", ("reported_at", "report", "file")),
+    "raw_messages": StoredTable(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
+    "raw_maintenance": StoredTable(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
+    "raw_checks": StoredTable(raw.RawChecks, "fleet", ("operator", "tail", "planned_on", "name")),
+    "raw_costs": StoredTable(raw.RawCosts, "fleet", ("component", "item")),
+    "raw_cases": StoredTable(raw.RawCases, "aircraft", ("line",)),
+    "raw_records_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
+    "raw_records_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
+    "raw_fleet": StoredTable(raw.RawFleet, "fleet", ("operator", "tail")),
+    "raw_coverage": StoredTable(raw.RawCoverage, "fleet", ("operator", "tail", "component", "parameter")),
+    "raw_files_deliveries": StoredTable(raw.RawDeliveries, "fleet", ("file",), whole=True),
+    "raw_files_quarantine": StoredTable(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
+    "legs_samples": StoredTable(legs.LegsSamples, "flight", _SAMPLE, "month"),
+    "legs_verdicts": StoredTable(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
+    "legs_signs": StoredTable(legs.LegsSigns, "flight", _FLIGHT_PACK, "month"),
+    "legs_admitted": StoredTable(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
+    "calibration_dsm": StoredTable(calibration.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
+    "calibration_design": StoredTable(
         calibration.CalibrationDesign,
         "fleet",
         ("scope", "operator", "tail", "pack", "component", "parameter"),
         whole=True,
     ),
-    "calibration_laws": Entry(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
-    "calibration_window": Entry(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
-    "twin_flights": Entry(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
-    "twin_health": Entry(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
-    "twin_chapters": Entry(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
-    "residuals": Entry(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
-    "features_witnesses": Entry(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
-    "features_margin": Entry(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
-    "features": Entry(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
-    "features_alerts": Entry(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
-    "prognosis_base": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
-    "prognosis_model": Entry(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
-    "prognoses": Entry(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
-    "prognosis_lives": Entry(prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")),
-    "components": Entry(components.ComponentsDeclared, "fleet", ("component",)),
-    "raw_components": Entry(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
-    "raw_components_deliveries": Entry(raw.RawDeliveries, "aircraft", ("file",), whole=True),
-    "raw_components_quarantine": Entry(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
-    "legs_components": Entry(components.LegsComponents, "aircraft", _COMPONENT),
-    "calibration_components": Entry(
+    "calibration_laws": StoredTable(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
+    "calibration_window": StoredTable(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
+    "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
+    "twin_health": StoredTable(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
+    "twin_chapters": StoredTable(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
+    "residuals": StoredTable(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
+    "features_witnesses": StoredTable(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
+    "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
+    "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
+    "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
+    "prognosis_base": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
+    "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
+    "prognoses": StoredTable(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
+    "prognosis_lives": StoredTable(
+        prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")
+    ),
+    "components": StoredTable(components.ComponentsDeclared, "fleet", ("component",)),
+    "raw_components": StoredTable(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
+    "raw_components_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
+    "raw_components_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
+    "legs_components": StoredTable(components.LegsComponents, "aircraft", _COMPONENT),
+    "calibration_components": StoredTable(
         components.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
     ),
-    "twin_components": Entry(components.TwinComponents, "aircraft", (*_COMPONENT, "parameter")),
-    "residuals_components": Entry(components.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
-    "features_components": Entry(components.FeaturesComponents, "aircraft", _COMPONENT),
-    "features_component_alerts": Entry(components.FeaturesComponentAlerts, "aircraft", ("raised_at", "alert_id")),
-    "prognoses_components": Entry(components.PrognosesComponents, "fleet", ("operator", "tail", *_COMPONENT)),
-    "prognoses_components_lives": Entry(
+    "twin_components": StoredTable(components.TwinComponents, "aircraft", (*_COMPONENT, "parameter")),
+    "residuals_components": StoredTable(components.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
+    "features_components": StoredTable(components.FeaturesComponents, "aircraft", _COMPONENT),
+    "features_component_alerts": StoredTable(components.FeaturesComponentAlerts, "aircraft", ("raised_at", "alert_id")),
+    "prognoses_components": StoredTable(components.PrognosesComponents, "fleet", ("operator", "tail", *_COMPONENT)),
+    "prognoses_components_lives": StoredTable(
         components.PrognosesComponentsLives, "fleet", ("operator", "tail", "pack", "component", "life")
     ),
 }

@@ -83,14 +83,14 @@ class TwinHealth(DatedLegTable):
 
 
 class TwinChapters(Table):
-    """One of the histories a pack may have had, as believed when a chapter of fifty flights began; for going on."""
+    """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
     operator = operator_key()
     tail = tail_key()
     pack = pack_key()
-    chapter = _key("chapter of the pack's flights, from 1; the first begins with no belief")
-    seen = text("hash of the flights before the chapter and of all else the belief rests on", nullable=False)
-    history = _key("number of the history within the belief")
+    chapter = _key("chapter of the pack's flights, from 1; the first needs no checkpoint")
+    seen = text("hash of the flights before the chapter and of all else the checkpoint rests on", nullable=False)
+    history = _key("number of the hypothesis within the checkpoint")
     log_weight = number("ln of its probability", nullable=False)
     mean = _numbers("wear [-], its rate [1/flight], offsets of sensors and unit [-], what is not the core's [-]")
     cov = _numbers("covariance of these five, row by row")

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.design_table import design_parameters
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_norm
 from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.norm import leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.health.controller import learn_laws
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.parameters import design_parameters
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata

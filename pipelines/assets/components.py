@@ -13,7 +13,7 @@ from hdt_core.prognosis.component_life import component_prognoses
 from hdt_core.prognosis.lives import Failure, component_lives, told_lives
 from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
-from hdt_core.twin.component_readings import component_readings
+from hdt_core.tracking.component_readings import component_readings
 from pipelines.assets.raw import account, left, of_aircraft
 from pipelines.assets.stage import stage
 from pipelines.intake.components import read_components
@@ -63,7 +63,7 @@ def calibration_components(
     raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame, raw_reports: pl.DataFrame, home: Home
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Which flights of a component are steady, and how each pack's first unit was built."""
-    from hdt_core.twin.component_units import commission  # its estimators take half a second to load
+    from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
     told = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(home)]
     legs, design = _all("legs_components", [x for x, _ in told]), _all("calibration_components", [d for _, d in told])
@@ -79,7 +79,7 @@ def twin_components(
     home: Home,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Health of each component after each flight, and how far sensor, model and twin are apart."""
-    from hdt_core.twin.component_units import unit_health
+    from hdt_core.tracking.component_units import unit_health
 
     health, residuals = [], []
     for component in in_service(home):
@@ -95,7 +95,7 @@ def _residuals(
     samples: pl.DataFrame, flights: pl.DataFrame, design: pl.DataFrame, component: Component
 ) -> list[pl.DataFrame]:
     """Of each pack against its own model."""
-    from hdt_core.twin.component_units import calibrated_model
+    from hdt_core.tracking.component_units import calibrated_model
 
     known = samples.filter("nominal").join(flights, on=LEG, how="semi")
     packs = design.filter(component=component.code).group_by(PACK, maintain_order=True)

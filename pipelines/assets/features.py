@@ -7,7 +7,7 @@ import polars as pl
 from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.health.alerts import raise_alerts
 from hdt_core.health.asks import margin_flights
-from hdt_core.health.controller import Laws
+from hdt_core.health.controller import ControlSchedules
 from hdt_core.health.features import features as describe
 from hdt_core.health.witnesses import witnesses
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
@@ -19,7 +19,7 @@ from pipelines.assets.twin import model_of
 def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
     norm = Norm.from_json(laws_of(calibration_laws, LEGS))
-    laws = Laws.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
     return leg_signs(legs_samples, norm), witnesses(legs_samples, laws)
 
 
@@ -28,7 +28,7 @@ def features_margin(
     legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame
 ) -> pl.DataFrame:
     """What each flight asked of the exchangers: the conductance below which the outlet leaves its level."""
-    laws = Laws.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
     return margin_flights(legs_samples, model_of(calibration_dsm), laws)
 
 

@@ -7,9 +7,9 @@ import polars as pl
 from hdt_core.health.asks import CRITICAL
 from hdt_core.prognosis.card import model_card, taught, to_lessons
 from hdt_core.prognosis.lives import told_lives
-from hdt_core.prognosis.record import Record
+from hdt_core.prognosis.record import FleetRecord
 from hdt_core.prognosis.rows import ASKS, LOSSES
-from hdt_core.prognosis.service import Served, serve
+from hdt_core.prognosis.service import ModelUpdate, serve
 from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import loaded, shipped_base, shipped_bytes
@@ -40,7 +40,7 @@ def prognosis(
     features = described.join(asks, on=[*PACK, "flight_id"], how="left").collect()
     stored = home.store.read("prognosis_model")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
-    record = Record(features, raw_messages, raw_maintenance)
+    record = FleetRecord(features, raw_messages, raw_maintenance)
     served = serve(candidate, last, record)
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
     base = prognosis_base if served.model.hazard is candidate.hazard else stored
@@ -52,16 +52,16 @@ READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN))
 """Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
 
 
-def _served(stored: pl.DataFrame, store: Store) -> Served | None:
+def _served(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
     """What served until now; None where there is none, or none that says what it has spoken about."""
     if not stored.height or stored["heard"][0] is None or stored["fits"][0] is None:
         return None
     row = stored.row(0, named=True)
     model = taught(loaded(row["model"]), json.loads(row["fits"]))
-    return Served(model, store.read("prognoses"), json.loads(row["card"]), row["lesson"], json.loads(row["heard"]))
+    return ModelUpdate(model, store.read("prognoses"), json.loads(row["card"]), row["lesson"], json.loads(row["heard"]))
 
 
-def _kept(served: Served, base: bytes) -> pl.DataFrame:
+def _kept(served: ModelUpdate, base: bytes) -> pl.DataFrame:
     """The model in service as a row: its base as it came, what the fleet taught beside it."""
     row = {"model_version": served.model.version, "card": json.dumps(served.card), "model": base}
     row |= {"fits": json.dumps(to_lessons(served.model)), "lesson": served.lesson, "heard": json.dumps(served.heard)}

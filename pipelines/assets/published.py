@@ -11,7 +11,7 @@ from pipelines.assets.stage import owners
 from pipelines.report.facts import views_read
 from pipelines.resources import Home
 from pipelines.storage.catalog import CATALOG
-from pipelines.storage.headers import Header, read_header
+from pipelines.storage.headers import ViewHeader, read_header
 from pipelines.storage.publication import ordered, publish, views
 
 REPORT = "report.html"
@@ -22,7 +22,7 @@ def view_key(view: str) -> dg.AssetKey:
     return dg.AssetKey(["catalog", view])
 
 
-def _spec(view: str, header: Header) -> dg.AssetSpec:
+def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
     read = [dg.AssetKey(n.removeprefix("tables.")) if n.startswith("tables.") else view_key(n) for n in header.reads]
     return dg.AssetSpec(
         view_key(view),

@@ -8,7 +8,7 @@ import polars as pl
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks, RawFleet
 from pipelines.assets.stage import stage
-from pipelines.intake.components import Delivered
+from pipelines.intake.components import ComponentIntake
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.costs import costs_or_fault
 from pipelines.intake.coverage import coverage
@@ -124,7 +124,7 @@ def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
     return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
 
 
-def account(file: LandingFile, read: Log | Delivered) -> pl.DataFrame:
+def account(file: LandingFile, read: Log | ComponentIntake) -> pl.DataFrame:
     """Where the rows of one file went."""
     quarantined = int(read.quarantine["n_rows"].sum())
     counts = {

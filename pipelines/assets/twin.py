@@ -4,9 +4,9 @@ import json
 
 import polars as pl
 
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import Tracked, track_on
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.tracking.track import TrackResult, track_on
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
@@ -34,7 +34,7 @@ def twin_health(
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """The Operational Digital Twin: health after each flight, from that flight and all before it.
 
-    It goes on from the last bookmark before what is new; a bookmark says which flights it has seen.
+    It goes on from the last checkpoint before what is new; a checkpoint says which flights it has seen.
     """
-    known = Tracked(*(scope.read(home.store, table) for table in ("twin_health", "twin_chapters")))
+    known = TrackResult(*(scope.read(home.store, table) for table in ("twin_health", "twin_chapters")))
     return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, LINEAGE["twin_health"].code)

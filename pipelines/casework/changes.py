@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.casework.listing import find_case
-from pipelines.storage.cases import CaseLog, Entry
+from pipelines.storage.cases import CaseEntry, CaseLog
 
 FOUND = {
     "clean": "NO_FAULT_FOUND", "fouled": "FOULED", "clogged": "CLOGGED", "corroded": "CORRODED", "damaged": "DAMAGED",
@@ -56,7 +56,7 @@ def change_case(home: Path, alert_id: str, kind: str, person: str, seen: int | N
     stood = {f"{c}_then": case[k] for c, k in _STOOD.items()}
     alert = {c: case[c] for c in _ALERT}
     told = {k: v for k, v in (body | stood).items() if v is not None}
-    CaseLog(home).append(Entry(alert, kind, _name(person, "by"), told), seen)
+    CaseLog(home).append(CaseEntry(alert, kind, _name(person, "by"), told), seen)
     return _SAYS[kind](case, body)
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.calibration.calibrate import baseline_samples
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.calibration.missing_physics import propose
 from hdt_core.physics.terms import TERMS
-from hdt_core.twin.calibrate import baseline_samples
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.missing import propose
 from pipelines.baseline import baseline_cells
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger

@@ -167,8 +167,8 @@ def terms(
 
     What the model has is a term a line in `terms.txt` of the home.
     """
+    from hdt_core.calibration.dsm import Dsm
     from hdt_core.physics.terms import TERMS
-    from hdt_core.twin.dsm import Dsm
     from pipelines.casework.terms import accept as write
     from pipelines.casework.terms import proposals
     from pipelines.storage.settings import accepted_terms

@@ -114,7 +114,7 @@ def _mail(settings: dict[str, Any], message: EmailMessage, user: str, password: 
         server.close()  # without a QUIT, whose answer would be waited for where the line is broken
 
 
-class _Unmoved(urllib.request.HTTPRedirectHandler):
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
     """What is sent goes where it was declared to go, and nowhere else."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
@@ -124,7 +124,7 @@ class _Unmoved(urllib.request.HTTPRedirectHandler):
 def _post(url: str, body: bytes, name: str) -> None:
     headers = {"Content-Type": "application/json", "Idempotency-Key": name, "User-Agent": "hybrid-digital-twin"}
     request = urllib.request.Request(url, data=body, headers=headers, method="POST")
-    with urllib.request.build_opener(_Unmoved).open(request, timeout=TIMEOUT_S) as answer:
+    with urllib.request.build_opener(_NoRedirect).open(request, timeout=TIMEOUT_S) as answer:
         answer.read(1000)
 
 

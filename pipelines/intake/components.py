@@ -32,7 +32,7 @@ SCHEMA = {
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
+class ComponentIntake:
     """What came of one file: rows in long form (`SCHEMA`), what is wrong with it, and where its lines went."""
 
     rows: pl.DataFrame
@@ -44,7 +44,7 @@ class Delivered:
 
 def read_components(
     files: Sequence[LandingFile], now: datetime, packs: Mapping[tuple[str, str], int]
-) -> list[tuple[LandingFile, Delivered]]:
+) -> list[tuple[LandingFile, ComponentIntake]]:
     """What came of each file, of a recording once for each component; deliveries of one flight are settled among them.
 
     Parameters
@@ -200,7 +200,9 @@ def _settled(wide: pl.DataFrame) -> pl.DataFrame:
     return own.unique([*KEY, "index"], keep="first", maintain_order=True)
 
 
-def _delivered(file: LandingFile, read: _Read, mine: pl.DataFrame, kept: pl.DataFrame, won: pl.DataFrame) -> Delivered:
+def _delivered(
+    file: LandingFile, read: _Read, mine: pl.DataFrame, kept: pl.DataFrame, won: pl.DataFrame
+) -> ComponentIntake:
     """What became of `mine`, the rows of one file, of which `kept` are stored; `won` are those stored of any file."""
     lost = mine.join(kept.select("row"), on="row", how="anti")
     signals = [c for c in mine.columns if c not in (*KEY, "row", "index")]
@@ -214,4 +216,4 @@ def _delivered(file: LandingFile, read: _Read, mine: pl.DataFrame, kept: pl.Data
     rows = kept.unpivot(signals, index=KEY, variable_name="signal", value_name="value").drop_nulls("value")
     told = quarantine(file.path, file.received_at, [*read.faults, *conflicts])
     stored = rows.with_columns(file=pl.lit(file.path)).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
-    return Delivered(stored, told, read.n_rows, kept.height, same.height)
+    return ComponentIntake(stored, told, read.n_rows, kept.height, same.height)

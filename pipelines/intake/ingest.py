@@ -15,7 +15,7 @@ import polars as pl
 from hdt_core.tables import TABLES
 from pipelines.intake.columns import AIRPORTS
 from pipelines.intake.landing import LandingFile, received
-from pipelines.intake.merge import Merged, merge_deliveries
+from pipelines.intake.merge import MergeResult, merge_deliveries
 from pipelines.intake.redelivered import ACCOUNT, redelivered
 from pipelines.intake.set_aside import BROKEN
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
@@ -43,12 +43,12 @@ def ingest_flights(
     intake = read_snapshots(files, datetime.now(UTC), store.read("raw_fleet"))
     _must_balance(intake)
     rows, quarantine = _wanted(intake.rows, flights), _wanted(_carried(intake.quarantine, first), flights)
-    gone = Stored(store, aircraft, flights, [f.path for f in files], rows.select(ACCOUNT).unique())
+    gone = StoredRows(store, aircraft, flights, [f.path for f in files], rows.select(ACCOUNT).unique())
     received_at = {path: received(ns) for path, ns in held.select("path", "mtime_ns").iter_rows()}
     before = redelivered(rows, quarantine, *gone.replaced(), received_at)
     rows, quarantine = pl.concat([rows, before.rows]), pl.concat([quarantine, before.quarantine])
     merged = merge_deliveries([rows, gone.rows()], received_at)
-    here = Merged(*(part.join(gone.spoke, on=ACCOUNT, how="semi") for part in merged))
+    here = MergeResult(*(part.join(gone.spoke, on=ACCOUNT, how="semi") for part in merged))
     account = _account(rows, quarantine, here)
     quarantine = pl.concat([quarantine, merged.quarantine])
     whole = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
@@ -60,7 +60,7 @@ def ingest_flights(
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredRows:
     """What is stored of some flights from files that are not in the landing zone, or do not speak of them any more.
 
     `present` are files that lie there, `spoke` (file, flight_id) those that hold good rows of which flight.
@@ -99,7 +99,7 @@ class Stored:
         """Quarantine rows as they were."""
         return self._quarantined().filter(~pl.col("file").is_in(self.present))
 
-    def deliveries(self, merged: Merged) -> pl.DataFrame:
+    def deliveries(self, merged: MergeResult) -> pl.DataFrame:
         """Their account, with what has been said better since counted as duplicate."""
         loaded = _count(merged.rows).rename({"n": "now"})
         aside = _n_rows(merged.quarantine)
@@ -171,7 +171,7 @@ def _wanted(frame: pl.DataFrame, flights: list[str]) -> pl.DataFrame:
     return frame.filter(pl.col("flight_id").is_in(flights))
 
 
-def _account(rows: pl.DataFrame, quarantine: pl.DataFrame, merged: Merged) -> pl.DataFrame:
+def _account(rows: pl.DataFrame, quarantine: pl.DataFrame, merged: MergeResult) -> pl.DataFrame:
     """Rows delivered, loaded, quarantined and duplicate, for each file and flight; they must balance."""
     came, kept_aside = _count(rows), _n_rows(quarantine)
     parts = {

@@ -17,7 +17,7 @@ SAME = 1e-6
 """Relative difference below which two values are one value: a 32-bit float and the text it was printed from."""
 
 
-class Merged(NamedTuple):
+class MergeResult(NamedTuple):
     """One row a key; for each file and flight how many rows said nothing new; the rows that said something else."""
 
     rows: pl.DataFrame
@@ -25,7 +25,7 @@ class Merged(NamedTuple):
     quarantine: pl.DataFrame
 
 
-def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, datetime]) -> Merged:
+def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, datetime]) -> MergeResult:
     """Store each flight, pack and time once.
 
     What one file holds of a flight is a delivery. Deliveries that contradict each other are never mixed: the one with
@@ -43,7 +43,7 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
 
     Returns
     -------
-    Merged
+    MergeResult
         `rows` sorted by flight, time and pack; `duplicates` with `file, flight_id, n_duplicate`; `quarantine`.
     """
     rows = pl.concat(list(frames))
@@ -53,7 +53,7 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     won, lost = _settled(again)
     agreed, differing = _against(lost, won)
     duplicates = agreed.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
-    return Merged(
+    return MergeResult(
         pl.concat([once, won]).sort("operator", "flight_id", "source", "time_utc", "pack"),
         duplicates.sort("file", "flight_id"),
         _conflicts(differing, received_at),

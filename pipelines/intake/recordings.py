@@ -54,7 +54,7 @@ MOST_UNPACKED = 4 << 30
 
 
 @dataclass(frozen=True, slots=True)
-class Decoded:
+class DecodeResult:
     """What was written: parameters, rows, and rows that have neither value nor text."""
 
     parameters: int
@@ -127,7 +127,9 @@ def report_rows(lines: Iterable[ReportLine]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=REPORT_SCHEMA, orient="row")
 
 
-def write_decoded(recording: Recording717 | Recording767, parameters: Iterable[Parameter], target: Path) -> Decoded:
+def write_decoded(
+    recording: Recording717 | Recording767, parameters: Iterable[Parameter], target: Path
+) -> DecodeResult:
     """Write `parameter, t_s, value, text`, parameter by parameter, in order of time."""
     count = rows = nulls = 0
     held: list[pa.Table] = []
@@ -140,7 +142,7 @@ def write_decoded(recording: Recording717 | Recording767, parameters: Iterable[P
                 held = []
         if held:
             writer.write_table(pa.concat_tables(held).unify_dictionaries())
-    return Decoded(count, rows, nulls)
+    return DecodeResult(count, rows, nulls)
 
 
 def _table(series: Series) -> pa.Table:

@@ -14,7 +14,7 @@ REPLACED = "replaced_row"
 
 
 @dataclass(frozen=True, slots=True)
-class Redelivered:
+class Redelivery:
     """Rows of an earlier version of files that are still good, and what must be told."""
 
     rows: pl.DataFrame
@@ -27,7 +27,7 @@ def redelivered(
     stored: pl.DataFrame,
     stored_aside: pl.DataFrame,
     received_at: Mapping[str, datetime],
-) -> Redelivered:
+) -> Redelivery:
     """Compare what files hold of some flights now with what is stored of an earlier version of them.
 
     Parameters
@@ -41,7 +41,7 @@ def redelivered(
 
     Returns
     -------
-    Redelivered
+    Redelivery
         Only a file counts that has some rows of a flight and fewer than are stored of it; one with none leaves the
         flight as it is, any other replaces it. Rows it lacks are `rows` where it contradicts none that it repeats,
         else quarantine rows; a note names the file and both counts.
@@ -51,7 +51,7 @@ def redelivered(
     now = _counted(rows.select(*ACCOUNT, n=pl.lit(1, pl.Int64)), aside.select(*ACCOUNT, n="n_rows"))
     fewer = before.join(now, on=ACCOUNT, suffix="_now").filter(pl.col("n_now") < pl.col("n"))
     if fewer.is_empty():
-        return Redelivered(rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA))
+        return Redelivery(rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA))
     speaks = fewer.join(rows.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")
     old = stored.join(speaks, on=ACCOUNT, how="semi")
     lacking = old.join(rows, on=(*KEY, "file"), how="anti")
@@ -61,7 +61,7 @@ def redelivered(
         *_replaced(lacking.join(denied, on=ACCOUNT, how="semi"), received_at),
         replaced.join(fewer, on=ACCOUNT, how="semi").select(list(QUARANTINE_SCHEMA)),
     ]
-    return Redelivered(lacking.join(denied, on=ACCOUNT, how="anti").select(rows.columns), pl.concat(told))
+    return Redelivery(lacking.join(denied, on=ACCOUNT, how="anti").select(rows.columns), pl.concat(told))
 
 
 def _counted(*parts: pl.DataFrame) -> pl.DataFrame:

@@ -38,7 +38,7 @@ _COLUMN_OF = {
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class ValidatedRows:
     """Rows that may be stored, in recorded units with broken values nulled, and faults with the file they are of."""
 
     rows: pl.DataFrame
@@ -63,7 +63,7 @@ def about_files(files: Sequence[LandingFile], fleet: pl.DataFrame | None) -> pl.
     return pl.DataFrame(rows, schema=schema, orient="row")
 
 
-def judge(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> Judged:
+def judge(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> ValidatedRows:
     """Judge rows of several files.
 
     Parameters
@@ -82,7 +82,7 @@ def judge(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> Judged:
     faults = _row_faults(raw, verdict, bad, about) if bad.any() else []
     stored = raw.filter(~bad) if bad.any() else raw
     rows, values = _null_broken(stored)
-    return Judged(rows, [*faults, *values, *_notes(rows, about)])
+    return ValidatedRows(rows, [*faults, *values, *_notes(rows, about)])
 
 
 def _verdicts(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> pl.DataFrame:

@@ -16,7 +16,7 @@ from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
 from pipelines.intake.recorder_rows import recorder_rows
-from pipelines.intake.row_validation import Judged, about_files, judge
+from pipelines.intake.row_validation import ValidatedRows, about_files, judge
 from pipelines.intake.text import PLACE, Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
 from pipelines.storage.panics import first_line, panics_as_errors
@@ -43,7 +43,7 @@ class Intake:
 
 
 @dataclass(slots=True)
-class _Opened:
+class _OpenFile:
     """One file after opening: its columns are in the common frame, its faults here."""
 
     faults: list[Fault]
@@ -126,17 +126,19 @@ def flights_in(file: LandingFile) -> list[str]:
     return sorted(f for f in found if flight_day(f) is not None and flight_tail(f) == file.tail)
 
 
-def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None) -> tuple[list[_Opened], pl.DataFrame]:
+def _open_all(
+    files: Sequence[LandingFile], only: Collection[str] | None = None
+) -> tuple[list[_OpenFile], pl.DataFrame]:
     """Columns of all files in one frame in recorded units, with `file_index` and `row`; times are UTC.
 
     Columns no file has are there too, and null. With `only`, no other columns of Parquet files are read.
     """
-    opened = [_Opened([]) for _ in files]
+    opened = [_OpenFile([]) for _ in files]
     frames = []
     for i, file in enumerate(files):
         if file.is_recording:
             frame, n_rows, faults = recorder_rows(file, PACK)
-            opened[i] = _Opened(faults, n_rows)
+            opened[i] = _OpenFile(faults, n_rows)
             frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
             continue
         content, faults = file.read()
@@ -144,10 +146,10 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
             opened[i].faults.extend(faults)
         elif file.is_text:
             text = open_text(content, _header)
-            opened[i] = _Opened(text.faults, text=text)
+            opened[i] = _OpenFile(text.faults, text=text)
         else:
             frame, n_rows, faults = open_parquet(content, only)
-            opened[i] = _Opened(faults, n_rows)
+            opened[i] = _OpenFile(faults, n_rows)
             frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
     frames.append(_texts(opened))
     timed = [_timed(frame, opened) for frame in frames if frame.height]
@@ -158,7 +160,7 @@ def _open_all(files: Sequence[LandingFile], only: Collection[str] | None = None)
     return opened, raw.with_columns(absent)
 
 
-def _texts(opened: Sequence[_Opened]) -> pl.DataFrame:
+def _texts(opened: Sequence[_OpenFile]) -> pl.DataFrame:
     texts = {i: o.text for i, o in enumerate(opened) if o.text is not None}
     frame, faults = to_columns(list(texts.values()), _NUMBERS)
     for (i, text), found in zip(texts.items(), faults, strict=True):
@@ -170,7 +172,7 @@ def _texts(opened: Sequence[_Opened]) -> pl.DataFrame:
     return frame.with_columns(index).drop(PLACE)
 
 
-def _timed(frame: pl.DataFrame, opened: Sequence[_Opened]) -> pl.DataFrame:
+def _timed(frame: pl.DataFrame, opened: Sequence[_OpenFile]) -> pl.DataFrame:
     if "report_time" not in frame.columns:
         return frame
     frame, naive = to_utc(frame, "report_time")
@@ -184,7 +186,7 @@ def _header(found: tuple[str, ...]) -> Header:
     return judge_header(found, KEYS, _KNOWN, CORE_NAMES)
 
 
-def _record(judged: Judged, opened: Sequence[_Opened]) -> None:
+def _record(judged: ValidatedRows, opened: Sequence[_OpenFile]) -> None:
     """Add what the rows were found guilty of to their files; a rejected row's broken values are part of that row."""
     rejected: dict[int, set[int]] = {}
     found: dict[int, list[Fault]] = {}
@@ -200,7 +202,7 @@ def _record(judged: Judged, opened: Sequence[_Opened]) -> None:
         o.faults = [_with_content(f, o) for f in others] + shortened(values)
 
 
-def _with_content(fault: Fault, opened: _Opened) -> Fault:
+def _with_content(fault: Fault, opened: _OpenFile) -> Fault:
     """A rejected row of a text file with the row as it came."""
     if opened.text is None or not fault.n_rows or fault.row is None or fault.content is not None:
         return fault

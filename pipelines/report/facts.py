@@ -9,7 +9,7 @@ from typing import Any
 import duckdb
 import polars as pl
 
-from hdt_core.twin.dsm import Dsm
+from hdt_core.calibration.dsm import Dsm
 from pipelines.storage.catalog import connect
 from pipelines.storage.publication import views
 

@@ -8,10 +8,10 @@ import dagster as dg
 import numpy as np
 import polars as pl
 
+from hdt_core.calibration.drift_audit import audit_drift
+from hdt_core.calibration.dsm import Dsm
 from hdt_core.health.residuals import residuals
 from hdt_core.records.keys import FLIGHT_PACK
-from hdt_core.twin.audit import audit_drift
-from hdt_core.twin.dsm import Dsm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

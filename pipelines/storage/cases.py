@@ -42,7 +42,7 @@ class ConflictError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CaseEntry:
     """One thing that somebody did about an alert.
 
     Attributes
@@ -70,12 +70,12 @@ class CaseLog:
     home: Path
     url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
 
-    def append(self, entry: Entry, seen: int | None = None) -> int:
+    def append(self, entry: CaseEntry, seen: int | None = None) -> int:
         """Add one line; its number.
 
         Parameters
         ----------
-        entry : Entry
+        entry : CaseEntry
             What was done.
         seen : int, optional
             Number of the last line about this alert that its writer knew, 0 for none; None writes in any case.

@@ -50,7 +50,7 @@ class Version(NamedTuple):
     shards: dict[str, str]
 
 
-class _Taken(NamedTuple):
+class _TableState(NamedTuple):
     """A table as one writer has opened it, None where there is none, and the file of each of its shards."""
 
     table: DeltaTable | None
@@ -58,7 +58,7 @@ class _Taken(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def _opened(_place: str) -> dict[str, tuple[object, _Taken]]:
+def _opened(_place: str) -> dict[str, tuple[object, _TableState]]:
     """Tables of a place that this process has opened and no writer holds, each with its newest commit then.
 
     A night asks some five hundred times, through several stores, and a log of years takes a while to read.
@@ -66,7 +66,7 @@ def _opened(_place: str) -> dict[str, tuple[object, _Taken]]:
     return {}
 
 
-class _Written(NamedTuple):
+class _CommitContent(NamedTuple):
     """What a commit will say: the columns of what was written, files that came and files that go."""
 
     columns: list[Field]
@@ -111,7 +111,7 @@ class Deltas:
             self._leave(table, taken)
         return told
 
-    def _take(self, table: str) -> _Taken:
+    def _take(self, table: str) -> _TableState:
         """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""
         newest = self.place.newest_commit(table)
         known, taken = _opened(self.place.url).pop(table, (None, None))
@@ -119,7 +119,7 @@ class Deltas:
             return taken
         return _taken(self.open(table))
 
-    def _leave(self, table: str, taken: _Taken) -> None:
+    def _leave(self, table: str, taken: _TableState) -> None:
         """Leave a table to the next who asks, unless another commit has come since."""
         newest = self.place.newest_commit(table)
         if taken.table is not None and newest is not None and newest[0] == f"{taken.table.version():020}.json":
@@ -163,7 +163,7 @@ class Deltas:
         """Let the table be without some of its files, which are not what was written."""
         now, lost = self.open(table), set(files)
         if now is not None and (left := lost & set(shards_of(now).values())):
-            self._commit(table, now, _Written([], [], [_removed(file) for file in sorted(left)]))
+            self._commit(table, now, _CommitContent([], [], [_removed(file) for file in sorted(left)]))
 
     def read(self, path: str) -> bytes:
         """A data file whole."""
@@ -185,9 +185,9 @@ class Deltas:
 
     def _write(
         self, table: str, shards: Iterable[tuple[str, pl.DataFrame | None]], files: Mapping[str, str]
-    ) -> "_Written":
+    ) -> "_CommitContent":
         """Write what is new of a table's shards, one after the other; a commit is yet to name it."""
-        written, fields = _Written([], [], []), dict[str, Field]()
+        written, fields = _CommitContent([], [], []), dict[str, Field]()
         for shard, frame in shards:
             name = files.get(shard)
             if frame is not None:
@@ -207,7 +207,7 @@ class Deltas:
         said = f"the log of {table} can't be read ({message_of(error)})"
         return StoreError(said) if self.place.remote else DamageError(said)
 
-    def _begin(self, table: str, made: "_Written") -> bool:
+    def _begin(self, table: str, made: "_CommitContent") -> bool:
         """A table's first commit; False where another began it."""
         where, how = f"{self.place.url}/{table}", self.place.options
         sys.audit("hdt.before_commit")
@@ -223,7 +223,7 @@ class Deltas:
         self.place.settle(table, 0)
         return True
 
-    def _commit(self, table: str, now: DeltaTable, made: "_Written") -> bool:
+    def _commit(self, table: str, now: DeltaTable, made: "_CommitContent") -> bool:
         """One commit; False where another came first."""
         sys.audit("hdt.before_commit")
         have = {f.name for f in now.schema().fields}
@@ -270,8 +270,8 @@ def shards_of(table: DeltaTable) -> dict[str, str]:
     return {named["shard"]: path for path in paths if (named := NAMED.fullmatch(path))}
 
 
-def _taken(table: DeltaTable | None) -> _Taken:
-    return _Taken(table, {} if table is None else shards_of(table))
+def _taken(table: DeltaTable | None) -> _TableState:
+    return _TableState(table, {} if table is None else shards_of(table))
 
 
 def _removed(file: str) -> RemoveAction:

@@ -13,7 +13,7 @@ _OTHER = re.compile(r"^(Grain|Reads): (.*)")
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class ViewHeader:
     """What the comment on top of a view says: the question, and of the columns it makes itself what they mean."""
 
     question: str
@@ -23,7 +23,7 @@ class Header:
     columns: dict[str, str]
 
 
-def read_header(sql: str) -> Header:
+def read_header(sql: str) -> ViewHeader:
     """Header of a view: its first sentence asks, `name: meaning` explains a column, `Grain:` and `Reads:` end it."""
     question, *lines = [line.removeprefix("--").strip() for line in sql.splitlines() if line.startswith("--")]
     said: dict[str, list[str]] = {"": []}
@@ -35,15 +35,15 @@ def read_header(sql: str) -> Header:
         said.setdefault(key, []).append(found.group(2) if found else line)
     text = {k: " ".join(v).strip() for k, v in said.items()}
     reads = tuple(r.strip() for r in text.pop("Reads", "").rstrip(".").split(",") if r.strip())
-    return Header(question, text.pop(""), text.pop("Grain", "").rstrip("."), reads, text)
+    return ViewHeader(question, text.pop(""), text.pop("Grain", "").rstrip("."), reads, text)
 
 
-def meanings(columns: Mapping[str, Iterable[str]], known: dict[str, Header]) -> dict[tuple[str, str], str]:
+def meanings(columns: Mapping[str, Iterable[str]], known: dict[str, ViewHeader]) -> dict[tuple[str, str], str]:
     """`meaning` of each column of some views."""
     return {(view, column): meaning(view, column, known) for view, own in columns.items() for column in own}
 
 
-def meaning(view: str, column: str, known: dict[str, Header]) -> str:
+def meaning(view: str, column: str, known: dict[str, ViewHeader]) -> str:
     """What the view says of a column, else what the views and tables it reads say, else any table."""
     header = known[view]
     if column in header.columns:

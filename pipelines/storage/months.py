@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.tables import Entry
+from hdt_core.tables import StoredTable
 from pipelines.storage.delta import Change, Held
 
 OPEN = 3
@@ -18,7 +18,9 @@ OPEN = 3
 _MONTH = re.compile(r"\d{4}-\d{2}")
 
 
-def shards_with(entry: Entry, folders: Iterable[str], flights: Iterable[str], there: Collection[str]) -> list[str]:
+def shards_with(
+    entry: StoredTable, folders: Iterable[str], flights: Iterable[str], there: Collection[str]
+) -> list[str]:
     """Shards of some aircraft in which some flights can be; `there` are those of the whole table."""
     names = _named(flights, entry)["shard"].unique().sort()
     own = ((f"{folder}/{n}", f"{folder}/{_year(n)}") for folder in folders for n in names)
@@ -31,7 +33,7 @@ def in_shard(name: str) -> pl.Expr:
     return (own == name) | (own.str.contains(f"^{_MONTH.pattern}$") & (own.str.head(4) == name))
 
 
-def without_folded(entry: Entry, frames: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
+def without_folded(entry: StoredTable, frames: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
     """An aircraft's shards less the months that lie in their years: what was folded stays until it is vacuumed."""
     kept = {}
     for shard, frame in frames.items():
@@ -42,7 +44,7 @@ def without_folded(entry: Entry, frames: Mapping[str, pl.DataFrame]) -> dict[str
     return kept
 
 
-def merged(entry: Entry, folder: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
+def merged(entry: StoredTable, folder: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
     """An aircraft's shards with the rows of `flights` replaced by `frame`."""
     ids = {name: own["flight_id"] for name, own in _parted(_named(flights, entry)).items()}
     fresh = _parted(frame.with_columns(entry.shard_of))
@@ -62,7 +64,7 @@ def merged(entry: Entry, folder: str, flights: Iterable[str], frame: pl.DataFram
 
 
 def _targets(
-    entry: Entry, folder: str, asked: Collection[str], fresh: Collection[str], held: Held
+    entry: StoredTable, folder: str, asked: Collection[str], fresh: Collection[str], held: Held
 ) -> dict[str, list[str]]:
     """Shards to write, each with the months (or flights, where a shard is one) whose rows it will hold."""
     own = {s.removeprefix(f"{folder}/") for s in held if s.startswith(f"{folder}/")}
@@ -75,7 +77,7 @@ def _targets(
     return found
 
 
-def _holds(entry: Entry, year: pl.DataFrame | None, month: str) -> bool:
+def _holds(entry: StoredTable, year: pl.DataFrame | None, month: str) -> bool:
     return year is not None and bool(year.select((entry.shard_of == month).any()).item())
 
 
@@ -89,5 +91,5 @@ def _parted(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
     return {str(name): own for (name,), own in parts.items()}
 
 
-def _named(flights: Iterable[Any], entry: Entry) -> pl.DataFrame:
+def _named(flights: Iterable[Any], entry: StoredTable) -> pl.DataFrame:
     return pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)

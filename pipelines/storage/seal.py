@@ -18,7 +18,7 @@ NAME = "seal.json"
 _HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
 
 
-class Entry(NamedTuple):
+class SealedFile(NamedTuple):
     """A file as it was."""
 
     size: int
@@ -29,7 +29,7 @@ class Entry(NamedTuple):
 class Seal(NamedTuple):
     """All files below the tables' root, and those that each table was made of."""
 
-    files: dict[str, Entry]
+    files: dict[str, SealedFile]
     tables: dict[str, list[str]]
 
 
@@ -58,7 +58,7 @@ def read(home: Path) -> Seal | None:
     if hash_of(text) != sum_.decode(errors="replace"):
         return None
     told = json.loads(text)
-    return Seal({path: Entry(*entry) for path, entry in told["files"].items()}, told["tables"])
+    return Seal({path: SealedFile(*entry) for path, entry in told["files"].items()}, told["tables"])
 
 
 def forget(store: Store, held: Seal, paths: Collection[str], logs: Collection[str]) -> None:
@@ -77,25 +77,25 @@ def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: boo
     return [path for path in paths if not _is_same(root / path, path, known.get(path), whole)]
 
 
-def _write(home: Path, files: dict[str, Entry], tables: dict[str, list[str]]) -> None:
+def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]]) -> None:
     text = json.dumps({"files": files, "tables": tables})
     with replacing(home / NAME) as temporary:
         temporary.write_text(f"{hash_of(text.encode())}\n{text}")
 
 
-def _as_before(told: stat_result, before: Entry | None) -> bool:
+def _as_before(told: stat_result, before: SealedFile | None) -> bool:
     return before is not None and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns)
 
 
-def _entry(told: stat_result, before: Entry | None, named: str, found: str) -> Entry:
+def _entry(told: stat_result, before: SealedFile | None, named: str, found: str) -> SealedFile:
     """A file that is new or changed, whose name may hold a hash; one that is not what was written stays as it was."""
     wanted = named or (before.hash if before else "")
     if wanted and wanted != found:
-        return before or Entry(-1, 0, wanted)
-    return Entry(told.st_size, told.st_mtime_ns, found)
+        return before or SealedFile(-1, 0, wanted)
+    return SealedFile(told.st_size, told.st_mtime_ns, found)
 
 
-def _is_same(file: Path, name: str, before: Entry | None, whole: bool) -> bool:
+def _is_same(file: Path, name: str, before: SealedFile | None, whole: bool) -> bool:
     try:
         if not whole and _as_before(file.stat(), before):
             return True

@@ -12,9 +12,9 @@ import polars as pl
 
 from pipelines.storage.catalog import connect
 from pipelines.trial.declaration import Declaration, Rule, TrialError
-from pipelines.trial.figures import Figure, Judged, Teller, judge_alerts, judge_prognoses, kept_back
+from pipelines.trial.figures import Figure, ScoredAlerts, Teller, judge_alerts, judge_prognoses, kept_back
 from pipelines.trial.judgement import Judge, SealedAlert, sealed_span
-from pipelines.trial.log import Entry, entries
+from pipelines.trial.log import LogEntry, entries
 from pipelines.trial.outcomes import Outcomes, read_outcomes
 from pipelines.trial.seal import OURS, as_alerts, declaration_of, log_folder, place_of
 
@@ -72,13 +72,13 @@ def evaluate(home: Path) -> Evaluation:
 
 
 def evaluated(
-    log: Sequence[Entry], declared: Declaration, outcomes: Outcomes, believed: dict[str, list[SealedAlert]]
+    log: Sequence[LogEntry], declared: Declaration, outcomes: Outcomes, believed: dict[str, list[SealedAlert]]
 ) -> Evaluation:
     """Judge a log.
 
     Parameters
     ----------
-    log : sequence of Entry
+    log : sequence of LogEntry
         Every entry.
     declared : Declaration
         Its definitions.
@@ -118,7 +118,7 @@ def evaluated(
     )
 
 
-def _agreement(ours: Judged, theirs: Judged) -> dict[str, int]:
+def _agreement(ours: ScoredAlerts, theirs: ScoredAlerts) -> dict[str, int]:
     """Events by who foretold them in time; both lists hold the same events in the same order."""
     pairs = [(a.verdict == "hit", b.verdict == "hit") for a, b in zip(ours.events, theirs.events, strict=True)]
     names = {
@@ -130,7 +130,7 @@ def _agreement(ours: Judged, theirs: Judged) -> dict[str, int]:
     return {name: pairs.count(pair) for pair, name in names.items()}
 
 
-def _believed(rule: Rule, outcomes: Outcomes, log: Sequence[Entry]) -> list[SealedAlert]:
+def _believed(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> list[SealedAlert]:
     """Alerts of a file, taken at their word: known from the last flight before they were raised."""
     file, span = Path(str(rule.file)), sealed_span(log)
     try:
@@ -148,6 +148,6 @@ def _believed(rule: Rule, outcomes: Outcomes, log: Sequence[Entry]) -> list[Seal
     return [a for a in told if not (a.closed_at and a.closed_at <= span[a.place[:2]][0])]
 
 
-def _sealed_late(entry: Entry) -> bool:
+def _sealed_late(entry: LogEntry) -> bool:
     last = max((datetime.fromisoformat(f["until"]) for f in entry.body.get("flown", [])), default=None)
     return last is not None and (entry.sealed_at - last).total_seconds() > LATE_SEAL_DAYS * 86400.0

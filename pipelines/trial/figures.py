@@ -20,7 +20,7 @@ from pipelines.trial.judgement import (
     sealed_alerts,
     sealed_span,
 )
-from pipelines.trial.log import Entry
+from pipelines.trial.log import LogEntry
 from pipelines.trial.seal import OURS, place_of
 
 
@@ -40,7 +40,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScoredAlerts:
     """All that was judged of one source of alerts, and the exposure."""
 
     alerts: list[JudgedAlert]
@@ -59,13 +59,13 @@ class Judged:
 
 
 def judge_alerts(
-    log: Sequence[Entry], judge: Judge, source: str = OURS, believed: Sequence[SealedAlert] | None = None
-) -> Judged:
+    log: Sequence[LogEntry], judge: Judge, source: str = OURS, believed: Sequence[SealedAlert] | None = None
+) -> ScoredAlerts:
     """Alerts of one source, and the events they ought to have foretold.
 
     Parameters
     ----------
-    log : sequence of Entry
+    log : sequence of LogEntry
         Every entry.
     judge : Judge
         Definitions and outcomes.
@@ -85,10 +85,10 @@ def judge_alerts(
     late = judge.declared.early_flights
     followed = {tail: max(0, min(sealed[tail], judge.flown(tail, first) - late)) for tail, (first, _) in span.items()}
     asked = {tail: max(0, n - judge.declared.late_flights + 1) for tail, n in sealed.items()}
-    return Judged([judge.alert(a) for a in alerts], events, followed, sealed, asked)
+    return ScoredAlerts([judge.alert(a) for a in alerts], events, followed, sealed, asked)
 
 
-def judge_prognoses(log: Sequence[Entry], judge: Judge) -> list[JudgedPrognosis]:
+def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognosis]:
     """Every sealed prognosis of a declared component of which something can be told."""
     rows = (
         row for entry in log for row in entry.body.get("prognoses", []) if row["component"] in judge.declared.components
@@ -102,7 +102,7 @@ class Teller:
     """Figures of one source, with what may leave."""
 
     judge: Judge
-    judged: Judged
+    judged: ScoredAlerts
 
     def alert_figures(self) -> list[Figure]:
         """False alarms, events foretold, lead, alerts that were right, cost."""

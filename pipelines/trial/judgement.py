@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from pipelines.trial.declaration import Declaration
-from pipelines.trial.log import Entry
+from pipelines.trial.log import LogEntry
 from pipelines.trial.outcomes import Outcomes
 from pipelines.trial.seal import Place, place_of
 
@@ -158,9 +158,9 @@ class Judge:
         )
 
 
-def sealed_alerts(log: Sequence[Entry], components: Sequence[str]) -> list[SealedAlert]:
+def sealed_alerts(log: Sequence[LogEntry], components: Sequence[str]) -> list[SealedAlert]:
     """Every alert that was sealed, as first sealed, with the close that was sealed last."""
-    first: dict[tuple[str, str], tuple[dict[str, Any], Entry, datetime]] = {}
+    first: dict[tuple[str, str], tuple[dict[str, Any], LogEntry, datetime]] = {}
     closed: dict[tuple[str, str], str | None] = {}
     for entry in log:
         flown = {(f["operator"], f["tail"]): f["until"] for f in entry.body.get("flown", [])}
@@ -177,7 +177,7 @@ def sealed_alerts(log: Sequence[Entry], components: Sequence[str]) -> list[Seale
     ]
 
 
-def sealed_span(log: Sequence[Entry]) -> dict[Tail, tuple[datetime, datetime]]:
+def sealed_span(log: Sequence[LogEntry]) -> dict[Tail, tuple[datetime, datetime]]:
     """First and last departure that was known of each aircraft while nights were sealed."""
     span: dict[Tail, tuple[datetime, datetime]] = {}
     for entry in log:

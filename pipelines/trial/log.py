@@ -25,7 +25,7 @@ _NAME = re.compile(r"\d{5}\.json")
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LogEntry:
     """One sealed entry."""
 
     number: int
@@ -36,12 +36,12 @@ class Entry:
     digest: str
 
 
-def entries(folder: Path) -> list[Entry]:
+def entries(folder: Path) -> list[LogEntry]:
     """The log as it lies there, in order; `faults` says whether it is what was sealed."""
     return [_read(file) for file in _files(folder)]
 
 
-def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> Entry:
+def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> LogEntry:
     """Seal one more entry.
 
     Raises
@@ -124,12 +124,12 @@ def _files(folder: Path) -> list[Path]:
     return sorted(f for f in folder.glob("*.json") if _NAME.fullmatch(f.name))
 
 
-def _read(file: Path) -> Entry:
+def _read(file: Path) -> LogEntry:
     data = file.read_bytes()
     try:
         told = json.loads(data)
         at = datetime.fromisoformat(told["sealed_at"])
         digest = hashlib.sha256(data).hexdigest()
-        return Entry(int(told["number"]), told["kind"], at, told["previous"], dict(told["body"]), digest)
+        return LogEntry(int(told["number"]), told["kind"], at, told["previous"], dict(told["body"]), digest)
     except (ValueError, KeyError, TypeError):
         raise TrialError(f"{file.name} can't be read as an entry") from None

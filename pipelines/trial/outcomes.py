@@ -10,7 +10,7 @@ import duckdb
 import polars as pl
 
 from pipelines.trial.declaration import Declaration, TrialError
-from pipelines.trial.log import Entry, append, entries
+from pipelines.trial.log import LogEntry, append, entries
 from pipelines.trial.seal import PLACE, Place, declaration_of, log_folder
 
 COLUMNS = ("operator", "tail", "pack", "component", "at", "kind", "finding", "reference")
@@ -43,7 +43,7 @@ class Outcomes:
     """Messages and works that name no pack: of no unit, so not judged."""
 
 
-def read_outcomes(con: duckdb.DuckDBPyConnection, log: Sequence[Entry], declared: Declaration) -> Outcomes:
+def read_outcomes(con: duckdb.DuckDBPyConnection, log: Sequence[LogEntry], declared: Declaration) -> Outcomes:
     """Outcomes as they are known now."""
     logged = con.sql(_LOGGED).pl().select(*COLUMNS[:7]).with_columns(pl.col("at").dt.convert_time_zone("UTC"))
     own = [row for entry in log if entry.kind == "outcomes" for row in entry.body["rows"]]
@@ -75,7 +75,7 @@ def outcomes_of(
     return Outcomes(departed, events, removals, no_faults, without_pack)
 
 
-def take_in(home: Path, file: Path, now: datetime | None = None) -> Entry:
+def take_in(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
     """Seal outcomes that no log holds: shop findings, removals, messages told by word.
 
     Raises

@@ -13,7 +13,7 @@ from pipelines.storage.catalog import ask, connect
 from pipelines.storage.settings import accepted_terms
 from pipelines.trial.declaration import Declaration, Rule, TrialError, read_declaration
 from pipelines.trial.frozen import changes, frozen
-from pipelines.trial.log import Entry, append, entries
+from pipelines.trial.log import LogEntry, append, entries
 
 FOLDER = "trial"
 OURS = "hdt"
@@ -40,7 +40,7 @@ def log_folder(home: Path) -> Path:
     return home / FOLDER
 
 
-def start(home: Path, declaration: str, now: datetime | None = None) -> Entry:
+def start(home: Path, declaration: str, now: datetime | None = None) -> LogEntry:
     """Freeze what is, and seal it with the declaration and with what is said already.
 
     Raises
@@ -59,7 +59,7 @@ def start(home: Path, declaration: str, now: datetime | None = None) -> Entry:
     return append(folder, "start", body, now or datetime.now(UTC))
 
 
-def seal_night(home: Path, now: datetime | None = None) -> Entry | None:
+def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
     """Seal what is said tonight; None where there is no trial or its nights are over.
 
     Raises
@@ -80,7 +80,7 @@ def seal_night(home: Path, now: datetime | None = None) -> Entry | None:
     return append(folder, "night", body, now)
 
 
-def declaration_of(log: Sequence[Entry]) -> Declaration:
+def declaration_of(log: Sequence[LogEntry]) -> Declaration:
     """The declaration that a trial was started with."""
     if not log or log[0].kind != "start":
         raise TrialError("no trial was started here; `hdt trial start` does")
@@ -127,7 +127,7 @@ def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
 
 
 def _state(
-    log: Iterable[Entry],
+    log: Iterable[LogEntry],
 ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[Place, dict[str, Any]]]:
     """The last that was sealed of each alert and of each unit's prognosis."""
     alerts: dict[str, dict[str, dict[str, Any]]] = {}
@@ -142,7 +142,7 @@ def _state(
     return alerts, prognoses
 
 
-def _last_frozen(log: Sequence[Entry]) -> dict[str, Any]:
+def _last_frozen(log: Sequence[LogEntry]) -> dict[str, Any]:
     return next(dict(e.body["frozen"]) for e in reversed(log) if "frozen" in e.body)
 
 

@@ -8,24 +8,24 @@ import subprocess
 from pathlib import Path
 
 from pipelines.trial.declaration import TrialError
-from pipelines.trial.log import Entry
+from pipelines.trial.log import LogEntry
 
 
-def request(folder: Path, entry: Entry) -> Path:
+def request(folder: Path, entry: LogEntry) -> Path:
     """Write the request for an entry's digest, `<number>.tsq`; the answer belongs beside it as `<number>.tsr`."""
     target = folder / f"{entry.number:05}.tsq"
     _openssl("ts", "-query", "-digest", entry.digest, "-sha256", "-cert", "-out", str(target))
     return target
 
 
-def faults(folder: Path, log: list[Entry], authority: Path) -> list[str]:
+def faults(folder: Path, log: list[LogEntry], authority: Path) -> list[str]:
     """Stamps that do not hold.
 
     Parameters
     ----------
     folder : Path
         The log, with the answers `<number>.tsr`.
-    log : list of Entry
+    log : list of LogEntry
         Its entries.
     authority : Path
         The authority's certificate, PEM.

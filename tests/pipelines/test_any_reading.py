@@ -7,18 +7,18 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.norm import Norm, leg_signs
 from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.controller import Laws
+from hdt_core.health.controller import ControlSchedules
 from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
 from hdt_core.health.witnesses import witnesses
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import SIGNALS, RawMaintenance, RawMessages
-from hdt_core.twin.flights import estimate_flights
-from hdt_core.twin.track import track_on
+from hdt_core.tracking.track import track_on
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.twin import model_of
 from pipelines.storage.store import Store
@@ -39,7 +39,7 @@ def store(sample_home):
 def models(store):
     """What was learned of the sample fleet: model, norm of legs, laws of controllers."""
     laws = store.read("calibration_laws")
-    controllers = Laws.from_dict(json.loads(laws_of(laws, CONTROLLERS)))
+    controllers = ControlSchedules.from_dict(json.loads(laws_of(laws, CONTROLLERS)))
     return model_of(store.read("calibration_dsm")), Norm.from_json(laws_of(laws, LEGS)), controllers
 
 

@@ -6,8 +6,8 @@ import polars as pl
 import pytest
 from made import made_fleet
 
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.flights import estimate_flights
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.flight_estimates import estimate_flights
 from pipelines.report.plots import calibration_metadata, outlet_residuals
 
 

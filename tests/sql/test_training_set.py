@@ -8,9 +8,9 @@ import pytest
 from made_catalog import catalog, flight
 
 from benchmarks import chain, samples
-from hdt_core.health.controller import Laws
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.health.controller import ControlSchedules
 from hdt_core.tables import TABLES
-from hdt_core.twin.dsm import Dsm
 from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store
 
@@ -33,7 +33,7 @@ def test_features_are_those_of_a_history_that_ends_that_day(sample_home, told, c
     made = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
     laws = json.loads(store.read("calibration_laws").filter(name="controllers")["laws"].item())
     made |= {"dsm": Dsm.from_dict(json.loads(store.read("calibration_dsm")["model"].item()))}
-    then = chain.run(made | {"laws": Laws.from_dict(laws)}, STEPS)["features"].sort(KEY)
+    then = chain.run(made | {"laws": ControlSchedules.from_dict(laws)}, STEPS)["features"].sort(KEY)
     now = told.filter(cut > DAY).sort(KEY)
     assert now.height > 400
     assert now["as_stated"].sum() > 20

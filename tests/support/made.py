@@ -7,11 +7,11 @@ import numpy as np
 import polars as pl
 from seen import NO_LOG
 
+from hdt_core.calibration import exchanger as hx
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.compressor import effective_diameter_m, exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
-from hdt_core.twin import exchanger as hx
 
 GROUP_M3, INTERCEPT_M, SLOPE_M, SCATTER_M, EFFICIENCY = 9.1e-4, 0.169, -2.4e-5, 0.004, 0.76
 DESIGN = {

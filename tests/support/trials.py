@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from pipelines.trial.declaration import DEFAULT, Declaration, read_declaration
-from pipelines.trial.log import Entry
+from pipelines.trial.log import LogEntry
 from pipelines.trial.outcomes import COLUMNS, Outcomes, outcomes_of
 
 START = dt.datetime(2025, 1, 1, tzinfo=dt.UTC)
@@ -92,7 +92,7 @@ def declaration() -> Declaration:
     return read_declaration(DEFAULT)
 
 
-def log(units: list[Unit], every: int = 6) -> list[Entry]:
+def log(units: list[Unit], every: int = 6) -> list[LogEntry]:
     """The start and a seal each night, as `seal.py` would write them; prognoses each `every` nights, for speed."""
     tails = sorted({u.tail for u in units})
     seals = range(-1, SEALED, A_DAY)
@@ -121,7 +121,7 @@ def log(units: list[Unit], every: int = 6) -> list[Entry]:
         if n == 0:
             body |= {"declaration": DEFAULT, "frozen": {"version": "0"}}
         at = departure(last) + dt.timedelta(hours=5)
-        entries.append(Entry(n, "night" if n else "start", at, "", body, f"{n}"))
+        entries.append(LogEntry(n, "night" if n else "start", at, "", body, f"{n}"))
     return entries
 
 

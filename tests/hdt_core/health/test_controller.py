@@ -5,7 +5,7 @@ import json
 import numpy as np
 import polars as pl
 
-from hdt_core.health.controller import TAT_KNOTS_K, Law, Laws, learn_laws
+from hdt_core.health.controller import TAT_KNOTS_K, ControlSchedule, ControlSchedules, learn_laws
 
 
 def test_recovers_the_schedule(fly) -> None:
@@ -33,13 +33,13 @@ def test_a_jammed_door_in_the_window_bends_it_little(fly) -> None:
 
 def test_unknown_aircraft_gets_the_law_of_all() -> None:
     heights = tuple(np.arange(len(TAT_KNOTS_K), dtype=float))
-    law = Law(TAT_KNOTS_K, {"": heights}, {"": 0.0})
+    law = ControlSchedule(TAT_KNOTS_K, {"": heights}, {"": 0.0})
     assert law.shape("T-NEW", np.array([TAT_KNOTS_K[3]]))[0] == 3.0
 
 
 def test_plain_form_goes_round(fly) -> None:
     laws = learn_laws(fly(10))
-    assert Laws.from_dict(json.loads(json.dumps(laws.to_dict()))) == laws
+    assert ControlSchedules.from_dict(json.loads(json.dumps(laws.to_dict()))) == laws
 
 
 def test_too_little_data_gives_a_flat_law(fly) -> None:

@@ -7,12 +7,12 @@ import polars as pl
 import pytest
 from made import departure
 
-from hdt_core.health.controller import ALTITUDE_KNOTS_M, Law, Laws
+from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.health.controller import ALTITUDE_KNOTS_M, ControlSchedule, ControlSchedules
 from hdt_core.health.delivery import CLEAN_PARTS, CRITICAL_DIAMETER, FLOWS, delivery_flights, needed, share_left
 from hdt_core.health.margin import left_delivery
 from hdt_core.health.speed_limit import SpeedLimit, speed_limit
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
-from hdt_core.twin.characterise import CompressorFit
 
 LIMIT_RAD_S = 4500.0
 FIT = CompressorFit(
@@ -74,11 +74,13 @@ def test_no_more_is_promised_than_the_widest_position_on_record_lets_through():
     assert share_left(np.zeros(1), *needed(asked(**easy), wider, LIMIT_RAD_S))[0][0] > found[0]
 
 
-def laws(met: bool = True) -> Laws:
+def laws(met: bool = True) -> ControlSchedules:
     """Exit pressure all but level with altitude, the flow's share as the sample's."""
     shape = {"": tuple(-1e-5 * (h - 11_000.0) for h in ALTITUDE_KNOTS_M)}
-    delivery = Law(ALTITUDE_KNOTS_M, shape, {"": 0.17}, {"": float(np.log(86_000.0))})
-    return Laws(Law((250.0, 300.0), {"": (0.0, 0.0)}, {"": 0.0}), delivery, SpeedLimit(LIMIT_RAD_S, met))
+    delivery = ControlSchedule(ALTITUDE_KNOTS_M, shape, {"": 0.17}, {"": float(np.log(86_000.0))})
+    return ControlSchedules(
+        ControlSchedule((250.0, 300.0), {"": (0.0, 0.0)}, {"": 0.0}), delivery, SpeedLimit(LIMIT_RAD_S, met)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +99,7 @@ def told(cruise_model, cruise_samples) -> pl.DataFrame:
 def cruise_model():
     from made import made_fleet
 
-    from hdt_core.twin.calibrate import calibrate
+    from hdt_core.calibration.calibrate import calibrate
 
     fleet = made_fleet(1, 20)
     return replace(calibrate(fleet.samples, fleet.legs, fleet.maintenance), compressor=FIT)

@@ -4,12 +4,12 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.calibration import exchanger as hx
 from hdt_core.health.asks import CRITICAL, EXCESS_K, LN_RATIOS, PARTS, full_open_outlet_k
 from hdt_core.health.conditions import asked, repeated
 from hdt_core.health.curves import falls_through
 from hdt_core.health.first_passage import passage, wear_rate
 from hdt_core.health.margin import at_excess, left_margin
-from hdt_core.twin import exchanger as hx
 
 CRUISE = {
     "altitude_m": 11_000.0, "mach": 0.84, "tat_k": 247.0, "total_pressure_pa": 36_000.0, "hx_in_k": 400.0,

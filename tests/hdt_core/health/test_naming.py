@@ -9,7 +9,7 @@ import pytest
 from hdt_core.health.detection import watch
 from hdt_core.health.diagnosis import CHANNELS
 from hdt_core.health.grid import Grid
-from hdt_core.health.naming import MEDIAN_WORTH, Evidence, _median_z
+from hdt_core.health.naming import MEDIAN_WORTH, Indications, _median_z
 
 
 @pytest.mark.parametrize("flights", [0, 1, 2, 5, 12])
@@ -37,6 +37,6 @@ def test_a_doubt_that_outlasts_the_record_is_left_open() -> None:
     grid = Grid.cut(rows)
     still = np.where(grid.flown[:, :, None], np.zeros(len(CHANNELS)), np.nan)
     shift = watch(still, np.array([c.sd for c in CHANNELS]), np.zeros(still.shape, dtype=bool))
-    evidence = Evidence(grid, shift, np.zeros(grid.shape), grid.partner())
+    evidence = Indications(grid, shift, np.zeros(grid.shape), grid.partner())
     assert [evidence.name(0, (unit, 25, None)) for unit in range(4)] == [None] * 4
     assert evidence.name(0, (3, 25, 40)) is None

@@ -4,16 +4,16 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.features import residual_column
 from hdt_core.health.residuals import KINDS, SIGNALS, residuals
 from hdt_core.health.virtual import virtual_sensors
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.tables.residuals import Residuals
-from hdt_core.twin import exchanger as hx
-from hdt_core.twin.calibrate import calibrate
-from hdt_core.twin.dsm import Dsm
-from hdt_core.twin.flights import estimate_flights
 
 KEY = ["operator", "tail", "flight_id", "pack"]
 LOSS = 0.2

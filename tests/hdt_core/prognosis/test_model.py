@@ -15,7 +15,7 @@ from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import fit_member, fit_prognosis, out_of_fold, predict_prognosis
-from hdt_core.prognosis.record import Record
+from hdt_core.prognosis.record import FleetRecord
 from hdt_core.prognosis.rows import INPUTS, fleet_rows, tracks
 from hdt_core.prognosis.service import serve
 from pipelines.learned import shipped_base
@@ -131,7 +131,7 @@ def test_a_worse_model_is_not_promoted(fitted):
 
 def test_service_keeps_the_model_that_does_better(fleet, fitted):
     features, _, model = fitted
-    record = Record(*fleet)
+    record = FleetRecord(*fleet)
     blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
     first = serve(model, None, record)
@@ -149,7 +149,7 @@ def test_service_keeps_the_model_that_does_better(fleet, fitted):
 
 def test_what_was_served_night_by_night_is_what_one_night_serves(fleet, base):
     """Within a month and over its end."""
-    whole, at = Record(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
+    whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
     last, learned = None, set()
     for record in (whole.before(at), whole.before(at + timedelta(days=1)), whole.before(at + timedelta(days=3))):
         last = serve(base, last, record)
@@ -168,7 +168,7 @@ def without(record, share):
 
 
 def test_few_late_flights_are_spoken_about_at_once_and_learned_from_next_month(fleet, base):
-    whole, at = Record(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
+    whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
     one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
     missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))
     first = serve(base, None, missed.before(at))
@@ -196,7 +196,7 @@ def test_few_late_flights_are_spoken_about_at_once_and_learned_from_next_month(f
 
 @pytest.mark.parametrize("share", [0.5, 0.05])
 def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
-    record = Record(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
+    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
     first = serve(base, None, without(record, share)[0])
     after = serve(base, first, record)
     assert after.card["learned_because"]
@@ -204,7 +204,7 @@ def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
 
 
 def test_a_late_message_is_learned_from_at_once(fleet, base):
-    record = Record(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
+    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
     failed = record.before(record.month()).lives().filter("failed").row(0, named=True)
     own = (pl.col("tail") == failed["tail"]) & (pl.col("pack") == failed["pack"])
     unheard = replace(record, messages=record.messages.filter(~own))
@@ -214,7 +214,7 @@ def test_a_late_message_is_learned_from_at_once(fleet, base):
 
 
 def test_health_that_moved_is_learned_from_at_once(fleet, base):
-    record = Record(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
+    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
     first = serve(base, None, record)
     moved = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
     after = serve(base, first, moved)
@@ -223,7 +223,7 @@ def test_health_that_moved_is_learned_from_at_once(fleet, base):
 
 
 def test_what_was_learned_before_there_were_lessons_is_learned_anew(fleet, base):
-    record = Record(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
+    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
     first = serve(base, None, record)
     after = serve(base, replace(first, lesson="0123456789abcdef0123"), record)
     assert after.card["learned_because"] == "no model is in service of which it is known what it learned from"
@@ -232,9 +232,9 @@ def test_what_was_learned_before_there_were_lessons_is_learned_anew(fleet, base)
 
 def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
     at = datetime(2024, 3, 10, tzinfo=UTC)
-    first = serve(base, None, Record(*fleet).before(at))
+    first = serve(base, None, FleetRecord(*fleet).before(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = serve(base, marked, Record(*fleet).before(at + timedelta(days=1)))
+    after = serve(base, marked, FleetRecord(*fleet).before(at + timedelta(days=1)))
     kept = after.prognoses.filter(pl.col("departed_at") < at)
     assert (kept["p_event_50"] == 0.123).all()
     new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")

@@ -6,7 +6,7 @@ from scipy.special import expit, logit
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
 from hdt_core.prognosis.limits import PRIORS, learn_limit
-from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, Correction, learn_correction, learn_levels
+from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, HazardCorrection, learn_correction, learn_levels
 
 
 def lives(n: int, rate: float) -> tuple[np.ndarray, ...]:
@@ -20,7 +20,7 @@ def lives(n: int, rate: float) -> tuple[np.ndarray, ...]:
 def test_no_failure_no_correction():
     hazard = np.full((30, SPANS), 0.1)
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
-    assert done == Correction()
+    assert done == HazardCorrection()
     none = np.empty(0)
     said = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
     assert said == (0.04, 0.5, 0.96)
@@ -76,14 +76,14 @@ def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flatten
     assert done.weights[TERMS.index("late_odds")] == pytest.approx(slope, abs=0.12)
     said = done(base[:2], np.full(2, 0.2))
     np.testing.assert_allclose(logit(said), logit(truth[:2]), atol=0.25)
-    alone = Correction((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
+    alone = HazardCorrection((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
     np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
 
 
 def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
     hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
-    said = Correction((0.1, -0.2, 0.3))(hazard, reserve)
-    np.testing.assert_array_equal(said, Correction((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
+    said = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
+    np.testing.assert_array_equal(said, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
 def test_limit_moves_from_the_prior_to_the_messages():

@@ -8,7 +8,7 @@ import pytest
 from recordings import DATA, frames_717, frames_767, pack, random_raw, vec
 
 from hdt_core.recorder.bitstream import PACKINGS
-from hdt_core.recorder.coding import Polynomial, Segments, Table
+from hdt_core.recorder.coding import LookupTable, Polynomial, Segments
 from hdt_core.recorder.fit import decode, recognise
 from hdt_core.recorder.layout import MapError
 from hdt_core.recorder.plain_map import read_csv, read_toml
@@ -218,7 +218,7 @@ def test_conversions_are_what_they_say():
     x = np.array([-1.0, 0.0, 0.5, 2.0, 3.0])
     np.testing.assert_allclose(Polynomial((1.0, 0.0, 2.0))(x), 1.0 + 2.0 * x**2)
     np.testing.assert_allclose(Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0))(x), [np.nan, 0.0, 0.5, 2.0, 5.0])
-    np.testing.assert_allclose(Table((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
+    np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
 
 
 @pytest.mark.parametrize(

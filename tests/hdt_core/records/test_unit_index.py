@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hdt_core.health.features import since_maintenance
 from hdt_core.health.grid import Grid
 from hdt_core.prognosis.lives import episodes, installations
+from hdt_core.records.renewals import REPLACED, log_flags
 from hdt_core.records.unit_index import date_entries, first_flights, number_units
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
-from hdt_core.twin.renewals import REPLACED, log_flags
 from pipelines.report.replacement import around_replacement
 
 START = dt.datetime(2024, 3, 1, tzinfo=dt.UTC)

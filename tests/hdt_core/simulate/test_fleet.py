@@ -62,7 +62,7 @@ def test_controller_holds_its_target_and_hides_the_wear():
     one = np.ones(n)
     asked = packs.reference_demand(design, one)
     asked = packs.Demand(asked.flow_kg_s, asked.hot_in_k, one * packs.sized_target_k(design))
-    blocked = packs.Wear(0.0 * one, np.linspace(0.0, 0.3, n), 0.0 * one, one)
+    blocked = packs.ExchangerWear(0.0 * one, np.linspace(0.0, 0.3, n), 0.0 * one, one)
     door = packs.controlled_door(design, packs.reference(one), asked, blocked)
     assert door[0] == pytest.approx(design.door_sizing, abs=0.002)
     assert (np.diff(door) > 0).all()
@@ -85,11 +85,13 @@ def test_a_worn_compressor_heats_the_exchanger_by_what_its_efficiency_lost():
 
 def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
     design, one = draw_design(np.random.default_rng(2)), np.ones(3)
-    ratio, apparent, ram = packs.loss_ratios(design, packs.Wear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one))
+    ratio, apparent, ram = packs.loss_ratios(
+        design, packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
+    )
     np.testing.assert_allclose([ratio[0], apparent[0], ram[0]], 1.0, atol=1e-6)
     assert (apparent[1:] < ratio[1:]).all()
     assert (ram[1:] < 1.0).all()
-    film = packs.Wear(np.array([0.0, 1e-4, 2e-4]), 0 * one, 0 * one, one)
+    film = packs.ExchangerWear(np.array([0.0, 1e-4, 2e-4]), 0 * one, 0 * one, one)
     ratio, apparent, ram = packs.loss_ratios(design, film)
     np.testing.assert_allclose(ram, 1.0)
     np.testing.assert_allclose(ratio, apparent, atol=0.01)

@@ -44,11 +44,11 @@ def lines(flight: str, n: int, hot: float = 400.0) -> str:
     return HEAD + "".join(LINE.format(flight=flight, second=k, hot=hot) for k in range(n))
 
 
-def delivered(files, now, packs) -> list[intake.Delivered]:
+def delivered(files, now, packs) -> list[intake.ComponentIntake]:
     return [d for _, d in intake.read_components(files, now, packs)]
 
 
-def balanced(read: list[intake.Delivered]) -> bool:
+def balanced(read: list[intake.ComponentIntake]) -> bool:
     return all(d.n_delivered == d.n_loaded + int(d.quarantine["n_rows"].sum()) + d.n_duplicate for d in read)
 
 

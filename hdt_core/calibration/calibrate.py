@@ -1,0 +1,166 @@
+"""Calibration: from nominal flights to the Digital System Model that nobody handed over."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import Array, Points, as_met, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.compressor import compressor_samples, probe_corrections
+from hdt_core.calibration.compressor_fit import fit_compressor
+from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
+from hdt_core.calibration.exchanger_fit import fit_exchanger
+from hdt_core.calibration.flight_estimates import design_gradient, estimate_flights
+from hdt_core.calibration.initial_wear import FIRST_FLIGHTS, entry_posterior, fleet_levels
+from hdt_core.calibration.inlet_law import learn_inlet
+from hdt_core.calibration.missing_physics import coefficients
+from hdt_core.calibration.pooling import PooledLevel, levels_of
+from hdt_core.calibration.sensor_priors import sensor_prior
+from hdt_core.flight.windows import baseline_flights
+from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
+from hdt_core.physics.terms import within
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
+from hdt_core.robust import median_error
+
+TERM_ROUNDS = 3
+
+
+def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: tuple[str, ...] = ()) -> Dsm:
+    """Calibrate the Digital System Model from the baseline flights among `samples`.
+
+    Parameters
+    ----------
+    samples, legs : DataFrame
+        Of the leg filter; admitted legs calibrate, monitored samples of the others do not.
+    maintenance : DataFrame
+        `operator, tail, done_on, pack, component, action`; exchanger replacements split a pack's baseline into units.
+    terms : tuple of str
+        Physical terms accepted by name (`physics.terms`); coefficient and design are found in turn.
+
+    Returns
+    -------
+    Dsm
+        Depends on the data set alone. With no usable flight it holds the priors, and says so through its deviations.
+    """
+    model = _calibrated(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
+    for _ in range(TERM_ROUNDS if terms else 0):
+        seen = estimate_flights(baseline_samples(samples), model)
+        found = coefficients(seen, model, terms)
+        model = _calibrated(samples, legs, maintenance, {n: within(n, model.terms[n] + found[n]) for n in terms})
+    return model
+
+
+def baseline_samples(samples: pl.DataFrame) -> pl.DataFrame:
+    """Samples of the baseline's flights, of worn packs too: what changes from flight to flight is not their wear."""
+    return samples.filter(pl.col("flight_id").is_in(baseline_flights(flights_of(samples))))
+
+
+def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+    everything = flights_of(samples)
+    base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
+    admitted = _admitted(base, legs)
+    window = samples.join(base.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    packs = everything.select(PACK).unique().sort(PACK)
+    points = to_points(level_points(as_met(cruise, terms), everything), packs)
+    fit = fit_exchanger(points, *sensor_prior(cruise, packs))
+    flying = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    corrections = probe_corrections(flying, packs)
+    compressor = fit_compressor(compressor_samples(flying, corrections))
+    at = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
+    ratio = hx.ln_conductance_ratio(points.signals, fit.mean, at)
+    slopes = design_gradient(points.signals, fit.mean, at, ratio)
+    usable = np.isfinite(slopes).all(axis=1)
+    anchor = slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES))
+    counts = base.group_by(PACK).agg(pl.len())
+    rows = packs.join(counts, on=PACK, how="left", maintain_order="left").join(
+        corrections, on=PACK, maintain_order="left"
+    )
+    designs = tuple(
+        SensorBiases(
+            r["operator"],
+            r["tail"],
+            r["pack"],
+            int(r["len"] or 0),
+            tuple(map(float, fit.bias[k])),
+            float(r["inlet_bias_k"]),
+            float(r["inlet_bias_ln"]),
+            float(r["exit_bias_ln"]),
+        )
+        for k, r in enumerate(rows.iter_rows(named=True))
+    )
+    draft = Dsm(
+        dsm_version=version_of(_inputs(window), admitted.select(FLIGHT_PACK).sort(FLIGHT_PACK)),
+        exchanger=tuple(map(float, fit.mean)),
+        exchanger_cov=tuple(tuple(map(float, row)) for row in fit.cov),
+        gradient=tuple(map(float, anchor)),
+        clean_level=0.0,
+        clean_level_sd=0.05,
+        offset_sd=0.055,
+        flight_sd=0.02,
+        reference_ua_w_k=1700.0,
+        ram_balance_seen=fit.ram_seen,
+        compressor=compressor,
+        packs=designs,
+        n_flights=base["flight_id"].n_unique(),
+        cruise_flows_kg_s=_middle_flows(points, fit.mean),
+        terms=terms,
+    )
+    ordered = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
+    draft = replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))
+    seen = estimate_flights(window, draft)
+    model = fleet_levels(seen, maintenance, draft)
+    return replace(model, levels=exchanger_levels(seen, model))
+
+
+def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
+    """Median hot and ram flow of the points, the reference flows where there are none. [kg/s]"""
+    if not len(points):
+        return REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+    ram = clean_ram_flow_kg_s(points.signals, design)
+    return float(np.median(points.signals["pack_flow_kg_s"])), float(np.nanmedian(ram))
+
+
+def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel, ...]:
+    """Conductance as built of each operator and pack, pooled with the fleet: a pack of ten flights borrows from it.
+
+    A pack's own word is what its first flights show, cleared of the wear that it likely brought along.
+    """
+    first = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER).group_by(PACK, maintain_order=True)
+    packs = (
+        first.head(FIRST_FLIGHTS)
+        .group_by(PACK, maintain_order=True)
+        .agg(pl.col("ln_ua_ratio").median().alias("seen"), pl.len().alias("n"))
+    )
+    if not packs.height:
+        return ()
+    error = dsm.flight_sd * median_error(packs["n"].to_numpy())
+    found = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
+    named = packs.with_columns(
+        value=pl.Series(packs["seen"].to_numpy() + found.wear),
+        error_sd=pl.Series(np.sqrt(error**2 + found.wear_var)),
+    )
+    at = hx.NAMES.index("ln_ua_reference")
+    ln_ua, ln_sd = dsm.exchanger[at], float(np.sqrt(dsm.exchanger_cov[at][at]))
+    found_levels = levels_of(named, "hx_ua_reference_w_k")[1]
+    ua = [float(np.exp(ln_ua + v.value)) for v in found_levels]
+    return tuple(
+        replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(found_levels, ua, strict=True)
+    )
+
+
+def _inputs(window: pl.DataFrame) -> pl.DataFrame:
+    columns = [c for c in (*FLIGHT_PACK, "time_utc", *hx.SIGNALS, "monitored") if c in window.columns]
+    return window.select(columns).sort(*FLIGHT_PACK, "time_utc")
+
+
+def _admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Legs fit to calibrate from; all where the filter has let none of a pack through, for a prior beats
+    nothing."""
+    if "admitted" not in legs.columns or not legs.height:
+        return base
+    verdicts = legs.select(*FLIGHT_PACK, "admitted").unique(FLIGHT_PACK)
+    judged = base.join(verdicts, on=FLIGHT_PACK, how="left")
+    return judged.filter(pl.col("admitted").fill_null(True))

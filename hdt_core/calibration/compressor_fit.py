@@ -1,0 +1,200 @@
+"""What thousands of nominal flights say of the compressor as built: equation (6) and its rivals, the group of
+equations (2)-(4), the efficiency.
+
+A diameter is a flight's own level times a curve of the diffuser's position that the fleet shares.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.diffuser_line import BLOCK_FLIGHTS, rows_of, shared_line
+from hdt_core.calibration.forms import FormFit, compare_forms
+from hdt_core.calibration.pooling import PooledLevel, levels_of
+from hdt_core.calibration.sensor_priors import CC_FLOW_BIAS_SD
+from hdt_core.components.compressor import CC
+from hdt_core.physics.compressor import expected_diameter_m, group_at_m3
+from hdt_core.physics.model import declared
+from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.robust import median_error, spread
+
+PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
+"""The paper's law with a wide band, as the component declares it."""
+BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO = float(np.deg2rad(36.0)), float(np.deg2rad(3.0)), 0.4
+"""Angle from tangential and hub to eye diameter of inducers of this kind: assumed, seen in no record."""
+MIN_POINTS = 30
+ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
+"""Mean ln loss of diameter of a compressor when first seen, how well that is known, and the spread of units: by so much
+an as-built level lies above the seen one. No record tells; efficiency loses twice as much."""
+PROBE_SD_LN = 0.003
+"""Calibration error of an efficiency, which no number of flights takes out of one pack."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompressorFit:
+    """Equation (6), the group of equations (2)-(4) and the efficiency as built, each with its standard deviation.
+
+    `vda_counts` is the middle of the diffuser's positions, where the group is stated; `vda_widest_counts` the widest
+    on record, as far as its map is known; the map has no slope where it is not known at all.
+    """
+
+    intercept_m: float
+    intercept_sd_m: float
+    slope_m_per_count: float
+    slope_sd_m_per_count: float
+    scatter_m: float
+    mae_m: float
+    r_squared: float
+    group_m3: float
+    group_sd_m3: float
+    efficiency: float
+    efficiency_sd: float
+    vda_counts: float
+    n_flights: int
+    group_slope_m3_per_count: float
+    group_slope_sd_m3_per_count: float
+    vda_widest_counts: float
+    forms: tuple[FormFit, ...] = ()
+    levels: tuple[PooledLevel, ...] = ()
+
+    def diameter_m(self, vda_counts: Array) -> Array:
+        """Effective diameter of a sound machine with the diffuser at these positions. [m]"""
+        return expected_diameter_m(vda_counts, np.asarray(self.intercept_m), np.asarray(self.slope_m_per_count))
+
+    def group_at_m3(self, vda_counts: Array) -> Array:
+        """A D tan(beta) with the diffuser at these positions. [m3]"""
+        given = map(np.asarray, (self.group_m3, self.vda_counts, self.group_slope_m3_per_count))
+        return group_at_m3(vda_counts, *given)
+
+    def position_counts(self, group_m3: Array) -> Array:
+        """Positions at which the group is this: `group_at_m3` turned round. [count]"""
+        return self.vda_counts + (group_m3 - self.group_m3) / self.group_slope_m3_per_count
+
+
+def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
+    """Characterise the compressor over the baseline.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Of `compressor_samples`, baseline flights only.
+
+    Returns
+    -------
+    CompressorFit
+        The paper's law with a wide band where the records hold too little.
+
+    Notes
+    -----
+    The diffuser's reading is noisy, which flattens a slope by the share of noise in its variance; the slope is raised
+    by as much. Levels are those of machines as first seen, raised by the wear that these bring along.
+    """
+    rows = rows_of(samples, "diameter_m")
+    group, group_sd, group_levels = _pooled(
+        samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, wear=False
+    )
+    efficiency, efficiency_sd, efficiency_levels = _pooled(
+        samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True
+    )
+    flights = samples.select(FLIGHT_PACK).unique().height
+    if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
+        return _prior(flights)  # one flight a pack: nothing to compare within a machine
+    line = shared_line(rows)
+    seen = pl.DataFrame({"seen": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
+    as_built, as_built_sd = _as_built(seen["seen"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
+    # the slope belongs to machines as they were; an as-built one is that much larger
+    slope = line.slope * as_built / float(np.mean(line.level))
+    slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
+    group_slope, group_slope_sd = _group_slope(samples)
+    form_fits = compare_forms(rows)
+    linear = form_fits[1] if form_fits else None
+    return CompressorFit(
+        intercept_m=as_built - slope * line.centre,
+        intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * line.centre)),
+        slope_m_per_count=slope,
+        slope_sd_m_per_count=slope_sd,
+        scatter_m=spread(line.residual),
+        mae_m=linear.cv_mae_m if linear else float(np.abs(line.residual).mean()),
+        r_squared=linear.r_squared if linear else 0.0,
+        group_m3=group,
+        group_sd_m3=group_sd,
+        efficiency=efficiency,
+        efficiency_sd=efficiency_sd,
+        vda_counts=line.centre,
+        n_flights=flights,
+        group_slope_m3_per_count=group_slope,
+        group_slope_sd_m3_per_count=group_slope_sd,
+        vda_widest_counts=float(rows.x.max()),
+        forms=form_fits,
+        levels=(*group_levels, *efficiency_levels),
+    )
+
+
+def _prior(flights: int) -> CompressorFit:
+    """The paper's equation (6) with a wide band, where the fleet's own records hold too little."""
+    return CompressorFit(
+        *PRIOR["cc_diameter_vda_intercept"], *PRIOR["cc_diameter_vda_slope"], 0.0055, 0.0055, 0.0,
+        *PRIOR["cc_area_diameter_tan_beta_m3"], *PRIOR["cc_efficiency"], 400.0, flights, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+
+
+def _group_slope(samples: pl.DataFrame) -> tuple[float, float]:
+    """What a count of the diffuser adds to the group, and its standard error; 0 where too few tell. [m3/count]"""
+    rows = rows_of(samples, "group_m3")
+    if len(rows.x) < MIN_POINTS:
+        return 0.0, 0.0
+    line = shared_line(rows)
+    return line.slope, line.slope_sd
+
+
+def _as_built(seen: Array, wear: float, wear_sd: float) -> tuple[float, float]:
+    """Level as built of machines seen a little worn, and its standard error."""
+    middle = float(np.median(seen))
+    scatter = max(ENTRY_UNIT_SD * middle, spread(seen - middle))
+    # the median over machines whose wear is exponential: ln 2 times its mean
+    raised = middle * (1.0 + float(np.log(2.0)) * wear)
+    return raised, float(np.hypot(scatter * median_error(float(len(seen))), wear_sd * middle))
+
+
+def _pooled(
+    samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, wear: bool
+) -> tuple[float, float, tuple[PooledLevel, ...]]:
+    """A quantity's fleet value, its standard deviation, and its levels by operator and pack.
+
+    With `wear` it is taken from each pack's first flights, and raised by what a machine has lost by then.
+    """
+    flights = samples.group_by(*FLIGHT_PACK).agg(pl.col(column).median(), pl.col("time_utc").min()).drop_nulls(column)
+    by_pack = flights.sort(*PACK, "time_utc", "flight_id").group_by(PACK, maintain_order=True)
+    packs = (by_pack.head(BLOCK_FLIGHTS).group_by(PACK, maintain_order=True) if wear else by_pack).agg(
+        pl.col(column).median().alias("value"), pl.len().alias("n"), pl.col(column).std().alias("spread")
+    )
+    if not packs.height:
+        return *PRIOR[parameter], ()
+    random = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
+    error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
+    pooled, levels = levels_of(packs.with_columns(error_sd=error), parameter)
+    if wear:
+        return *_as_built(packs["value"].to_numpy(), 2.0 * ENTRY_WEAR, 2.0 * ENTRY_WEAR_SD), levels
+    return pooled.fleet, pooled.fleet_sd, levels
+
+
+def inlet_geometry(group_m3: float, group_sd_m3: float) -> dict[str, tuple[float, float]]:
+    r"""Inlet area, eye diameter and blade angle from the group A D tan(beta) and a *prior* on the angle: value and sd.
+
+    Notes
+    -----
+    The group is all that flow tells. With the angle from elsewhere and the annulus between hub and eye,
+    :math:`A = \tfrac{\pi}{4} D^2 (1 - \nu^2)`, diameter and area follow; the angle comes back as it went in.
+    """
+    share = 0.25 * np.pi * (1.0 - HUB_RATIO**2)
+    eye_m = float(np.cbrt(group_m3 / (share * np.tan(BLADE_ANGLE_RAD))))
+    tangent_sd = BLADE_ANGLE_SD_RAD / (np.sin(BLADE_ANGLE_RAD) * np.cos(BLADE_ANGLE_RAD))
+    eye_sd = float(np.hypot(group_sd_m3 / group_m3, tangent_sd)) / 3.0
+    area_m2 = share * eye_m**2
+    return {
+        "cc_inlet_area_m2": (area_m2, 2.0 * eye_sd * area_m2),
+        "cc_eye_diameter_m": (eye_m, eye_sd * eye_m),
+        "cc_blade_angle_rad": (BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD),
+    }

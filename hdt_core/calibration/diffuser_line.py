@@ -1,0 +1,104 @@
+"""What machines share over the diffuser's position: a line, each block of a pack's flights at a level of its own.
+
+Levels are free for every twenty flights of a pack, so that units, sensors, wear and replacements fall into them and not
+into the line.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.components.compressor import CC
+from hdt_core.physics.model import declared
+from hdt_core.records.keys import PACK
+from hdt_core.robust import huber_weights, spread, spread_expr
+
+BLOCK_FLIGHTS = 20
+"""Flights within which a compressor hardly wears; also those from which a level as built is taken."""
+VDA_NOISE_COUNTS = declared(CC.model.signal("vda_counts").sigma)
+HUBER_STEPS = 8
+FAR_SD = 4.0
+"""Robust standard deviations beyond which a position is a spike of its sensor: one would turn a slope."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRows:
+    """Diameters against positions, the block (level) and the flight of each, and the pack and turn of each block."""
+
+    x: Array
+    y: Array
+    block: Array
+    flight: Array
+    blocks: pl.DataFrame
+
+
+def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
+    """A column of `compressor_samples` against the diffuser's position, by pack and time."""
+    known = samples.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
+    middle = pl.col("vda_counts").median().over(PACK)
+    scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
+    known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
+    order = known.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
+    turned = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
+    block = turned.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
+    flight = turned.select(pl.struct(*PACK, "order").rle_id())[:, 0].to_numpy().astype(np.int64)
+    blocks = turned.select(*PACK, "turn").unique(maintain_order=True)
+    x, y = (known[c].to_numpy().astype(float) for c in ("vda_counts", column))
+    return BlockRows(x, y, block, flight, blocks)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line over the diffuser's positions that machines share, the slope that of a machine of mean level.
+
+    `level` is each block's at `centre`; `residual` what is left of each row.
+    """
+
+    slope: float
+    slope_sd: float
+    level: Array
+    centre: float
+    residual: Array
+
+
+def shared_line(rows: BlockRows) -> Line:
+    """The shared line, its slope raised by what noise in the positions flattens."""
+    slope, level, weight = _shared_slope(rows)
+    x_mean = np.bincount(rows.block, weight * rows.x) / np.bincount(rows.block, weight)
+    inside = rows.x - x_mean[rows.block]
+    reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(inside**2, weights=weight)), 0.5)
+    centre = float(np.average(rows.x, weights=weight))
+    residual = rows.y - _fitted(rows, slope, level, centre)
+    slope_sd = _clustered_sd(inside, residual, rows.flight, weight) / reliable
+    return Line(slope / reliable, slope_sd, level, centre, residual)
+
+
+def _shared_slope(rows: BlockRows) -> tuple[float, Array, Array]:
+    """Slope of a machine of mean level, level of each block at the mean position, Huber's weights."""
+    x, y, block = rows.x, rows.y, rows.block
+    weight, scale = np.ones(len(x)), np.ones(len(rows.blocks))
+    slope, level = 0.0, scale
+    for _ in range(HUBER_STEPS):
+        total = np.bincount(block, weight)
+        x_mean, y_mean = (np.bincount(block, weight * v) / total for v in (x, y))
+        dx, dy = x - x_mean[block], (y - y_mean[block]) / scale[block]
+        slope = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9))
+        level = y_mean + slope * scale * (np.average(x, weights=weight) - x_mean)
+        # wear takes its share of the whole diameter, of the slope too
+        scale = level / level.mean()
+        off = np.abs(dy - slope * dx)
+        weight = huber_weights(off, spread(off))
+    return slope, level, weight
+
+
+def _fitted(rows: BlockRows, slope: float, level: Array, centre: float) -> Array:
+    return np.asarray(level[rows.block] * (1.0 + slope / level.mean() * (rows.x - centre)))
+
+
+def _clustered_sd(inside: Array, residual: Array, flight: Array, weight: Array) -> float:
+    """Standard error of the slope where samples of a flight err together: sandwich over flights, of Huber's
+    estimate, to whose slope a sample beyond the bend adds nothing."""
+    score = np.bincount(flight, weight * inside * residual)
+    return float(np.sqrt((score**2).sum()) / max((inside[weight >= 1.0] ** 2).sum(), 1e-9))

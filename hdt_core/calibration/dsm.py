@@ -1,0 +1,136 @@
+"""The Digital System Model: how the fleet was built, frozen and versioned."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.forms import FormFit
+from hdt_core.calibration.pooling import PooledLevel
+from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
+from hdt_core.physics.model import Array
+from hdt_core.records.keys import PACK
+
+
+@dataclass(frozen=True, slots=True)
+class SensorBiases:
+    """What one pack's sensors read too high (`hx.BIASES`, then the compressor's probes), from its baseline flights."""
+
+    operator: str
+    tail: str
+    pack: int
+    n_flights: int
+    bias: tuple[float, ...]
+    inlet_bias_k: float
+    inlet_bias_ln: float
+    exit_bias_ln: float
+
+
+@dataclass(frozen=True, slots=True)
+class Dsm:
+    """Digital System Model.
+
+    Attributes
+    ----------
+    exchanger, exchanger_cov
+        Design vector in the order of `hx.NAMES` and its covariance.
+    gradient : tuple
+        Mean derivative of the ln conductance ratio by design over the baseline: where the model is anchored.
+    clean_level, offset_sd : float
+        ln conductance ratio of a clean unit: fleet mean, and spread by unit and its sensors.
+    flight_sd : float
+        Scatter of a flight's ln conductance ratio about the pack's health.
+    reference_ua_w_k : float
+        Clean conductance at the condition that losses are stated for: a middling cruise of a clean pack.
+    cruise_flows_kg_s : tuple
+        Hot and ram flow in the middle of the baseline, where the law is known best.
+    levels : tuple of PooledLevel
+        Conductance of each operator and pack, pooled with the fleet.
+    hot_inlet : tuple
+        Slopes of the hot inlet's law, in the order of `calibration.inlet_law.TERMS`; empty where it is not known.
+    terms : dict
+        Coefficient of each physical term that an engineer has accepted (`physics.terms`), by name.
+    """
+
+    dsm_version: str
+    exchanger: tuple[float, ...]
+    exchanger_cov: tuple[tuple[float, ...], ...]
+    gradient: tuple[float, ...]
+    clean_level: float
+    clean_level_sd: float
+    offset_sd: float
+    flight_sd: float
+    reference_ua_w_k: float
+    ram_balance_seen: bool
+    compressor: CompressorFit
+    packs: tuple[SensorBiases, ...]
+    n_flights: int
+    cruise_flows_kg_s: tuple[float, float] = (REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S)
+    levels: tuple[PooledLevel, ...] = ()
+    hot_inlet: tuple[float, ...] = ()
+    terms: dict[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain numbers, lists and strings, ready for JSON."""
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> "Dsm":
+        """Turn `to_dict` round."""
+        values = dict(plain)
+        compressor = dict(values["compressor"])
+        compressor["forms"] = tuple(FormFit(**f) for f in compressor["forms"])
+        compressor["levels"] = tuple(PooledLevel(**v) for v in compressor["levels"])
+        values["compressor"] = CompressorFit(**compressor)
+        values["packs"] = tuple(SensorBiases(**{**p, "bias": tuple(p["bias"])}) for p in values["packs"])
+        values["levels"] = tuple(PooledLevel(**v) for v in values["levels"])
+        for name in ("exchanger", "gradient", "cruise_flows_kg_s", "hot_inlet"):
+            values[name] = tuple(values.get(name, ()))
+        values["exchanger_cov"] = tuple(tuple(row) for row in values["exchanger_cov"])
+        return cls(**values)
+
+    @property
+    def design(self) -> Array:
+        """Design vector in the order of `hx.NAMES`."""
+        return np.array(self.exchanger)
+
+    def pack_table(self) -> pl.DataFrame:
+        """One row a pack: `PACK`, compressor probe corrections and sensor biases as `bias_<signal>`."""
+        rows = [
+            {
+                "operator": p.operator,
+                "tail": p.tail,
+                "pack": p.pack,
+                "inlet_bias_k": p.inlet_bias_k,
+                "inlet_bias_ln": p.inlet_bias_ln,
+                "exit_bias_ln": p.exit_bias_ln,
+                **{f"bias_{name}": value for name, value in zip(hx.BIASES, p.bias, strict=True)},
+            }
+            for p in self.packs
+        ]
+        schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "inlet_bias_k": pl.Float64}
+        schema |= {"inlet_bias_ln": pl.Float64, "exit_bias_ln": pl.Float64}
+        schema |= {f"bias_{name}": pl.Float64 for name in hx.BIASES}
+        return pl.DataFrame(rows, schema=schema)
+
+    def bias_of(self, frame: pl.DataFrame) -> Array:
+        """Sensor biases of each row's pack, 0 for a pack the model has not met. (6, n)"""
+        columns = [f"bias_{name}" for name in hx.BIASES]
+        rows = frame.select(PACK).join(self.pack_table(), on=PACK, how="left", maintain_order="left")
+        return rows.select(pl.col(columns).fill_null(0.0)).to_numpy().T
+
+
+def version_of(*frames: pl.DataFrame) -> str:
+    """Hash of the values of frames in the order of their rows: twelve hexadecimal digits."""
+    digest = hashlib.sha256()
+    for frame in frames:
+        digest.update("|".join(frame.columns).encode())
+        digest.update(frame.write_csv(float_precision=9).encode())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,216 @@
+"""What one flight alone says of each pack: maximum likelihood for all flights at once, in closed form per sample."""
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import as_met, complete_air_data, cruise_samples, flights_of
+from hdt_core.calibration.compressor import compressor_flights, compressor_samples
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.inlet_law import inlet_above_law
+from hdt_core.calibration.sensor_priors import exit_differences
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
+from hdt_core.physics.model import Array
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
+from hdt_core.robust import MAD_TO_SD, huber_weights
+from hdt_core.tables.base import finite
+
+SAMPLE_SD = 0.025
+"""Noise of one sample's ln conductance, for flights too short to show their own."""
+ROBUST_STEPS = 6
+ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
+"""Height from which climb and descent count: ice and slow flight below, and a hot side that has not settled yet."""
+SLOPES = (
+    ("ratio_per_exit_k", "hx_out_k", 0.01),
+    ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4),
+    ("ratio_per_tat_k", "tat_k", 0.01),
+    ("ratio_per_inlet_k", "hx_in_k", 0.01),
+    ("ratio_per_door", "ram_door_open", 1e-4),
+)
+MOST_LN = 5.0
+"""No core conducts 150 times what it should, or a 150th: readings that say so are none of it."""
+EXCHANGER = ("ln_ua_ratio", "ln_ua_ratio_sd", "ln_ua_ratio_map_sd", "ua_w_k")
+MEDIANS = (*hx.SIGNALS, "ram_out_k")
+
+
+def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Per-flight estimates of every flight and pack in `samples`, from the model and that flight only.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Of the leg filter: signals in SI, `phase`, `monitored`.
+    dsm : Dsm
+        Model in service.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight and pack, by pack and departure: `ln_ua_ratio` (ln measured over expected conductance, ram flow
+        that of the clean duct), its random `_sd` and the model's `_map_sd`; `ua_w_k`, `ram_flow_kg_s`,
+        `effectiveness`; `ln_ram_ratio` (ram flow by heat balance over the clean map) where the ram outlet is measured;
+        medians of the signals; effective diameter, group, efficiency of the compressor and what equation (6) expects.
+        `status`: ok, few_samples, no_cruise, implausible. Missing is null, and so is what came out as no number.
+    """
+    flights = flights_of(samples)
+    cruise = cruise_samples(samples)
+    exchanger = _exchanger(as_met(cruise, dsm.terms), dsm)
+    witnesses = _witnesses(samples, cruise, exchanger, dsm)
+    flying = cruise_samples(samples, monitored=False)
+    machine = compressor_flights(compressor_samples(flying, dsm.pack_table()))
+    joined = flights.join(exchanger, on=FLIGHT_PACK, how="left")
+    for more in (witnesses, machine):
+        joined = joined.join(more, on=FLIGHT_PACK, how="left")
+    joined = finite(joined)
+    odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
+    odd &= pl.col("ln_ua_ratio").is_not_null()
+    expected_m = dsm.compressor.diameter_m(joined["vda_counts"].cast(pl.Float64).to_numpy())
+    status = (
+        pl.when(odd)
+        .then(pl.lit("implausible"))
+        .when(pl.col("ln_ua_ratio").is_null())
+        .then(pl.lit("no_cruise"))
+        .when(pl.col("n_samples") < 3)
+        .then(pl.lit("few_samples"))
+        .otherwise(pl.lit("ok"))
+    )
+    return (
+        joined.with_columns(
+            pl.Series("expected_diameter_m", expected_m).fill_nan(None),
+            pl.col("n_samples", "cc_n_samples").fill_null(0).cast(pl.Int32),
+            status.alias("status"),
+            *(pl.when(~odd.fill_null(False)).then(c).alias(c) for c in EXCHANGER),
+        )
+        .drop("order")
+        .sort(IN_ORDER)
+    )
+
+
+def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    rows = cruise.drop_nulls(list(hx.SIGNALS))
+    signals = with_static_pressure({name: rows[name].to_numpy().astype(float) for name in MEDIANS})
+    bias = dsm.bias_of(rows)
+    ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)
+    clean = hx.without_bias(signals, bias)
+    ram = clean_ram_flow_kg_s(clean, dsm.design)
+    balance = hx.ln_ram_flow_ratio(signals, dsm.design, bias)
+    found = rows.with_columns(
+        pl.Series("ratio", ratio),
+        pl.Series("balance", balance),
+        pl.Series("ram_flow_kg_s", ram),
+        pl.Series("ln_expected", ln_clean_conductance(clean, ram, dsm.design)),
+        pl.Series("effectiveness", (clean["hx_in_k"] - clean["hx_out_k"]) / (clean["hx_in_k"] - clean["tat_k"])),
+    ).filter(pl.col("ratio").is_finite())
+    located = _located(found, "ratio", "ln_ua_ratio").join(
+        _located(found.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"), on=FLIGHT_PACK, how="left"
+    )
+    medians = found.group_by(FLIGHT_PACK).agg(
+        pl.col(MEDIANS).median(),
+        pl.col("ram_flow_kg_s", "effectiveness", "ln_expected").median(),
+    )
+    joined = (
+        located.rename({"n": "n_samples"})
+        .drop("n_right", strict=False)
+        .join(_sensitivities(medians, dsm), on=FLIGHT_PACK)
+    )
+    expected = pl.col("ln_expected").exp()
+    return joined.with_columns(
+        expected.alias("ua_expected_w_k"), (expected * pl.col("ln_ua_ratio").exp()).alias("ua_w_k")
+    ).drop("ln_expected")
+
+
+def _witnesses(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """What else speaks of each flight's sensors: see `hdt_core.tracking.sensor_shifts`."""
+    seen = cruise.group_by(FLIGHT_PACK).agg(
+        (pl.col("pack_flow_kg_s") / pl.col("cc_flow_kg_s")).log().median().alias("flows_apart_ln"),
+        (pl.col("tat_k") - pl.col("cc_in_k")).median().alias("tat_apart_k"),
+    )
+    others = (
+        exit_differences(cruise).rename({"apart_k": "exit_apart_k"}),
+        inlet_above_law(cruise, dsm.hot_inlet, dsm.design, dsm.bias_of(cruise)),
+        _door_apart(samples, exchanger, dsm),
+    )
+    for other in others:
+        seen = seen.join(other, on=FLIGHT_PACK, how="left")
+    return seen
+
+
+def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """ln conductance ratio of climb and descent over that of the cruise: `FLIGHT_PACK`, `door_apart_ln`.
+
+    One exchanger flew both, so its wear drops out; the door stands elsewhere, so an error of its position does not.
+    """
+    moving = samples.filter(
+        pl.col("phase").is_in(["climb", "descent"])
+        & (pl.col("altitude_m") > ALOFT_M)
+        & (pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    )
+    rows = complete_air_data(moving).drop_nulls(list(hx.SIGNALS))
+    signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+    with np.errstate(all="ignore"):  # no ram pressure, no flow and no ratio
+        ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
+    there = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
+    found = there.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
+    both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK)
+    return both.select(*FLIGHT_PACK, (pl.col("ratio") - pl.col("ln_ua_ratio")).alias("door_apart_ln"))
+
+
+def _sensitivities(medians: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """What errors of the sensors and of the design do to the ln conductance ratio, at each flight's medians."""
+    signals = with_static_pressure({name: medians[name].to_numpy().astype(float) for name in MEDIANS})
+    bias = dsm.bias_of(medians)
+    here = hx.ln_conductance_ratio(signals, dsm.design, bias)
+    columns = [pl.Series("ln_ua_ratio_map_sd", _map_sd(signals, dsm, bias, here)).fill_nan(None)]
+    for name, signal, step in SLOPES:
+        moved = bias.copy()
+        moved[hx.BIASES.index(signal)] -= step
+        slope = (hx.ln_conductance_ratio(signals, dsm.design, moved) - here) / step
+        columns.append(pl.Series(name, slope).fill_nan(None))
+    return medians.with_columns(columns)
+
+
+def _map_sd(signals: dict[str, Array], dsm: Dsm, bias: Array, ratio: Array) -> Array:
+    """Standard deviation that the model's own uncertainty gives the ratio, relative to where the model is anchored."""
+    covariance = np.array(dsm.exchanger_cov)
+    gradient = design_gradient(signals, dsm.design, bias, ratio) - np.array(dsm.gradient)
+    variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def design_gradient(signals: dict[str, Array], design: Array, bias: Array, ratio: Array) -> Array:
+    """Derivative of the ln conductance ratio by each design parameter. (n, p)"""
+    columns = []
+    for j in range(len(design)):
+        step = 1e-4 if design[j] + 1e-4 <= hx.HIGH[j] else -1e-4
+        moved = design.copy()
+        moved[j] += step
+        columns.append((hx.ln_conductance_ratio(signals, moved, bias) - ratio) / step)
+    return np.stack(columns, axis=1)
+
+
+def _located(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
+    """Huber's location of a column in each flight and pack, its standard error and count: one pass over all flights."""
+    if not rows.height:
+        schema = {c: rows.schema[c] for c in FLIGHT_PACK}
+        return pl.DataFrame(schema=schema | {name: pl.Float64, f"{name}_sd": pl.Float64, "n": pl.UInt32})
+    ordered = rows.select(*FLIGHT_PACK, column).sort(FLIGHT_PACK, maintain_order=True)  # sums keep their last digits
+    keys = ordered.group_by(FLIGHT_PACK, maintain_order=True).agg(
+        pl.col(column).median().alias("start"), pl.len().alias("n")
+    )
+    count = keys["n"].to_numpy().astype(float)
+    group = np.repeat(np.arange(keys.height), keys["n"].to_numpy())
+    value, centre = ordered[column].to_numpy(), keys["start"].to_numpy().astype(float)
+    off = (
+        pl.DataFrame({"g": group, "a": np.abs(value - centre[group])})
+        .group_by("g", maintain_order=True)
+        .agg(pl.col("a").median())
+    )
+    # a short flight's own spread says little: shrink its variance to the usual one with the weight of five samples
+    spread2 = ((MAD_TO_SD * off["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
+    scale = np.sqrt(spread2)
+    weight = np.ones(len(value))
+    for _ in range(ROBUST_STEPS):
+        weight = huber_weights(np.abs(value - centre[group]), scale[group])
+        centre = np.bincount(group, weight * value) / np.bincount(group, weight)
+    error = scale / np.sqrt(np.bincount(group, weight))
+    return keys.select(*FLIGHT_PACK, pl.Series(name, centre), pl.Series(f"{name}_sd", error), "n")

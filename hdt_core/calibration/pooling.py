@@ -1,0 +1,130 @@
+"""Partial pooling: what a pack shows, drawn towards its operator and its fleet as far as its own data leave open."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+
+SPREADS = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4])
+"""Grid of spreads between operators, and between packs of one, as shares of the spread that all packs show."""
+
+
+@dataclass(frozen=True, slots=True)
+class PooledLevel:
+    """What one operator (`tail` and `pack` null) or one pack shows, pooled with its fleet."""
+
+    operator: str
+    tail: str | None
+    pack: int | None
+    parameter: str
+    value: float
+    sd: float
+    n_flights: int
+
+
+class PoolingResult(NamedTuple):
+    """Posterior means and standard deviations: of the fleet, of each operator (o,) and of each pack (n,)."""
+
+    fleet: float
+    fleet_sd: float
+    operator: Array
+    operator_sd: Array
+    pack: Array
+    pack_sd: Array
+
+
+def levels_of(packs: pl.DataFrame, parameter: str) -> tuple[PoolingResult, tuple[PooledLevel, ...]]:
+    """Pool a quantity and name what comes out.
+
+    Parameters
+    ----------
+    packs : DataFrame
+        `operator, tail, pack, value, error_sd, n`: what each pack shows alone, from how many flights.
+    """
+    codes, operator = np.unique(packs["operator"].to_numpy(), return_inverse=True)
+    pooled = pool(packs["value"].to_numpy().astype(float), packs["error_sd"].to_numpy().astype(float), operator)
+    flights = np.bincount(operator, packs["n"].to_numpy(), len(codes))
+    found = [
+        PooledLevel(str(o), None, None, parameter, float(m), float(s), int(n))
+        for o, m, s, n in zip(codes, pooled.operator, pooled.operator_sd, flights, strict=True)
+    ]
+    rows = packs.select("operator", "tail", "pack", "n").rows()
+    found += [
+        PooledLevel(operator, tail, int(pack), parameter, float(m), float(s), int(n))
+        for (operator, tail, pack, n), m, s in zip(rows, pooled.pack, pooled.pack_sd, strict=True)
+    ]
+    return pooled, tuple(found)
+
+
+def pool(value: Array, error_sd: Array, operator: Array) -> PoolingResult:
+    r"""Pool packs within operators within a fleet, the spreads between them integrated out.
+
+    Parameters
+    ----------
+    value, error_sd : array (n,)
+        What each pack shows alone and its standard error; `value` NaN where it shows nothing.
+    operator : array of int (n,)
+        Whose pack it is, counted from 0.
+
+    Notes
+    -----
+    .. math:: y_i = \mu + a_{o(i)} + b_i + e_i, \quad a \sim N(0, \tau_o^2), \; b \sim N(0, \tau_p^2)
+
+    with a flat prior on the mean and on the grid of spreads.
+
+    References
+    ----------
+    .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, sections 5.4 and 5.5.
+    """
+    known = np.isfinite(value) & np.isfinite(error_sd)
+    n_operators = int(operator.max()) + 1 if len(operator) else 0
+    if not known.any():
+        return PoolingResult(*(np.nan, np.nan), *np.full((2, n_operators), np.nan), *np.full((2, len(value)), np.nan))
+    spread = max(float(np.std(value[known])), float(np.median(error_sd[known])), 1e-12)
+    cases = [
+        _given(value, error_sd, operator, known=known, tau_operator=spread * a, tau_pack=spread * b)
+        for a in (SPREADS if n_operators > 1 else SPREADS[:1])
+        for b in SPREADS[1:]
+    ]
+    log = np.array([c[0] for c in cases])
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    mean = weight @ np.array([c[1] for c in cases])
+    square = weight @ np.array([c[2] + c[1] ** 2 for c in cases])
+    sd = np.sqrt(np.maximum(square - mean**2, 0.0))
+    split = [1, 1 + n_operators]
+    (fleet, operators, packs), (fleet_sd, operators_sd, packs_sd) = np.split(mean, split), np.split(sd, split)
+    return PoolingResult(float(fleet[0]), float(fleet_sd[0]), operators, operators_sd, packs, packs_sd)
+
+
+def _given(
+    value: Array, error_sd: Array, operator: Array, *, known: Array, tau_operator: float, tau_pack: float
+) -> tuple[float, Array, Array]:
+    """Log evidence, means and variances of (fleet, operators, packs) for given spreads, in closed form."""
+    y, variance, group = value[known], error_sd[known] ** 2 + tau_pack**2, operator[known]
+    n = int(operator.max()) + 1
+    weight = np.bincount(group, 1.0 / variance, n)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = np.where(weight > 0.0, np.bincount(group, y / variance, n) / weight, 0.0)
+        seen_var = np.where(weight > 0.0, 1.0 / weight, np.inf)
+    total = 1.0 / (seen_var + tau_operator**2)
+    fleet_var = 1.0 / total.sum()
+    fleet = fleet_var * (total * seen).sum()
+    share = np.where(weight > 0.0, tau_operator**2 * total, 0.0)
+    operators = fleet + share * (seen - fleet)
+    operators_var = (1.0 - share) * tau_operator**2 + (1.0 - share) ** 2 * fleet_var
+    gain = np.where(known, tau_pack**2 / (np.where(known, error_sd, 1.0) ** 2 + tau_pack**2), 0.0)
+    packs = operators[operator] + gain * (np.where(known, value, 0.0) - operators[operator])
+    packs_var = (1.0 - gain) * tau_pack**2 + (1.0 - gain) ** 2 * operators_var[operator]
+    within = (np.log(variance) + (y - seen[group]) ** 2 / variance).sum()
+    present = weight > 0.0
+    between = (np.log(weight[present] / total[present]) + total[present] * (seen[present] - fleet) ** 2).sum()
+    evidence = -0.5 * (within + between + np.log(total.sum()))
+    return (
+        float(evidence),
+        np.r_[fleet, operators, packs],
+        np.r_[fleet_var, operators_var, packs_var],
+    )

@@ -1,0 +1,50 @@
+"""What the maintenance log says of new and washed parts, flight by flight."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import date_entries, first_flights, select_entries
+
+Flags = npt.NDArray[Any]
+LOG_WINDOW = pl.duration(days=1)
+NOTHING, WASHED, REPLACED = range(3)
+DONE = ("REPLACED", "CLEANED")
+
+
+def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> tuple[Flags, Flags]:
+    """Where the log speaks of a component: on flights within a day of an entry's moment (open), and on the first flight
+    that counts as flown after it (due); the moment is that of `records.unit_index`.
+
+    `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An entry may be days late:
+    that is for the filter to see. An entry from before a pack's first flight says nothing: how long the part flew until
+    the record begins is not known.
+    """
+    row = pl.int_range(pl.len())
+    rows = flights.select(*PACK, "departed_at", row=row, begins=row == row.min().over(PACK))
+    entries = select_entries(maintenance, (component,), DONE)
+    after = pl.col("departed_at") - pl.col("counts_from")
+    near = entries.join(rows, on=PACK).filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
+    due = first_flights(rows, maintenance, (component,), DONE).filter(~pl.col("begins") | (after < LOG_WINDOW))
+    return _flags(near, flights.height), _flags(due, flights.height)
+
+
+def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
+    """Whether the aircraft's log has spoken since its record began, of whatever part: before it has, that it names no
+    new core says nothing, for some operators give no log. (n,) bool"""
+    tail = ["operator", "tail"]
+    begins = flights.group_by(tail).agg(pl.col("departed_at").min().alias("begins"))
+    entries = date_entries(maintenance).join(begins, on=tail).filter(pl.col("counts_from") >= pl.col("begins"))
+    spoke = entries.group_by(tail).agg(pl.col("counts_from").min().alias("spoke"))
+    known = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left")
+    return known.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
+
+
+def _flags(entries: pl.DataFrame, n: int) -> Flags:
+    flags: Flags = np.full(n, NOTHING)
+    kind = np.where(entries["action"].to_numpy() == "CLEANED", WASHED, REPLACED)
+    np.maximum.at(flags, entries["row"].to_numpy(), kind)
+    return flags

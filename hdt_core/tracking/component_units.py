@@ -1,0 +1,232 @@
+"""Twins of declared components: each pack's first unit calibrated as built, then every flight's health."""
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.stats import median_abs_deviation
+
+from hdt_core.components import Component
+from hdt_core.flight.bleed import turn_away_odd_bleed
+from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
+from hdt_core.physics.model import PhysicsModel
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import number_units, select_entries
+from hdt_core.tracking.component import calibrate_component, track_component
+from hdt_core.tracking.component_readings import HEALTH, ONE_OR_MORE, component_readings
+from hdt_core.tracking.sequential import flight_by_flight
+
+MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
+"""Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
+STRAY_SD = 5.0
+"""Standard deviations from the commissioning median at which a flight is no flight of the part as built."""
+NEAR_BOUND = 1e-3
+"""Share of a loss's span that counts as its bound."""
+KEYS = [*PACK, "component"]
+
+
+def commission(
+    signals: pl.DataFrame, maintenance: pl.DataFrame, component: Component, reports: pl.DataFrame | None = None
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Judge the legs of a component and calibrate each pack on its first steady flights.
+
+    Parameters
+    ----------
+    signals : DataFrame
+        Long form, see `component_samples`; whole histories of some aircraft.
+    maintenance : DataFrame
+        Their log: flights about work on the component are left out, and those after it belong to another unit.
+    reports : DataFrame, optional
+        Heads of printed reports, table `raw_reports`; they count for a component that bleed air feeds.
+
+    Returns
+    -------
+    legs : DataFrame
+        As of `component_legs`; reasons of the second level beside.
+    design : DataFrame
+        Long form: `KEYS`, parameter, value, sd, unit, n_flights, identifiable, dsm_version. Of a pack that was not
+        commissioned the declared prior, which rests on 0 flights, or none where the declaration has no prior.
+    """
+    samples = component_samples(signals, component)
+    legs = component_legs(samples, component)
+    if component.bleed_air and reports is not None:
+        legs = turn_away_odd_bleed(legs, reports)
+    chosen = _as_built(legs, maintenance, component)
+    strays, rows = [], []
+    for pack, flights in chosen.group_by(PACK, maintain_order=True):
+        stray, found = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
+        strays.append(stray)
+        rows += [(*pack, component.code, *row) for row in found]
+    packs = legs.filter(~pl.col("reason").is_in(SILENT)).select(PACK).unique(maintain_order=True)
+    known = {row[:3] for row in rows}
+    prior = [(*p, component.code, *row) for p in packs.rows() if p not in known for row in _prior(component)]
+    return _second_level(legs, strays, rows), pl.DataFrame(rows + prior, schema=_DESIGN, orient="row")
+
+
+def _prior(component: Component) -> list[tuple[object, ...]]:
+    """The declared design as rows; none where the declaration does not say how sure it is."""
+    free = component.model.free("design")
+    if any(p.sd is None for p in free):
+        return []
+    return [(p.name, p.nominal, p.sd, p.unit, 0, False, f"prior {component.version}") for p in free]
+
+
+_DESIGN: dict[str, Any] = {
+    "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String, "parameter": pl.String,
+    "value": pl.Float64, "sd": pl.Float64, "unit": pl.String, "n_flights": pl.Int64, "identifiable": pl.Boolean,
+    "dsm_version": pl.String,
+}  # fmt: skip
+
+
+def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """The first steady flights of each pack's first unit, those before work on it left out."""
+    numbered = number_units(legs, maintenance, component.code, "life", component.ended_by)
+    first = numbered.filter(pl.col("life") == 0).sort("departed_at", "flight_id")
+    worked = select_entries(maintenance, (component.code,), component.ended_by).select(PACK).unique()
+    last = first.join(worked, on=PACK, how="semi").group_by(PACK).tail(component.around_work[0])
+    steady = first.join(last, on=LEG, how="anti").filter(pl.col("reason") == "")
+    wanted = int(np.clip(SHARE_OF_LIFE * component.life_flights, FEWEST, MOST))
+    return steady.group_by(PACK, maintain_order=True).head(wanted)
+
+
+def _calibrated(samples: pl.DataFrame, component: Component) -> tuple[pl.DataFrame, list[tuple[object, ...]]]:
+    """Flights that stand apart, and the design of one pack as rows; none where the flights do not determine it."""
+    nobody = samples.select(LEG).clear()
+    if samples.select(pl.struct(LEG).n_unique()).item() < FEWEST:
+        return nobody, []
+    try:
+        first, _ = calibrate_component(component.model, samples)
+        flights = flight_by_flight(samples, first, [p.name for p in component.model.free("health")])
+        stray = _strays(flights, component.loss)
+        kept = samples.join(stray, on=LEG, how="anti")
+        dsm, found = calibrate_component(component.model, kept)
+    except ValueError:  # the flights do not determine the design: said by the legs, NOT_COMMISSIONED
+        return nobody, []
+    n_flights = kept.select(pl.struct(LEG).n_unique()).item()
+    named = zip(component.model.free("design"), found.belief.sd.tolist(), strict=True)
+    version = hashlib.blake2b(f"{component.version} {dsm.nominal}".encode(), digest_size=6).hexdigest()
+    return stray, [
+        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in found.weak, version) for p, sd in named
+    ]
+
+
+def _strays(flights: pl.DataFrame, loss: str) -> pl.DataFrame:
+    """Flights whose loss lies far from the median of all."""
+    seen = flights[loss].to_numpy()
+    spread = float(median_abs_deviation(seen, scale="normal", nan_policy="omit"))
+    far = (pl.col(loss) - pl.col(loss).median()).abs() > STRAY_SD * max(spread, 1e-9)
+    return flights.filter(far).select(LEG)
+
+
+def _second_level(legs: pl.DataFrame, strays: list[pl.DataFrame], rows: list[tuple[object, ...]]) -> pl.DataFrame:
+    """Reasons of the first level, then of the second; `admitted` where there is none."""
+    known = pl.DataFrame([row[:3] for row in rows], schema=dict(list(_DESIGN.items())[:3]), orient="row").unique()
+    apart = pl.concat([legs.select(LEG).clear(), *strays]).with_columns(pl.lit(True).alias("stray"))
+    judged = legs.join(known.with_columns(pl.lit(True).alias("known")), on=PACK, how="left").join(
+        apart, on=LEG, how="left"
+    )
+    reason = (
+        pl.when(pl.col("reason") != "")
+        .then("reason")
+        .when(pl.col("stray"))
+        .then(pl.lit("STRAY"))
+        .when(pl.col("known").is_null())
+        .then(pl.lit("NOT_COMMISSIONED"))
+        .otherwise("reason")
+    )
+    told = judged.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return told.drop("known", "stray").sort("operator", "tail", "departed_at", "flight_id", "pack")
+
+
+def unit_health(
+    samples: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Health of every steady flight of packs that have a design.
+
+    Returns
+    -------
+    flights : DataFrame
+        Of `flight_by_flight`: what each flight says alone.
+    health : DataFrame
+        Of `track_component`: filtered along each life, long form.
+    """
+    told = [
+        _tracked(pack, model, legs, maintenance, component, rests_on_prior)
+        for model, rests_on_prior, pack in _packs(samples.filter("nominal"), design, component)
+    ]
+    if not told:
+        empty = flight_by_flight(samples.clear(), component.model, [component.loss])
+        return empty, pl.DataFrame(schema=HEALTH)
+    flights, health = zip(*told, strict=True)
+    return pl.concat(flights), pl.concat(health)
+
+
+def calibrated_model(design: pl.DataFrame, component: Component) -> PhysicsModel:
+    """The digital system model of one pack, from its rows of `commission`'s design."""
+    return component.model.calibrated(dict(design.select("parameter", "value").rows()))
+
+
+def _packs(
+    samples: pl.DataFrame, design: pl.DataFrame, component: Component
+) -> Iterator[tuple[PhysicsModel, bool, pl.DataFrame]]:
+    for pack, rows in design.filter(component=component.code).group_by(PACK, maintain_order=True):
+        own = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
+        yield calibrated_model(rows, component), bool((rows["n_flights"] == 0).all()), own
+
+
+def _tracked(
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    legs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    component: Component,
+    rests_on_prior: bool,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Flights and health of one pack."""
+    steady = samples.join(legs.filter(~pl.col("reason").is_in(SILENT)), on=LEG, how="semi")
+    flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
+    lives = number_units(flights, maintenance, component.code, "life", component.ended_by)
+    if flights.is_empty():
+        return flights, pl.DataFrame(schema=HEALTH)
+    tracked = track_component(lives, model, component.code).select(list(HEALTH))
+    return flights, by_prior(tracked, steady, model, component) if rests_on_prior else tracked
+
+
+def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """Flights that show more than the part can do say nothing of it: the model lacks what made them so."""
+    (low, high), loss = next(p.bounds for p in component.model.params if p.name == component.loss), component.loss
+    better = pl.col(loss) < low + NEAR_BOUND * (high - low)
+    if not component.has_term:
+        readings = component_readings(samples, component).filter(status=ONE_OR_MORE)
+        beyond = readings.select(pl.struct(LEG).unique()).to_series()
+        better |= pl.struct(LEG).is_in(beyond.implode())
+    return flights.with_columns(pl.when(better).then(pl.lit("not_identifiable")).otherwise("status").alias("status"))
+
+
+def by_prior(health: pl.DataFrame, samples: pl.DataFrame, model: PhysicsModel, component: Component) -> pl.DataFrame:
+    """Health where no flight has calibrated the design: what the declaration believes, moved by what flights say.
+
+    A part is taken to be as built, give or take the loss that would raise an alert. A flight's own loss is as unsure as
+    the design is, and flights of one pack share that error: it does not grow smaller with their number.
+    """
+    names = [p.name for p in model.free("health")]
+    mean = flight_by_flight(samples, model, names)
+    shifts = [
+        flight_by_flight(samples, model.calibrated({p.name: min(p.nominal + p.sd, p.bounds[1])}), names)
+        for p in model.free("design")
+        if p.sd is not None
+    ]
+    told = []
+    for name in names:
+        moved = sum((s[name].to_numpy() - mean[name].to_numpy()) ** 2 for s in shifts)
+        told.append(mean.select(LEG).with_columns(pl.lit(name).alias("parameter"), pl.Series("moved", moved)))
+    wide = health.join(pl.concat(told), on=[*LEG, "parameter"], how="left", maintain_order="left")
+    seen = pl.col("sd") ** 2 + pl.col("moved")
+    weight = (component.warn_loss**2 / (component.warn_loss**2 + seen)).fill_nan(0.0).fill_null(0.0)
+    return wide.with_columns(
+        (weight * pl.col("value")).fill_null(0.0).alias("value"),
+        (component.warn_loss * (1.0 - weight).sqrt()).alias("sd"),
+        pl.lit("prior_only").alias("status"),
+    ).drop("moved")

@@ -1,0 +1,99 @@
+"""Flights of many packs as a panel for the filter: side by side, the k-th of each together."""
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.records.keys import PACK
+from hdt_core.records.renewals import log_flags, log_kept
+from hdt_core.tracking.sensor_shifts import Corrections
+from hdt_core.tracking.wear_model import Observation
+
+
+class FlightPanel(NamedTuple):
+    """Flights of all packs side by side, (flights, packs); `row` is the row in the frame, -1 where a pack has no
+    more."""
+
+    row: Array
+    ratio: Array
+    variance: Array
+    exposure: Array
+    log_open: Array
+    log_due: Array
+    log_kept: Array
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of the frame."""
+        return int((self.row >= 0).sum())
+
+    @property
+    def flights(self) -> Array:
+        """How many flights each pack has. (packs,)"""
+        return np.asarray((self.row >= 0).sum(axis=0))
+
+    def flight(self, k: Array, packs: Array) -> Observation:
+        """Flight k of each of some packs."""
+        return Observation(*(values[k, packs] for values in self[1:]))
+
+
+def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame, dsm: Dsm) -> FlightPanel:
+    """What each row of `flights` (in order) shows, and what the log says about it."""
+    pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
+    n_packs = int(pack.max()) + 1 if len(pack) else 0
+    start = np.searchsorted(pack, np.arange(n_packs))
+    turn = np.arange(len(pack)) - start[pack] if len(pack) else np.zeros(0, dtype=np.int64)
+    shape = (int(turn.max()) + 1 if len(turn) else 0, n_packs)
+    index = np.full(shape, -1)
+    index[turn, pack] = np.arange(len(pack))
+    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
+    sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
+    variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
+    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
+    log_open, log_due = log_flags(flights, maintenance, "HX")
+
+    def spread(values: Array, empty: float) -> Array:
+        return np.where(index >= 0, values[np.maximum(index, 0)], empty)
+
+    return FlightPanel(
+        index,
+        spread(ratio, np.nan),
+        spread(variance, 1.0),
+        spread(exposure, 1.0),
+        spread(log_open, 0),
+        spread(log_due, 0),
+        spread(log_kept(flights, maintenance), 0),
+    )
+
+
+def fingerprints(panel: FlightPanel, beside: list[Array], names: list[str], seal: str, every: int) -> list[list[str]]:
+    """Of each pack, digests of its flights before flight 0, `every`, twice `every` ...: equal only for equal flights.
+
+    Parameters
+    ----------
+    panel : FlightPanel
+        What is seen of each flight.
+    beside : list of array, each (rows,)
+        What else a row's result is made of.
+    names : list of str, (rows,)
+        Flights' names.
+    seal : str
+        All else that results rest on.
+    """
+    told = []
+    for pack, n in enumerate(panel.flights):
+        rows = panel.row[:n, pack]
+        matrix = np.column_stack([*(v[:n, pack] for v in panel[1:]), *(values[rows] for values in beside)]).astype(
+            float
+        )
+        hashed, own = hashlib.blake2b(seal.encode(), digest_size=10), []
+        for first in range(0, n, every):
+            own.append(hashed.copy().hexdigest())
+            hashed.update(matrix[first : first + every].tobytes())
+            hashed.update("|".join(names[r] for r in rows[first : first + every]).encode())
+        told.append(own)
+    return told

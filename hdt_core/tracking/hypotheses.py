@@ -1,0 +1,213 @@
+"""Weighted hypotheses about packs, flat and sorted by pack: joined, pruned, merged; and branched, by what may happen to
+a pack between two flights and by what the log says of it, each with its chance.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.records.renewals import NOTHING, REPLACED, WASHED
+from hdt_core.tracking.wear_model import MAP_SD, OTHER, PACES, RATE, UNIT, UNIT_SD, WEAR, Observation
+
+LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01
+"""Weight below which a hypothesis is dropped, how many a pack may keep, the bin of ln loss in which like ones merge."""
+RENEWED_WEAR, RENEWED_SD = 0.003, 0.006
+WASH_LEAVES, WASH_LEAVES_SD = 0.3, 0.2
+RECOVERY_LEAVES, RECOVERY_LEAVES_SD = 0.35, 0.3
+DEPOSIT, DEPOSIT_SD = 0.02, 0.02
+CLOG, CLOG_SD = 0.13, 0.08
+FAULT_SD = 0.2
+CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault": 1 / 2000, "fault_over": 1 / 30, "recovery": 1 / 2000}
+"""Of each event on a flight, as such things go; a fault lasts some thirty flights."""
+RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
+"""Chance of a new core on a flight of which the log says nothing yet, units living some 400 flights
+(`health.first_passage`), and on one it names."""
+LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
+"""Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
+that an entry never comes where a log is kept."""
+
+
+class Hypotheses(NamedTuple):
+    """Hypotheses about packs, each the state of a Kalman filter: sorted by `pack`, weights adding up to 1 within each.
+
+    log_weight (m,), mean (m, 5), cov (m, 5, 5); pace (m,) an index of `PACES`, since (m,) flights since the core was
+    renewed or washed, unlogged (m,) whether no entry has spoken of that yet, faulty (m,) whether something else than
+    the core is wrong. Of the last flight: parent (m,) the row before it, keeps (m, 5) the share of each state that its
+    event left.
+    """
+
+    pack: Array
+    log_weight: Array
+    mean: Array
+    cov: Array
+    pace: Array
+    since: Array
+    unlogged: Array
+    faulty: Array
+    parent: Array
+    keeps: Array
+
+    def at(self, rows: Array) -> "Hypotheses":
+        """Hypotheses at `rows`, copied."""
+        return Hypotheses(*(values[rows] for values in self))
+
+    def of(self, pack: int) -> "Hypotheses":
+        """Hypotheses of one pack."""
+        first, last = np.searchsorted(self.pack, [pack, pack + 1])
+        return self.at(np.arange(first, last))
+
+    def of_first(self, n: int) -> "Hypotheses":
+        """Hypotheses of the first n packs, not copied."""
+        rows = int(np.searchsorted(self.pack, n))
+        return self if rows == len(self.pack) else Hypotheses(*(values[:rows] for values in self))
+
+    @property
+    def n_packs(self) -> int:
+        """How many packs there are, numbered without gaps."""
+        return int(self.pack[-1]) + 1
+
+
+class Branching(NamedTuple):
+    """How one flight branched hypotheses and how they were merged, for the smoother.
+
+    Each row is a branch: parent (m,) its row before, into (m,) the row it went into, -1 where it was dropped, weight
+    (m,) its probability, met (m, ...) its state before the flight's news.
+    """
+
+    met: Hypotheses
+    into: Array
+    weight: Array
+
+
+def join(parts: list[Hypotheses]) -> Hypotheses:
+    """Several in one; not sorted."""
+    return Hypotheses(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def prune(b: Hypotheses) -> tuple[Hypotheses, Array]:
+    """Drop light hypotheses, merge like ones by their moments, keep the heaviest; and where each row went."""
+    bins = np.round(b.mean[:, WEAR] / WEAR_BIN)
+    heavy = np.flatnonzero(b.log_weight > np.log(LEAST_WEIGHT))
+    keys = np.stack([b.pack, b.pace, b.faulty, b.unlogged, bins])[:, heavy]
+    order = np.lexsort((-b.log_weight[heavy], *keys[::-1]))
+    heads = np.flatnonzero(np.r_[True, (np.diff(keys[:, order]) != 0).any(axis=0)])
+    merged = _merged(b.at(heavy[order]), heads)
+    ranked = np.lexsort((-merged.log_weight, merged.pack))
+    place = np.arange(len(ranked)) - np.searchsorted(merged.pack[ranked], merged.pack[ranked])
+    kept = ranked[place < MOST]
+    new_row, into = np.full(len(heads), -1), np.full(len(b.pack), -1)
+    new_row[kept] = np.arange(len(kept))
+    into[heavy[order]] = new_row[_runs(heads, len(order))]
+    return normalise(merged.at(kept)), into
+
+
+def normalise(b: Hypotheses) -> Hypotheses:
+    """Let weights add up to 1 in each pack; rows sorted by pack."""
+    first = np.flatnonzero(np.r_[True, np.diff(b.pack) != 0])
+    count = np.diff(np.r_[first, len(b.pack)])
+    top = np.repeat(np.maximum.reduceat(b.log_weight, first), count)
+    total = np.repeat(np.add.reduceat(np.exp(b.log_weight - top), first), count)
+    return b._replace(log_weight=b.log_weight - top - np.log(total))
+
+
+def _runs(heads: Array, n: int) -> Array:
+    """Which run each of n rows belongs to, runs starting at `heads`."""
+    return np.repeat(np.arange(len(heads)), np.diff(np.r_[heads, n]))
+
+
+def _merged(b: Hypotheses, heads: Array) -> Hypotheses:
+    """One hypothesis for each run that starts at `heads`; labels are those of the heaviest, which stands first."""
+    run = _runs(heads, len(b.pack))
+    top = b.log_weight[heads]
+    # against the heaviest: a hypothesis that stands alone stays what it was to the last digit, whoever else is there
+    weight = np.exp(b.log_weight - top[run])
+    total = np.add.reduceat(weight, heads)
+    share = weight / total[run]
+    mean = np.add.reduceat(share[:, None] * b.mean, heads)
+    off = b.mean - mean[run]
+    spread = b.cov + off[:, :, None] * off[:, None, :]
+    cov = np.add.reduceat(share[:, None, None] * spread, heads)
+    return b.at(heads)._replace(log_weight=top + np.log(total), mean=mean, cov=cov)
+
+
+def apply_log(b: Hypotheses, seen: Observation) -> Hypotheses:
+    """Apply an entry of the log to each hypothesis: the core it names is new or washed, unless it already was."""
+    due, recent = seen.log_due > 0, b.since <= LATE_FLIGHTS
+    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (seen.log_kept > 0)
+    weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
+    b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
+    if not acts.any():
+        return b
+    washed = _washed(b.at(acts & (seen.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD)
+    return join([b.at(~acts), washed, *_renewed(b.at(acts & (seen.log_due == REPLACED)))])
+
+
+def branch_on_surprise(b: Hypotheses, residual: Array, surprised: Array, named: Array) -> list[Hypotheses]:
+    """Branches for a surprising flight, or for one on whose day the log names a wash or a new core."""
+    less, more = surprised & (residual < 0.0), surprised & (residual > 0.0)
+    new, wash = named == REPLACED, named == WASHED
+    unnamed = more & (named == NOTHING)
+    return [
+        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(new))),
+        _chance(_washed(b.at(wash), WASH_LEAVES, WASH_LEAVES_SD), RENEWAL_LOGGED * LOG_LATE),
+        *(_chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED) for child in _renewed(b.at(unnamed))),
+        _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD), CHANCE["recovery"]),
+        _chance(_worn(b.at(less), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
+        _chance(_worn(b.at(less), CLOG, CLOG_SD), CHANCE["clog"]),
+        _chance(_faulty(b.at(surprised & ~b.faulty)), CHANCE["fault"]),
+        _chance(_sound(b.at(surprised & b.faulty)), CHANCE["fault_over"]),
+    ]
+
+
+def _chance(b: Hypotheses, chance: float) -> Hypotheses:
+    return b._replace(log_weight=b.log_weight + np.log(chance))
+
+
+def _renewed(b: Hypotheses) -> list[Hypotheses]:
+    """Another unit, at each pace; the pack's sensors stay."""
+    children = []
+    for j, pace in enumerate(PACES):
+        mean, cov = b.mean.copy(), b.cov.copy()
+        for i in (WEAR, RATE, UNIT):
+            cov[:, i, :] = cov[:, :, i] = 0.0
+        mean[:, WEAR], cov[:, WEAR, WEAR] = RENEWED_WEAR, RENEWED_SD**2
+        mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
+        mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, UNIT_SD**2
+        child = b._replace(mean=mean, cov=cov, pace=np.full_like(b.pace, j), since=np.zeros_like(b.since))
+        child = child._replace(keeps=b.keeps * [0.0, 0.0, 1.0, 0.0, 1.0])
+        children.append(_chance(child, pace.share))
+    return children
+
+
+def _washed(b: Hypotheses, leaves: float, leaves_sd: float) -> Hypotheses:
+    """Part of the wear is left on the same unit, and it may grow at another rate."""
+    keep = np.array([leaves, 1.0, 1.0, 1.0, 1.0])
+    mean, cov = b.mean * keep, b.cov * keep[:, None] * keep
+    cov[:, WEAR, WEAR] += leaves_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
+    cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in PACES])[b.pace] ** 2
+    return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), keeps=b.keeps * keep)
+
+
+def _worn(b: Hypotheses, more: float, more_sd: float) -> Hypotheses:
+    """A deposit or clog at once."""
+    mean, cov = b.mean.copy(), b.cov.copy()
+    mean[:, WEAR] += more
+    cov[:, WEAR, WEAR] += more_sd**2
+    return b._replace(mean=mean, cov=cov)
+
+
+def _faulty(b: Hypotheses) -> Hypotheses:
+    """Door or sensor adds something that is not the core's, while it lasts."""
+    cov = b.cov.copy()
+    cov[:, OTHER, OTHER] += FAULT_SD**2
+    return b._replace(cov=cov, faulty=np.ones_like(b.faulty))
+
+
+def _sound(b: Hypotheses) -> Hypotheses:
+    """The fault is over."""
+    mean, cov = b.mean.copy(), b.cov.copy()
+    mean[:, OTHER] = 0.0
+    cov[:, OTHER, :] = cov[:, :, OTHER] = 0.0
+    cov[:, OTHER, OTHER] = MAP_SD**2
+    return b._replace(mean=mean, cov=cov, faulty=np.zeros_like(b.faulty), keeps=b.keeps * [1.0, 1.0, 1.0, 1.0, 0.0])

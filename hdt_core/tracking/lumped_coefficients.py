@@ -1,0 +1,59 @@
+"""The paper's coefficients H_h and H_c of equations (7) and (8), on the flights that identify them."""
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.exchanger import BIAS_SD
+from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.records.keys import LEG_AT
+
+ACROSS_SD_K = float(np.hypot(BIAS_SD["hx_out_k"], BIAS_SD["ram_out_k"]))
+"""Of the difference of the outlet temperatures: calibration of both sensors, which a flight can't average out."""
+MOST_RELATIVE_SD = 0.25
+RAM_FLOW_SD = 0.08
+"""Of the ram flow by the clean duct's map, as a fraction."""
+
+
+def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
+    r"""`hx_h_hot_w_k` and `hx_h_cold_w_k` of every row of `flights`, null where the flight does not identify them.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        Of `estimate_flights`.
+
+    Notes
+    -----
+    At steady state each equation gives its coefficient, if the ram outlet is measured:
+
+    .. math:: H_h = W_h C_h \frac{T_{hi} - T_{ho}}{T_{ho} - T_{co}}, \quad
+       H_c = W_r C_c \frac{T_{co} - T_{ci}}{T_{ho} - T_{co}}
+
+    An efficient exchanger leaves its ram air warmer than its bleed air: the difference is negative, and no positive
+    coefficient explains it. So only worn cores are identified, and few of them: see docs/errata.md.
+    """
+    k = {c: flights[c].to_numpy().astype(float) for c in ("hx_in_k", "hx_out_k", "ram_out_k", "tat_k")}
+    across_k = k["hx_out_k"] - k["ram_out_k"]
+    across_k = np.where(across_k > ACROSS_SD_K / MOST_RELATIVE_SD, across_k, np.nan)
+    hot_w = flights["pack_flow_kg_s"].to_numpy().astype(float) * CP_HOT_J_KG_K * (k["hx_in_k"] - k["hx_out_k"])
+    cold_w = flights["ram_flow_kg_s"].to_numpy().astype(float) * CP_COLD_J_KG_K * (k["ram_out_k"] - k["tat_k"])
+    rows = [
+        _rows(flights, "hx_h_hot_w_k", hot_w / across_k, np.hypot(ACROSS_SD_K / across_k, BIAS_SD["pack_flow_kg_s"])),
+        _rows(flights, "hx_h_cold_w_k", cold_w / across_k, np.hypot(ACROSS_SD_K / across_k, RAM_FLOW_SD)),
+    ]
+    return pl.concat(rows)
+
+
+def _rows(flights: pl.DataFrame, name: str, value: Array, relative_sd: Array) -> pl.DataFrame:
+    return flights.select(
+        *LEG_AT,
+        pl.lit("HX").alias("component"),
+        pl.lit(name).alias("parameter"),
+        pl.Series("value", value).fill_nan(None),
+        pl.Series("sd", value * relative_sd).fill_nan(None),
+        pl.lit("W/K").alias("unit"),
+    ).with_columns(
+        pl.when(pl.col("value").is_null()).then(pl.lit("not_identifiable")).otherwise(pl.lit("ok")).alias("status"),
+        pl.lit("closed_form").alias("estimator"),
+    )

@@ -1,0 +1,114 @@
+"""The paper's Figure 10 taken literally: an estimator flight by flight, each from where the last one ended.
+
+For any declared model, a new component's too. The fleet's path is the closed form of `calibration.flight_estimates` and
+`calibration.compressor`; this one shows that both end at the same place.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import flights_of
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.estimation.estimate import Estimator
+from hdt_core.estimation.nls import NonlinearLeastSquares
+from hdt_core.estimation.problem import Belief, Problem, unknown
+from hdt_core.physics.model import PhysicsModel
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
+
+MIN_SAMPLES = 3
+
+
+def flight_by_flight(
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    *,
+    outputs: Sequence[str] | None = None,
+    estimator: Estimator | None = None,
+    warm: bool = True,
+) -> pl.DataFrame:
+    """Parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        `PACK`, `flight_id`, `time_utc` and columns named as the model's inputs and outputs; nominal or steady samples.
+    outputs : sequence of str, optional
+        Outputs to compare; all that have a sensor and a column where not given.
+    estimator : Estimator, optional
+        Nonlinear least squares, the paper's, where not given.
+    warm : bool
+        Start each flight from the estimate of the pack's flight before; the first, and without it every one, from the
+        middle of the declared bounds. A start, no prior: every flight speaks for itself.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight and pack of three samples or more, in order: `FLIGHT_PACK`, `departed_at`, a column and an
+        `_sd` for each of `free`, `status`, `n_evals` (model evaluations).
+    """
+    outputs = recorded_outputs(model, samples) if outputs is None else outputs
+    order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
+    known = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
+    known = known.join(order, on=FLIGHT_PACK).sort(*IN_ORDER, "time_utc")
+    solve = NonlinearLeastSquares() if estimator is None else estimator
+    rows = [
+        row
+        for _, pack in known.group_by(PACK, maintain_order=True)
+        for row in _one_pack(pack, model, free, outputs=outputs, estimator=solve, warm=warm)
+    ]
+    schema = {c: known.schema[c] for c in (*FLIGHT_PACK, "departed_at")}
+    schema |= dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
+    return pl.DataFrame(rows, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")
+
+
+def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
+    """Outputs of the model that have a sensor and a column.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    seen = [s.name for s in model.outputs if s.sigma is not None]
+    recorded = [name for name in seen if name in samples.columns]
+    if not recorded:
+        raise ValueError(f"{model.name}: the samples hold no column of {', '.join(seen) or 'an output with a sigma'}")
+    return recorded
+
+
+def samples_problem(
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    outputs: Sequence[str],
+    prior: Belief | None = None,
+) -> Problem:
+    """What an estimator is asked about `samples`: the crossing from a frame to `declared_problem`."""
+    inputs, measured = (
+        {c: samples[c].to_numpy() for c in names} for names in ([s.name for s in model.inputs], outputs)
+    )
+    return declared_problem(model, free, inputs, measured, prior=prior)
+
+
+def _one_pack(
+    pack: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    *,
+    outputs: Sequence[str],
+    estimator: Estimator,
+    warm: bool,
+) -> Iterator[tuple[object, ...]]:
+    bounds = {p.name: p.bounds for p in model.params}
+    first = start = np.array([bounds[name] for name in free]).mean(axis=1)
+    for _, flight in pack.group_by("flight_id", maintain_order=True):
+        if flight.height < MIN_SAMPLES:
+            continue
+        found = estimator.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
+        # a flight that ended nowhere is no place to start from
+        start = found.belief.mean if warm and found.status == "converged" else first if not warm else start
+        said = (*found.belief.mean.tolist(), *found.belief.sd.tolist())
+        yield *flight.select(*FLIGHT_PACK, "departed_at").row(0), *said, found.status, found.n_evals

@@ -1,0 +1,162 @@
+"""Health flight by flight: what each flight said, filtered along each pack, with its certainty."""
+
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
+from hdt_core.tracking import multiple_model_filter as mmf
+from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
+from hdt_core.tracking.compressor_tracking import compressor_parameters
+from hdt_core.tracking.flight_panel import FlightPanel, build_panel, fingerprints
+from hdt_core.tracking.lumped_coefficients import lumped_coefficients
+from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
+from hdt_core.tracking.sensor_shifts import Corrections, corrections
+from hdt_core.tracking.wear_model import Settings
+
+FILTERED, SMOOTHED = "kalman_filtered", "kalman_smoothed"
+LOSS, LOSS_SMOOTHED = "hx_fouling", "hx_fouling_smoothed"
+
+
+class TrackResult(NamedTuple):
+    """Health parameters in long form, and the checkpoints from which the next night goes on."""
+
+    health: pl.DataFrame
+    checkpoints: pl.DataFrame
+
+
+def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Health parameters of every flight and pack; what is not called smoothed takes nothing from later flights.
+
+    Parameters
+    ----------
+    twin_flights : DataFrame
+        Of `estimate_flights`; any subset of whole packs, all their flights so far.
+    maintenance : DataFrame
+        `operator, tail, pack, component, action, done_on`; entries count from the day they name.
+    dsm : Dsm
+        The model the flights were judged by.
+
+    Returns
+    -------
+    DataFrame
+        Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator.
+    """
+    return track_on(twin_flights, maintenance, dsm).health
+
+
+def track_on(
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: TrackResult | None = None, seal: str = ""
+) -> TrackResult:
+    """`track`, going on from what is `known` of packs whose earlier flights are what they were.
+
+    Parameters
+    ----------
+    known : TrackResult, optional
+        What an earlier call gave for the same packs, or for some of them.
+    seal : str
+        Names what else the track rests on, the version of the code; what is known under another is not used.
+    """
+    flights = twin_flights.sort(IN_ORDER)
+    health, checkpoints = _exchanger(flights, maintenance, dsm, known, f"{seal}|{dsm.dsm_version}")
+    rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
+    told = _sound(pl.concat(rows))
+    return TrackResult(told.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
+
+
+def _sound(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows without value where an estimate came out as no number, or with a doubt that is none."""
+    value, sd = pl.col("value"), pl.col("sd")
+    broken = (~value.is_finite() | ~sd.is_finite() | (sd < 0)).fill_null(False)
+    status = pl.when(broken).then(pl.lit("no_number")).otherwise("status").alias("status")
+    return rows.with_columns(pl.when(~broken).then(value), pl.when(~broken).then(sd), status)
+
+
+def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:
+    """`hx_fouling` of every row of `flights` (in order), and `hx_fouling_smoothed`, which also knows the
+    next fifty to a hundred flights.
+
+    `literal` walks pack by pack, flight by flight, and does not smooth.
+    """
+    if not literal:
+        return _exchanger(flights, maintenance, dsm, None, "")[0]
+    faults = corrections(flights)
+    panel = build_panel(flights, faults, maintenance, dsm)
+    return _rows(flights, LOSS, FILTERED, *one_by_one(panel, _settings(dsm)), _map_sd(flights), faults)
+
+
+def _exchanger(
+    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: TrackResult | None, seal: str
+) -> TrackResult:
+    faults, map_sd = corrections(flights), _map_sd(flights)
+    panel = build_panel(flights, faults, maintenance, dsm)
+    named = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
+    seen = fingerprints(panel, [map_sd, faults.variance, faults.fault], named, seal, SEGMENT_FLIGHTS)
+    packs = flights.select(PACK).unique(maintain_order=True)
+    restart = from_first_flight(packs.height) if known is None else read_checkpoints(known.checkpoints, packs, seen)
+    result = filter_segments(panel, _settings(dsm), restart.begin, restart.checkpoints)
+    new = pl.Series(np.isfinite(result.found[0]))
+    tracks = ((LOSS, FILTERED, result.found[:2]), (LOSS_SMOOTHED, SMOOTHED, result.found[2:]))
+    health = pl.concat(
+        _rows(flights, name, how, told[0], told[1], map_sd, faults).filter(new) for name, how, told in tracks
+    )
+    if known is not None and not new.all():
+        kept = known.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
+        kept = kept.join(flights.filter(~new).select(LEG_AT), on=LEG_AT, how="semi")
+        if kept.height != len(tracks) * (~new).sum():  # something removed what the checkpoints speak of
+            return _exchanger(flights, maintenance, dsm, None, seal)
+        health = pl.concat([kept, health])
+    return TrackResult(health, checkpoint_rows(packs, seen, restart, result.checkpoints))
+
+
+def _settings(dsm: Dsm) -> Settings:
+    return Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
+
+
+def _map_sd(flights: pl.DataFrame) -> Array:
+    return np.asarray(np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float)))
+
+
+def _rows(
+    flights: pl.DataFrame, name: str, how: str, level: Array, sd: Array, map_sd: Array, faults: Corrections
+) -> pl.DataFrame:
+    value, value_sd = loss_of(level, np.sqrt(sd**2 + map_sd**2 + faults.variance))
+    status = (
+        pl.when(pl.col("ln_ua_ratio").is_null())
+        .then(pl.lit("predicted"))
+        .when(pl.Series(faults.fault))
+        .then(pl.lit("sensor_corrected"))
+        .otherwise(pl.col("status"))
+    )
+    return flights.select(
+        *LEG_AT,
+        pl.lit("HX").alias("component"),
+        pl.lit(name).alias("parameter"),
+        pl.Series("value", value),
+        pl.Series("sd", value_sd),
+        pl.lit("-").alias("unit"),
+        status.alias("status"),
+        pl.lit(how).alias("estimator"),
+    )
+
+
+def one_by_one(panel: FlightPanel, settings: Settings) -> tuple[Array, Array]:
+    """Return the filtered track by the literal recursion: flight k of a pack starts from what is known after k - 1."""
+    level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
+    for pack in range(panel.row.shape[1]):
+        hypotheses = mmf.start(1, settings)
+        for k, row in enumerate(panel.row[:, pack]):
+            if row >= 0:
+                hypotheses, _ = mmf.step(hypotheses, panel.flight(np.array([k]), np.array([pack])), settings)
+                mean, spread = mmf.wear_summary(hypotheses, 1)
+                level[row], sd[row] = mean[0], spread[0]
+    return level, sd
+
+
+def loss_of(level: Array, sd: Array) -> tuple[Array, Array]:
+    """Loss as a fraction and its standard deviation, from ln loss and its own."""
+    left = np.exp(-level)
+    return 1.0 - left, left * sd

@@ -1,0 +1,161 @@
+"""How wear moves from flight to flight and shows in the conductance ratio: one scalar observation a flight.
+
+The state of a pack is wear (ln loss of conductance at the reference condition), its rate, the offset of its sensors,
+that of its unit, and what is not the core's at all: the model's slow error, or a fault while it lasts. Functions take
+any number of states at once; `hdt_core.tracking.multiple_model_filter` says which states those are.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.components.exchanger import HX
+from hdt_core.physics.model import declared
+
+WEAR, RATE, SENSORS, UNIT, OTHER = range(5)
+UNIT_SD = declared(HX.model.param("hx_fouling").unit_sd)
+"""Unit-to-unit spread of UA; the rest of the offset's spread belongs to the pack's sensors and stays when a unit
+goes."""
+LEAST_SENSORS_SD = 0.015
+
+
+class Pace(NamedTuple):
+    """A way to wear: share of lives, ln loss a flight as a life begins, its spread, and how fast the rate changes."""
+
+    share: float
+    rate: float
+    rate_sd: float
+    rate_step: float
+    early_rate_step: float
+
+
+PACES = (
+    Pace(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5),
+    Pace(0.45, 1.0e-3, 8e-4, 6e-5, 6e-5),
+    Pace(0.10, 6.0e-3, 4e-3, 6e-5, 5e-4),
+)
+"""Hardly, steadily, and fast at first: films that level off, dusty starts."""
+EARLY_FLIGHTS = 20.0
+WEAR_STEP = 7e-4
+MAP_SD, MAP_FLIGHTS = 0.005, 40.0
+"""Slow error of the model itself: weather and season move along the map, which is not quite the duct's."""
+FAULT_STEP = 0.005
+"""A sensor that drifts does so within a hundred flights."""
+OUTLIER_SHARE, OUTLIER_SD = 0.01, 0.3
+"""Flights that say nothing of the core: icing, a pack switched off, a spike that passed the filter."""
+ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
+"""How the state shows in the ratio, once it is brought to the reference condition."""
+
+
+class Settings(NamedTuple):
+    """What the pass takes from the digital system model: see `Dsm`."""
+
+    level: float
+    level_sd: float
+    offset_sd: float
+
+    @property
+    def sensors_sd(self) -> float:
+        """What a pack's sensors and the clean level's own error add to all of its units alike."""
+        own = max(self.offset_sd**2 - UNIT_SD**2, LEAST_SENSORS_SD**2)
+        return float(np.sqrt(own + self.level_sd**2))
+
+
+class Observation(NamedTuple):
+    """One flight of n packs: ln ratio (NaN where none), its variance, and the log: renewal possible, renewal due,
+    whether one is kept. (n,)
+
+    `exposure` is the clean conductance of the flight over that of the reference condition: see `at_reference`.
+    `log_open`, `log_due`, `log_kept`: see `hdt_core.records.renewals`.
+    """
+
+    ratio: Array
+    variance: Array
+    exposure: Array
+    log_open: Array
+    log_due: Array
+    log_kept: Array
+
+    def of(self, rows: Array) -> "Observation":
+        """Observations of the packs at `rows`."""
+        return Observation(*(values[rows] for values in self))
+
+
+def at_reference(seen: Observation, wear: Array) -> Observation:
+    r"""Flights as the reference condition would have shown them, for packs with about this much wear. (n,)
+
+    Notes
+    -----
+    A deposit is a resistance in series: where flows and clean conductance are larger it takes a larger share, and the
+    controller makes them larger the more there is of it. Wear L at the reference shows as
+
+    .. math:: \ln\left[1 + (e^{L} - 1) \, UA / UA_0\right]
+
+    All hypotheses of a pack share the correction: else a flight at another condition would be taken for news of how
+    much is wear and how much is offset, and the law isn't known that well.
+    """
+    worn = np.maximum(wear, 0.0)
+    return seen._replace(ratio=seen.ratio + np.log1p(np.expm1(worn) * seen.exposure) - worn)
+
+
+def transition(faulty: Array) -> Array:
+    """How states move in one flight when nothing happens. (m, 5, 5)"""
+    move = np.tile(np.eye(5), (len(faulty), 1, 1))
+    move[:, WEAR, RATE], move[:, OTHER, OTHER] = 1.0, _keep(faulty)
+    return move
+
+
+def _keep(faulty: Array) -> Array:
+    return np.where(faulty, 1.0, np.exp(-1.0 / MAP_FLIGHTS))
+
+
+def predict(mean: Array, cov: Array, pace: Array, since: Array, faulty: Array) -> tuple[Array, Array]:
+    """States one flight later. mean (m, 5), cov (m, 5, 5); the rest (m,)."""
+    move = transition(faulty)
+    moved = move @ cov @ np.swapaxes(move, 1, 2)
+    late, early = (np.array([getattr(p, name) for p in PACES])[pace] for name in ("rate_step", "early_rate_step"))
+    change = late + (early - late) * np.exp(-np.minimum(since, 1e3) / EARLY_FLIGHTS)
+    moved[:, WEAR, WEAR] += WEAR_STEP**2
+    moved[:, RATE, RATE] += change**2
+    moved[:, OTHER, OTHER] += np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
+    return (move @ mean[:, :, None])[:, :, 0], moved
+
+
+def innovation(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array]:
+    """Residual and its variance for each state, 0 where nothing was seen. (m,) each"""
+    # sums and no product of matrices: that one's last digits depend on which packs stand side by side
+    variance = ((cov @ ROW) * ROW).sum(axis=1) + seen.variance
+    return np.where(np.isfinite(seen.ratio), seen.ratio - level - (mean * ROW).sum(axis=1), 0.0), variance
+
+
+def update(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array, Array]:
+    """States after a flight that may be an outlier, and the log likelihood of what it showed.
+
+    Notes
+    -----
+    With probability `OUTLIER_SHARE` a flight says nothing. Both cases are merged by their moments at once: a flight
+    that may or may not be one leaves a wider belief.
+    """
+    residual, variance = innovation(mean, cov, seen, level)
+    trusted = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
+    stray = np.log(OUTLIER_SHARE) + log_normal(residual, variance + OUTLIER_SD**2)
+    evidence = np.logaddexp(trusted, stray)
+    use = np.where(np.isfinite(seen.ratio), np.exp(trusted - evidence), 0.0)
+    gain = (cov @ ROW) / variance[:, None]
+    shift = gain * residual[:, None]
+    # Joseph's form keeps the covariance symmetric and positive
+    shrink = np.eye(5) - gain[:, :, None] * ROW
+    seen_cov = shrink @ cov @ np.swapaxes(shrink, 1, 2) + _outer(gain) * seen.variance[:, None, None]
+    apart = (use * (1.0 - use))[:, None, None] * _outer(shift)
+    mixed = use[:, None, None] * seen_cov + (1.0 - use)[:, None, None] * cov + apart
+    return mean + use[:, None] * shift, mixed, np.where(np.isfinite(seen.ratio), evidence, 0.0)
+
+
+def log_normal(residual: Array, variance: Array) -> Array:
+    """Log density of a normal variable about 0, without its constant. (m,)"""
+    return np.asarray(-0.5 * (residual**2 / variance + np.log(variance)))
+
+
+def _outer(vectors: Array) -> Array:
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :])

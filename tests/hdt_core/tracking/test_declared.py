@@ -1,0 +1,113 @@
+"""The night's batched answers are those of a literal `Estimator` that is handed the component's declaration."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import cruise_samples
+from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
+from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.estimation.problem import Belief, Problem
+from hdt_core.robust import huber_weights
+from hdt_core.tracking import compressor_tracking
+from hdt_core.tracking.wear_model import PACES
+
+LEG = ["tail", "pack", "flight_id"]
+N_LEGS = 40
+
+
+@pytest.fixture(scope="module")
+def legs(fleet) -> pl.DataFrame:
+    """Cruise samples of legs drawn at random, worn and clean packs among them."""
+    chosen = fleet.samples.select(LEG).unique(maintain_order=True).sample(N_LEGS, seed=7, shuffle=True)
+    return fleet.samples.join(chosen, on=LEG, how="semi").filter(pl.col("phase") == "cruise")
+
+
+def literal_ln_ratio(leg: pl.DataFrame, model, sd: float, batched: float) -> float:
+    """Ln of the conductance left, by nonlinear least squares on the hot outlet through the declared model.
+
+    A sample counts as much as Huber's weight says, of whose scale the stated deviation `sd` is the share: least squares
+    with these weights is what the robust answer claims to be.
+    """
+    rows = cruise_samples(leg).drop_nulls(list(hx.SIGNALS))
+    signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+    met = hx.without_bias(signals, model.bias_of(rows))
+    built = HX.model.calibrated(dict(zip(hx.NAMES, model.exchanger, strict=True)))
+    inputs = {s.name: met[s.name] for s in built.inputs}
+    asked = declared_problem(built, [HX.loss], inputs, {"hx_out_k": met["hx_out_k"]})
+    off = np.abs(hx.ln_conductance_ratio(signals, model.design, model.bias_of(rows)) - batched)
+    weight = np.ones(rows.height)
+    for _ in range(20):
+        weight = huber_weights(off, sd * np.sqrt(weight.sum()))
+    found = NonlinearLeastSquares().estimate(side_by_side(asked, weight))
+    assert found.status == "converged"
+    return float(np.log1p(-found.belief.mean[0]))
+
+
+def side_by_side(asked: Problem, weight: np.ndarray) -> Problem:
+    """The same question with every sample an output of its own, whose sigma tells how much it counts."""
+
+    def observe(states, theta, _sample):
+        return np.moveaxis(asked.observe(states, theta, np.arange(len(weight)))[0], -1, 0)[..., None]
+
+    return replace(asked, measured=asked.measured.T, sigma=asked.sigma / np.sqrt(weight), observe=observe)
+
+
+def both(samples: pl.DataFrame, model) -> pl.DataFrame:
+    """Batched and literal answer to each leg."""
+    said = estimate_flights(samples, model).select(*LEG, "ln_ua_ratio", "ln_ua_ratio_sd")
+    batched = {leg: (value, sd) for *leg, value, sd in said.iter_rows() for leg in [tuple(leg)]}
+    literal = [
+        (*leg, literal_ln_ratio(rows, model, batched[leg][1], batched[leg][0]))
+        for leg, rows in samples.group_by(LEG, maintain_order=True)
+    ]
+    return said.join(pl.DataFrame(literal, schema=[*LEG, "literal"], orient="row").cast({"pack": pl.Int32}), on=LEG)
+
+
+def test_where_both_state_the_same_problem_they_say_the_same(legs, model):
+    """Of a single sample least squares leaves nothing over, so the closed form is its answer."""
+    seen = both(legs.group_by(LEG, maintain_order=True).head(1), model)
+    assert seen.height == N_LEGS
+    np.testing.assert_allclose(seen["ln_ua_ratio"], seen["literal"], atol=1e-6)
+
+
+def test_the_robust_form_lies_within_a_tenth_of_its_stated_deviation(legs, model):
+    seen = both(legs, model)
+    apart = (seen["ln_ua_ratio"] - seen["literal"]).abs() / seen["ln_ua_ratio_sd"]
+    assert seen.height == N_LEGS
+    assert apart.max() < 0.1
+
+
+@pytest.mark.parametrize("loss", ["cc_efficiency_loss", "cc_diameter_loss"])
+def test_the_compressors_filter_is_the_kalman_filter_of_the_declared_drift(loss):
+    """Level and loss seen as their sum; no flight lies so far off that the filter would count it for less."""
+    rng = np.random.default_rng(3)
+    drift, scatter, level_sd = CC.model.param(loss).drift, 0.006, 0.01
+    seen = 0.004 + np.linspace(0.0, 0.02, 60) + scatter * np.clip(rng.standard_normal(60), -1.5, 1.5)
+    seen[rng.choice(np.arange(1, 60), 8, replace=False)] = np.nan
+    ours, ours_sd = compressor_tracking._filter(seen, np.zeros(60), scatter, level_sd, drift)
+    start = Belief(np.array([0.0, 0.005]), np.diag([level_sd**2, compressor_tracking.ENTRY_LOSS_SD**2 + drift**2]))
+    walk = Problem(
+        names=("level", "loss"),
+        bounds=np.tile([-np.inf, np.inf], (2, 1)),
+        prior=start,
+        measured=seen[:, None],
+        sigma=np.array([scatter]),
+        observe=lambda _states, theta, _sample: (theta[0] + theta[1])[None],
+        drift=np.array([0.0, drift]),
+    )
+    found = ExtendedKalman(smoother_passes=0).estimate(walk)
+    np.testing.assert_allclose(ours, 1.0 - np.exp(-found.path[:, 1]), atol=1e-6)
+    np.testing.assert_allclose(ours_sd, np.exp(-found.path[:, 1]) * found.path_sd[:, 1], atol=1e-6)
+
+
+def test_the_declared_drift_is_what_the_ways_to_wear_come_to():
+    """An estimator of one's own is told one number, the nightly filter three ways to wear: of about the same size."""
+    rate = np.sqrt(sum(pace.share * (pace.rate**2 + pace.rate_sd**2) for pace in PACES))
+    assert HX.model.param("hx_fouling").drift == pytest.approx(rate, rel=0.25)

@@ -1,0 +1,216 @@
+"""The pass through all flights: batched equals literal, nothing from the future, honest about what can't be known."""
+
+from dataclasses import replace
+from datetime import timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+from seen import NO_LOG, entry, seen_flights
+
+from hdt_core.tracking.track import fouling as both_tracks
+from hdt_core.tracking.track import track
+
+IN_ORDER = ["operator", "tail", "pack", "departed_at", "flight_id"]
+
+
+def fouling(*of, **how) -> pl.DataFrame:
+    return both_tracks(*of, **how).filter(pl.col("parameter") == "hx_fouling")
+
+
+def fouled(frame: pl.DataFrame) -> np.ndarray:
+    return frame.filter(pl.col("parameter") == "hx_fouling").sort(IN_ORDER)["value"].to_numpy()
+
+
+def test_batched_pass_equals_the_literal_recursion(flights, model):
+    parts = [flights.filter(pl.col("tail") == "T-01").head(90), flights.filter(pl.col("tail") != "T-01")]
+    uneven = pl.concat(parts).sort(IN_ORDER)
+    batched, literal = (fouling(uneven, NO_LOG, model, literal=way) for way in (False, True))
+    assert batched.equals(literal)
+
+
+def test_batched_pass_equals_the_literal_one_where_histories_branch(model):
+    loss = np.r_[np.linspace(0.0, 0.3, 60), np.full(20, 0.55), np.zeros(40)]
+    many = pl.concat([seen_flights(model, loss, seed=k, tail=f"S-{k}") for k in range(4)]).sort(IN_ORDER)
+    batched, literal = (fouling(many, NO_LOG, model, literal=way) for way in (False, True))
+    assert batched.equals(literal)
+
+
+def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
+    cut = flights["departed_at"].min() + timedelta(days=70)
+    before = flights.filter(pl.col("departed_at") < cut)
+    later_log = replaced(fleet, "T-00", 90)
+    causal = ~pl.col("parameter").str.ends_with("_smoothed")
+    early, whole = (track(f, log, model).filter(causal) for f, log in ((before, NO_LOG), (flights, later_log)))
+    same = whole.filter(pl.col("departed_at") < cut)
+    assert early.select(*IN_ORDER, "parameter").equals(same.select(*IN_ORDER, "parameter"))
+    for column in ("value", "sd"):
+        np.testing.assert_allclose(early[column].to_numpy(), same[column].to_numpy(), atol=1e-12, rtol=0)
+    assert early["status"].equals(same["status"])
+
+
+def test_work_before_the_first_flight_on_record_changes_nothing(flights, model, fleet):
+    first = flights["departed_at"].min()
+    long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
+    assert track(flights, long_ago, model).equals(track(flights, NO_LOG, model))
+
+
+def test_recovers_the_truth_within_its_own_word(flights, model, fleet):
+    rows = track(flights, NO_LOG, model).filter(pl.col("parameter") == "hx_fouling")
+    joined = rows.join(fleet.truth, on=["tail", "flight_id", "pack"])
+    off = joined["value"].to_numpy() - joined["loss"].to_numpy()
+    assert np.abs(off).mean() < 0.03
+    assert np.mean(np.abs(off) < 1.645 * joined["sd"].to_numpy()) > 0.75
+    worn = joined.filter(pl.col("loss").max().over("tail", "pack") > 0.2)
+    for pack in worn.partition_by("tail", "pack"):
+        assert pack.select(pl.corr("value", "loss", method="spearman")).item() > 0.97
+
+
+def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
+    rng = np.random.default_rng(3)
+    off, sd = [], []
+    packs, truth = [], {}
+    for k in range(120):
+        at_entry = 0.0 if rng.random() < 0.5 else rng.exponential(0.08)
+        loss = 1.0 - np.exp(-(at_entry + rng.choice([2e-4, 1e-3, 2e-3]) * np.arange(60)))
+        tail = f"S-{k:03d}"
+        packs.append(seen_flights(model, loss, offset=rng.normal(0.0, model.offset_sd), seed=k, tail=tail))
+        truth[tail] = loss
+    rows = fouling(pl.concat(packs).sort(IN_ORDER), NO_LOG, model)
+    for pack in rows.partition_by("tail"):
+        off.append(pack["value"].to_numpy() - truth[pack["tail"][0]])
+        sd.append(pack["sd"].to_numpy())
+    covered = np.abs(np.array(off)) < 1.645 * np.array(sd)
+    assert 0.82 < covered.mean() < 0.98
+    assert abs(np.mean(off)) < 0.015
+
+
+def test_a_new_unit_is_known_better_than_a_first_one(model):
+    loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
+    seen = seen_flights(model, loss, offset=0.05)
+    log = NO_LOG.clear().vstack(entry(seen, 80, "HX", "REPLACED"))
+    rows = fouling(seen, log, model)
+    assert rows["sd"][5] > 2.0 * rows["sd"][100]
+    np.testing.assert_allclose(rows["value"].to_numpy()[90:], loss[90:], atol=0.02)
+
+
+def test_an_entry_days_late_ends_where_a_punctual_one_ends(model):
+    loss = np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)]
+    seen = seen_flights(model, loss)
+    punctual, late = (fouling(seen, entry(seen, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
+    np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
+
+
+def test_a_new_core_is_believed_where_no_log_is_kept(model):
+    worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
+    silent, kept = [], []
+    for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
+        seen = seen_flights(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
+        elsewhere = entry(seen, 20, "SENSOR", "INSPECTED")
+        for log, off in ((NO_LOG, silent), (elsewhere, kept)):
+            off.append(np.abs(fouling(seen, log, model)["value"].to_numpy()[120:] - new[20:]).mean())
+    assert np.mean(silent) < 0.025
+    # a log that speaks of other work and not of this makes a wash or a fault the likelier story
+    assert np.mean(kept) > np.mean(silent)
+
+
+def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
+    loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
+    seen = seen_flights(model, loss, offset=-0.04)
+    rows = fouling(seen, entry(seen, 90, "HX", "CLEANED"), model)
+    off = rows["value"].to_numpy() - loss
+    # what was not known of the unit before the wash is not known after it either, and no more than that
+    np.testing.assert_allclose(off[100:], off[80:90].mean(), atol=0.03)
+    assert (np.abs(off) < 2.0 * rows["sd"].to_numpy()).all()
+
+
+def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
+    loss = np.linspace(0.0, 0.08, 120)
+    seen = seen_flights(model, loss)
+    shifted = pl.int_range(pl.len()).is_between(50, 70)
+    faulty = seen.with_columns(ln_ua_ratio=pl.col("ln_ua_ratio") - 0.35 * shifted.cast(pl.Float64))
+    sound, during = (fouling(frame, NO_LOG, model) for frame in (seen, faulty))
+    np.testing.assert_allclose(during["value"].to_numpy()[80:], sound["value"].to_numpy()[80:], atol=0.02)
+    # while it lasts nobody can tell it from a clog, and the estimate says so
+    assert (during["sd"].to_numpy()[53:70] > 2.0 * sound["sd"].to_numpy()[53:70]).all()
+
+
+def test_a_clog_is_believed(model):
+    loss = np.r_[np.full(60, 0.05), np.full(60, 0.25)]
+    rows = fouling(seen_flights(model, loss), NO_LOG, model)
+    np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
+
+
+def test_looking_back_knows_more(model):
+    rng = np.random.default_rng(11)
+    sensors_sd = np.sqrt(model.offset_sd**2 - 0.03**2)
+    frames, logs, truth = [], [], []
+    for k in range(60):
+        worn = rng.choice([0.0, 0.05, 0.15])
+        loss = np.r_[worn + np.linspace(0.0, 0.15, 40), np.linspace(0.0, 0.03, 30)]
+        unit = np.repeat(rng.normal(0.0, 0.03, 2), [40, 30])
+        frames.append(seen_flights(model, loss, offset=rng.normal(0.0, sensors_sd) + unit, seed=k, tail=f"S-{k:02d}"))
+        logs.append(entry(frames[-1], 40, "HX", "REPLACED"))
+        truth.append(loss)
+    rows = both_tracks(pl.concat(frames).sort(IN_ORDER), pl.concat(logs), model)
+    names = ("hx_fouling", "hx_fouling_smoothed")
+    values, sds = (
+        [rows.filter(pl.col("parameter") == n).sort(IN_ORDER)[c].to_numpy().reshape(60, 70) for n in names]
+        for c in ("value", "sd")
+    )
+    squares = [np.mean((v - np.array(truth))[:, :40] ** 2) for v in values]
+    assert squares[1] < squares[0]
+    assert sds[1][:, :40].mean() < sds[0][:, :40].mean()
+    # on the last flight there is nothing to look back from
+    np.testing.assert_allclose(values[1][:, -1], values[0][:, -1], atol=1e-12)
+
+
+def test_one_stray_flight_moves_little(model):
+    seen = seen_flights(model, np.full(80, 0.1))
+    stray = seen.with_columns(
+        ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
+    )
+    a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (seen, stray))
+    assert abs(a[60] - b[60]) < 0.01
+
+
+@pytest.mark.parametrize("n_flights", [1, 3])
+def test_a_short_record_has_wide_estimates(model, n_flights):
+    rows = fouling(seen_flights(model, np.zeros(n_flights)), NO_LOG, model)
+    assert rows["value"].is_not_null().all()
+    assert (rows["sd"] > 0.5 * model.offset_sd * 0.5).all()
+
+
+def test_a_pack_never_seen_is_predicted_from_the_prior(model):
+    seen = seen_flights(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
+    rows = fouling(seen.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
+    assert rows["status"].unique().to_list() == ["predicted"]
+    assert rows["value"].is_finite().all()
+    assert (rows["sd"] > 0.04).all()
+
+
+def test_every_flight_has_every_parameter_once(flights, model):
+    rows = track(flights, NO_LOG, model)
+    assert rows.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
+    assert rows.height == flights.height * rows["parameter"].n_unique()
+    hidden = rows.filter(pl.col("status") == "not_identifiable")
+    assert hidden["value"].null_count() == hidden.height == hidden["sd"].null_count()
+    told = rows.filter(pl.col("value").is_not_null())
+    assert told["sd"].is_not_null().all()
+    assert (told["sd"] >= 0.0).all()
+
+
+def test_no_flights_no_rows(flights, model):
+    assert track(flights.clear(), NO_LOG, model).height == 0
+
+
+def test_a_worn_unit_with_a_wide_model_says_so(flights, model):
+    sure, unsure = model, replace(model, clean_level_sd=0.1)
+    a, b = (fouling(flights.sort(IN_ORDER), NO_LOG, m)["sd"].mean() for m in (sure, unsure))
+    assert b > a
+
+
+def replaced(fleet, tail: str, k: int) -> pl.DataFrame:
+    day = fleet.legs.filter(pl.col("tail") == tail).sort("departed_at")["departed_at"].dt.date().unique().sort()[k]
+    row = {"operator": "TST", "tail": tail, "pack": 1, "component": "HX", "action": "REPLACED", "done_on": day}
+    return pl.DataFrame([row], schema=NO_LOG.schema)
