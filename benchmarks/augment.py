@@ -11,11 +11,11 @@ import polars as pl
 from numpy.typing import NDArray
 
 from benchmarks.contestants import Array, Asked, together
-from hdt_core.health.asks import EXCESS_K, SHARES
-from hdt_core.health.conditions import repeated
-from hdt_core.health.margin import MessageRule, at_excess
+from hdt_core.margin.conditions import repeated
+from hdt_core.margin.exchanger_demand import EXCESS_K, SHARES
+from hdt_core.margin.margin import MessageRule, at_excess
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, Tracks, fleet_rows, learn_rule, tracks
 from hdt_core.prognosis.history import Panel, record_rows
-from hdt_core.prognosis.rows import UNTOLD, Tracks, fleet_rows, learn_says, tracks
 from hdt_core.simulate.wear import WearSettings, draw_wear
 
 COPIES, FLIGHTS = 30, 400
@@ -32,8 +32,8 @@ def own_rows(features: pl.DataFrame, lives: pl.DataFrame) -> Asked:
 def augmented(features: pl.DataFrame, lives: pl.DataFrame, seed: int = 0) -> Asked:
     """A fleet's own rows, and those of wear laid over its nominal stretches until the message by the rule it showed."""
     track = tracks(features, lives, "HX")
-    says = learn_says(track, "HX", ~track.mute)
-    assert isinstance(says, dict)
+    rule = learn_rule(track, "HX", ~track.mute)
+    assert isinstance(rule, dict)
     rng = np.random.default_rng(seed)
     made = [_asked(track)]
     level = track.panel.level
@@ -42,7 +42,7 @@ def augmented(features: pl.DataFrame, lives: pl.DataFrame, seed: int = 0) -> Ask
     for unit in sound:
         row = _rows_of(track, int(unit))
         operator = str(track.keys["operator"][int(row[0])])
-        made.append(_asked(_laid_over(rng, track, row, says.get(operator, says[""]))))
+        made.append(_asked(_laid_over(rng, track, row, rule.get(operator, rule[""]))))
     return together(made)
 
 
@@ -113,6 +113,6 @@ def _overheat_k(left: Array, curves: Array) -> Array:
 
 
 def _asked(track: Tracks) -> Asked:
-    rows = fleet_rows(track, UNTOLD["HX"])
+    rows = fleet_rows(track, PRIOR_RULES["HX"])
     frame = track.keys.select("tail", "flight_id", "pack", "life_id")
     return Asked(frame, {"health": rows.features}, rows.left, rows.failed, rows.life)

@@ -9,21 +9,21 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.calibrate import calibrate as fit
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_norm
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.norm import leg_signs
+from hdt_core.flight.nominal_baseline import leg_signs
 from hdt_core.flight.windows import baseline_flights
-from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.asks import CRITICAL, margin_flights
-from hdt_core.health.controller import learn_laws
 from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
-from hdt_core.health.witnesses import witnesses as testify
-from hdt_core.prognosis.lives import episodes
+from hdt_core.health.sensor_checks import witnesses as testify
+from hdt_core.margin.control_schedules import learn_laws
+from hdt_core.margin.exchanger_demand import CRITICAL, margin_flights
+from hdt_core.prognosis.feature_rows import ASKS
 from hdt_core.prognosis.model import out_of_fold
-from hdt_core.prognosis.rows import ASKS
+from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.keys import PACK
 from hdt_core.tracking.track import track
 from pipelines.baseline import told_by_then

@@ -12,10 +12,10 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.isotonic import IsotonicRegression
 
 from benchmarks.fleets import Frames
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, fleet_rows, tracks
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES
 from hdt_core.prognosis.recalibrate import Levels, learn_levels
-from hdt_core.prognosis.rows import UNTOLD, fleet_rows, tracks
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def rows_of(fleet: Frames) -> Asked:
         seen.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
     )
     raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
-    health, true = (fleet_rows(t, UNTOLD["HX"]).features for t in (known, ceiling))
+    health, true = (fleet_rows(t, PRIOR_RULES["HX"]).features for t in (known, ceiling))
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
     kept = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
     return Asked(

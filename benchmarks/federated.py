@@ -17,13 +17,13 @@ import polars as pl
 from benchmarks.contestants import Asked, Learner, rows_of
 from benchmarks.fleets import Frames, flown
 from benchmarks.harness import arguments, markdown, put
-from hdt_core.health.margin import PRIOR_RULE, MessageRule
-from hdt_core.prognosis.limits import PRIORS, Limit
-from hdt_core.prognosis.lives import episodes
+from hdt_core.margin.margin import PRIOR_RULE, MessageRule
+from hdt_core.prognosis.component_limits import PRIORS, Limit
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, FailureRule
 from hdt_core.prognosis.metrics import bootstrap, judge, score_prognoses
 from hdt_core.prognosis.model import ComponentFit, Fits, Prognosis, fit_prognosis, named, predict_prognosis
 from hdt_core.prognosis.recalibrate import HazardCorrection
-from hdt_core.prognosis.rows import UNTOLD, Says
+from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings
 from pipelines.learned import shipped_base
 
@@ -38,7 +38,7 @@ Part = tuple[pl.DataFrame, pl.DataFrame]
 
 def averaged(fits: list[Fits]) -> Fits:
     """One fit of many, each number weighted by the failures that taught it; when the aircraft speaks, by precision."""
-    return {c: _averaged([f[c] for f in fits]) for c in UNTOLD}
+    return {c: _averaged([f[c] for f in fits]) for c in PRIOR_RULES}
 
 
 def _averaged(fits: list[ComponentFit]) -> ComponentFit:
@@ -46,7 +46,7 @@ def _averaged(fits: list[ComponentFit]) -> ComponentFit:
     weights = np.average([f.correction.weights for f in fits], axis=0, weights=weight)
     low, middle, high = (float(v) for v in np.average([f.levels for f in fits], axis=0, weights=weight))
     return ComponentFit(
-        _averaged_says([f.says for f in fits]),
+        _averaged_rule([f.rule for f in fits]),
         HazardCorrection(tuple(float(w) for w in weights)),
         (low, middle, high),
         sum(f.failures for f in fits),
@@ -54,15 +54,15 @@ def _averaged(fits: list[ComponentFit]) -> ComponentFit:
     )
 
 
-def _averaged_says(says: list[Says]) -> Says:
+def _averaged_rule(rule: list[FailureRule]) -> FailureRule:
     """One limit of many; or one rule, for everybody: a type's monitors are alike here."""
-    limits = [s for s in says if isinstance(s, Limit)]
+    limits = [s for s in rule if isinstance(s, Limit)]
     if limits:
         prior = PRIORS["CC"]
         mean, sd = by_precision([(x.mean, x.sd) for x in limits], (prior.mean, prior.sd))
         return Limit(mean, sd, prior.unit_sd)
     # an operator's own rule is surer than what it would say of a stranger
-    rules = [min(s.values(), key=lambda r: r.excess_sd_k) for s in says if not isinstance(s, Limit)]
+    rules = [min(s.values(), key=lambda r: r.excess_sd_k) for s in rule if not isinstance(s, Limit)]
     return {"": averaged_rule(rules)}
 
 
@@ -107,7 +107,7 @@ def taught(base: Prognosis, parts: dict[str, list[str]], fleet: Frames) -> dict[
 def corrected(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """Judged prognoses of every tail by what others taught the simulated base, by way of learning."""
     fleets, said = tails_of(fleet), {}
-    unmoved = named(base, {c: ComponentFit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
+    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=base.base_levels) for c in PRIOR_RULES})
     for k in range(SIZE.tails):
         teach = {o: tails[:k] + tails[k + 1 :] for o, tails in fleets.items()}
         models = taught(base, teach, fleet)
@@ -131,7 +131,7 @@ def newcomer(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """The same for an operator of which no life was seen."""
     fleets, said = tails_of(fleet), {}
     models = taught(base, fleets, fleet)
-    unmoved = named(base, {c: ComponentFit(UNTOLD[c], levels=base.base_levels) for c in UNTOLD})
+    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=base.base_levels) for c in PRIOR_RULES})
     for operator, tails in fleets.items():
         others = [m for o, m in models.items() if o != operator]
         every = [t for o, own in fleets.items() if o != operator for t in own]

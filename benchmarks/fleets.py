@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import RECORD, UP_TO_ALERTS, run
-from hdt_core.prognosis.lives import episodes
+from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.simulate.packs import (

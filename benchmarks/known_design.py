@@ -21,7 +21,7 @@ from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import Z_90
-from hdt_core.simulate import flying
+from hdt_core.simulate import flight_conditions
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.packs import clean, outlets
 from hdt_core.simulate.signals import demand
@@ -46,8 +46,10 @@ def envelope_of(seed: int) -> tuple[PackDesign, Envelope]:
     design, operators = draw_design(draw), draw_operators(draw, SIZE)
     parts = []
     for operator in operators:
-        schedule = flying.draw_schedule(rng, operator, 200)
-        now = flying.conditions(rng, schedule, np.arange(200), flying.CLIMB_S + 0.5 * schedule.cruise_s)
+        schedule = flight_conditions.draw_schedule(rng, operator, 200)
+        now = flight_conditions.conditions(
+            rng, schedule, np.arange(200), flight_conditions.CLIMB_S + 0.5 * schedule.cruise_s
+        )
         asked, door = demand(rng, design, now), rng.uniform(0.15, 0.75, 200)
         out, ram_out, ram, ua = outlets(design, now, asked, door, clean(now.mach))
         signals = {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}

@@ -26,7 +26,7 @@ from hdt_core.flight.admission import admit
 from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
-from hdt_core.flight.norm import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY, add_phases
 from hdt_core.flight.steady import is_transient
 from hdt_core.flight.windows import number_flights

@@ -18,7 +18,6 @@ from benchmarks.augment import augmented, own_rows
 from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of, together
 from benchmarks.fleets import Frames, flown
 from benchmarks.harness import arguments, markdown, show
-from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import (
     alpha_lambda,
     calibration,
@@ -28,6 +27,7 @@ from hdt_core.prognosis.metrics import (
     score_prognoses,
 )
 from hdt_core.prognosis.model import Prognosis, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings
 from pipelines.learned import shipped_base
 
@@ -137,7 +137,10 @@ def _taught_by(fleet: Frames, others: list[Frames], half: int, count: int, base:
     yield "simulated base, corrected", judge(predict_prognosis(model, own, own_lives), own, own_lives)
     if count >= 5:
         rows, asked_rows = own_rows(features, lives), own_rows(own, own_lives)
-        for name, taught in (("these alone", rows), ("these and faults on nominal legs", augmented(features, lives))):
+        for name, taught in (
+            ("these alone", rows),
+            ("these and faults on nominal legs", augmented(features, lives)),
+        ):
             yield name, Learner.fit(taught, "health").say(asked_rows, "health").filter(pl.col("left") >= 1)
 
 

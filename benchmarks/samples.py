@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from benchmarks.chain import Made
-from hdt_core.prognosis.lives import flight_rows
+from hdt_core.prognosis.unit_lives import flight_rows
 from hdt_core.records.keys import PACK
 from pipelines.storage.store import Store
 

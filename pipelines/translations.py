@@ -8,7 +8,7 @@ from babel.messages.extract import extract_from_file
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
 
-from hdt_core.health.diagnoses import DIAGNOSES
+from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.report import words
 from pipelines.report.answers import CHOICES, STATES, STATUSES
 from pipelines.words import ENGLISH

@@ -11,7 +11,7 @@ from hdt_core.flight.bleed import BLEED, ODD_BLEED
 from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, learn_outlet_law
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
-from hdt_core.flight.norm import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import flag_windows, number_flights
 from hdt_core.robust import Z_90

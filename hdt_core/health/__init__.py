@@ -1,1 +1,1 @@
-"""What is wrong with a pack, and how sure: residuals, features, detection, diagnosis, alerts."""
+"""What each flight says of health: residuals, sensor checks, features, detection."""

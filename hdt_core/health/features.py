@@ -8,9 +8,9 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.health.first_passage import passages
-from hdt_core.health.margin import SHOWN_DELIVERY, SHOWN_MARGIN, left_delivery, left_margin
-from hdt_core.health.virtual import virtual_sensors
+from hdt_core.health.virtual_sensors import virtual_sensors
+from hdt_core.margin.first_passage import passages
+from hdt_core.margin.margin import SHOWN_DELIVERY, SHOWN_MARGIN, left_delivery, left_margin
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import finite

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from hdt_core.components import Component, Limit
-from hdt_core.health.first_passage import wear_rate
+from hdt_core.margin.first_passage import wear_rate
+from hdt_core.prognosis.component_limits import learn_limit
 from hdt_core.prognosis.hazard import EDGES, quantile
-from hdt_core.prognosis.limits import learn_limit
-from hdt_core.prognosis.lives import Failure, component_lives
 from hdt_core.prognosis.model import AHEAD, HELD, HORIZON
+from hdt_core.prognosis.unit_lives import Failure, component_lives
 from hdt_core.records.keys import PACK
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.health.conditions import ASKED, LEVELS, asked
-from hdt_core.health.first_passage import LEFT_RATIO_SD, passage, wear_rate
+from hdt_core.margin.conditions import ASKED, LEVELS, asked
+from hdt_core.margin.first_passage import LEFT_RATIO_SD, passage, wear_rate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -55,7 +55,7 @@ SEEN = (
 )
 FEATURES = (*WEAR, *RESERVE, *PASSAGE, *SEEN)
 RECORD = (*WEAR, *SEEN, "ratio", "run")
-"""What does not depend on when the aircraft speaks."""
+"""What does not depend on the message's rule."""
 FALLING = ("reserve_", "left_linear_", "passage_median")
 RISING = ("passage_", "overheat_", "hot_share_", "full_open_")
 RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) else 0 for name in FEATURES)
@@ -97,7 +97,7 @@ class Panel:
 
 
 def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
-    """What the record alone says at some flights, whenever the aircraft speaks. (n, q), columns `RECORD`.
+    """What the record alone says at some flights, whatever the message's rule. (n, q), columns `RECORD`.
 
     Parameters
     ----------

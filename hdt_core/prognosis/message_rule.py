@@ -1,4 +1,4 @@
-"""When the aircraft speaks: how hot, in how much of a flight and how often, learned from the messages there are."""
+"""The rule by which the message comes: how hot, how much of a flight, how often; learned from what messages there are."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.health.margin import PRIOR_RULE as PRIOR
-from hdt_core.health.margin import MessageRule
+from hdt_core.margin.margin import PRIOR_RULE as PRIOR
+from hdt_core.margin.margin import MessageRule
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import polars as pl
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
-from hdt_core.prognosis.rows import tracks
+from hdt_core.prognosis.feature_rows import tracks
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,19 @@ import polars as pl
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from hdt_core.prognosis.feature_rows import (
+    INPUTS,
+    PRIOR_RULES,
+    FailureRule,
+    Tracks,
+    fleet_rows,
+    learn_rule,
+    simulated_rows,
+    tracks,
+)
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import RISES
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
-from hdt_core.prognosis.rows import INPUTS, UNTOLD, Says, Tracks, fleet_rows, learn_says, simulated_rows, tracks
 from hdt_core.records.keys import IN_ORDER
 
 Array = NDArray[np.float64]
@@ -37,9 +46,9 @@ HELD = "out_of_fold"
 
 @dataclass(frozen=True, slots=True)
 class ComponentFit:
-    """What one component's lives taught: when the aircraft speaks, the hazard's correction, the levels told."""
+    """What one component's lives taught: the message's rule, the hazard's correction, the interval's levels."""
 
-    says: Says
+    rule: FailureRule
     correction: HazardCorrection = field(default_factory=HazardCorrection)
     levels: Levels = NOMINAL
     failures: int = 0
@@ -99,7 +108,7 @@ def fit_prognosis(
     base : Prognosis, optional
         What `fit_base` gave, where it is kept; it depends on no fleet.
     """
-    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in UNTOLD})
+    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in PRIOR_RULES})
 
 
 def fit_tracks(base: Prognosis, lived: dict[str, Tracks]) -> Prognosis:
@@ -118,7 +127,7 @@ def predict_prognosis(
         Columns of the contract's `prognoses`, one row a flight, pack and component; where the health is unknown so far
         the row is there and its values are null.
     """
-    parts = [_say(model, tracks(features, lives, c), model.fits[c], c, split) for c in UNTOLD]
+    parts = [_predict(model, tracks(features, lives, c), model.fits[c], c, split) for c in PRIOR_RULES]
     return pl.concat(parts).sort("component", *IN_ORDER)
 
 
@@ -134,8 +143,8 @@ def out_of_fold(
     With `by="operator"` no life of the tail's whole operator was seen: what a new operator may expect.
     """
     base = base or fit_base(seed)
-    lived = {c: tracks(features, lives, c) for c in UNTOLD}
-    return say_by_fold(base, learn_folds(base, lived, features[by].unique().to_list(), by), lived, by=by)
+    lived = {c: tracks(features, lives, c) for c in PRIOR_RULES}
+    return predict_by_fold(base, learn_folds(base, lived, features[by].unique().to_list(), by), lived, by=by)
 
 
 def learn_folds(base: Prognosis, lived: dict[str, Tracks], groups: list[str], by: str = "tail") -> tuple[Fold, ...]:
@@ -148,7 +157,7 @@ def learn_folds(base: Prognosis, lived: dict[str, Tracks], groups: list[str], by
     return tuple(folds)
 
 
-def say_by_fold(
+def predict_by_fold(
     base: Prognosis,
     folds: tuple[Fold, ...],
     lived: dict[str, Tracks],
@@ -157,14 +166,15 @@ def say_by_fold(
 ) -> pl.DataFrame:
     """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
     parts = [
-        _say(base, track, ComponentFit(UNTOLD[c]), c, HELD, np.zeros(len(track.at), bool)) for c, track in lived.items()
+        _predict(base, track, ComponentFit(PRIOR_RULES[c]), c, HELD, np.zeros(len(track.at), bool))
+        for c, track in lived.items()
     ]
     for component, track in lived.items():
         wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
         own = track.keys[by].to_numpy().astype(str)
         for fold in folds:
             rows, model = wanted & np.isin(own, fold.held), named(base, {component: fold.fits[component]})
-            parts.append(_say(model, track, fold.fits[component], component, HELD, rows))
+            parts.append(_predict(model, track, fold.fits[component], component, HELD, rows))
     return pl.concat(parts).sort("component", *IN_ORDER)
 
 
@@ -191,23 +201,23 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
 
 
 def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> ComponentFit:
-    """When the aircraft speaks, then the correction, then the levels, from the rows in `use`."""
+    """The message's rule, then the correction, then the levels, from the rows in `use`."""
     use = ~track.mute if use is None else use & ~track.mute
-    says = learn_says(track, component, use)
+    rule = learn_rule(track, component, use)
     every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
-    rows = fleet_rows(track, says, use & (track.at[:, 1] % every == 0))
+    rows = fleet_rows(track, rule, use & (track.at[:, 1] % every == 0))
     rows = rows.take((rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
     failures, lives = int(np.unique(rows.life[rows.failed]).size), int(np.unique(rows.life).size)
     if not failures:
-        return ComponentFit(says, levels=base.base_levels, lives=lives)
+        return ComponentFit(rule, levels=base.base_levels, lives=lives)
     raw, reserve = hazards(base.hazard, rows.features), rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
     levels = learn_levels(by, rows.left, rows.failed, rows.life, base.base_levels)
-    return ComponentFit(says, correction, levels, failures, lives)
+    return ComponentFit(rule, correction, levels, failures, lives)
 
 
-def _say(
+def _predict(
     model: Prognosis,
     track: Tracks,
     fit: ComponentFit,
@@ -216,7 +226,7 @@ def _say(
     asked: NDArray[np.bool_] | None = None,
 ) -> pl.DataFrame:
     asked = np.ones(len(track.at), bool) if asked is None else asked
-    rows = fleet_rows(track, fit.says, asked)
+    rows = fleet_rows(track, fit.rule, asked)
     by = event_by(fit.correction(hazards(model.hazard, rows.features), rows.features[:, _RESERVE]))
     known = np.isfinite(rows.features[:, _LEVEL])
     low, middle, high = (quantile(by, level) for level in fit.levels)
@@ -233,7 +243,7 @@ def _say(
 def named(base: Prognosis, fits: Fits | None = None) -> Prognosis:
     """`base` with these fits, and the digest of both for a version."""
     fits = fits or {}
-    told: dict[str, Any] = {c: [repr(f.says), f.correction.weights, f.levels] for c, f in fits.items()}
+    told: dict[str, Any] = {c: [repr(f.rule), f.correction.weights, f.levels] for c, f in fits.items()}
     told["base"] = [
         base.base_levels,
         [float(np.sum(m.train_score_)) if len(m.train_score_) else m.n_iter_ for m in base.hazard],

@@ -1,10 +1,10 @@
-"""Which model goes into service, when it learns, and what it says tonight.
+"""Which model goes into service, when it learns, and its prognoses of tonight.
 
 A model learns once a month, from what was known when the month of the fleet's last flight began; until the next one it
-only speaks, and what it has said of a flight stands while that flight's record does. Flights of earlier months that
-come late are spoken about at once and learned from when the next month begins, or when they are so many that they
-matter (`prognosis.lesson`). Whatever the order in which data came, from the next learning on the same record has the
-same prognoses.
+only scores flights, and a prognosis stands while its flight's record does. Flights of earlier months that come late are
+scored at once and learned from when the next month begins, or when they are so many that they matter
+(`training_digest`). Whatever the order in which data came, from the next learning on the same record has the same
+prognoses.
 
 A newly learned base and the one in service are asked about the same flights, each tail judged by what the others
 taught, so neither can have learned its own answers. The fleet's own lives are taken up by either; only what was learned
@@ -20,12 +20,12 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from hdt_core.prognosis.card import Card, Verdict, model_card, promote
-from hdt_core.prognosis.lesson import lesson_of, not_learned_from, read_lesson, why_learn
+from hdt_core.prognosis.fleet_record import FleetRecord, ScoredFlights, scored
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import Fold, Prognosis, fit_tracks, learn_folds, named, say_by_fold
+from hdt_core.prognosis.model import Fold, Prognosis, fit_tracks, learn_folds, named, predict_by_fold
+from hdt_core.prognosis.model_card import Card, Verdict, model_card, promote
 from hdt_core.prognosis.recalibrate import TERMS
-from hdt_core.prognosis.record import FleetRecord, Heard, heard
+from hdt_core.prognosis.training_digest import flights_not_learned, read_digest, training_digest, why_learn
 from hdt_core.records.keys import IN_ORDER, PACK
 
 
@@ -33,17 +33,17 @@ from hdt_core.records.keys import IN_ORDER, PACK
 class ModelUpdate:
     """The model in service, its out-of-fold prognoses, its card with the reason.
 
-    `lesson` is what it learned from as `Lesson.to_json` tells it, `heard` what it has spoken about, by component.
+    `digest` is what it learned from (`TrainingDigest.to_json`), `scored` which flights have a prognosis, by component.
     """
 
     model: Prognosis
     prognoses: pl.DataFrame
     card: Card
-    lesson: str
-    heard: dict[str, Heard]
+    digest: str
+    scored: dict[str, ScoredFlights]
 
 
-def serve(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord) -> ModelUpdate:
+def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord) -> ModelUpdate:
     """Put a base into service, corrected by the fleet's lives, unless the one in service does better.
 
     Parameters
@@ -56,26 +56,26 @@ def serve(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord) -
         All that is on record.
     """
     tails = record.features["tail"].unique().sort().to_list()
-    lesson = lesson_of(record, _learner(candidate, tails))
-    taught = read_lesson(last.lesson) if last is not None else None
-    why = why_learn(lesson, taught)
-    if last is not None and taught is not None and not why:
-        return _speak(last, record, not_learned_from(lesson, taught))
+    digest = training_digest(record, _learner(candidate, tails))
+    learned = read_digest(last.digest) if last is not None else None
+    why = why_learn(digest, learned)
+    if last is not None and learned is not None and not why:
+        return _score_new(last, record, flights_not_learned(digest, learned))
     past, lived = record.before(record.month()).tracks(), record.tracks()
 
-    def teach(base: Prognosis) -> _Taught:
+    def train(base: Prognosis) -> _Trained:
         folds = learn_folds(base, past, tails)
-        said = say_by_fold(base, folds, lived)
-        return _Taught(base, folds, said, score_prognoses(judge(said, record.features, record.lives())))
+        said = predict_by_fold(base, folds, lived)
+        return _Trained(base, folds, said, score_prognoses(judge(said, record.features, record.lives())))
 
-    chosen, verdict = _chosen(teach, candidate, last)
+    chosen, verdict = _chosen(train, candidate, last)
     model = replace(fit_tracks(chosen.base, past), folds=chosen.folds)
     card = model_card(model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
     card |= {"learned_because": why, "late_flights_not_learned_from": 0}
-    return ModelUpdate(model, chosen.said, card, lesson.to_json(), {c: heard(track)[0] for c, track in lived.items()})
+    return ModelUpdate(model, chosen.said, card, digest.to_json(), {c: scored(track)[0] for c, track in lived.items()})
 
 
-class _Taught(NamedTuple):
+class _Trained(NamedTuple):
     """A base, what a fleet taught each fold of it, what the folds say, and how well."""
 
     base: Prognosis
@@ -85,35 +85,35 @@ class _Taught(NamedTuple):
 
 
 def _chosen(
-    teach: Callable[[Prognosis], _Taught], candidate: Prognosis, last: ModelUpdate | None
-) -> tuple[_Taught, Verdict]:
+    train: Callable[[Prognosis], _Trained], candidate: Prognosis, last: ModelUpdate | None
+) -> tuple[_Trained, Verdict]:
     """The candidate, or what served until now where that says better."""
-    new = teach(candidate)
+    new = train(candidate)
     if last is None:
         return new, Verdict(True, "no other model is in service")
     if inputs(last.model) != inputs(candidate):
         return new, Verdict(True, "the model in service reads other inputs and can't be asked")
     if same_base(candidate, last.model):
         return new, Verdict(True, "the base in service is the one the present code learns")
-    old = teach(last.model)
+    old = train(last.model)
     verdict = promote(model_card(candidate, new.scores), model_card(last.model, old.scores))
     return (new if verdict.promoted else old), verdict
 
 
-def _speak(last: ModelUpdate, record: FleetRecord, late: int) -> ModelUpdate:
-    """Say what has not been said, and again what no longer stands; `late` flights are not learned from yet."""
+def _score_new(last: ModelUpdate, record: FleetRecord, late: int) -> ModelUpdate:
+    """Score flights that are new or whose record has changed; `late` flights are not learned from yet."""
     lived = record.tracks()
-    listened = {c: heard(track, last.heard.get(c)) for c, track in lived.items()}
-    asked = {c: new for c, (_, new) in listened.items()}
+    scored_by = {c: scored(track, last.scored.get(c)) for c, track in lived.items()}
+    asked = {c: new for c, (_, new) in scored_by.items()}
     key = ["component", *PACK, "flight_id"]
     stand = pl.concat(
         track.keys.filter(~asked[c]).select(*PACK, "flight_id", pl.lit(c).alias("component"))
         for c, track in lived.items()
     )
     kept = last.prognoses.join(stand, on=key, how="semi")
-    said = pl.concat([kept, say_by_fold(last.model, last.model.folds, lived, asked)]).sort("component", *IN_ORDER)
+    said = pl.concat([kept, predict_by_fold(last.model, last.model.folds, lived, asked)]).sort("component", *IN_ORDER)
     card = last.card | {"late_flights_not_learned_from": late}
-    return replace(last, prognoses=said, card=card, heard={c: told for c, (told, _) in listened.items()})
+    return replace(last, prognoses=said, card=card, scored={c: told for c, (told, _) in scored_by.items()})
 
 
 def _learner(candidate: Prognosis, tails: list[str]) -> str:

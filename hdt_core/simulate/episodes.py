@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.health.margin import MessageRule
+from hdt_core.margin.margin import MessageRule
 from hdt_core.simulate.margins import OutletExcess, ask, critical_ratio, excess_at
 from hdt_core.simulate.wear import Array, WearSettings, draw_wear
 
@@ -29,7 +29,7 @@ class EpisodeSettings:
     wear : WearSettings
         Population of wear.
     rule : MessageRule
-        When the aircraft speaks.
+        When the message comes.
     believed_excess_k : float
         What is believed of the rule's excess. [K]
     map_error, pack_error : float

@@ -10,15 +10,15 @@ from datetime import UTC, datetime
 import numpy as np
 import polars as pl
 
-from hdt_core.simulate import flying, papers, shop
+from hdt_core.simulate import flight_conditions, log_writer, unit_histories
 from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
-from hdt_core.simulate.lacking import recorded_air, recorded_pack
+from hdt_core.simulate.missing_terms import recorded_air, recorded_pack
 from hdt_core.simulate.recorder import SUITES, Array, draw_biases, record
 from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
 from hdt_core.simulate.truth import health_truth
 
 PACKS = (1, 2)
-_Outside = tuple[flying.Conditions, dict[str, Array] | None]
+_Outside = tuple[flight_conditions.Conditions, dict[str, Array] | None]
 """Conditions of a flight and air data as recorded."""
 
 
@@ -104,17 +104,17 @@ def _aircraft(
     rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings
 ) -> Aircraft:
     plan = _plan(rng, design, operator, tail, size)
-    now = flying.conditions(rng, plan.schedule, *flying.snapshot_times(rng, plan.schedule))
+    now = flight_conditions.conditions(rng, plan.schedule, *flight_conditions.snapshot_times(rng, plan.schedule))
     read = recorded_air(now, size.missing)
     air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k, plan.suite)
     arrived = rng.random(size.flights) > 0.01
     logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
-    rows, truth, book = [], [], papers.Book(plan)
+    rows, truth, book = [], [], log_writer.Book(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
     outside: dict[int, _Outside] = {}
     for pack in PACKS:
         asked = demand(rng, design, now)
-        history = shop.draw_history(rng, operator, design, *pick(now, asked, size.flights))
+        history = unit_histories.draw_history(rng, operator, design, *pick(now, asked, size.flights))
         true = true_signals(rng, design, now, asked=asked, history=history)
         seen = recorded_pack(true, read, size.missing)
         rows.append(pack_rows(rng, plan, now, true=seen, history=history, pack=pack, air=air))
@@ -128,7 +128,7 @@ def _aircraft(
     return Aircraft(
         operator=operator.name,
         tail=tail,
-        fleet=papers.fleet_row(rng, operator, tail),
+        fleet=log_writer.fleet_row(rng, operator, tail),
         snapshots=snapshots.drop(operator.missing).sort("report_time", "pack"),
         cpl={key: pl.concat(parts).drop(operator.missing).sort("report_time", "pack") for key, parts in cpl.items()},
         messages=book.message_frame(),
@@ -139,9 +139,9 @@ def _aircraft(
 
 
 def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings) -> Plan:
-    schedule = flying.draw_schedule(rng, operator, size.flights)
+    schedule = flight_conditions.draw_schedule(rng, operator, size.flights)
     start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
-    ids = papers.flight_ids(tail, start, schedule.departed_s)
+    ids = log_writer.flight_ids(tail, start, schedule.departed_s)
     biases, has_ram_out = draw_biases(rng), rng.random() < operator.ram_out_share
     return Plan(operator, design, tail, schedule, ids, start, biases, has_ram_out, SUITES[size.suite])
 
@@ -150,7 +150,7 @@ def _log_1hz(
     rng: np.random.Generator,
     plan: Plan,
     index: int,
-    history: shop.PackHistory,
+    history: unit_histories.PackHistory,
     pack: int,
     missing: dict[str, float],
     outside: dict[int, _Outside],
@@ -159,9 +159,10 @@ def _log_1hz(
 
     Both packs fly in the same air: what the first has drawn of a flight stands in `outside`.
     """
-    after_s = np.arange(-plan.suite.taxi_s, flying.CLIMB_S + plan.schedule.cruise_s[index] + flying.DESCENT_S)
+    end_s = flight_conditions.CLIMB_S + plan.schedule.cruise_s[index] + flight_conditions.DESCENT_S
+    after_s = np.arange(-plan.suite.taxi_s, end_s)
     # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
-    drawn = flying.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    drawn = flight_conditions.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
     now, known = outside.get(index, (drawn, None))
     true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
     read = recorded_air(now, missing)

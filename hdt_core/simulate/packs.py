@@ -16,7 +16,7 @@ from hdt_core.physics.compressor import HEAD, exit_temperature_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
 from hdt_core.physics.ram_duct import ram_flow
 from hdt_core.simulate.design import PackDesign
-from hdt_core.simulate.flying import Conditions
+from hdt_core.simulate.flight_conditions import Conditions
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from hdt_core.physics.air import specific_heat_j_kg_k
 from hdt_core.simulate.design import Operator, PackDesign
-from hdt_core.simulate.flying import Conditions, Schedule
+from hdt_core.simulate.flight_conditions import Conditions, Schedule
 from hdt_core.simulate.packs import (
     Demand,
     behind_worn_compressor,
@@ -23,7 +23,7 @@ from hdt_core.simulate.packs import (
     target_k,
 )
 from hdt_core.simulate.recorder import CONTRACT, FOOT, LB_PER_MIN, PSI, RPM, SENSORS, Suite, break_sensor, frame, record
-from hdt_core.simulate.shop import PackHistory
+from hdt_core.simulate.unit_histories import PackHistory
 
 Array = NDArray[np.float64]
 

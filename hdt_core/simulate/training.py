@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hdt_core.health.margin import MessageRule
+from hdt_core.margin.margin import MessageRule
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes, draw_limited
 from hdt_core.simulate.wear import Array, WearSettings
 

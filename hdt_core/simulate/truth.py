@@ -6,10 +6,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.simulate.flying import Conditions
+from hdt_core.simulate.flight_conditions import Conditions
 from hdt_core.simulate.packs import loss_ratios
-from hdt_core.simulate.shop import PackHistory
 from hdt_core.simulate.signals import Plan
+from hdt_core.simulate.unit_histories import PackHistory
 
 Array = NDArray[np.float64]
 

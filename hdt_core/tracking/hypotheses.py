@@ -22,7 +22,7 @@ CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault": 1 / 2000, "fault_over":
 """Of each event on a flight, as such things go; a fault lasts some thirty flights."""
 RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
 """Chance of a new core on a flight of which the log says nothing yet, units living some 400 flights
-(`health.first_passage`), and on one it names."""
+(`margin.first_passage`), and on one it names."""
 LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
 """Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
 that an entry never comes where a log is kept."""

@@ -10,9 +10,9 @@ from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_norm
 from hdt_core.flight.bleed import turn_away_odd_bleed
-from hdt_core.flight.norm import leg_signs
+from hdt_core.flight.nominal_baseline import leg_signs
 from hdt_core.flight.phases import LEG_KEY
-from hdt_core.health.controller import learn_laws
+from hdt_core.margin.control_schedules import learn_laws
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
 from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.flight.component_legs import LEG, component_samples
-from hdt_core.health.component_cases import component_features, raise_component_alerts
 from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
-from hdt_core.prognosis.lives import Failure, component_lives, told_lives
+from hdt_core.prognosis.unit_lives import Failure, component_lives, told_lives
 from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_readings import component_readings

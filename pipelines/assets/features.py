@@ -4,12 +4,12 @@ import json
 
 import polars as pl
 
-from hdt_core.flight.norm import Norm, leg_signs
-from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.asks import margin_flights
-from hdt_core.health.controller import ControlSchedules
+from hdt_core.alerts.alerts import raise_alerts
+from hdt_core.flight.nominal_baseline import Norm, leg_signs
 from hdt_core.health.features import features as describe
-from hdt_core.health.witnesses import witnesses
+from hdt_core.health.sensor_checks import witnesses
+from hdt_core.margin.control_schedules import ControlSchedules
+from hdt_core.margin.exchanger_demand import margin_flights
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of

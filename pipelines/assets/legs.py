@@ -5,7 +5,7 @@ import polars as pl
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.norm import Norm
+from hdt_core.flight.nominal_baseline import Norm
 from hdt_core.tables.raw import RawMaintenance, RawMessages
 from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage

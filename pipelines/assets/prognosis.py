@@ -4,12 +4,12 @@ import json
 
 import polars as pl
 
-from hdt_core.health.asks import CRITICAL
-from hdt_core.prognosis.card import model_card, taught, to_lessons
-from hdt_core.prognosis.lives import told_lives
-from hdt_core.prognosis.record import FleetRecord
-from hdt_core.prognosis.rows import ASKS, LOSSES
-from hdt_core.prognosis.service import ModelUpdate, serve
+from hdt_core.margin.exchanger_demand import CRITICAL
+from hdt_core.prognosis.feature_rows import ASKS, LOSSES
+from hdt_core.prognosis.fleet_record import FleetRecord
+from hdt_core.prognosis.model_card import fits_to_json, model_card, with_fits
+from hdt_core.prognosis.service import ModelUpdate, update_model
+from hdt_core.prognosis.unit_lives import told_lives
 from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import loaded, shipped_base, shipped_bytes
@@ -41,7 +41,7 @@ def prognosis(
     stored = home.store.read("prognosis_model")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
-    served = serve(candidate, last, record)
+    served = update_model(candidate, last, record)
     pictures = night_pictures(features, served.prognoses, raw_maintenance)
     base = prognosis_base if served.model.hazard is candidate.hazard else stored
     lives = told_lives(features, record.lives())
@@ -57,12 +57,12 @@ def _served(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
     if not stored.height or stored["heard"][0] is None or stored["fits"][0] is None:
         return None
     row = stored.row(0, named=True)
-    model = taught(loaded(row["model"]), json.loads(row["fits"]))
+    model = with_fits(loaded(row["model"]), json.loads(row["fits"]))
     return ModelUpdate(model, store.read("prognoses"), json.loads(row["card"]), row["lesson"], json.loads(row["heard"]))
 
 
 def _kept(served: ModelUpdate, base: bytes) -> pl.DataFrame:
     """The model in service as a row: its base as it came, what the fleet taught beside it."""
     row = {"model_version": served.model.version, "card": json.dumps(served.card), "model": base}
-    row |= {"fits": json.dumps(to_lessons(served.model)), "lesson": served.lesson, "heard": json.dumps(served.heard)}
+    row |= {"fits": json.dumps(fits_to_json(served.model)), "lesson": served.digest, "heard": json.dumps(served.scored)}
     return pl.DataFrame([row])

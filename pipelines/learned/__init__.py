@@ -10,9 +10,9 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
-from hdt_core.prognosis.card import from_parts
+from hdt_core.prognosis.feature_rows import INPUTS
 from hdt_core.prognosis.model import Prognosis
-from hdt_core.prognosis.rows import INPUTS
+from hdt_core.prognosis.model_card import from_parts
 
 FILE, RECIPE = "base.skops", "recipe.json"
 # what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file

@@ -10,8 +10,8 @@ import grimp
 import numpy as np
 
 from hdt_core.prognosis import model
+from hdt_core.prognosis.feature_rows import simulated_rows
 from hdt_core.prognosis.hazard import event_by, hazards
-from hdt_core.prognosis.rows import simulated_rows
 from pipelines.learned import shipped_base
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn")

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
-from hdt_core.health.evidence import ROLES
+from hdt_core.alerts.evidence import ROLES
 from pipelines.report import words
 from pipelines.report.units import estimate, in_words, threshold
 from pipelines.report.words import visible

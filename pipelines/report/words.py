@@ -5,10 +5,10 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.components import components
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
-from hdt_core.health.diagnoses import DIAGNOSES
 from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
 from pipelines.words import _, grouped, number, several

@@ -1,16 +1,16 @@
 """What the catalog says in English - evidence and actions - said in another language, phrase by phrase.
 
-Evidence is stored as the core wrote it. The core declares each phrase once (`hdt_core.health.phrases`), so a phrase is
+Evidence is stored as the core wrote it. The core declares each phrase once (`hdt_core.alerts.phrases`), so a phrase is
 known again wherever it stands in a sentence, and its values are taken over; what is no such phrase stays as it is.
 """
 
 import re
 from functools import cache
 
+from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.evidence import ROLES
+from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.components import components
-from hdt_core.health.diagnoses import DIAGNOSES
-from hdt_core.health.evidence import ROLES
-from hdt_core.health.phrases import CHECKS, PHRASES, SIGNALS
 from pipelines.words import ENGLISH, _, catalog_of, in_figures, language
 
 _FIGURES = re.compile(r"[+\-]?\d+(?:\.\d+)?")

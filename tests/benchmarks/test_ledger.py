@@ -9,7 +9,7 @@ from benchmarks import chain, ledger, samples
 from benchmarks.changed_source import changed, numbers
 from pipelines.storage.store import Store
 
-ROOMS = ("calibration", "flight", "health", "prognosis", "tracking")
+ROOMS = ("alerts", "calibration", "flight", "health", "margin", "prognosis", "tracking")
 SAID = tomllib.loads(ledger.LEDGER.read_text())
 
 

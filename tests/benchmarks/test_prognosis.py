@@ -9,8 +9,8 @@ from benchmarks.augment import SHORTEST, augmented
 from benchmarks.contestants import lead_at_budget
 from benchmarks.federated import averaged_rule
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
-from hdt_core.health.asks import EXCESS_K, SHARES, critical_name
-from hdt_core.health.margin import PRIOR_RULE, MessageRule
+from hdt_core.margin.exchanger_demand import EXCESS_K, SHARES, critical_name
+from hdt_core.margin.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.history import FEATURES
 from hdt_core.simulate.design import draw_design
 

@@ -1,7 +1,11 @@
-"""The fleet of `made`, its model and its flights, made once."""
+"""The fleet of `made`, its model and its flights, made once; and an aircraft of two packs."""
 
+from collections.abc import Callable
+
+import polars as pl
 import pytest
 from made import Fleet, made_fleet
+from two_packs import fly_two_packs
 
 
 @pytest.fixture(scope="session")
@@ -32,3 +36,16 @@ def made():
     import made as support
 
     return support
+
+
+@pytest.fixture(scope="session")
+def fly() -> Callable[..., pl.DataFrame]:
+    """Flights of one aircraft, its witnesses known."""
+    return fly_two_packs
+
+
+@pytest.fixture(scope="session")
+def nothing_done() -> pl.DataFrame:
+    """A maintenance log without an entry."""
+    schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "done_on": pl.Date}
+    return pl.DataFrame(schema=schema | {"component": pl.String, "action": pl.String, "finding": pl.String})

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.norm import Norm, leg_signs
-from hdt_core.health.alerts import raise_alerts
-from hdt_core.health.controller import ControlSchedules
+from hdt_core.flight.nominal_baseline import Norm, leg_signs
 from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
-from hdt_core.health.witnesses import witnesses
+from hdt_core.health.sensor_checks import witnesses
+from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import SIGNALS, RawMaintenance, RawMessages
 from hdt_core.tracking.track import track_on

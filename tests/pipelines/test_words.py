@@ -9,8 +9,8 @@ import pytest
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po
 
-from hdt_core.health.diagnosis import CHANNELS
-from hdt_core.health.phrases import CHECKS, PHRASES, SIGNALS
+from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
+from hdt_core.alerts.signatures import CHANNELS
 from hdt_core.tables.raw import Signals
 from pipelines import translations, words
 from pipelines.report.explain import explain

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 
-from hdt_core.health.alerts import raise_alerts
+from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.tables.features import FeaturesAlerts
 
 FLIGHTS, A_DAY = 100, 4

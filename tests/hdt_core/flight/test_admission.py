@@ -9,7 +9,7 @@ from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_ch
 from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
 from hdt_core.flight.nominal import learn_scatter
-from hdt_core.flight.norm import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import Norm, leg_signs
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import number_flights
 

@@ -10,7 +10,7 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.features import residual_column
 from hdt_core.health.residuals import KINDS, SIGNALS, residuals
-from hdt_core.health.virtual import virtual_sensors
+from hdt_core.health.virtual_sensors import virtual_sensors
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.tables.residuals import Residuals

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.health.asks import CRITICAL, EXCESS_K, SHARES
+from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes
 from hdt_core.simulate.training import LN_RATIO_PER_K
 

@@ -9,15 +9,15 @@ import polars as pl
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hdt_core.health.margin import PRIOR_RULE
-from hdt_core.prognosis.card import from_parts, model_card, promote, taught, to_lessons, to_parts
+from hdt_core.margin.margin import PRIOR_RULE
+from hdt_core.prognosis.feature_rows import INPUTS, fleet_rows, tracks
+from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.hazard import fit_hazard
-from hdt_core.prognosis.lives import episodes
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import fit_member, fit_prognosis, out_of_fold, predict_prognosis
-from hdt_core.prognosis.record import FleetRecord
-from hdt_core.prognosis.rows import INPUTS, fleet_rows, tracks
-from hdt_core.prognosis.service import serve
+from hdt_core.prognosis.model_card import fits_to_json, from_parts, model_card, promote, to_parts, with_fits
+from hdt_core.prognosis.service import update_model
+from hdt_core.prognosis.unit_lives import episodes
 from pipelines.learned import shipped_base
 
 
@@ -101,7 +101,7 @@ def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
     blob = sio.dumps(to_parts(model))
     assert not [t for t in sio.get_untrusted_types(data=blob) if t.startswith("hdt_core")]
     base = from_parts(sio.loads(blob, trusted=sio.get_untrusted_types(data=blob)))
-    again = taught(base, json.loads(json.dumps(to_lessons(model))))
+    again = with_fits(base, json.loads(json.dumps(fits_to_json(model))))
     head = features.filter(pl.col("tail") == "LX-T00")
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
 
@@ -134,15 +134,15 @@ def test_service_keeps_the_model_that_does_better(fleet, fitted):
     record = FleetRecord(*fleet)
     blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
-    first = serve(model, None, record)
+    first = update_model(model, None, record)
     assert first.card["promoted"]
     assert first.card["scores"]["failures"] > 5
-    again = serve(blind, first, record)
+    again = update_model(blind, first, record)
     assert not again.card["promoted"]
     assert "worse" in again.card["promotion"]
     assert again.model.version == first.model.version
     assert again.prognoses.equals(first.prognoses)
-    better = serve(model, replace(first, model=blind, lesson="another"), record)
+    better = update_model(model, replace(first, model=blind, digest="another"), record)
     assert better.card["promoted"]
     assert better.model.version == first.model.version
 
@@ -152,11 +152,11 @@ def test_what_was_served_night_by_night_is_what_one_night_serves(fleet, base):
     whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
     last, learned = None, set()
     for record in (whole.before(at), whole.before(at + timedelta(days=1)), whole.before(at + timedelta(days=3))):
-        last = serve(base, last, record)
+        last = update_model(base, last, record)
         learned.add(last.model.version)
-        alone = serve(base, None, record)
+        alone = update_model(base, None, record)
         assert last.prognoses.equals(alone.prognoses)
-        assert last.heard == alone.heard
+        assert last.scored == alone.scored
     assert len(learned) == 2
 
 
@@ -171,11 +171,11 @@ def test_few_late_flights_are_spoken_about_at_once_and_learned_from_next_month(f
     whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
     one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
     missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))
-    first = serve(base, None, missed.before(at))
+    first = update_model(base, None, missed.before(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = serve(base, marked, whole.before(at))
+    after = update_model(base, marked, whole.before(at))
     assert after.model.version == first.model.version
-    assert after.lesson == first.lesson  # it stays on record what was learned from
+    assert after.digest == first.digest  # it stays on record what was learned from
     assert after.card["late_flights_not_learned_from"] == 2  # of two packs
     flight = after.prognoses.filter(flight_id=one)
     assert flight.height == 4
@@ -184,23 +184,23 @@ def test_few_late_flights_are_spoken_about_at_once_and_learned_from_next_month(f
     others = after.prognoses.filter((pl.col("tail") != tail) | (pl.col("departed_at") < moment - timedelta(days=60)))
     assert others.height
     assert (others["p_event_50"] == 0.123).all(), "what was said of a flight stands while what it follows from does"
-    alone = serve(base, None, whole.before(at)).prognoses
+    alone = update_model(base, None, whole.before(at)).prognoses
     told, clean = (p.filter(component="HX").sort("tail", "departed_at", "pack") for p in (after.prognoses, alone))
     moved = (told.filter(flight_id=one)["p_event_50"] - clean.filter(flight_id=one)["p_event_50"]).abs()
     assert moved.max() < 0.01
     month_on = at + timedelta(days=3)
-    assert serve(base, after, whole.before(month_on)).prognoses.equals(
-        serve(base, None, whole.before(month_on)).prognoses
+    assert update_model(base, after, whole.before(month_on)).prognoses.equals(
+        update_model(base, None, whole.before(month_on)).prognoses
     )
 
 
 @pytest.mark.parametrize("share", [0.5, 0.05])
 def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
     record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = serve(base, None, without(record, share)[0])
-    after = serve(base, first, record)
+    first = update_model(base, None, without(record, share)[0])
+    after = update_model(base, first, record)
     assert after.card["learned_because"]
-    assert after.prognoses.equals(serve(base, None, record).prognoses)
+    assert after.prognoses.equals(update_model(base, None, record).prognoses)
 
 
 def test_a_late_message_is_learned_from_at_once(fleet, base):
@@ -208,33 +208,33 @@ def test_a_late_message_is_learned_from_at_once(fleet, base):
     failed = record.before(record.month()).lives().filter("failed").row(0, named=True)
     own = (pl.col("tail") == failed["tail"]) & (pl.col("pack") == failed["pack"])
     unheard = replace(record, messages=record.messages.filter(~own))
-    after = serve(base, serve(base, None, unheard), record)
+    after = update_model(base, update_model(base, None, unheard), record)
     assert after.card["learned_because"].startswith("lives that had ended are told otherwise")
-    assert after.prognoses.equals(serve(base, None, record).prognoses)
+    assert after.prognoses.equals(update_model(base, None, record).prognoses)
 
 
 def test_health_that_moved_is_learned_from_at_once(fleet, base):
     record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = serve(base, None, record)
+    first = update_model(base, None, record)
     moved = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
-    after = serve(base, first, moved)
+    after = update_model(base, first, moved)
     assert after.card["learned_because"] == "hx_fouling of earlier flights moved"
-    assert after.prognoses.equals(serve(base, None, moved).prognoses)
+    assert after.prognoses.equals(update_model(base, None, moved).prognoses)
 
 
 def test_what_was_learned_before_there_were_lessons_is_learned_anew(fleet, base):
     record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = serve(base, None, record)
-    after = serve(base, replace(first, lesson="0123456789abcdef0123"), record)
+    first = update_model(base, None, record)
+    after = update_model(base, replace(first, digest="0123456789abcdef0123"), record)
     assert after.card["learned_because"] == "no model is in service of which it is known what it learned from"
     assert after.prognoses.equals(first.prognoses)
 
 
 def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
     at = datetime(2024, 3, 10, tzinfo=UTC)
-    first = serve(base, None, FleetRecord(*fleet).before(at))
+    first = update_model(base, None, FleetRecord(*fleet).before(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = serve(base, marked, FleetRecord(*fleet).before(at + timedelta(days=1)))
+    after = update_model(base, marked, FleetRecord(*fleet).before(at + timedelta(days=1)))
     kept = after.prognoses.filter(pl.col("departed_at") < at)
     assert (kept["p_event_50"] == 0.123).all()
     new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")

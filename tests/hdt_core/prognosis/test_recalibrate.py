@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import expit, logit
 
+from hdt_core.prognosis.component_limits import PRIORS, learn_limit
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
-from hdt_core.prognosis.limits import PRIORS, learn_limit
 from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, HazardCorrection, learn_correction, learn_levels
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hdt_core.alerts.grid import Grid
 from hdt_core.health.features import since_maintenance
-from hdt_core.health.grid import Grid
-from hdt_core.prognosis.lives import episodes, installations
+from hdt_core.prognosis.unit_lives import episodes, installations
 from hdt_core.records.renewals import REPLACED, log_flags
 from hdt_core.records.unit_index import date_entries, first_flights, number_units
 from hdt_core.simulate.design import FleetSettings

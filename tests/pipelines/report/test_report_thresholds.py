@@ -1,6 +1,6 @@
 """Alerts at other limits, judged by the catalog's own views."""
 
-from hdt_core.health.thresholds import VARIED
+from hdt_core.alerts.threshold_study import VARIED
 from pipelines.report.thresholds import thresholds
 from pipelines.storage.catalog import connect
 

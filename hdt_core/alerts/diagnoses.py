@@ -1,0 +1,145 @@
+"""Every diagnosis an alert may carry, each declared once: whose it is, its words, what to do, what ends it.
+
+A new one is an entry here and a rule that finds its cases (`alerts.find_cases`); report, `hdt explain`, catalog and
+the check of alerts take the rest from the entry.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hdt_core.alerts import wording
+from hdt_core.alerts.cases import REPAIR, Case
+from hdt_core.alerts.evidence import Evidence
+from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.wording import Facts
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What is said and done about one kind of case.
+
+    Attributes
+    ----------
+    code, component, name : str
+        As in the catalog; the component as in the log of work; the name as the night shift says it.
+    action : str
+        What to do, with its ATA task.
+    ended_by : tuple of str
+        Actions on the component after which the case no longer speaks of what is fitted.
+    severity : callable
+        `low`, `medium` or `high` by the facts of a moment.
+    evidence : callable
+        What speaks for it, by the facts of a moment and the flight since which it is so.
+    measured : tuple of str
+        Features that are facts of any moment, beside those the case was raised with.
+    addendum : callable, optional
+        What the facts add to the action.
+    ended_by_sound : bool
+        Whether an inspection of the component that found nothing ends the case.
+    """
+
+    code: str
+    component: str
+    name: str
+    action: str
+    ended_by: tuple[str, ...]
+    severity: Callable[[Facts], str]
+    evidence: Callable[[Facts, str], Evidence]
+    measured: tuple[str, ...] = ()
+    addendum: Callable[[Facts], str] = lambda facts: ""
+    ended_by_sound: bool = True
+
+    def facts(self, grid: Grid, case: Case, flight: int) -> Facts:
+        """What is known after a flight: what the case was raised with, and what has been measured since."""
+        return {**case.facts, **case.at(flight), **{n: _latest(grid, n, case, flight) for n in self.measured}}
+
+
+def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
+    """Last value of a feature from the flight that raised the case to `flight`."""
+    seen = grid.track(name, case.unit)[case.raised : flight + 1]
+    seen = seen[np.isfinite(seen)]
+    return float(seen[-1]) if seen.size else np.nan
+
+
+_EXCHANGER = (
+    "hx_fouling", "hx_fouling_sd", "hx_fouling_slope_30_per_flight", "door_full_open_share",
+    "door_median_between_packs", "hx_fouling_between_packs", "ram_flow_loss",
+)  # fmt: skip
+_MARGIN = (
+    "hx_passage_100", "hx_passage_300", "hx_margin_k", "hx_margin_sd_k", "hx_margin_hot_day_k", "hx_margin_design_k",
+    "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_wear_k", "overheat_p20_k",
+)  # fmt: skip
+_COMPRESSOR = (
+    "cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss", "cc_diameter_left", "cc_diameter_left_hot_high",
+)  # fmt: skip
+
+DIAGNOSES = {
+    d.code: d
+    for d in (
+        Diagnosis(
+            code="HX_FOULING",
+            component="HX",
+            name="heat exchanger fouling",
+            action="Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
+            "look at ram inlet and core face first",
+            ended_by=("REPLACED", "CLEANED"),
+            severity=wording.exchanger_severity,
+            evidence=wording.exchanger,
+            measured=_EXCHANGER,
+        ),
+        Diagnosis(
+            code="HX_SUDDEN_CLOG",
+            component="HX",
+            name="heat exchanger clogged suddenly",
+            action="Inspect ram air inlet and core face for foreign objects before the next long sector "
+            "(ATA 21-52, detailed visual inspection)",
+            ended_by=("REPLACED", "CLEANED"),
+            severity=lambda facts: "high",
+            evidence=wording.clog,
+            measured=_EXCHANGER,
+        ),
+        Diagnosis(
+            code="HX_LOW_MARGIN",
+            component="HX",
+            name="little cooling margin left",
+            action="Not a new exchanger alone: check target, flow schedule and ram door travel (ATA 21-53, rigging), "
+            "keep the aircraft off hot sectors where it can be, and wash at the next stop",
+            ended_by=("REPLACED", "CLEANED"),
+            severity=wording.margin_severity,
+            evidence=wording.low_margin,
+            measured=(*_EXCHANGER, *_MARGIN),
+            ended_by_sound=False,  # it says itself that wear is not why
+        ),
+        Diagnosis(
+            code="CC_DEGRADED",
+            component="CC",
+            name="compressor worn",
+            action="Borescope the cabin air compressor and check its diffuser actuator (ATA 21-51); plan replacement",
+            ended_by=("REPLACED",),
+            severity=lambda facts: "medium",
+            evidence=wording.compressor,
+            measured=_COMPRESSOR,
+        ),
+        Diagnosis(
+            code="RAM_DOOR_FAULT",
+            component="RAM_DOOR",
+            name="ram air door fault",
+            action="Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
+            ended_by=REPAIR,
+            severity=wording.door_severity,
+            evidence=wording.door,
+        ),
+        Diagnosis(
+            code="SENSOR_FAULT",
+            component="SENSOR",
+            name="sensor fault",
+            action="Check connector and wiring, then replace the sensor (ATA 21-61)",
+            ended_by=REPAIR,
+            severity=wording.sensor_severity,
+            evidence=wording.sensor,
+            addendum=wording.sensor_named,
+        ),
+    )
+}

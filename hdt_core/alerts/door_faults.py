@@ -1,0 +1,108 @@
+"""Ram door faults, told by the controller's law: a jam, and travel that ends too soon."""
+
+import numpy as np
+import polars as pl
+
+from hdt_core.alerts.cases import REPAIR, Case, Limits, spells
+from hdt_core.alerts.grid import Grid
+from hdt_core.health.detection import Array, persistent
+from hdt_core.margin.control_schedules import DOOR_FREE
+from hdt_core.records.keys import PACK
+
+STOP_MEMORY = 40
+"""Flights within which a door that ran into the same stop twice is believed to have one."""
+SAME_STOP = 0.03
+"""Openings closer than this may be one stop: noise, quantisation and a flight's last approach to it. [-]"""
+JAM_ABOVE, PEG_ABOVE = 0.06, 0.15
+"""A door no wider than this above its lower stop may rest there, and its outlet then says nothing of its travel. [-]"""
+SURE_PEG_K, SURE_PEG_SAMPLES = 3.0, 3
+"""Excess and samples at the stop with which one flight is enough: nine sigma of a sound flight, and more
+than a TAT that reads 5 K wrong feigns. [K]"""
+WARM_K, USUAL_FLIGHTS = 6.0, 40
+"""Outlet above what is usual beside its target at which a motionless door is jammed wherever it stands, for a free one
+would open: three sigma of a flight's own trim. [K] Flights that say what is usual."""
+WIDE_OPEN = 0.93
+"""A door that rests wider than this is at its proper end: a fouled exchanger's, not a faulty door's."""
+
+
+def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Case]:
+    """Cases of all doors.
+
+    A jam: the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none), away
+    from its stops, or anywhere if the outlet runs warm. Lost travel: the outlet ran warm at the widest opening, and on
+    target below it; on one flight beyond doubt, or on two at the same opening.
+    """
+    ended = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
+    jam, peg = _jams(grid, limits), _pegs(grid, limits)
+    jammed = persistent(jam, 2, 3, 4, ended=ended)
+    sure = peg & (grid.values("door_peg_excess_k") > SURE_PEG_K) & (grid.values("door_peg_n") >= SURE_PEG_SAMPLES)
+    stopped = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, ended) & ~jammed
+    cases = [_case(grid, "jam", jam, spell) for spell in spells(jammed, ended)]
+    return cases + [_case(grid, "lost travel", peg, spell) for spell in spells(stopped, ended)]
+
+
+def _jams(grid: Grid, limits: Limits) -> Array:
+    widest = grid.values("door_max")
+    away = (widest > np.fmax(DOOR_FREE[0], _lower_stop(grid) + JAM_ABOVE)) & (widest < DOOR_FREE[1])
+    motionless = (grid.values("door_span") < limits.still_span) & (grid.values("door_n") >= 8)
+    warm = (_above_usual_k(grid) > WARM_K) & (widest < DOOR_FREE[1])
+    return grid.flags("running") & (away | warm) & motionless & ~grid.flags("ram_door_open_still")
+
+
+def _above_usual_k(grid: Grid) -> Array:
+    """Outlet above its target, less what that was over the flights before. (units, flights) [K]"""
+    out = np.full(grid.shape, np.nan)
+    if "w_hx_out_minus_target_k" in grid.rows.columns:
+        above = pl.col("w_hx_out_minus_target_k")
+        usual = above.shift(1).rolling_median(USUAL_FLIGHTS, min_samples=5).over(PACK)
+        out[grid.unit, grid.flight] = grid.rows.select(above - usual)[:, 0].cast(pl.Float64).to_numpy()
+    return out
+
+
+def _pegs(grid: Grid, limits: Limits) -> Array:
+    enough = (grid.values("door_peg_n") >= 2) & (grid.values("door_off_peg_n") >= 3)
+    widest = grid.values("door_max")
+    partly = (widest < WIDE_OPEN) & (widest > _lower_stop(grid) + PEG_ABOVE)
+    return grid.flags("running") & enough & partly & (grid.values("door_peg_excess_k") > limits.peg_k)
+
+
+def _lower_stop(grid: Grid) -> Array:
+    """Smallest opening that either pack's door has shown so far; types differ in where their doors come to rest."""
+    low = grid.values("door_max") - grid.values("door_span")
+    return np.asarray(np.fmin.accumulate(np.fmin(low, grid.across(low)), axis=1))
+
+
+def _same_stop(widest: Array, peg: Array, sure: Array, ended: Array) -> Array:
+    """Flights on which a stop is believed: from the second time it was hit, or the first beyond doubt, until the door
+    is repaired or goes wider."""
+    out = np.zeros(peg.shape, dtype=bool)
+    for unit in np.nonzero(peg.any(axis=1))[0]:
+        stops: list[tuple[int, float]] = []
+        believed: float | None = None
+        for k in range(peg.shape[1]):
+            if ended[unit, k]:
+                stops, believed = [], None
+            if believed is not None and widest[unit, k] > believed + 2.0 * SAME_STOP:
+                stops, believed = [], None
+            if peg[unit, k]:
+                here = float(widest[unit, k])
+                stops = [s for s in stops if k - s[0] <= STOP_MEMORY]
+                again = any(abs(s[1] - here) < SAME_STOP for s in stops)
+                believed = here if again or sure[unit, k] else believed
+                stops.append((k, here))
+            out[unit, k] = believed is not None
+    return out
+
+
+def _case(grid: Grid, kind: str, seen: Array, spell: tuple[int, int, int | None]) -> Case:
+    unit, first, end = spell
+    window = slice(max(first - STOP_MEMORY, 0), first + 1)
+    hits = np.nonzero(seen[unit, window])[0]
+    excess_k = grid.values("door_peg_excess_k")[unit, window][hits]
+    facts = {
+        "kind": kind,
+        "since": int(hits[0]) + window.start if hits.size else first,
+        "stop": float(np.median(grid.values("door_max")[unit, window][hits])) if hits.size else np.nan,
+        "excess_k": float(np.nanmax(np.append(excess_k, 0.0))),
+    }
+    return Case(unit, "RAM_DOOR", "RAM_DOOR_FAULT", first, end, facts)

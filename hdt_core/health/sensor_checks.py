@@ -1,0 +1,192 @@
+"""What each sensor and each ram door says of itself, flight by flight: counts, cross checks, and the controller's law.
+
+A witness compares quantities that physics ties together, so that wear of the heat exchanger leaves it unmoved: total
+and compressor-inlet temperature, recorded and standard-atmosphere total pressure, the two flows of one pack, and left
+against right where both controllers hold the same target. None needs the digital system model.
+"""
+
+import polars as pl
+
+from hdt_core.calibration.arrays import departure
+from hdt_core.margin.control_schedules import DOOR_FREE, RUNNING_KG_S, ControlSchedules, has_authority, learn_laws
+from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from hdt_core.records.keys import LEG
+from hdt_core.tables.base import finite
+
+SENSORS = (
+    "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s",
+    "ram_out_k", "cc_speed_rad_s", "cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_flow_kg_s", "vda_counts",
+)  # fmt: skip
+"""Signals with a sensor of their own, as the raw tables name them."""
+
+PEG_BAND = 0.015
+"""Samples within this of a flight's widest opening may rest on a stop: three sigma of the position sensor. [-]"""
+CRUISE_MEDIANS = {
+    "tat_k": "tat_cruise_k",
+    "altitude_m": "altitude_cruise_m",
+    "mach": "mach_cruise",
+    "hx_in_k": "hx_in_cruise_k",
+    "hx_out_k": "hx_out_cruise_k",
+    "pack_flow_kg_s": "pack_flow_cruise_kg_s",
+    "cc_speed_rad_s": "cc_speed_cruise_rad_s",
+}
+FEWEST = 3
+STILL_SAMPLES = 8
+"""Fewer readings than this may agree by chance and quantisation."""
+
+
+def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl.DataFrame:
+    """Witness statistics of every flight and pack.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        `legs_samples`: signals in SI with `phase`; invalid values are null. Snapshots with a phase serve as well.
+    laws : ControlSchedules, optional
+        The controllers' laws; learned from the first flights in `samples` where not given.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight and pack: the key, `running` (pack on), `n_snapshots`; for each sensor `<signal>_lost_share`
+        (empty values) and `<signal>_still` (one value all flight); for each cross check `w_<name>` (median) and
+        `w_<name>_n`; for the door `door_span` (5 to 95 % of its travel in the flight), `door_max`, `door_peg_excess_k`
+        (how much warmer the outlet is, against its target, where the door is widest than where it is not) with its two
+        counts; and the flight's setting: cruise medians, door effort, hours.
+    """
+    whole = _paired(_with_laws(samples, laws or learn_laws(samples)))
+    level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
+    out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
+    parts = (
+        level.group_by(LEG).agg(*_checks(LEVEL_CHECKS), *_setting()),
+        whole.group_by(LEG).agg(*_checks(FLIGHT_CHECKS)),
+        _pegged(whole),
+    )
+    for part in parts:
+        out = out.join(part, on=LEG, how="left")
+    return finite(out.sort(LEG))
+
+
+def _counts() -> list[pl.Expr]:
+    """Empty and motionless sensors; a pack that is off says nothing of its sensors."""
+    flows = [(pl.col(c).median() > RUNNING_KG_S).fill_null(False) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
+    lost = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SENSORS]
+    still = [
+        ((pl.col(c).max() == pl.col(c).min()) & (pl.col(c).count() >= STILL_SAMPLES))
+        .fill_null(False)
+        .alias(f"{c}_still")
+        for c in SENSORS
+    ]
+    return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost, *still]
+
+
+def _door() -> list[pl.Expr]:
+    door = pl.col("ram_door_open")
+    return [
+        (door.quantile(0.95) - door.quantile(0.05)).alias("door_span"),
+        door.max().alias("door_max"),
+        door.count().alias("door_n"),
+        door.diff().abs().sum().alias("door_travel"),
+        ((pl.col("time_utc").max() - pl.col("time_utc").min()).dt.total_seconds() / 3600.0).alias("flight_hours"),
+    ]
+
+
+def _setting() -> list[pl.Expr]:
+    """Where and how the flight cruised."""
+    door = pl.col("ram_door_open")
+    median = [pl.col(c).median().alias(name) for c, name in CRUISE_MEDIANS.items()]
+    return [*median, door.median().alias("door_median"), (door > DOOR_FREE[1]).mean().alias("door_full_open_share")]
+
+
+def _with_laws(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
+    """What the controllers' schedules say of each sample."""
+    tail = samples["tail"].to_numpy()
+    tat_k, altitude_m, flow = (samples[c].to_numpy().astype(float) for c in ("tat_k", "altitude_m", "pack_flow_kg_s"))
+    return samples.with_columns(
+        laws.outlet.column(tail, tat_k).alias("target_shape_k"),
+        laws.delivery.column(tail, altitude_m, flow**2).alias("delivery_shape_ln"),
+    )
+
+
+def _with_pitot(level: pl.DataFrame) -> pl.DataFrame:
+    """Total pressure that pressure altitude and Mach number imply."""
+    expected = standard_pressure_pa(level["altitude_m"].to_numpy()) * total_to_static_pressure(level["mach"].to_numpy())
+    return level.with_columns(pl.Series("pitot_pa", expected).fill_nan(None))
+
+
+def _paired(samples: pl.DataFrame) -> pl.DataFrame:
+    """Each sample beside the other pack's sample of the same instant."""
+    shared = ["tail", "flight_id", "time_utc", "source"]
+    signals = [
+        "tat_k",
+        "total_pressure_pa",
+        "hx_in_k",
+        "hx_out_k",
+        "pack_flow_kg_s",
+        "cc_flow_kg_s",
+        "cc_out_pa",
+        "cc_out_k",
+        "ram_door_open",
+    ]
+    other = samples.select(
+        *shared, (3 - pl.col("pack")).alias("pack"), *(pl.col(c).alias(f"other_{c}") for c in signals)
+    )
+    return samples.join(other, on=[*shared, "pack"], how="left")
+
+
+def _log_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:
+    """Natural logarithm of the ratio of two readings; null where one is missing or not above `least`."""
+    good = (pl.col(top) > least) & (pl.col(bottom) > least)
+    return pl.when(good).then((pl.col(top) / pl.col(bottom)).log())
+
+
+_BOTH_RUN = (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("other_pack_flow_kg_s") > RUNNING_KG_S)
+
+LEVEL_CHECKS: dict[str, pl.Expr] = {
+    "inlet_minus_tat_k": pl.col("cc_in_k") - pl.col("tat_k"),
+    "inlet_over_total_pressure_ln": _log_ratio("cc_in_pa", "total_pressure_pa"),
+    "total_over_pitot_pressure_ln": _log_ratio("total_pressure_pa", "pitot_pa"),
+    "pack_over_compressor_flow_ln": _log_ratio("pack_flow_kg_s", "cc_flow_kg_s", RUNNING_KG_S),
+    "tat_between_packs_k": pl.col("tat_k") - pl.col("other_tat_k"),
+    "total_pressure_between_packs_ln": _log_ratio("total_pressure_pa", "other_total_pressure_pa"),
+    "pack_flow_between_packs_ln": _log_ratio("pack_flow_kg_s", "other_pack_flow_kg_s", RUNNING_KG_S),
+    "compressor_flow_between_packs_ln": _log_ratio("cc_flow_kg_s", "other_cc_flow_kg_s", RUNNING_KG_S),
+    "cc_out_pressure_between_packs_ln": pl.when(_BOTH_RUN).then(_log_ratio("cc_out_pa", "other_cc_out_pa")),
+    "cc_out_pressure_over_schedule_ln": pl.when(
+        (pl.col("cc_out_pa") > 0) & (pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    ).then(pl.col("cc_out_pa").log() - pl.col("delivery_shape_ln")),
+    "hx_in_between_packs_k": pl.when(_BOTH_RUN).then(pl.col("hx_in_k") - pl.col("other_hx_in_k")),
+    "cc_out_between_packs_k": pl.when(_BOTH_RUN).then(pl.col("cc_out_k") - pl.col("other_cc_out_k")),
+}
+"""Cross checks in level flight; each is constant, but for noise, while every sensor in it is sound."""
+
+_ABOVE_TARGET_K = pl.col("hx_out_k") - pl.col("target_shape_k")
+FLIGHT_CHECKS: dict[str, pl.Expr] = {
+    "hx_out_minus_target_k": pl.when(has_authority()).then(_ABOVE_TARGET_K),
+    # both controllers hold the same target, whatever the wear
+    "hx_out_between_packs_k": pl.when(has_authority() & has_authority("other_")).then(
+        pl.col("hx_out_k") - pl.col("other_hx_out_k")
+    ),
+}
+"""Cross checks of the controllers, in climb and descent too: they are quick against a flight."""
+
+CHECKS = (*LEVEL_CHECKS, *FLIGHT_CHECKS)
+
+
+def _checks(checks: dict[str, pl.Expr]) -> list[pl.Expr]:
+    """Median of each check and its count; fewer than three samples are no witness."""
+    medians = [pl.when(e.count() >= FEWEST).then(e.median()).alias(f"w_{name}") for name, e in checks.items()]
+    return medians + [e.count().alias(f"w_{name}_n") for name, e in checks.items()]
+
+
+def _pegged(whole: pl.DataFrame) -> pl.DataFrame:
+    """Outlet above target where the door rests at its widest, less the same elsewhere: the flight's trim drops out."""
+    at_stop = pl.col("ram_door_open") > pl.col("ram_door_open").max().over(LEG) - PEG_BAND
+    above = pl.when(has_authority()).then(_ABOVE_TARGET_K)
+    return whole.group_by(LEG).agg(
+        (above.filter(at_stop).median() - above.filter(~at_stop).median()).alias("door_peg_excess_k"),
+        above.filter(at_stop).count().alias("door_peg_n"),
+        above.filter(~at_stop).count().alias("door_off_peg_n"),
+        # straight lines follow their target both ways: a jammed door leaves it above in one hour and below in the next
+        above.std().alias("hx_out_target_sd_k"),
+    )

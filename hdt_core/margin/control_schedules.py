@@ -1,0 +1,205 @@
+"""What the aircraft's controllers hold, learned from what they do: laws that tie readings together whatever the wear.
+
+The pack temperature controller opens the ram door until the exchanger's hot outlet is at a target scheduled on total
+air temperature, plus a trim that a flight keeps: while the door has authority the outlet says nothing of wear, and
+everything of the controller, its door and the outlet sensor. The cabin pressure controller holds the cabin at a
+pressure scheduled on altitude; the compressor delivers that, and the pressure its flow loses in pack and ducts.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from hdt_core.calibration.arrays import Array
+from hdt_core.margin.speed_limit import SpeedLimit, speed_limit
+from hdt_core.robust import huber_weights, spread
+
+DOOR_FREE = (0.08, 0.95)
+"""Between these openings the door has authority: outside, the outlet may leave its target."""
+RUNNING_KG_S = 0.2
+"""Below this flow a pack is off."""
+LEARNING_FLIGHTS = 60
+"""Flights of each aircraft, from its first, that the laws are learned from (the declared baseline window)."""
+ROUGHNESS = 10.0
+"""Weight of a kink between knots, in samples: a schedule is straight where few samples speak."""
+ENOUGH = 300
+"""Samples that a law of an aircraft's own needs; with fewer it takes that of all aircraft at hand."""
+TAT_KNOTS_K = tuple(np.arange(228.0, 317.0, 8.0).tolist())
+ALTITUDE_KNOTS_M = tuple(np.arange(4800.0, 14401.0, 800.0).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSchedule:
+    """A reading as a piecewise-linear schedule of another, plus a gain on a third, up to a constant of its own.
+
+    Attributes
+    ----------
+    knots : tuple of float
+        Abscissae of the schedule.
+    shapes : mapping
+        Tail to the schedule's value at the knots, mean zero; the key `""` holds that of all tails together.
+    gains : mapping
+        Tail to the factor on the third reading; 0 where there is none.
+    levels : mapping
+        `tail/pack` to the constant that its readings had in the window, `""` to that of all.
+    """
+
+    knots: tuple[float, ...]
+    shapes: Mapping[str, tuple[float, ...]]
+    gains: Mapping[str, float]
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+    def level_column(self, packs: pl.DataFrame) -> pl.Series:
+        """Constant of each row's pack (`tail`, `pack`); that of all packs for one the law has not met."""
+        name = pl.concat_str("tail", "pack", separator="/")
+        known = name.replace_strict(dict(self.levels), default=self.levels.get(""), return_dtype=pl.Float64)
+        return packs.select(known)[:, 0]
+
+    def shape(self, tail: str, x: Array, third: Array | float = 0.0) -> Array:
+        """Scheduled part of the reading."""
+        key = tail if tail in self.shapes else ""
+        heights = self.shapes.get(key, (0.0,) * len(self.knots))
+        return np.asarray(np.interp(x, self.knots, heights) + self.gains.get(key, 0.0) * third)
+
+    def column(self, tail: Array, x: Array, third: Array | float = 0.0) -> pl.Series:
+        """Scheduled part for rows of many tails; null where an argument is missing."""
+        extra = np.broadcast_to(np.asarray(third, dtype=float), x.shape)
+        out = np.full(len(x), np.nan)
+        for name in np.unique(tail.astype(str)):
+            rows = tail == name
+            out[rows] = self.shape(name, x[rows], extra[rows])
+        return pl.Series(out).fill_nan(None)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSchedules:
+    """What the controllers of a fleet hold.
+
+    Attributes
+    ----------
+    outlet : ControlSchedule
+        Hot outlet temperature [K] on total temperature [K]; a flight and pack has its own constant.
+    delivery : ControlSchedule
+        ln of compressor exit pressure on altitude [m] and pack flow squared [kg2/s2]; a pack has its own constant.
+    speed : SpeedLimit
+        What the compressors are held below.
+    """
+
+    outlet: ControlSchedule
+    delivery: ControlSchedule
+    speed: SpeedLimit = field(default_factory=SpeedLimit)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, fit for JSON."""
+        both = {"outlet": self.outlet, "delivery": self.delivery}
+        plain: dict[str, Any] = {
+            name: {
+                "knots": list(v.knots),
+                "shapes": {k: list(s) for k, s in v.shapes.items()},
+                "gains": dict(v.gains),
+                "levels": dict(v.levels),
+            }
+            for name, v in both.items()
+        }
+        return plain | {"speed": asdict(self.speed)}
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> "ControlSchedules":
+        """Inverse of `to_dict`."""
+
+        def law(p: Mapping[str, Any]) -> ControlSchedule:
+            shapes = {k: tuple(v) for k, v in p["shapes"].items()}
+            return ControlSchedule(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
+
+        return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
+
+
+def learn_laws(samples: pl.DataFrame) -> ControlSchedules:
+    """Laws of each aircraft's controllers, from its baseline window: what else is in `samples` does not sway them.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        `legs_samples` or snapshots with a phase: signals in SI.
+
+    Notes
+    -----
+    Regression on hat functions with a constant for each group (taken out by centring), a penalty on second differences,
+    and three rounds of Huber weights, so that a jammed door or a drifting sensor in the window doesn't bend it.
+    """
+    window = _baseline(samples)
+    pack = pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64).alias("group")
+    flight = pl.struct("tail", "flight_id", "pack").rank("dense").cast(pl.Int64).alias("group")
+    held = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
+    flow2 = pl.col("pack_flow_kg_s") ** 2
+    running = (pl.col("phase") == "cruise") & (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("cc_out_pa") > 0)
+    flown = window.filter(running)
+    delivered = flown.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
+    delivery = _learn(delivered, ALTITUDE_KNOTS_M)
+    scheduled = delivery.column(*(delivered[c].to_numpy() for c in ("tail", "x", "third")))
+    beyond = delivered["y"] - scheduled - delivery.level_column(delivered)
+    no_speed = pl.repeat(None, flown.height, dtype=pl.Float64, eager=True)
+    speed = flown.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
+    limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
+    return ControlSchedules(_learn(held, TAT_KNOTS_K), delivery, limit)
+
+
+def has_authority(prefix: str = "") -> pl.Expr:
+    """Whether the pack runs and its door (or, with a prefix, the other pack's) is away from both its ends."""
+    return pl.col(f"{prefix}ram_door_open").is_between(*DOOR_FREE) & (pl.col(f"{prefix}pack_flow_kg_s") > RUNNING_KG_S)
+
+
+def _baseline(samples: pl.DataFrame) -> pl.DataFrame:
+    start = samples.group_by("operator", "tail", "flight_id").agg(pl.col("time_utc").min().alias("start"))
+    order = pl.struct("start", "flight_id").rank("ordinal").over("operator", "tail")
+    return samples.join(start.filter(order <= LEARNING_FLIGHTS), on=["operator", "tail", "flight_id"], how="semi")
+
+
+def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> ControlSchedule:
+    known = rows.drop_nulls()
+    fits = {"": _fit(known, knots)}
+    for (tail,), own in known.group_by("tail", maintain_order=True):
+        if own.height >= ENOUGH:
+            fits[str(tail)] = _fit(own, knots)
+    law = ControlSchedule(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
+    return replace(law, levels=_levels(law, known))
+
+
+def _levels(law: ControlSchedule, rows: pl.DataFrame) -> dict[str, float]:
+    """What is left of the readings of each pack once the schedule is taken out, and of all packs under `""`."""
+    scheduled = law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
+    left = rows.select("tail", "pack", left=pl.col("y") - scheduled)
+    own = left.group_by("tail", "pack").agg(pl.col("left").median()).sort("tail", "pack")
+    levels = {f"{tail}/{pack}": float(level) for tail, pack, level in own.rows()}
+    return levels | ({"": float(left["left"].median())} if rows.height else {})  # type: ignore[arg-type]
+
+
+def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...], float]:
+    """Schedule at the knots, mean zero, and gain of the third reading; flat where too few rows speak."""
+    n = len(knots)
+    if rows.height < 2 * n:
+        return (0.0,) * n, 0.0
+    group = rows["group"].rank("dense").to_numpy().astype(np.int64) - 1
+    hats = np.stack([np.interp(rows["x"].to_numpy(), knots, row) for row in np.eye(n)], axis=1)
+    basis, y = np.column_stack([hats, rows["third"].to_numpy()]), rows["y"].to_numpy()
+    bend = np.diff(np.eye(n, n + 1), 2, axis=0)
+    weight: Array = np.ones(len(y))
+    found: Array = np.zeros(n + 1)
+    for _ in range(4):
+        x, d = _centred(basis, group, weight), _centred(y[:, None], group, weight)[:, 0]
+        # the groups' constants take up any other: a whisper of ridge makes the answer unique
+        normal = (x * weight[:, None]).T @ x + ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
+        found = np.linalg.solve(normal, x.T @ (weight * d))
+        miss = np.abs(d - x @ found)
+        weight = huber_weights(miss, spread(miss), 1.5)
+    heights = found[:n] - found[:n].mean()
+    return tuple(float(v) for v in heights), float(found[n])
+
+
+def _centred(values: Array, group: Array, weight: Array) -> Array:
+    total = np.maximum(np.bincount(group, weight), 1e-12)
+    mean = np.stack([np.bincount(group, weight * column) / total for column in values.T], axis=1)
+    return np.asarray(values - mean[group])

@@ -1,0 +1,265 @@
+"""Lives of units on one pack: how they wear, when the message comes, what the shop does and when it notes it."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hdt_core.simulate.design import Operator, PackDesign
+from hdt_core.simulate.flight_conditions import Conditions
+from hdt_core.simulate.packs import FULL_OPEN, Demand, ExchangerWear, behind_worn_compressor, outlets
+from hdt_core.simulate.wear import draw_wear
+
+Array = NDArray[np.float64]
+
+CC_MESSAGE_LOSS = 0.27
+SENSORS = ("hx_in_degc", "hx_out_degc", "pack_flow_lbpm", "cc_flow_lbpm", "cc_out_psia", "ram_door_pct")
+_WORK = ("component", "action", "finding")
+FAULTS = ("drift", "step", "stuck", "dropout")
+
+
+@dataclass(slots=True)
+class PackHistory:
+    """One pack over all its flights: state per flight, and what happened.
+
+    Attributes
+    ----------
+    film_k_w, blockage, area_loss, unit_ua, cc_loss, cc_scatter : ndarray, shape (flights,)
+        Wear of the exchanger's unit, its own conductance ratio, the compressor's loss of efficiency, and the offset of
+        its diameter [m].
+    hx_unit, cc_unit : ndarray of int
+        Which unit flies.
+    door_stuck, door_reach : ndarray
+        Position at which the door is jammed (NaN: free), and the widest it opens; its sensor sits on the door. [-]
+    sensor, fault : ndarray of str
+        Which sensor is faulty, and how.
+    icing, pack_off : ndarray of bool
+        Flights with ice on the core, flights with the pack switched off.
+    events, messages, maintenance : list of dict
+        Rows of the frames of that name, flights by index.
+    """
+
+    film_k_w: Array
+    blockage: Array
+    area_loss: Array
+    unit_ua: Array
+    cc_loss: Array
+    cc_scatter: Array
+    hx_unit: NDArray[np.int_]
+    cc_unit: NDArray[np.int_]
+    door_stuck: Array
+    door_reach: Array
+    sensor: NDArray[np.str_]
+    fault: NDArray[np.str_]
+    icing: NDArray[np.bool_]
+    pack_off: NDArray[np.bool_]
+    events: list[dict[str, Any]] = field(default_factory=list)
+    messages: list[dict[str, Any]] = field(default_factory=list)
+    maintenance: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def wear(self) -> ExchangerWear:
+        """State of the exchanger, per flight."""
+        return ExchangerWear(self.film_k_w, self.blockage, self.area_loss, self.unit_ua)
+
+
+def draw_history(
+    rng: np.random.Generator, operator: Operator, design: PackDesign, cruise: Conditions, demand: Demand
+) -> PackHistory:
+    """History of one pack.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of randomness.
+    operator, design
+        Who flies what.
+    cruise, demand
+        Conditions, and demand behind a sound compressor, in the middle of each flight's cruise, shape (flights,).
+    """
+    n = cruise.mach.size
+    zero, none = np.zeros(n), np.full(n, "", dtype="<U32")
+    history = PackHistory(
+        zero.copy(), zero.copy(), zero.copy(), zero + 1.0, zero.copy(), zero.copy(), zero.astype(int), zero.astype(int),
+        zero + np.nan, zero + 1.0, none.copy(), none.copy(), rng.random(n) < 0.004, rng.random(n) < 0.003,
+    )  # fmt: skip
+    _compressors(rng, history, design)
+    demand = behind_worn_compressor(design, cruise, demand, history.cc_loss)
+    _exchangers(rng, history, operator, design=design, cruise=cruise, demand=demand)
+    _door_faults(rng, history, design, cruise, demand)
+    _sensor_faults(rng, history)
+    for index in np.nonzero(rng.random(n) < 0.001)[0]:
+        _say(history, int(index), rng.choice(["21-61-TRIM", "21-52-HXTEMP"]))
+    return history
+
+
+def unmet_k(design: PackDesign, cruise: Conditions, demand: Demand, wear: ExchangerWear, door: Array) -> Array:
+    """By how much the outlet stays above its target with the door at its widest. [K]"""
+    return outlets(design, cruise, demand, door, wear)[0] - demand.target_k
+
+
+def _exchangers(
+    rng: np.random.Generator,
+    h: PackHistory,
+    operator: Operator,
+    *,
+    design: PackDesign,
+    cruise: Conditions,
+    demand: Demand,
+) -> None:
+    n, start, unit = h.blockage.size, 0, 0
+    while start < n:
+        kind = _install(rng, h, operator, design=design, start=start, unit=unit)
+        here = _from(cruise, demand, h.wear, start)
+        over = unmet_k(design, *here, np.full(n - start, FULL_OPEN)) > design.unmet_limit_k
+        told = np.nonzero(over & np.roll(over, 1))[0]
+        message = start + int(told[told > 0][0]) if (told > 0).any() else None
+        planned = start + int(rng.integers(40, 400)) if rng.random() < 0.15 else 10**9
+        removal = min(message + int(rng.integers(1, 10)) if message is not None else 10**9, 10**9)
+        preventive = planned < min(removal, n) and (message is None or planned <= message)
+        end = planned if preventive else removal
+        event: dict[str, Any] = {"component": "HX", "kind": kind, "installed_index": start, "message_index": None}
+        if preventive:
+            event |= {"removal_kind": "PREVENTIVE", "censored": True, "removal_index": end, "finding": ""}
+            _log(rng, h, end, "HX", "REPLACED", "")
+        elif message is not None:
+            finding = "CLOGGED" if h.blockage[message] > h.film_k_w[message] * design.hx_ua_reference_w_k else "FOULED"
+            event |= {"message_index": message, "removal_kind": "FAILURE", "censored": False, "finding": finding}
+            event["removal_index"] = end if end < n else None
+            for index in range(message, min(end, n)):
+                if index == message or rng.random() < 0.5:
+                    _say(h, index, "21-52-HXTEMP")
+            if end < n:
+                _log(rng, h, end, "HX", "REPLACED", finding)
+        else:
+            event |= {"removal_kind": "END", "censored": True, "removal_index": None, "finding": ""}
+        h.events.append(event)
+        start, unit = end, unit + 1
+
+
+def _install(
+    rng: np.random.Generator, h: PackHistory, operator: Operator, *, design: PackDesign, start: int, unit: int
+) -> str:
+    """Write the wear of a new unit from `start` to the end of the record; its kind."""
+    n = h.blockage.size - start
+    age = rng.uniform(0.0, 0.5) if unit == 0 and rng.random() < 0.4 else 0.0
+    wear = draw_wear(rng, np.array([age]), n, operator.wear)
+    clog = wear.clog[0]
+    gradual = _washed(rng, h, operator, start, 1.0 - (1.0 - wear.loss[0]) / (1.0 - clog))
+    share = rng.dirichlet([1.2, 1.0, 0.25])
+    reference_ua = design.hx_ua_reference_w_k
+    film = share[0] * gradual
+    h.film_k_w[start:] = film / (1.0 - film) / reference_ua
+    h.blockage[start:] = 1.0 - (1.0 - share[1] * gradual) * (1.0 - clog)
+    h.area_loss[start:] = share[2] * gradual
+    h.unit_ua[start:] = 1.0 + 0.04 * rng.standard_normal()
+    h.hx_unit[start:] = unit
+    return str(wear.shape[0]) + ("+sudden_clog" if clog.max() > 0.0 else "")
+
+
+def _washed(rng: np.random.Generator, h: PackHistory, operator: Operator, start: int, gradual: Array) -> Array:
+    """Scheduled washes take away half to nine tenths of the deposit."""
+    out = gradual.copy()
+    if not operator.wash_every:
+        return out
+    for index in range(int(rng.integers(operator.wash_every)), h.blockage.size, operator.wash_every):
+        if index > start:
+            out[index - start :] -= rng.uniform(0.5, 0.9) * out[index - start]
+            _log(rng, h, index, "HX", "CLEANED", "")
+    return np.maximum(out, 0.0)
+
+
+def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -> None:
+    n, start, unit = h.cc_loss.size, 0, 0
+    while start < n:
+        worn = rng.random() < 0.3
+        life = rng.uniform(180.0, 600.0) if worn else rng.uniform(3000.0, 9000.0)
+        k = np.arange(n - start) + (rng.uniform(0.0, 0.4) * life if unit == 0 else 0.0)
+        loss = CC_MESSAGE_LOSS * (k / life) ** rng.uniform(1.0, 2.5)
+        told = np.nonzero(loss + 0.01 * rng.standard_normal(loss.size) > CC_MESSAGE_LOSS)[0]
+        message = start + int(told[0]) if told.size else None
+        end = message + int(rng.integers(2, 10)) if message is not None else n
+        h.cc_loss[start:] = np.minimum(loss, 0.6)
+        h.cc_scatter[start:] = 0.3 * design.diameter_scatter_m * rng.standard_normal()
+        h.cc_unit[start:] = unit
+        event: dict[str, Any] = {
+            "component": "CC",
+            "kind": "efficiency_wear" if worn else "healthy",
+            "installed_index": start,
+        }
+        event |= {"message_index": message, "censored": message is None, "removal_index": end if end < n else None}
+        event |= {
+            "removal_kind": "END" if message is None else "FAILURE",
+            "finding": "" if message is None else "DAMAGED",
+        }
+        h.events.append(event)
+        if message is not None:
+            _say(h, message, "21-51-CCFLOW")
+            if end < n:
+                _log(rng, h, end, "CC", "REPLACED", "DAMAGED")
+        start, unit = end, unit + 1
+
+
+def _door_faults(
+    rng: np.random.Generator, h: PackHistory, design: PackDesign, cruise: Conditions, demand: Demand
+) -> None:
+    n = h.blockage.size
+    for onset in np.nonzero(rng.random(n) < 1.0 / 1500.0)[0]:
+        end = min(int(onset + rng.integers(8, 35)), n)
+        jam = rng.random() < 0.5
+        if jam:
+            h.door_stuck[onset:end] = rng.uniform(0.1, 0.5)
+        else:
+            h.door_reach[onset:end] = rng.uniform(0.45, 0.7)
+        widest = np.where(np.isnan(h.door_stuck), h.door_reach, h.door_stuck)
+        over = unmet_k(design, cruise, demand, h.wear, widest) > design.unmet_limit_k
+        told = [int(i) for i in np.nonzero(over[onset:end])[0] + onset]
+        for index in told:
+            _say(h, index, "21-52-HXTEMP")
+        event: dict[str, Any] = {
+            "component": "RAM_DOOR",
+            "kind": "door_jam" if jam else "door_lost_travel",
+            "finding": "DAMAGED",
+        }
+        event |= {"removal_kind": "REPAIR", "censored": end >= n, "installed_index": None, "onset_index": int(onset)}
+        event |= {"message_index": told[0] if told else None, "removal_index": end if end < n else None}
+        h.events.append(event)
+        if end < n:
+            _log(rng, h, end, "RAM_DOOR", "REPLACED", "DAMAGED")
+            if told:
+                _log(rng, h, min(told[-1] + 1, n - 1), "HX", "INSPECTED", "NO_FAULT_FOUND")
+
+
+def _sensor_faults(rng: np.random.Generator, h: PackHistory) -> None:
+    n = h.blockage.size
+    for onset in np.nonzero(rng.random(n) < 1.0 / 800.0)[0]:
+        end = min(int(onset + rng.integers(6, 80)), n)
+        h.sensor[onset:end], h.fault[onset:end] = rng.choice(SENSORS), rng.choice(FAULTS)
+        event: dict[str, Any] = {
+            "component": "SENSOR",
+            "kind": f"{h.sensor[onset]}_{h.fault[onset]}",
+            "removal_kind": "REPAIR",
+        }
+        event |= {"censored": end >= n, "installed_index": None, "onset_index": int(onset), "message_index": None}
+        h.events.append(event | {"removal_index": end if end < n else None, "finding": "DAMAGED"})
+        if end < n:
+            _log(rng, h, end, "SENSOR", "REPLACED", "DAMAGED")
+
+
+def _from(
+    cruise: Conditions, demand: Demand, wear: ExchangerWear, start: int
+) -> tuple[Conditions, Demand, ExchangerWear]:
+    later = np.arange(start, wear.blockage.size)
+    now = Conditions(*(getattr(cruise, name)[later] for name in Conditions.__dataclass_fields__))
+    asked = Demand(demand.flow_kg_s[later], demand.hot_in_k[later], demand.target_k[later])
+    return now, asked, wear.at(later)
+
+
+def _say(h: PackHistory, index: int, code: str) -> None:
+    h.messages.append({"index": index, "code": str(code)})
+
+
+def _log(rng: np.random.Generator, h: PackHistory, index: int, *work: str) -> None:
+    late = int(rng.integers(0, 6)) if rng.random() < 0.3 else 0
+    h.maintenance.append({"index": min(index + late, h.blockage.size - 1)} | dict(zip(_WORK, work, strict=True)))
