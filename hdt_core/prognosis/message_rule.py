@@ -1,4 +1,4 @@
-"""The rule by which the message comes: how hot, how much of a flight, how often; learned from what messages there are."""
+"""The rule by which the message comes: how hot, how much of a flight, how often; learned from messages there were."""
 
 from collections.abc import Mapping
 from itertools import product

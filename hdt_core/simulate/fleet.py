@@ -109,7 +109,7 @@ def _aircraft(
     air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k, plan.suite)
     arrived = rng.random(size.flights) > 0.01
     logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
-    rows, truth, book = [], [], log_writer.Book(plan)
+    rows, truth, book = [], [], log_writer.LogWriter(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
     outside: dict[int, _Outside] = {}
     for pack in PACKS:

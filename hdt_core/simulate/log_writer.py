@@ -53,7 +53,7 @@ def fleet_row(rng: np.random.Generator, operator: Operator, tail: str) -> pl.Dat
     )
 
 
-class Book:
+class LogWriter:
     """Collects what was written about one aircraft, pack by pack."""
 
     def __init__(self, plan: Plan) -> None:
