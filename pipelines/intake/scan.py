@@ -1,6 +1,7 @@
 """What is new in the landing zone, noted in the ledger by content so that a touched file is not a new one."""
 
 import hashlib
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -16,6 +17,8 @@ from pipelines.storage.cases import CaseLog
 from pipelines.storage.ledger import Ledger
 
 APART = timedelta(hours=1)
+TICK_NS = 3_000_000_000
+"""Change times are no coarser than that (FAT: 2 s): a file read so much later is the same while its time stands."""
 REJECTED = "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows go on
 Row = tuple[str, str, str, str, int, int, str]
 REFUSED = "refused"  # kind of what lies in the landing zone and is no file of the contract
@@ -33,17 +36,17 @@ class Scan:
 
 def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights each holds."""
-    listing = list_landing(landing)
-    known, digests = ledger.known_files(), ledger.digests()
-    new = _new(listing.files, known, digests, _last_look_ns(ledger))
+    began_ns, listing, seen = time.time_ns(), list_landing(landing), _Seen.of(ledger)
+    new = seen.new(listing.files)
     held = _flights([f for f in new if f.kind in FLIGHT_FILES])
     rows = [(f.path, f.operator, f.tail, _kind(f, held), f.size, f.mtime_ns, _digest(f)) for f in new]
     refused = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
-    rows += [r for r in refused if r[0] not in known]
-    told = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, digests)]
-    rows += [r for r in told if digests.get(r[0]) != r[6]]
-    if rows:
-        ledger.register(rows, held)
+    rows += [r for r in refused if r[0] not in seen.known]
+    told = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, seen.digests)]
+    rows += [r for r in told if seen.digests.get(r[0]) != r[6]]
+    touched = seen.touched_since(listing.files, began_ns)
+    if rows or touched:
+        ledger.register(rows, held, touched)
     return Scan(len(listing.files), len(new), sum(map(len, held.values())))
 
 
@@ -66,19 +69,36 @@ def _settings(home: Path, digests: Mapping[str, str]) -> Iterator[Row]:
 def unseen(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:
     """How many files lie there, and those that are new or changed, which are only listed."""
     files = list_landing(landing).files
-    return len(files), _new(files, ledger.known_files(), ledger.digests(), _last_look_ns(ledger))
+    return len(files), _Seen.of(ledger).new(files)
 
 
-def _new(
-    files: Iterable[LandingFile], known: Mapping[str, tuple[int, int]], digests: Mapping[str, str], since_ns: int
-) -> list[LandingFile]:
-    """Files that are not known as they are; of those touched since the last night the content is compared too."""
-    return [f for f in files if known.get(f.path) != (f.size, f.mtime_ns) or _changed(f, since_ns, digests)]
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What the ledger knows of files: size and time, hash, when they were touched; and when a night last looked."""
 
+    known: Mapping[str, tuple[int, int]]
+    digests: Mapping[str, str]
+    touched: Mapping[str, int]
+    last_look_ns: int
 
-def _changed(file: LandingFile, since_ns: int, digests: Mapping[str, str]) -> bool:
-    """Whether a file of the same size and time is another: an editor or a copy can keep both."""
-    return file.touched_ns > since_ns and _digest(file) != digests[file.path]
+    @classmethod
+    def of(cls, ledger: Ledger) -> "_Seen":
+        return cls(ledger.known_files(), ledger.digests(), ledger.touched(), _last_look_ns(ledger))
+
+    def new(self, files: Iterable[LandingFile]) -> list[LandingFile]:
+        """Files that are not known as they are."""
+        return [f for f in files if self.known.get(f.path) != (f.size, f.mtime_ns) or self._changed(f)]
+
+    def touched_since(self, files: Iterable[LandingFile], began_ns: int) -> list[tuple[str, int]]:
+        """Files with a change time not on record, where a night that began then reads what will not change under it."""
+        certain = ((f.path, f.touched_ns) for f in files if f.touched_ns < began_ns - TICK_NS)
+        return [(path, at) for path, at in certain if self.touched.get(path) != at]
+
+    def _changed(self, file: LandingFile) -> bool:
+        """Whether a file of the same size and time is another: a copy can keep both, but not the change time."""
+        before = self.touched.get(file.path)
+        touched = file.touched_ns > self.last_look_ns if before is None else file.touched_ns != before
+        return touched and _digest(file) != self.digests[file.path]
 
 
 def _last_look_ns(ledger: Ledger) -> int:

@@ -1,7 +1,8 @@
 """What was delivered and what was made of it: small tables in `<home>/ledger.sqlite`.
 
 Where HDT_LEDGER_URL names a PostgreSQL database they are there instead, and several machines may work for one fleet.
-`files` says which file holds which flights, by content hash; `done` says of which inputs each stored cell was made. A
+`files` says which file holds which flights, by content hash, `touched` which of them were read long enough after they
+were last touched to be the same while that time stands; `done` says of which inputs each stored cell was made. A
 cell is stale when the two disagree. Data are synced to disk before their line in `done` is committed, so a kill at any
 moment costs work, never truth. `night_versions` says which version of each table a night published. `nights` says when
 the chain last ran, and what failed; `settled`, until something is noted, that nothing was stale after it: an idle night
@@ -47,6 +48,7 @@ create table if not exists night_versions (
 create table if not exists moved (
     operator text not null, tail text not null, flight_id text not null, primary key (operator, tail, flight_id)
 ) without rowid;
+create table if not exists touched (path text primary key, touched_ns bigint not null) without rowid;
 create table if not exists settled (made_as text not null);
 """
 NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
@@ -56,6 +58,7 @@ _SET_FILE = (
     " tail = excluded.tail, kind = excluded.kind, size = excluded.size, mtime_ns = excluded.mtime_ns,"
     " digest = excluded.digest"
 )
+_SET_TOUCHED = "insert into touched values (?, ?) on conflict (path) do update set touched_ns = excluded.touched_ns"
 _SET_VERSION = (
     "insert into done values (?, ?, ?, ?, ?)"
     " on conflict (asset, operator, tail, flight_id) do update set version = excluded.version"
@@ -140,10 +143,22 @@ class Ledger:
         """Content hash of every file seen, by path."""
         return dict(self._ask(lambda con: con.execute("select path, digest from files").fetchall()))
 
+    def touched(self) -> dict[str, int]:
+        """When each file was last touched, by path, of those that were read long enough after that."""
+        asked = (
+            "select path, touched_ns from touched"  # a home of an earlier version, only looked at, has no such table
+        )
+        return dict(self._ask(lambda con: con.execute(asked).fetchall() if self.url or _has(con, "touched") else []))
+
     def register(
-        self, files: Iterable[tuple[str, str, str, str, int, int, str]], flights: dict[str, list[str]]
+        self,
+        files: Iterable[tuple[str, str, str, str, int, int, str]],
+        flights: dict[str, list[str]],
+        touched: Iterable[tuple[str, int]] = (),
     ) -> None:
         """Note new or changed files (path, operator, tail, kind, size, mtime_ns, digest) and the flights each holds.
+
+        And when files were last `touched` (path, time in ns).
 
         A flight that a replaced file no longer holds stays with it: what was stored of it is kept, and accounted for
         even where a killed night had stored its rows and no more.
@@ -151,6 +166,7 @@ class Ledger:
         rows = list(files)
         with self._write(settled=True) as con:
             con.executemany(_SET_FILE, rows)
+            con.executemany(_SET_TOUCHED, list(touched))
             held = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
             con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", held)
             if con.execute("select made_as from settled").fetchall():  # else any cell may be stale
@@ -291,7 +307,11 @@ class Ledger:
 
 def _is_made(con: sqlite3.Connection) -> bool:
     """Whether the tables are there: who makes the file is not done at once."""
-    return bool(con.execute("select name from sqlite_master where name = ?", (NAMES[-1],)).fetchall())
+    return _has(con, NAMES[-1])
+
+
+def _has(con: sqlite3.Connection, table: str) -> bool:
+    return bool(con.execute("select name from sqlite_master where name = ?", (table,)).fetchall())
 
 
 def _as_frame(cursor: Any) -> pl.DataFrame:

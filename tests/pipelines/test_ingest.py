@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 from spoils import Spoil, column, field, fields_of, joined
 
+from pipelines.intake import scan as scan_module
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.scan import scan, unseen
 from pipelines.storage.ledger import Ledger
@@ -218,6 +219,42 @@ def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone):
     assert [f.path for f in unseen(zone.landing, zone.ledger)[1]] == [CSV]
     assert zone.night()["phase_code"].to_list() != before["phase_code"].to_list()
     assert unseen(zone.landing, zone.ledger)[1] == []
+
+
+@pytest.fixture
+def read_at_leisure(monkeypatch):
+    """Every file counts as read long after it was touched."""
+    monkeypatch.setattr(scan_module, "TICK_NS", -60 * 10**9)
+
+
+@pytest.mark.usefixtures("read_at_leisure")
+def test_a_file_is_the_same_while_its_change_time_stands(zone, monkeypatch):
+    zone.deliver(CSV)
+    zone.night()
+    with monkeypatch.context() as within:
+        within.setattr(scan_module, "_digest", None)
+        assert unseen(zone.landing, zone.ledger)[1] == []
+    before = zone.ledger.touched()
+    (zone.landing / CSV).chmod(0o600)
+    assert zone.night().height == N
+    assert zone.ledger.touched()[CSV] > before[CSV]
+
+
+@pytest.mark.usefixtures("read_at_leisure")
+def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone):
+    zone.deliver(CSV)
+    zone.night()
+    zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
+    stat = (zone.landing / CSV).stat()
+    zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
+    os.utime(zone.landing / CSV, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert [f.path for f in unseen(zone.landing, zone.ledger)[1]] == [CSV]
+
+
+def test_a_file_touched_just_before_a_night_is_read_again_by_the_next(zone):
+    zone.deliver(CSV)
+    zone.night()
+    assert zone.ledger.touched() == {}
 
 
 def test_files_untouched_since_the_last_night_are_not_read(zone, monkeypatch):
