@@ -134,7 +134,7 @@ def run_night(
     night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended))
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
-        ledger_copy.keep_copy(ledger)
+        ledger_copy.keep_copy(ledger, idle=True)
     return night
 
 

@@ -1,7 +1,8 @@
-"""A copy of the ledger as the last night left it, by which damage is noticed and mended.
+"""The ledger's hash as the last night left it, by which damage is noticed; and a copy, by which it is mended.
 
-The copy's name holds its hash. While `ledger.sealed` names that hash nobody has written to the ledger since, so it must
-be the same; else SQLite itself is asked. A database server looks after its own.
+While `ledger.sealed` holds the hash nobody has written to the ledger since, so it must be the same; else SQLite itself
+is asked. The copy, whose name holds its own hash, is that of the last night that made something. A database server
+looks after its own.
 """
 
 from pathlib import Path
@@ -12,24 +13,30 @@ from pipelines.storage.files import replacing
 from pipelines.storage.ledger import FILE, SEALED, Ledger
 
 
-def keep_copy(ledger: Ledger) -> None:
-    """Copy the ledger as it is now."""
+def keep_copy(ledger: Ledger, *, idle: bool = False) -> None:
+    """Copy the ledger as it is now and seal it; an `idle` night only noted that it was, and the copy there will do."""
     path, sealed = ledger.home / FILE, ledger.home / SEALED
     if ledger.url or not path.exists():
         return
     sealed.write_text("")  # it goes when someone writes; killed before the hash stands in it, it says nothing
     ledger.flush()
     content = path.read_bytes()
-    copy = ledger.home / f"ledger.{hash_of(content)}.copy"
-    with replacing(copy) as temporary:
-        temporary.write_bytes(content)
+    found = hash_of(content)
+    copy = ledger.home / f"ledger.{found}.copy"
+    if kept := not (idle and _copies(ledger.home)):
+        with replacing(copy) as temporary:
+            temporary.write_bytes(content)
     whole = sealed.exists()  # or someone has written meanwhile
     if whole:
-        with replacing(sealed) as temporary:
-            temporary.write_text(_hash_in(copy))
-    for other in _copies(ledger.home):
+        _seal(ledger.home, found)
+    for other in _copies(ledger.home) if kept else ():
         if (other != copy) == whole:
             other.unlink()
+
+
+def _seal(home: Path, found: str) -> None:
+    with replacing(home / SEALED) as temporary:
+        temporary.write_text(found)
 
 
 def fault_of(ledger: Ledger) -> str | None:
@@ -59,6 +66,7 @@ def mend(ledger: Ledger) -> str | None:
         if hash_of(content) == _hash_in(copy):
             with replacing(ledger.home / FILE) as temporary:
                 temporary.write_bytes(content)
+            _seal(ledger.home, _hash_in(copy))
             return f"the ledger {fault}; the copy of the last night's end takes its place"
     return f"the ledger {fault}; all that lies in the landing zone is taken in again"
 

@@ -5,8 +5,8 @@ logs, and which files a table was made of. Objects have no seal: an object store
 """
 
 import json
+import os
 from collections.abc import Collection, Iterable, Mapping
-from os import stat_result
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,8 +73,8 @@ def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: boo
 
     A file whose size and time are those sealed is taken to be the same, unless all are to be read `whole`.
     """
-    known, root = held.files if held else {}, Path(store.root)
-    return [path for path in paths if not _is_same(root / path, path, known.get(path), whole)]
+    known = held.files if held else {}
+    return [path for path in paths if not _is_same(f"{store.root}/{path}", path, known.get(path), whole)]
 
 
 def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]]) -> None:
@@ -83,11 +83,11 @@ def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]
         temporary.write_text(f"{hash_of(text.encode())}\n{text}")
 
 
-def _as_before(told: stat_result, before: SealedFile | None) -> bool:
+def _as_before(told: os.stat_result, before: SealedFile | None) -> bool:
     return before is not None and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns)
 
 
-def _entry(told: stat_result, before: SealedFile | None, named: str, found: str) -> SealedFile:
+def _entry(told: os.stat_result, before: SealedFile | None, named: str, found: str) -> SealedFile:
     """A file that is new or changed, whose name may hold a hash; one that is not what was written stays as it was."""
     wanted = named or (before.hash if before else "")
     if wanted and wanted != found:
@@ -95,11 +95,11 @@ def _entry(told: stat_result, before: SealedFile | None, named: str, found: str)
     return SealedFile(told.st_size, told.st_mtime_ns, found)
 
 
-def _is_same(file: Path, name: str, before: SealedFile | None, whole: bool) -> bool:
+def _is_same(file: str, name: str, before: SealedFile | None, whole: bool) -> bool:
     try:
-        if not whole and _as_before(file.stat(), before):
+        if not whole and _as_before(os.stat(file), before):
             return True
-        return hash_of(file.read_bytes()) == (before.hash if before else hash_in(name))
+        return hash_of(Path(file).read_bytes()) == (before.hash if before else hash_in(name))
     except OSError:
         return False
 
