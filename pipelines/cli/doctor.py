@@ -18,8 +18,9 @@ from pipelines.intake.types_of_zone import types_of
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
-from pipelines.storage.ledger import FILE, Ledger
+from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import fault_of as ledger_fault
+from pipelines.storage.ledger_tables import FILE
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import views
 from pipelines.storage.seal import NAME, changed, named, read

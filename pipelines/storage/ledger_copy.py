@@ -10,7 +10,8 @@ from pathlib import Path
 from pipelines.storage import sqlite_reader
 from pipelines.storage.data_file import hash_of
 from pipelines.storage.files import replacing
-from pipelines.storage.ledger import FILE, SEALED, Ledger
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger_tables import FILE, SEALED
 
 
 def keep_copy(ledger: Ledger, *, idle: bool = False) -> None:

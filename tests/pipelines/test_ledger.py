@@ -18,7 +18,8 @@ from databases import SERVER, new_database
 
 from pipelines.orchestration import nightly
 from pipelines.storage import postgres
-from pipelines.storage.ledger import NAMES, Ledger
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger_tables import NAMES
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
