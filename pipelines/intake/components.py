@@ -16,7 +16,8 @@ from pipelines.intake.ledger import Fault, quarantine, shortened
 from pipelines.intake.names import EARLIEST, MAX_PACKS
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.recorder_rows import recorder_rows
-from pipelines.intake.text import Text, open_text, to_columns
+from pipelines.intake.text import Text, open_text
+from pipelines.intake.text_columns import to_columns
 from pipelines.intake.times import to_utc, zone_note
 from pipelines.intake.types_of_zone import types_of
 from pipelines.storage.panics import first_line, panics_as_errors

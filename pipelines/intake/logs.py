@@ -14,7 +14,8 @@ from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import EARLIEST, MAX_PACKS, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.row_validation import PACKS
-from pipelines.intake.text import Text, open_text, to_columns
+from pipelines.intake.text import Text, open_text
+from pipelines.intake.text_columns import to_columns
 from pipelines.intake.times import to_day, to_utc, zone_note
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")

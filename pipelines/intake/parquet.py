@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from pipelines.intake.columns import PACK_FILES, Contract
 from pipelines.intake.header import judge_header
 from pipelines.intake.ledger import Fault
-from pipelines.intake.text import number_faults
+from pipelines.intake.text_columns import number_faults
 from pipelines.storage.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000

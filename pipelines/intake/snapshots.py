@@ -17,7 +17,8 @@ from pipelines.intake.parquet import open_parquet
 from pipelines.intake.reasons import REASONS
 from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.row_validation import ValidatedRows, about_files, judge
-from pipelines.intake.text import PLACE, Text, open_text, to_columns
+from pipelines.intake.text import Text, open_text
+from pipelines.intake.text_columns import PLACE, to_columns
 from pipelines.intake.times import to_utc, zone_note
 from pipelines.storage.panics import first_line, panics_as_errors
 

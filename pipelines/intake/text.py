@@ -1,22 +1,17 @@
-"""Text files become columns: the bulk through Polars, and line by line only where something is off.
+"""A text file on its way to columns: decoded, its header found, its rows counted, and whether it is sound.
 
 A file is sound when its bytes are ASCII without NUL, its lines end in a newline and its commas add up to what the
-header asks for; Polars refuses a row with too many fields, so a row with too few cannot hide behind it. Sound files of
-one header are parsed as one text.
+header asks for.
 """
 
-import csv
-import io
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import polars as pl
 
 from pipelines.intake.header import Header
-from pipelines.intake.ledger import MAX_ROWS_LISTED, Fault, first_and_rest
+from pipelines.intake.ledger import Fault
 
 _BOMS = (
     (b"\xff\xfe\x00\x00", "utf-32"),
@@ -26,8 +21,6 @@ _BOMS = (
 )
 _SEPARATORS = (";", "\t", "|")
 
-PLACE = "_text"
-"""Column that says which text a row is of; the contract has a column `text` of its own."""
 MAX_HEADER_BYTES = 1 << 16
 MAX_LINES = 1_000_000
 """A month of reports has thousands of lines; what has more would be read for minutes."""
@@ -54,7 +47,7 @@ class Text:
         """Line `row` of the file (the header is line 1), for a quarantine row."""
         if not self._lines:
             self._lines = self.body.split(b"\n")
-        return _shown(self._lines[row - 2]) if 0 <= row - 2 < len(self._lines) else ""
+        return shown(self._lines[row - 2]) if 0 <= row - 2 < len(self._lines) else ""
 
     @property
     def refused(self) -> bool:
@@ -81,13 +74,13 @@ def open_text(content: bytes, judge: Judge) -> Text:
 def _open_header(text: Text, first: str, body: bytes, judge: Judge) -> None:
     separator = next((s for s in _SEPARATORS if s in first and "," not in first), None)
     if separator:
-        text.n_rows = _count_rows(body)
+        text.n_rows = count_rows(body)
         text.faults.append(Fault("wrong_separator", detail=f"Found {separator!r}.", n_rows=text.n_rows))
         return
     header = judge(tuple(first.split(",")))
     if header.fault is not None:
         fault = header.fault
-        text.n_rows = _count_rows(body) + (fault.reason == "no_header")  # then the first line is a row too
+        text.n_rows = count_rows(body) + (fault.reason == "no_header")  # then the first line is a row too
         text.faults.append(replace(fault, n_rows=text.n_rows))
         return
     text.faults.extend(header.notes)
@@ -96,17 +89,17 @@ def _open_header(text: Text, first: str, body: bytes, judge: Judge) -> None:
         return
     n_lines = _count(body, b"\n")
     if n_lines > MAX_LINES:
-        text.n_rows = _count_rows(body)
+        text.n_rows = count_rows(body)
         text.faults.append(Fault("too_large", detail=f"It has {n_lines} lines.", n_rows=text.n_rows))
         return
     text.header = header
     text.body = _whole_lines(body, text)
     text.n_lines = _count(text.body, b"\n")
     text.is_sound = _is_sound(text)
-    text.n_rows = (text.n_lines if text.is_sound else _count_rows(text.body)) + sum(f.n_rows for f in text.faults)
+    text.n_rows = (text.n_lines if text.is_sound else count_rows(text.body)) + sum(f.n_rows for f in text.faults)
 
 
-def _count_rows(body: bytes) -> int:
+def count_rows(body: bytes) -> int:
     """Lines that are not blank: places where the first ink of a line follows."""
     n, before = 0, _NEWLINE
     for start in range(0, len(body), _CHUNK):
@@ -157,7 +150,7 @@ def _whole_lines(body: bytes, text: Text) -> bytes:
     if not last.strip() or _ends_whole(head, last):
         return body + b"\n"
     row = body.count(b"\n") + 2
-    cut = Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=_shown(last))
+    cut = Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=shown(last))
     text.faults.append(cut)
     return head + b"\n" if head else b""
 
@@ -177,48 +170,6 @@ def _ends_whole(head: bytes, last: bytes) -> bool:
 
 def _decimals(number: bytes) -> int:
     return len(number.partition(b".")[2]) if re.fullmatch(rb"-?\d+\.\d+", number) else -1
-
-
-def to_columns(texts: Sequence[Text], numbers: Collection[str]) -> tuple[pl.DataFrame, list[list[Fault]]]:
-    """Rows of all files with the known columns, `_text` (position in `texts`), `row` (line), and each file's faults.
-
-    Columns in `numbers` come as Float64, with NaN and infinity where the file says so; all others as String.
-    """
-    faults: list[list[Fault]] = [[] for _ in texts]
-    batches: dict[tuple[str | None, ...], list[int]] = {}
-    frames = []
-    for i, text in enumerate(texts):
-        if text.refused or not text.body:
-            continue
-        if text.is_sound:
-            batches.setdefault(text.header.names, []).append(i)
-        else:
-            frames.append(_line_by_line(i, text, faults[i]))
-    for names, members in batches.items():
-        frames.extend(_bulk(names, members, texts, set(numbers), faults))
-    typed = [_to_numbers(frame, numbers, faults) for frame in frames]
-    return pl.concat(typed, how="diagonal") if typed else pl.DataFrame(), faults
-
-
-def _to_numbers(frame: pl.DataFrame, numbers: Collection[str], faults: list[list[Fault]]) -> pl.DataFrame:
-    for name in numbers:
-        if frame.schema.get(name) == pl.String:
-            frame, bad = number_faults(frame, name)
-            for i, fault in bad:
-                faults[i].append(fault)
-    return frame
-
-
-def number_faults(frame: pl.DataFrame, name: str) -> tuple[pl.DataFrame, list[tuple[int, Fault]]]:
-    """A text column as numbers, and for each text that is none its file (`_text`, 0 where absent) and fault."""
-    found = pl.col(name).str.strip_chars(" \t")
-    number = found.cast(pl.Float64, strict=False)
-    file = pl.col(PLACE) if PLACE in frame.columns else pl.lit(0).alias(PLACE)
-    bad = frame.filter(number.is_null() & (found.str.len_bytes() > 0)).select(file, "row", name)
-    bad, rest = first_and_rest(bad, [PLACE], MAX_ROWS_LISTED)
-    faults = [(i, Fault("not_a_number", row, name, f"Found {value[:40]!r}.")) for i, row, value in bad.iter_rows()]
-    faults += [(i, Fault("not_a_number", None, name, f"And {n} more values.")) for i, n in rest.iter_rows()]
-    return frame.with_columns(number.alias(name)), faults
 
 
 def _is_sound(text: Text) -> bool:
@@ -244,82 +195,6 @@ def _only_empty_quotes(body: bytes) -> bool:
     return not (pairs[1:] & pairs[:-1]).any() and np.count_nonzero(quote) == 2 * np.count_nonzero(pairs)
 
 
-def _bulk(
-    names: tuple[str | None, ...],
-    members: list[int],
-    texts: Sequence[Text],
-    numbers: set[str],
-    faults: list[list[Fault]],
-) -> list[pl.DataFrame]:
-    """Parse sound files of one header together; typed if all numbers are numbers, else as text, else one by one."""
-    columns = [n or f"_stranger_{i}" for i, n in enumerate(names)]
-    body = texts[members[0]].body if len(members) == 1 else b"".join(texts[i].body for i in members)
-    for typed in (numbers, set[str]()):
-        schema = {c: pl.Float64 if c in typed else pl.String for c in columns}
-        try:
-            frame = pl.read_csv(io.BytesIO(body), has_header=False, schema=schema)
-        except pl.exceptions.PolarsError:
-            continue
-        counts = [texts[i].n_lines for i in members]
-        if frame.height == sum(counts):
-            return [_placed(frame.select(n for n in names if n), members, counts)]
-    if len(members) == 1:
-        return [_line_by_line(members[0], texts[members[0]], faults[members[0]])]
-    half = len(members) // 2
-    return [f for part in (members[:half], members[half:]) for f in _bulk(names, part, texts, numbers, faults)]
-
-
-def _placed(frame: pl.DataFrame, members: Sequence[int], counts: Sequence[int]) -> pl.DataFrame:
-    """`frame` with the file and line each row came from."""
-    text = np.repeat(np.asarray(members, dtype=np.int32), counts)
-    starts = np.repeat(np.cumsum([0, *counts[:-1]]), counts)
-    row = np.arange(frame.height, dtype=np.int64) - starts + 2
-    return frame.with_columns(pl.Series(PLACE, text), pl.Series("row", row))
-
-
-def _line_by_line(i: int, text: Text, faults: list[Fault]) -> pl.DataFrame:
-    """Take each line by itself: the careful way, for files where something is off."""
-    names = text.header.names
-    kept: list[list[str]] = []
-    rows: list[int] = []
-    more: Counter[str] = Counter()
-    n_cut = text.n_rows - (text.n_lines if text.is_sound else _count_rows(text.body))
-    text.n_rows = _count_rows(text.body) + n_cut  # sums may hide a blank line behind a row too long
-    for row, line in enumerate(text.body.split(b"\n"), start=2):
-        if not line.strip():
-            continue
-        fields = _fields(line, len(names))
-        if isinstance(fields, list):
-            kept.append(fields)
-            rows.append(row)
-        elif len(faults) < MAX_ROWS_LISTED:
-            faults.append(Fault(fields[0], row, detail=fields[1], n_rows=1, content=_shown(line)))
-        else:
-            more[fields[0]] += 1
-    faults.extend(Fault(reason, detail=f"And {n} more rows.", n_rows=n) for reason, n in more.items())
-    columns = {n: pl.Series([f[k] for f in kept], dtype=pl.String) for k, n in enumerate(names) if n}
-    place = {PLACE: pl.Series([i] * len(rows), dtype=pl.Int32), "row": pl.Series(rows, dtype=pl.Int64)}
-    return pl.DataFrame({**columns, **place})
-
-
-def _fields(line: bytes, n_names: int) -> list[str] | tuple[str, str]:
-    """Fields of a line, or the reason code why it has none and a detail."""
-    try:
-        text = line.decode()
-    except UnicodeDecodeError:
-        return "bad_bytes", ""
-    if "\x00" in text:
-        return "bad_bytes", ""
-    fields = text.rstrip("\r").split(",")
-    if '"' in text:
-        try:
-            fields = next(csv.reader([text], strict=True))
-        except (csv.Error, StopIteration):
-            return "bad_quoting", ""
-    if len(fields) != n_names:
-        return "wrong_field_count", f"It has {len(fields)}, the header {n_names}."
-    return fields
-
-
-def _shown(line: bytes) -> str:
+def shown(line: bytes) -> str:
+    """A line for a quarantine row, whatever bytes it is of."""
     return line[:500].decode(errors="backslashreplace").replace("\x00", "\\x00")
