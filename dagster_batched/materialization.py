@@ -8,7 +8,7 @@ from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
 from dagster._core.events import DagsterEvent, DagsterEventBatchMetadata, StepMaterializationData
 from dagster._core.instance.utils import RUNLESS_JOB_NAME, RUNLESS_RUN_ID
 
-from dagster_batched.event_log import CoalescingEventLog
+from dagster_batched.coalescing import CoalescingEventLog
 
 
 def report_partitions(

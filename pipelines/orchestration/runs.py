@@ -8,7 +8,7 @@ import dagster as dg
 import polars as pl
 
 from dagster_batched import instance
-from dagster_batched.event_log import CoalescingEventLog
+from dagster_batched.coalescing import CoalescingEventLog
 from dagster_batched.materialization import report_runless
 from dagster_batched.partitions import cached_ranges
 from dagster_batched.remote import origins
