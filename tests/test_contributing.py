@@ -85,9 +85,9 @@ def tree(tmp_path_factory) -> Path:
     ))  # fmt: skip
     with (top / "hdt_core/tables/raw.py").open("a") as tables:
         tables.write(TABLE)
-    kept = '    "raw_fleet": Entry('
+    kept = '    "raw_fleet": StoredTable('
     replaced(top / "hdt_core/tables/__init__.py", kept, (
-        '    "flight_counts": Entry(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + kept
+        '    "flight_counts": StoredTable(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + kept
     ))  # fmt: skip
     replaced(top / "pipelines/lineage.py", '    Stage("prognosis_base",', (
         '    Stage("flight_counts", "raw", alike("flight_counts", parents=("raw_flights",))),\n'
