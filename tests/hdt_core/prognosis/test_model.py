@@ -106,6 +106,13 @@ def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
 
 
+def test_what_a_fleet_taught_is_read_as_older_homes_kept_it(fitted):
+    model = fitted[2]
+    older = json.dumps(fits_to_json(model)).replace('"rule": ', '"says": ')
+    assert '"rule"' not in older
+    assert with_fits(model, json.loads(older)).fits == model.fits
+
+
 def test_same_arguments_same_model(fitted):
     features, lives, model = fitted
     assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
