@@ -12,15 +12,15 @@ import polars as pl
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.calibrate import calibrate as fit
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit_by, learn_norm
+from hdt_core.flight.admission import admit_by, learn_baseline
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import leg_signs
+from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import witnesses as testify
-from hdt_core.margin.control_schedules import learn_laws
-from hdt_core.margin.exchanger_demand import CRITICAL, margin_flights
+from hdt_core.margin.control_schedules import learn_schedules
+from hdt_core.margin.exchanger_demand import CRITICAL, exchanger_demand
 from hdt_core.prognosis.feature_rows import ASKS
 from hdt_core.prognosis.model import out_of_fold
 from hdt_core.prognosis.unit_lives import episodes
@@ -44,9 +44,9 @@ def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.Dat
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
     logs = [told_by_then(log, verdicts) for log in (maintenance, messages)]
-    norm = learn_norm(verdicts, samples, *logs)
-    admitted = admit_by(norm, verdicts, leg_signs(samples, norm), *logs)
-    return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_laws(samples)}
+    norm = learn_baseline(verdicts, samples, *logs)
+    admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), *logs)
+    return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_schedules(samples)}
 
 
 def estimate(samples: pl.DataFrame, dsm: Any) -> Made:
@@ -66,12 +66,12 @@ def admit(
     health: pl.DataFrame,
     alone: pl.DataFrame,
 ) -> Made:
-    signs = leg_signs(samples, norm)
+    signs = leg_indicators(samples, norm)
     return {"admitted": admit_by(norm, verdicts, signs, maintenance, messages, health, alone)}
 
 
 def margin(samples: pl.DataFrame, dsm: Any, laws: Any) -> Made:
-    return {"margin": margin_flights(samples, dsm, laws), "witnesses": testify(samples, laws)}
+    return {"margin": exchanger_demand(samples, dsm, laws), "witnesses": testify(samples, laws)}
 
 
 def features(

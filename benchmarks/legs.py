@@ -26,7 +26,7 @@ from hdt_core.flight.admission import admit
 from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
-from hdt_core.flight.nominal_baseline import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.flight.phases import LEG_KEY, add_phases
 from hdt_core.flight.steady import is_transient
 from hdt_core.flight.windows import number_flights
@@ -88,7 +88,9 @@ def thinned(fleet: Fleet, share: float, seed: int) -> Fleet:
 def classical(fleet: Fleet) -> pl.DataFrame:
     """The peer: rules, then mean and covariance of the same leg quantities, and a chi-square limit."""
     numbered = number_flights(fleet.legs.drop("flight_number"))
-    signs = leg_signs(fleet.samples, Norm(learn_manifold(fleet.samples, numbered), learn_outlet_law(fleet.samples)))
+    signs = leg_indicators(
+        fleet.samples, NominalBaseline(learn_manifold(fleet.samples, numbered), learn_outlet_law(fleet.samples))
+    )
     columns = ["index_level", "index_unrest", *(f"{c}_off" for c in TOLERANCE if c in LEG_CHECKS)]
     vector = fleet.legs.join(signs, on=LEG_KEY, how="left", maintain_order="left").join(
         check_sensors(signs.select(*LEG_KEY, *LEG_CHECKS), numbered), on=LEG_KEY, how="left", maintain_order="left"

@@ -39,7 +39,7 @@ def thinned(made: Made, every: int) -> Made:
 
 
 def true_lives(features: pl.DataFrame, truth: pl.DataFrame, events: pl.DataFrame) -> pl.DataFrame:
-    """Lives of the exchangers as they were, in the columns of `lives.episodes`, whatever the logs say of them."""
+    """Lives of the exchangers as they were, in the columns of `unit_lives.episodes`, whatever the logs say of them."""
     index = truth.select("tail", "flight_id", "pack", "index")
     flown = flight_rows(features).join(index, on=["tail", "flight_id", "pack"])
     units = events.filter(component="HX").select(*PACK, "installed_index", "message_index", "removal_index")

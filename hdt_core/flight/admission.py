@@ -11,7 +11,7 @@ from hdt_core.flight.bleed import BLEED, ODD_BLEED
 from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, learn_outlet_law
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
-from hdt_core.flight.nominal_baseline import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import flag_windows, number_flights
 from hdt_core.robust import Z_90
@@ -35,11 +35,13 @@ SECOND_LEVEL = {
 }
 
 
-def learn_norm(legs: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Norm:
+def learn_baseline(
+    legs: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
+) -> NominalBaseline:
     """Learn from a fleet, sick legs among it; parameters as for `admit`."""
     numbered = number_flights(legs.drop("flight_number", strict=False))
-    laws = Norm(learn_manifold(samples, numbered), learn_outlet_law(samples))
-    signs = leg_signs(samples, laws)
+    laws = NominalBaseline(learn_manifold(samples, numbered), learn_outlet_law(samples))
+    signs = leg_indicators(samples, laws)
     laws = replace(laws, level=learn_level(numbered.join(signs, on=LEG_KEY, how="left"), maintenance))
     passed = _residuals(_judged(numbered, signs, maintenance, messages, laws, None))
     return replace(laws, scatter=learn_scatter(passed, [c for c in passed.columns if c.endswith("_off")]))
@@ -69,12 +71,12 @@ def admit(
     DataFrame
         `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) renewed; no leg is dropped.
     """
-    norm = learn_norm(legs, samples, maintenance, messages)
-    return admit_by(norm, legs, leg_signs(samples, norm), maintenance, messages, health_parameters)
+    baseline = learn_baseline(legs, samples, maintenance, messages)
+    return admit_by(baseline, legs, leg_indicators(samples, baseline), maintenance, messages, health_parameters)
 
 
 def admit_by(
-    norm: Norm,
+    baseline: NominalBaseline,
     legs: pl.DataFrame,
     signs: pl.DataFrame,
     maintenance: pl.DataFrame,
@@ -82,13 +84,15 @@ def admit_by(
     health_parameters: pl.DataFrame | None = None,
     twin_flights: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """`admit` by a norm learned before; `signs` of `leg_signs`, all flights of each tail, `twin_flights` of the twin
-    with its witnesses (`TWIN_CHECKS`). No tail sways another."""
+    """`admit` by a baseline learned before; no tail sways another.
+
+    `signs` are of `leg_indicators`, all flights of each tail; `twin_flights` of the twin with its `TWIN_CHECKS`.
+    """
     numbered = number_flights(legs.drop("flight_number", strict=False))
     if twin_flights is not None:
         signs = signs.join(twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left")
-    known = _judged(numbered, signs, maintenance, messages, norm, health_parameters)
-    return _without_outliers(known, norm.scatter).select(legs.columns)
+    known = _judged(numbered, signs, maintenance, messages, baseline, health_parameters)
+    return _without_outliers(known, baseline.scatter).select(legs.columns)
 
 
 def _judged(
@@ -96,7 +100,7 @@ def _judged(
     signs: pl.DataFrame,
     maintenance: pl.DataFrame,
     messages: pl.DataFrame,
-    norm: Norm,
+    baseline: NominalBaseline,
     health_parameters: pl.DataFrame | None,
 ) -> pl.DataFrame:
     """Every rule but the last."""
@@ -104,7 +108,7 @@ def _judged(
     known = flag_windows(numbered, maintenance, messages)
     checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in signs.columns)
     checked = check_sensors(signs.select(*LEG_KEY, *checks), numbered)
-    for part in (checked, judge_conductance(levels, maintenance, norm.level), _wear(health_parameters)):
+    for part in (checked, judge_conductance(levels, maintenance, baseline.level), _wear(health_parameters)):
         known = known.join(part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left")
     return _give_reasons(known)
 

@@ -14,7 +14,7 @@ from hdt_core.tables.base import finite
 
 
 @dataclass(frozen=True, slots=True)
-class Norm:
+class NominalBaseline:
     """What nominal legs of a fleet have in common: the laws that legs are held against."""
 
     manifold: Manifold | None = None
@@ -27,18 +27,18 @@ class Norm:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str) -> "Norm":
+    def from_json(cls, text: str) -> "NominalBaseline":
         """Inverse of `to_json`."""
         plain = json.loads(text)
         kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": IndexLevel, "scatter": Scatter}
         return cls(**{name: kind(**_frozen(plain[name])) for name, kind in kinds.items() if plain[name] is not None})
 
 
-def leg_signs(samples: pl.DataFrame, norm: Norm) -> pl.DataFrame:
+def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataFrame:
     """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
     means of the cross checks. Each from its own samples only."""
-    checks = leg_checks(samples, norm.outlet)
-    both = checks.join(leg_conductance(samples, norm.manifold), on=LEG_KEY, how="full", coalesce=True)
+    checks = leg_checks(samples, baseline.outlet)
+    both = checks.join(leg_conductance(samples, baseline.manifold), on=LEG_KEY, how="full", coalesce=True)
     return finite(both).sort(LEG_KEY)
 
 

@@ -10,7 +10,7 @@ import polars as pl
 
 from hdt_core.health.virtual_sensors import virtual_sensors
 from hdt_core.margin.first_passage import passages
-from hdt_core.margin.margin import SHOWN_DELIVERY, SHOWN_MARGIN, left_delivery, left_margin
+from hdt_core.margin.margin import SHOWN_DELIVERY, SHOWN_MARGIN, compressor_margin, exchanger_margin
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import finite
@@ -53,9 +53,9 @@ def features(
     twin_flights : DataFrame, optional
         What each flight alone says; gives the virtual sensors.
     witnesses : DataFrame, optional
-        `witnesses.witnesses(samples)`; its columns are passed on under their own names.
+        `sensor_checks.witnesses(samples)`; its columns are passed on under their own names.
     margin : DataFrame, optional
-        `asks.margin_flights(samples, ...)`: what each flight asked; gives the margin that is left.
+        `exchanger_demand(samples, ...)`: what each flight asked; gives the margin that is left.
     health : sequence of str, optional
         Health parameters to describe; the first is the loss that is watched for jumps. What stands before the first
         underscore is the component's code in the maintenance log, in small letters.
@@ -150,10 +150,10 @@ def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFram
     seen = wide.select(*LEG, pl.selectors.by_name(*WORN, require_all=False)).join(
         alone, on=LEG, how="left", maintain_order="left"
     )
-    told = left_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
+    told = exchanger_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
     if "cc_flow_asked_kg_s" not in margin.columns:
         return told
-    return told.join(left_delivery(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left")
+    return told.join(compressor_margin(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left")
 
 
 def since_maintenance(

@@ -8,7 +8,7 @@ against right where both controllers hold the same target. None needs the digita
 import polars as pl
 
 from hdt_core.calibration.arrays import departure
-from hdt_core.margin.control_schedules import DOOR_FREE, RUNNING_KG_S, ControlSchedules, has_authority, learn_laws
+from hdt_core.margin.control_schedules import DOOR_FREE, RUNNING_KG_S, ControlSchedules, has_authority, learn_schedules
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG
 from hdt_core.tables.base import finite
@@ -54,7 +54,7 @@ def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl
         (how much warmer the outlet is, against its target, where the door is widest than where it is not) with its two
         counts; and the flight's setting: cruise medians, door effort, hours.
     """
-    whole = _paired(_with_laws(samples, laws or learn_laws(samples)))
+    whole = _paired(_with_laws(samples, laws or learn_schedules(samples)))
     level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
     out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
     parts = (

@@ -43,10 +43,10 @@ CLEAN_PARTS = ("cc_flow_margin_design_kg_s", "cc_flow_margin_demand_kg_s", "cc_f
 ASKED = {"cc_flow_asked_kg_s": pl.Float64, "cc_speed_limit_met": pl.Boolean} | dict.fromkeys(
     (*(name for where in WHERE for name in (*CRITICAL_DIAMETER[where], WIDEST[where])), *CLEAN_PARTS), pl.Float64
 )
-"""What is kept of each flight: see `delivery_flights`."""
+"""What is kept of each flight: see `compressor_demand`."""
 
 
-def delivery_flights(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
+def compressor_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """What each flight asked of the compressors, whatever their wear: from that flight and the model alone.
 
     Parameters
@@ -112,7 +112,7 @@ def needed(asked: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple
 
 
 def curves_of(flights: pl.DataFrame, where: str) -> tuple[Array, Array]:
-    """What `delivery_flights` says of one place: critical diameters (n, flows) and the widest share (n,)."""
+    """What `compressor_demand` says of one place: critical diameters (n, flows) and the widest share (n,)."""
     return flights.select(CRITICAL_DIAMETER[where]).to_numpy(), flights[WIDEST[where]].to_numpy()
 
 

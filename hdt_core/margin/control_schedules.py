@@ -117,7 +117,7 @@ class ControlSchedules:
         return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
 
 
-def learn_laws(samples: pl.DataFrame) -> ControlSchedules:
+def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     """Laws of each aircraft's controllers, from its baseline window: what else is in `samples` does not sway them.
 
     Parameters

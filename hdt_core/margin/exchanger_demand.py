@@ -14,7 +14,7 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import flights_of
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.inlet_law import full_open_inlet_k
-from hdt_core.margin.compressor_demand import delivery_flights
+from hdt_core.margin.compressor_demand import compressor_demand
 from hdt_core.margin.control_schedules import RUNNING_KG_S, ControlSchedules, has_authority
 from hdt_core.margin.curves import falls_through
 from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
@@ -50,7 +50,7 @@ HOT_DAY = tuple(name.replace("_p20_", "_hot_day_") for name in CRITICAL[: len(EX
 PARTS = ("hx_margin_design_k", "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_blockage_k")
 
 
-def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
+def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
     """What each flight asked of the exchangers, whatever their wear: from that flight and the model alone.
 
     Parameters
@@ -92,7 +92,7 @@ def margin_flights(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> p
     parts = [*_hot_day(middle, found, dsm, laws), *margin_parts(middle, found, dsm, laws)]
     found = found.select(*FLIGHT_PACK, *SHOWN).with_columns(*critical, *parts)
     keep = flights.select(*FLIGHT_PACK, "departed_at").join(found, on=FLIGHT_PACK, how="left")
-    keep = keep.join(delivery_flights(samples, dsm, laws), on=FLIGHT_PACK, how="left")
+    keep = keep.join(compressor_demand(samples, dsm, laws), on=FLIGHT_PACK, how="left")
     return keep.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
 
 

@@ -89,7 +89,7 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         One row a flight and pack in order of departure: operator, tail, pack, flight_id, `hx_ln_ua_ratio`,
         `hx_fouling`, `hx_fouling_slope_100_per_flight`, `flights_seen_of_unit`.
     asks : DataFrame
-        Of `asks.margin_flights`.
+        Of `exchanger_demand`.
 
     Returns
     -------

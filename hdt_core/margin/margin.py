@@ -23,14 +23,14 @@ SHOWN_MARGIN = (
     "hx_ln_ua_ratio", "hx_margin_k", "hx_margin_sd_k", "hx_margin_status", "hx_margin_hot_day_k",
     "hx_margin_hot_day_sd_k", *PARTS, "hx_margin_wear_k", "hx_margin_profile_k", "overheat_p20_k", "full_open_share",
 )  # fmt: skip
-"""What is told of the margin after each flight: see `left_margin`."""
+"""What is told of the margin after each flight: see `exchanger_margin`."""
 SHOWN_DELIVERY = (
     "cc_ln_diameter_ratio", "cc_diameter_left", "cc_diameter_left_sd", "cc_diameter_left_hot_high",
     "cc_flow_asked_kg_s", "cc_flow_margin_kg_s", "cc_flow_margin_sd_kg_s", "cc_flow_margin_status",
     "cc_flow_margin_hot_high_kg_s", "cc_flow_margin_hot_high_sd_kg_s", "cc_flow_margin_hot_high_status", *CLEAN_PARTS,
     "cc_flow_margin_wear_kg_s", "cc_flow_margin_profile_kg_s",
 )  # fmt: skip
-"""What is told of the compressor's: see `left_delivery`."""
+"""What is told of the compressor's: see `compressor_margin`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ PRIOR_RULE = MessageRule()
 two or three times that, on two flights of three."""
 
 
-def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
+def exchanger_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     """The margin after each flight: what its conditions ask against the conductance that is left.
 
     Parameters
@@ -67,7 +67,7 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         One row a flight and pack, in order of departure within each pack: `FLIGHT_PACK`, `hx_fouling`, `ln_ua_ratio`,
         `hx_life` (units so far).
     asks : DataFrame
-        Of `asks.margin_flights`.
+        Of `exchanger_demand`.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         `_sd_k` (`_sd`) and status; its parts. Positive: the door has so many kelvin in hand; negative: the outlet was
         above its level.
     """
-    left = left_ln_ratio(pl.col("ln_ua_ratio"), "hx_fouling", "hx_life").alias("hx_ln_ua_ratio")
+    left = ln_ratio_margin(pl.col("ln_ua_ratio"), "hx_fouling", "hx_life").alias("hx_ln_ua_ratio")
     rows = wide.select(*FLIGHT_PACK, left).join(asks, on=FLIGHT_PACK, how="left", maintain_order="left")
     ratio = rows["hx_ln_ua_ratio"].to_numpy().astype(float)
     half = len(EXCESS_K)
@@ -103,7 +103,7 @@ def left_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def left_delivery(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
+def compressor_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     """Flow that compressors can still deliver, beyond what each flight asked.
 
     Parameters
@@ -112,7 +112,7 @@ def left_delivery(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         One row a flight and pack in order of departure: `FLIGHT_PACK`, `cc_diameter_loss`, `cc_diameter_loss_sd` (as
         tracked), `diameter_m`, `expected_diameter_m` (the flight alone), `cc_life`.
     asks : DataFrame
-        Of `delivery.delivery_flights`.
+        Of `compressor_demand`.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def left_delivery(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         the flow asked for falls short. No position beyond those on record is asked for, so that no map bounds it.
     """
     seen = (pl.col("diameter_m") / pl.col("expected_diameter_m")).log()
-    left = left_ln_ratio(seen, "cc_diameter_loss", "cc_life").alias("cc_ln_diameter_ratio")
+    left = ln_ratio_margin(seen, "cc_diameter_loss", "cc_life").alias("cc_ln_diameter_ratio")
     rows = wide.select(*FLIGHT_PACK, "cc_diameter_loss_sd", left).join(
         asks, on=FLIGHT_PACK, how="left", maintain_order="left"
     )
@@ -163,7 +163,7 @@ def _reach(name: str) -> pl.Expr:
     return status.then(pl.lit("ok")).otherwise(pl.lit("at_least")).alias(f"{name}_status")
 
 
-def left_ln_ratio(seen: pl.Expr, loss: str, life: str) -> pl.Expr:
+def ln_ratio_margin(seen: pl.Expr, loss: str, life: str) -> pl.Expr:
     """Ln of what is left as tracked: what the filter says is worn off, from the level that the unit itself shows."""
     worn = -(1.0 - pl.col(loss)).log()
     offset = (seen + worn).rolling_median(UNIT_FLIGHTS, min_samples=1).forward_fill()

@@ -132,7 +132,7 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
     ----------
     features : DataFrame
         operator, tail, flight_id, pack, departed_at, the component's loss and sd (see `_loss`) and what each flight
-        asked, `CRITICAL` and `ASKS` of `exchanger_demand.margin_flights`, any row order. What is missing is not known.
+        asked, `CRITICAL` and `ASKS` of `exchanger_demand`, any row order. What is missing is not known.
     lives : DataFrame
         From `unit_lives.episodes`.
     component : str

@@ -24,9 +24,9 @@ class FleetRecord:
     Attributes
     ----------
     features : DataFrame
-        operator, tail, flight_id, pack, departed_at and the losses that `rows.tracks` reads.
+        operator, tail, flight_id, pack, departed_at and the losses that `feature_rows.tracks` reads.
     messages, maintenance : DataFrame
-        As for `lives.episodes`.
+        As for `unit_lives.episodes`.
     """
 
     features: pl.DataFrame

@@ -100,9 +100,10 @@ def fit_prognosis(
     Parameters
     ----------
     features : DataFrame
-        operator, tail, flight_id, pack, departed_at and what there is of `rows.LOSSES` and `rows.ASKS`. May be empty.
+        operator, tail, flight_id, pack, departed_at and what there is of `LOSSES` and `ASKS` of `feature_rows`. May be
+        empty.
     lives : DataFrame
-        From `lives.episodes`. May hold no failure.
+        From `unit_lives.episodes`. May hold no failure.
     seed : int
         Same seed, same model.
     base : Prognosis, optional

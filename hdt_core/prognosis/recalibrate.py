@@ -54,7 +54,7 @@ def learn_correction(
     reserve : array, shape (n,)
         Ln conductance above what one flight in twenty asks. [-]
     left, failed, life : array, shape (n,)
-        As in `rows.Rows`.
+        As in `FeatureRows`.
 
     Notes
     -----

@@ -8,11 +8,11 @@ import polars as pl
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit_by, learn_norm
+from hdt_core.flight.admission import admit_by, learn_baseline
 from hdt_core.flight.bleed import turn_away_odd_bleed
-from hdt_core.flight.nominal_baseline import leg_signs
+from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.phases import LEG_KEY
-from hdt_core.margin.control_schedules import learn_laws
+from hdt_core.margin.control_schedules import learn_schedules
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata
@@ -32,12 +32,12 @@ def calibration(home: Home) -> StageResult:
         baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
     )
     verdicts = turn_away_odd_bleed(verdicts, reports)
-    norm = learn_norm(verdicts, samples, maintenance, messages)
-    admitted = admit_by(norm, verdicts, leg_signs(samples, norm), maintenance, messages)
+    norm = learn_baseline(verdicts, samples, maintenance, messages)
+    admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
     shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
-    laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_laws(samples).to_dict())}
+    laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_schedules(samples).to_dict())}
     held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
     return StageResult((pl.DataFrame(model), design_parameters(dsm), held, window(verdicts)), shown)
 

@@ -5,11 +5,11 @@ import json
 import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
-from hdt_core.flight.nominal_baseline import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features as describe
 from hdt_core.health.sensor_checks import witnesses
 from hdt_core.margin.control_schedules import ControlSchedules
-from hdt_core.margin.exchanger_demand import margin_flights
+from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
@@ -18,9 +18,9 @@ from pipelines.assets.twin import model_of
 @stage
 def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
-    norm = Norm.from_json(laws_of(calibration_laws, LEGS))
+    norm = NominalBaseline.from_json(laws_of(calibration_laws, LEGS))
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
-    return leg_signs(legs_samples, norm), witnesses(legs_samples, laws)
+    return leg_indicators(legs_samples, norm), witnesses(legs_samples, laws)
 
 
 @stage
@@ -29,7 +29,7 @@ def features_margin(
 ) -> pl.DataFrame:
     """What each flight asked of the exchangers: the conductance below which the outlet leaves its level."""
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
-    return margin_flights(legs_samples, model_of(calibration_dsm), laws)
+    return exchanger_demand(legs_samples, model_of(calibration_dsm), laws)
 
 
 @stage

@@ -5,7 +5,7 @@ import polars as pl
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import Norm
+from hdt_core.flight.nominal_baseline import NominalBaseline
 from hdt_core.tables.raw import RawMaintenance, RawMessages
 from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage
@@ -35,6 +35,6 @@ def legs_admitted(
     calibration_laws: pl.DataFrame,
 ) -> pl.DataFrame:
     """The final verdict, with hindsight: what logs, printed reports, cross checks and the twin say of each leg."""
-    norm = Norm.from_json(laws_of(calibration_laws, LEGS))
+    baseline = NominalBaseline.from_json(laws_of(calibration_laws, LEGS))
     verdicts = turn_away_odd_bleed(legs_verdicts, raw_reports)
-    return admit_by(norm, verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)
+    return admit_by(baseline, verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)

@@ -11,7 +11,7 @@ from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
 from hdt_core.health.sensor_checks import witnesses
@@ -40,7 +40,7 @@ def models(store):
     """What was learned of the sample fleet: model, norm of legs, laws of controllers."""
     laws = store.read("calibration_laws")
     controllers = ControlSchedules.from_dict(json.loads(laws_of(laws, CONTROLLERS)))
-    return model_of(store.read("calibration_dsm")), Norm.from_json(laws_of(laws, LEGS)), controllers
+    return model_of(store.read("calibration_dsm")), NominalBaseline.from_json(laws_of(laws, LEGS)), controllers
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def recorded(store):
 def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     """Every table that is made of recorded rows."""
     verdicts, samples = judge_legs(raw, NO_WORK, NO_MESSAGES)
-    signs, seen = leg_signs(samples, norm), witnesses(samples, laws)
+    signs, seen = leg_indicators(samples, norm), witnesses(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
     health, chapters = track_on(flights, NO_WORK, dsm)

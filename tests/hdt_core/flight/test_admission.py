@@ -4,12 +4,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_norm, yields
+from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_baseline, yields
 from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_checks
 from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
 from hdt_core.flight.nominal import learn_scatter
-from hdt_core.flight.nominal_baseline import Norm, leg_signs
+from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import number_flights
 
@@ -99,8 +99,8 @@ def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.D
 def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(fleet, level_one, column, slope):
     legs, samples = level_one
     mine = (pl.col("tail") == legs["tail"][0]) & (pl.col("pack") == 1)
-    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
-    signs = leg_signs(samples, norm)
+    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
+    signs = leg_indicators(samples, norm)
     known = fleet.maintenance, fleet.messages
     before, after = (
         admit_by(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
@@ -167,18 +167,18 @@ def test_yield_is_reported_by_month_tail_and_operator(admitted):
 
 def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, admitted):
     legs, samples = level_one
-    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
-    assert Norm.from_json(norm.to_json()) == norm
-    assert Norm.from_json(Norm().to_json()) == Norm()
+    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
+    assert NominalBaseline.from_json(norm.to_json()) == norm
+    assert NominalBaseline.from_json(NominalBaseline().to_json()) == NominalBaseline()
     for (tail,), own in legs.group_by("tail"):
-        signs = leg_signs(samples.filter(tail=tail), norm)
+        signs = leg_indicators(samples.filter(tail=tail), norm)
         alone = admit_by(norm, own, signs, fleet.maintenance, fleet.messages)
         assert alone.equals(admitted.filter(tail=tail).select(alone.columns))
 
 
 def test_signs_of_a_leg_are_its_own(fleet, level_one):
     legs, samples = level_one
-    norm = learn_norm(legs, samples, fleet.maintenance, fleet.messages)
+    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
-    whole, part = (leg_signs(s, norm).sort(LEG_KEY) for s in (samples, some))
+    whole, part = (leg_indicators(s, norm).sort(LEG_KEY) for s in (samples, some))
     assert part.equals(whole.join(part.select(LEG_KEY), on=LEG_KEY, how="semi").sort(LEG_KEY))

@@ -12,12 +12,12 @@ from hdt_core.margin.compressor_demand import (
     CLEAN_PARTS,
     CRITICAL_DIAMETER,
     FLOWS,
-    delivery_flights,
+    compressor_demand,
     needed,
     share_left,
 )
 from hdt_core.margin.control_schedules import ALTITUDE_KNOTS_M, ControlSchedule, ControlSchedules
-from hdt_core.margin.margin import left_delivery
+from hdt_core.margin.margin import compressor_margin
 from hdt_core.margin.speed_limit import SpeedLimit, speed_limit
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
 
@@ -93,13 +93,13 @@ def laws(met: bool = True) -> ControlSchedules:
 @pytest.fixture(scope="module")
 def told(cruise_model, cruise_samples) -> pl.DataFrame:
     """Margin of a machine that has lost four per cent of its diameter from the tenth flight on."""
-    asks = delivery_flights(cruise_samples, cruise_model, laws())
+    asks = compressor_demand(cruise_samples, cruise_model, laws())
     lost = pl.when(pl.int_range(pl.len()) >= 10).then(0.04).otherwise(0.0)
     wide = asks.select("operator", "tail", "pack", "flight_id").with_columns(
         cc_diameter_loss=lost, cc_diameter_loss_sd=pl.lit(0.005), diameter_m=0.16 * (1.0 - lost),
         expected_diameter_m=pl.lit(0.16), cc_life=pl.lit(0),
     )  # fmt: skip
-    return left_delivery(wide, asks)
+    return compressor_margin(wide, asks)
 
 
 @pytest.fixture(scope="module")
@@ -147,18 +147,18 @@ def test_the_parts_make_the_margin(told):
 
 
 def test_a_limit_that_was_never_met_and_a_machine_without_a_map_are_said_so(cruise_model, cruise_samples, told):
-    asks = delivery_flights(cruise_samples, cruise_model, laws(met=False))
+    asks = compressor_demand(cruise_samples, cruise_model, laws(met=False))
     wide = told.select("operator", "tail", "pack", "flight_id").with_columns(
         cc_diameter_loss=pl.lit(0.04), cc_diameter_loss_sd=pl.lit(0.005), diameter_m=pl.lit(0.15),
         expected_diameter_m=pl.lit(0.16), cc_life=pl.lit(0),
     )  # fmt: skip
-    assert set(left_delivery(wide, asks)["cc_flow_margin_status"]) == {"at_least"}
+    assert set(compressor_margin(wide, asks)["cc_flow_margin_status"]) == {"at_least"}
     assert set(told["cc_flow_margin_status"][10:]) == {"ok"}
     for unsure in ({"group_slope_m3_per_count": 1e-9}, {"group_slope_sd_m3_per_count": 1e-7}):
         blind = replace(cruise_model, compressor=replace(FIT, **unsure))
-        nothing = delivery_flights(cruise_samples, blind, laws())
+        nothing = compressor_demand(cruise_samples, blind, laws())
         assert nothing.height == 0
-    unknown = left_delivery(wide, nothing)
+    unknown = compressor_margin(wide, nothing)
     assert set(unknown["cc_flow_margin_status"]) == {"not_known"}
     assert unknown["cc_flow_margin_kg_s"].null_count() == unknown.height
 
@@ -166,7 +166,7 @@ def test_a_limit_that_was_never_met_and_a_machine_without_a_map_are_said_so(crui
 def test_one_sample_without_a_reading_costs_its_flight_nothing(cruise_model, cruise_samples):
     gap = pl.int_range(pl.len()).over("flight_id") == 0
     holed = cruise_samples.with_columns(vda_counts=pl.when(~gap).then("vda_counts"))
-    asks = delivery_flights(holed, cruise_model, laws())
+    asks = compressor_demand(holed, cruise_model, laws())
     assert asks.height == 20
     assert asks.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
 
@@ -174,10 +174,10 @@ def test_one_sample_without_a_reading_costs_its_flight_nothing(cruise_model, cru
 @pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])
 def test_readings_that_cannot_be_cost_no_other_flight(cruise_model, cruise_samples, name):
     first = pl.col("flight_id") == "T-00_000"
-    clean = delivery_flights(cruise_samples, cruise_model, laws()).filter(~first)
+    clean = compressor_demand(cruise_samples, cruise_model, laws()).filter(~first)
     for value in (0.0, -5000.0, 1e9):
         odd = cruise_samples.with_columns(pl.when(first).then(value).otherwise(name).alias(name))
-        told = delivery_flights(odd, cruise_model, laws())
+        told = compressor_demand(odd, cruise_model, laws())
         assert told.filter(~first).equals(clean)
         numbers = told.select(pl.selectors.float())
         assert numbers.select(pl.all().is_finite().fill_null(True).all()).row(0) == (True,) * numbers.width

@@ -9,7 +9,7 @@ from hdt_core.margin.conditions import asked, repeated
 from hdt_core.margin.curves import falls_through
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, LN_RATIOS, PARTS, full_open_outlet_k
 from hdt_core.margin.first_passage import passage, wear_rate
-from hdt_core.margin.margin import at_excess, left_margin
+from hdt_core.margin.margin import at_excess, exchanger_margin
 
 CRUISE = {
     "altitude_m": 11_000.0, "mach": 0.84, "tat_k": 247.0, "total_pressure_pa": 36_000.0, "hx_in_k": 400.0,
@@ -77,7 +77,7 @@ def flights(n: int, ratio: float, fouling: float) -> tuple[pl.DataFrame, pl.Data
 
 
 def test_the_margin_is_what_the_conductance_left_is_worth():
-    said = left_margin(*flights(5, -0.1 + 0.026 * 8.0, 0.05))
+    said = exchanger_margin(*flights(5, -0.1 + 0.026 * 8.0, 0.05))
     assert said["hx_margin_k"].to_list() == pytest.approx([8.0] * 5)
     assert (said["hx_margin_sd_k"] > 0.5).all()
     assert said["hx_margin_status"].to_list() == ["ok"] * 5
@@ -87,10 +87,10 @@ def test_the_margin_is_what_the_conductance_left_is_worth():
 
 def test_nothing_asked_or_nothing_known_is_said_so():
     wide, asks = flights(3, 0.0, 0.1)
-    unknown = left_margin(wide, asks.clear())
+    unknown = exchanger_margin(wide, asks.clear())
     assert unknown["hx_margin_k"].null_count() == 3
     assert unknown["hx_margin_status"].to_list() == ["not_known"] * 3
-    blank = left_margin(wide.with_columns(ln_ua_ratio=pl.lit(None, pl.Float64)), asks)
+    blank = exchanger_margin(wide.with_columns(ln_ua_ratio=pl.lit(None, pl.Float64)), asks)
     assert blank["hx_margin_k"].null_count() == 3
 
 
