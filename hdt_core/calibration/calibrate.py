@@ -21,6 +21,7 @@ from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
+from hdt_core.records.each_aircraft import of_each_aircraft
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
 from hdt_core.robust import median_error
 
@@ -58,10 +59,18 @@ def baseline_samples(samples: pl.DataFrame) -> pl.DataFrame:
 
 
 def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+    draft = _without_levels(samples, legs, terms)
+    seen = of_each_aircraft(baseline_samples(samples), lambda own: estimate_flights(own, draft))
+    model = fleet_levels(seen, maintenance, draft)
+    return replace(model, levels=exchanger_levels(seen, model))
+
+
+def _without_levels(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+    """The model before it is known how clean the fleet was when it was built."""
     everything = flights_of(samples)
     base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
     admitted = _admitted(base, legs)
-    window = samples.join(base.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    window = baseline_samples(samples)
     cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     packs = everything.select(PACK).unique().sort(PACK)
     points = to_points(level_points(as_met(cruise, terms), everything), packs)
@@ -109,10 +118,7 @@ def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataF
         terms=terms,
     )
     ordered = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
-    draft = replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))
-    seen = estimate_flights(window, draft)
-    model = fleet_levels(seen, maintenance, draft)
-    return replace(model, levels=exchanger_levels(seen, model))
+    return replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))
 
 
 def _middle_flows(points: Points, design: Array) -> tuple[float, float]:

@@ -36,7 +36,8 @@ class BlockRows:
 
 def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
     """A column of `compressor_samples` against the diffuser's position, by pack and time."""
-    known = samples.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
+    known = samples.select(*PACK, "time_utc", "flight_id", "vda_counts", column)
+    known = known.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
     middle = pl.col("vda_counts").median().over(PACK)
     scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
     known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)

@@ -17,6 +17,9 @@ from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_R
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import PACK
 
+ROWS_AT_ONCE = 20_000
+"""Rows that are text at a time while they are hashed."""
+
 
 @dataclass(frozen=True, slots=True)
 class SensorBiases:
@@ -132,5 +135,7 @@ def version_of(*frames: pl.DataFrame) -> str:
     digest = hashlib.sha256()
     for frame in frames:
         digest.update("|".join(frame.columns).encode())
-        digest.update(frame.write_csv(float_precision=9).encode())
+        digest.update(frame.clear().write_csv().encode())
+        for rows in frame.iter_slices(ROWS_AT_ONCE):
+            digest.update(rows.write_csv(float_precision=9, include_header=False).encode())
     return digest.hexdigest()[:12]

@@ -87,7 +87,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
 
 
 def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    rows = cruise.drop_nulls(list(hx.SIGNALS))
+    rows = cruise.select(*FLIGHT_PACK, *MEDIANS).drop_nulls(list(hx.SIGNALS))
     signals = with_static_pressure({name: rows[name].to_numpy().astype(float) for name in MEDIANS})
     bias = dsm.bias_of(rows)
     ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)

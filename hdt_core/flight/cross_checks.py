@@ -17,6 +17,11 @@ SMOOTHED_FLIGHTS = 7
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
+CHECKED = (
+    *LEG_KEY, "time_utc", "source", "phase", *LAW_TERMS, "total_pressure_pa", "hx_out_k", "ram_door_open",
+    "pack_flow_kg_s", "cc_in_k", "cc_in_pa", "cc_flow_kg_s",
+)  # fmt: skip
+"""Columns of the samples that the checks need; the others would only be copied."""
 
 # check: shift [its unit] below which a sound pair of sensors may wander (humidity, leaks, trim): about half of a
 # fault's size
@@ -53,7 +58,8 @@ class OutletLaw:
 
 def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
     """The law by least squares from samples of running packs whose door is free; None where there are hardly any."""
-    running = samples.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    needed = samples.select("pack_flow_kg_s", "ram_door_open", "hx_out_k", *LAW_TERMS)
+    running = needed.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
     if free.height < 10:
         return None
@@ -159,7 +165,7 @@ def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
     law : OutletLaw, optional
         Where it is not known, a check between packs accuses both.
     """
-    running = samples.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    running = samples.select(CHECKED).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     shared = [*LEG_KEY[:3], "time_utc", "source"]
     other = running.select(
         *shared,

@@ -64,9 +64,8 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     ----------
     .. [1] P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
     """
-    usable = _usable(
-        samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
-    )
+    numbers = legs.select(*LEG_KEY, "flight_number")
+    usable = _usable(samples, *LEG_KEY).join(numbers, on=LEG_KEY, how="left", maintain_order="left")
     if usable.height <= 10 * len(TERMS):
         return None
     x, slopes = usable.select(TERMS).to_numpy(), _slopes(usable)
@@ -89,12 +88,16 @@ def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> p
     terms = zip(TERMS, manifold.centre, manifold.slopes, strict=True)
     # one term after the other: Polars' own sum across columns rounds by the number of its threads
     index = pl.col("y") - sum(((pl.col(name) - centre) * slope for name, centre, slope in terms), pl.lit(0.0))
-    found = _usable(samples.with_row_index("_row")).select("_row", index.alias("conductance_index"))
-    return samples.with_row_index("_row").join(found, on="_row", how="left", maintain_order="left").drop("_row")
+    numbered = samples.with_row_index("_row")
+    found = _usable(numbered, "_row").select("_row", index.alias("conductance_index"))
+    # only the numbers of the rows are joined: the samples are as wide as the night's memory allows
+    aligned = numbered.select("_row").join(found, on="_row", how="left", maintain_order="left")
+    return samples.with_columns(aligned["conductance_index"])
 
 
-def _usable(samples: pl.DataFrame) -> pl.DataFrame:
-    known = samples.filter("monitored").with_columns(_regressors()).drop_nulls(["y", *TERMS])
+def _usable(samples: pl.DataFrame, *keys: str) -> pl.DataFrame:
+    """Samples that tell of the exchanger, as `keys`, y and `TERMS`."""
+    known = samples.filter("monitored").select(*keys, *_regressors()).drop_nulls(["y", *TERMS])
     return known.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
 
 
@@ -147,7 +150,7 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
         leaves the leg's median, in standard errors; ice that comes and goes makes it large, wear does not move it.
     """
     keys = list(LEG_KEY)
-    known = add_conductance_index(samples, manifold).filter(pl.col("conductance_index").is_not_null())
+    known = add_conductance_index(samples, manifold).select(*keys, "conductance_index").drop_nulls("conductance_index")
     off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
     runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
     noise = manifold.noise if manifold else 1.0

@@ -10,6 +10,7 @@ from hdt_core.flight.cross_checks import OutletLaw, leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
 from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.each_aircraft import of_each_aircraft
 from hdt_core.tables.base import finite
 
 
@@ -37,9 +38,12 @@ class NominalBaseline:
 def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataFrame:
     """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
     means of the cross checks. Each from its own samples only."""
-    checks = leg_checks(samples, baseline.outlet)
-    both = checks.join(leg_conductance(samples, baseline.manifold), on=LEG_KEY, how="full", coalesce=True)
-    return finite(both).sort(LEG_KEY)
+
+    def found(own: pl.DataFrame) -> pl.DataFrame:
+        checks = leg_checks(own, baseline.outlet)
+        return checks.join(leg_conductance(own, baseline.manifold), on=LEG_KEY, how="full", coalesce=True)
+
+    return finite(of_each_aircraft(samples, found)).sort(LEG_KEY)
 
 
 def _frozen(plain: dict[str, Any]) -> dict[str, Any]:

@@ -117,6 +117,13 @@ class ControlSchedules:
         return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
 
 
+READ = (
+    "operator", "tail", "flight_id", "pack", "time_utc", "phase", "altitude_m", "tat_k", "hx_out_k", "ram_door_open",
+    "pack_flow_kg_s", "cc_out_pa", "cc_speed_rad_s",
+)  # fmt: skip
+"""Columns of the samples that the laws are learned from; a flight may lack the last."""
+
+
 def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     """Laws of each aircraft's controllers, from its baseline window: what else is in `samples` does not sway them.
 
@@ -130,7 +137,7 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     Regression on hat functions with a constant for each group (taken out by centring), a penalty on second differences,
     and three rounds of Huber weights, so that a jammed door or a drifting sensor in the window doesn't bend it.
     """
-    window = _baseline(samples)
+    window = _baseline(samples.select(pl.selectors.by_name(*READ, require_all=False)))
     pack = pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64).alias("group")
     flight = pl.struct("tail", "flight_id", "pack").rank("dense").cast(pl.Int64).alias("group")
     held = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))

@@ -1,10 +1,12 @@
 """How the aircraft were built: the Digital System Model, from the commissioning window of each tail."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import polars as pl
 
+from hdt_core.calibration.arrays import RECORDED
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
@@ -13,21 +15,21 @@ from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.margin.control_schedules import learn_schedules
+from hdt_core.records.each_aircraft import of_each_aircraft
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata
 from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms
+from pipelines.storage.store import Store
 
 
 @stage
 def calibration(home: Home) -> StageResult:
     """Design parameters and nominal health of fleet, operator and tail, estimated together from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)
-    within = pl.col("flight_id").is_in(cells["flight_id"].implode())
-    # in one order, whoever wrote the rows when: sums round by it, and the laws would differ from machine to machine
-    samples = store.scan("legs_samples").filter(within).collect().sort(*LEG_KEY, "time_utc", "source")
-    verdicts = store.scan("legs_verdicts").filter(within).collect().sort(LEG_KEY)
+    samples = _of_cells(store, "legs_samples", cells, READ, (*LEG_KEY, "time_utc", "source"))
+    verdicts = _of_cells(store, "legs_verdicts", cells, ("*",), LEG_KEY)
     maintenance, messages, reports = (
         baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
     )
@@ -36,10 +38,29 @@ def calibration(home: Home) -> StageResult:
     admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
-    shown = calibration_metadata(samples, estimate_flights(samples, dsm), maintenance, dsm)
+    seen = of_each_aircraft(samples, lambda own: estimate_flights(own, dsm))
+    shown = calibration_metadata(samples, seen, maintenance, dsm)
     laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_schedules(samples).to_dict())}
     held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
     return StageResult((pl.DataFrame(model), design_parameters(dsm), held, window(verdicts)), shown)
+
+
+READ = (*LEG_KEY, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *RECORDED)
+"""Columns of the samples that calibration needs: the memory of a large fleet's night follows from it."""
+
+
+def _of_cells(
+    store: Store, table: str, cells: pl.DataFrame, columns: Sequence[str], order: Sequence[str]
+) -> pl.DataFrame:
+    """Rows of these cells, read and sorted aircraft by aircraft: the whole fleet's at once hold four times as much.
+
+    In one order, whoever wrote the rows when: sums round by it, and the laws would differ from machine to machine.
+    """
+    parts = [store.read(table, []).select(columns)]
+    for (operator, tail), own in cells.sort("operator", "tail").group_by("operator", "tail", maintain_order=True):
+        rows = store.scan(table, [(str(operator), str(tail))], own["flight_id"]).select(columns)
+        parts.append(rows.filter(pl.col("flight_id").is_in(own["flight_id"].implode())).collect().sort(order))
+    return pl.concat(parts, rechunk=True)
 
 
 def window(verdicts: pl.DataFrame) -> pl.DataFrame:
