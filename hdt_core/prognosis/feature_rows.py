@@ -13,7 +13,7 @@ from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.component_limits import PRIORS, learn_limit
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.message_rule import learn_rules
-from hdt_core.prognosis.unit_lives import flight_rows
+from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
 from hdt_core.simulate.episodes import Episodes
 from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
@@ -140,11 +140,7 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
     """
     margin = [_column(features if component == "HX" else features.clear(), c).alias(c) for c in (*CRITICAL, *ASKS)]
     known = features.with_columns(*_loss(features, component), *margin)
-    flights = flight_rows(known, "value", "sd", "ratio", *CRITICAL, *ASKS)
-    own = lives.filter(pl.col("component") == component).drop("component")
-    rows = flights.join(own, on=PACK).filter(pl.col("first_row") <= pl.col("row")).sort(*PACK, "row", "first_row")
-    rows = rows.unique([*PACK, "row"], keep="last", maintain_order=True).with_columns(
-        life_id=(pl.struct(*PACK, "life").rank("dense").cast(pl.Int64) - 1),
+    rows = with_lives(flight_rows(known, "value", "sd", "ratio", *CRITICAL, *ASKS), lives, component).with_columns(
         column=pl.col("value").is_not_null().cum_sum().over(*PACK, "life").cast(pl.Int64) - 1,
         pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1),
     )
@@ -157,7 +153,7 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         curves=_curves(rows, component),
         where=rows.select("pack_id", "row").to_numpy(),
         keys=rows.select(*PACK, "flight_id", "departed_at", "life_id"),
-        left=(rows["end_row"] - rows["row"]).to_numpy().astype(float),
+        left=rows["left"].to_numpy(),
         failed=rows["failed"].to_numpy(),
         mute=rows["mute"].to_numpy(),
     )

@@ -1,6 +1,7 @@
 """What a fleet has on record, as it stood at any time, and which flights have their prognosis already."""
 
 import hashlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
@@ -51,10 +52,26 @@ class FleetRecord:
         """Lives of all units."""
         return episodes(self.features, self.messages, self.maintenance)
 
-    def tracks(self) -> dict[str, Tracks]:
+    def tracks(self) -> "FleetTracks":
         """Health tracks by component."""
-        lives = self.lives()
-        return {c: tracks(self.features, lives, c) for c in PRIOR_RULES}
+        return FleetTracks(self.features, self.lives())
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTracks(Mapping[str, Tracks]):
+    """Health tracks by component, cut whenever one is asked for: those of a large fleet are larger than its record."""
+
+    features: pl.DataFrame
+    lives: pl.DataFrame
+
+    def __getitem__(self, component: str) -> Tracks:
+        return tracks(self.features, self.lives, component)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(PRIOR_RULES)
+
+    def __len__(self) -> int:
+        return len(PRIOR_RULES)
 
 
 def scored(track: Tracks, earlier: ScoredFlights | None = None) -> tuple[ScoredFlights, np.ndarray]:

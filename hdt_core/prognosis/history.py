@@ -4,7 +4,7 @@ Every feature at flight k is a function of flights up to k. Nothing is divided b
 what flights ask are in ln of conductance, which means the same for every type.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,8 @@ FALLING = ("reserve_", "left_linear_", "passage_median")
 RISING = ("passage_", "overheat_", "hot_share_", "full_open_")
 RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) else 0 for name in FEATURES)
 """How the hazard may follow each feature: less in reserve, or hotter flights, never make a message less likely."""
+UNITS_AT_ONCE, ROWS_AT_ONCE = 64, 8_192
+"""Units and flights that are looked at together, so that memory does not grow with the fleet."""
 HOT_K = 3.0
 """A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
 _EDGES = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0])
@@ -106,11 +108,22 @@ def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
     at : tuple of array
         Unit and flight of each row, as the panel counts them.
     """
+    unit, flight = at
+    told = np.empty((len(unit), len(RECORD)))
+    for first in range(0, len(panel.level), UNITS_AT_ONCE):
+        rows = (unit >= first) & (unit < first + UNITS_AT_ONCE)
+        some = Panel(*(getattr(panel, f.name)[first : first + UNITS_AT_ONCE] for f in fields(Panel)))
+        for column, along in enumerate(_along(some)):
+            told[rows, column] = along[unit[rows] - first, flight[rows]]
+    return told
+
+
+def _along(panel: Panel) -> list[Array]:
+    """`RECORD` at every flight of some units. (units, flights) each"""
     start = _segment_start(panel.level)
-    along = _wear(panel, start) | _seen(panel)
     run = np.asarray(np.arange(panel.level.shape[1]) - start + 1.0, dtype=float)
-    along |= {"ratio": panel.ratio, "run": run}
-    return np.stack([along[name][at] for name in RECORD], axis=1)
+    along = _wear(panel, start) | _seen(panel) | {"ratio": panel.ratio, "run": run}
+    return [along[name] for name in RECORD]
 
 
 def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
@@ -125,6 +138,14 @@ def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> 
     where : tuple of array
         Pack and flight of each row, as `critical` counts them.
     """
+    told = np.empty((len(record), len(FEATURES)))
+    for first in range(0, len(record), ROWS_AT_ONCE):
+        some = slice(first, first + ROWS_AT_ONCE)
+        told[some] = _features(record[some], critical, (where[0][some], where[1][some]))
+    return told
+
+
+def _features(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
     rows = dict(zip(RECORD, record.T, strict=True))
     asks, ratio, run = asked(critical, *where), rows["ratio"], rows["run"]
     rows |= {name.replace("asked", "reserve"): ratio - asks[name] for name in QUANTILES}

@@ -14,7 +14,7 @@ import polars as pl
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
-from hdt_core.prognosis.feature_rows import tracks
+from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 
 Array = NDArray[np.float64]
 
@@ -97,10 +97,8 @@ def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, 
         The prognoses' columns and `left` (flights until the message or until the life was cut), `failed`, `life`, and
         `event_50` (null where fewer than 50 flights were seen after and none failed).
     """
-    track = tracks(features, lives, component)
-    truth = track.keys.select("tail", "flight_id", "pack", life="life_id").with_columns(
-        left=pl.Series(track.left), failed=pl.Series(track.failed)
-    )
+    flown = with_lives(flight_rows(features), lives, component)
+    truth = flown.select("tail", "flight_id", "pack", "left", "failed", life="life_id")
     hit = pl.col("failed") & pl.col("left").is_between(1, 50)
     return (
         prognoses.filter(pl.col("component") == component)

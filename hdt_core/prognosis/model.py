@@ -6,7 +6,8 @@ hazard and the interval. What lies beyond the horizon of 300 flights is told as 
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -112,9 +113,24 @@ def fit_prognosis(
     return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in PRIOR_RULES})
 
 
-def fit_tracks(base: Prognosis, lived: dict[str, Tracks]) -> Prognosis:
-    """`base` with what all tracks of a fleet teach."""
-    return named(base, {c: _learn(base, track, c) for c, track in lived.items()})
+def fit_tracks(base: Prognosis, lived: Mapping[str, Tracks], groups: Sequence[str] = (), by: str = "tail") -> Prognosis:
+    """`base` with what all tracks of a fleet teach, and for each fold of `groups` with what all others do.
+
+    Groups of which nothing is known yet have their fold too. Of `lived` one component is held at a time.
+    """
+    held = [tuple(sorted(groups)[k::FOLDS]) for k in range(min(FOLDS, len(groups)))]
+
+    def taught(component: str, track: Tracks) -> list[ComponentFit]:
+        own = track.keys[by].to_numpy().astype(str)
+        kept = [None, *(~np.isin(own, names) for names in held)]
+        return [_learn(base, track, component, use) for use in kept]
+
+    fits, by_fold = Fits(), [Fits() for _ in held]
+    for component in lived:  # no name for its track: it would be held while the next is cut
+        fits[component], *others = taught(component, lived[component])
+        for fold, fit in zip(by_fold, others, strict=True):
+            fold[component] = fit
+    return replace(named(base, fits), folds=tuple(Fold(*fold) for fold in zip(held, by_fold, strict=True)))
 
 
 def predict_prognosis(
@@ -143,40 +159,22 @@ def out_of_fold(
 
     With `by="operator"` no life of the tail's whole operator was seen: what a new operator may expect.
     """
-    base = base or fit_base(seed)
     lived = {c: tracks(features, lives, c) for c in PRIOR_RULES}
-    return predict_by_fold(base, learn_folds(base, lived, features[by].unique().to_list(), by), lived, by=by)
-
-
-def learn_folds(base: Prognosis, lived: dict[str, Tracks], groups: list[str], by: str = "tail") -> tuple[Fold, ...]:
-    """What all but a fold's groups teach, for each fold; groups of which nothing is known yet have their fold too."""
-    folds = []
-    for k in range(min(FOLDS, len(groups))):
-        held = tuple(sorted(groups)[k::FOLDS])
-        others = {c: ~np.isin(track.keys[by].to_numpy().astype(str), held) for c, track in lived.items()}
-        folds.append(Fold(held, {c: _learn(base, lived[c], c, others[c]) for c in lived}))
-    return tuple(folds)
+    model = fit_tracks(base or fit_base(seed), lived, features[by].unique().to_list(), by)
+    return pl.concat(predict_by_fold(model, c, track, by=by) for c, track in lived.items()).sort("component", *IN_ORDER)
 
 
 def predict_by_fold(
-    base: Prognosis,
-    folds: tuple[Fold, ...],
-    lived: dict[str, Tracks],
-    asked: dict[str, NDArray[np.bool_]] | None = None,
-    by: str = "tail",
+    model: Prognosis, component: str, track: Tracks, asked: NDArray[np.bool_] | None = None, by: str = "tail"
 ) -> pl.DataFrame:
-    """Prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
-    parts = [
-        _predict(base, track, ComponentFit(PRIOR_RULES[c]), c, HELD, np.zeros(len(track.at), bool))
-        for c, track in lived.items()
-    ]
-    for component, track in lived.items():
-        wanted = np.ones(len(track.at), bool) if asked is None else asked[component]
-        own = track.keys[by].to_numpy().astype(str)
-        for fold in folds:
-            rows, model = wanted & np.isin(own, fold.held), named(base, {component: fold.fits[component]})
-            parts.append(_predict(model, track, fold.fits[component], component, HELD, rows))
-    return pl.concat(parts).sort("component", *IN_ORDER)
+    """A component's prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
+    asked = np.ones(len(track.at), bool) if asked is None else asked
+    own = track.keys[by].to_numpy().astype(str)
+    parts = [_predict(model, track, ComponentFit(PRIOR_RULES[component]), component, HELD, np.zeros(len(own), bool))]
+    for fold in model.folds:
+        rows, taught = asked & np.isin(own, fold.held), named(model, {component: fold.fits[component]})
+        parts.append(_predict(taught, track, fold.fits[component], component, HELD, rows))
+    return pl.concat(parts)
 
 
 def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognosis:

@@ -13,16 +13,17 @@ before any fleet was seen competes.
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
+from hdt_core.prognosis.feature_rows import Tracks
 from hdt_core.prognosis.fleet_record import FleetRecord, ScoredFlights, scored
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import Fold, Prognosis, fit_tracks, learn_folds, named, predict_by_fold
+from hdt_core.prognosis.model import Prognosis, fit_tracks, named, predict_by_fold
 from hdt_core.prognosis.model_card import Card, Verdict, model_card, promote
 from hdt_core.prognosis.recalibrate import TERMS
 from hdt_core.prognosis.training_digest import flights_not_learned, read_digest, training_digest, why_learn
@@ -61,26 +62,45 @@ def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRe
     why = why_learn(digest, learned)
     if last is not None and learned is not None and not why:
         return _score_new(last, record, flights_not_learned(digest, learned))
-    past, lived = record.before(record.month()).tracks(), record.tracks()
+    past = record.before(record.month()).tracks()
 
     def train(base: Prognosis) -> _Trained:
-        folds = learn_folds(base, past, tails)
-        said = predict_by_fold(base, folds, lived)
-        return _Trained(base, folds, said, score_prognoses(judge(said, record.features, record.lives())))
+        model = fit_tracks(base, past, tails)
+        said = _say(model, record, {})
+        return _Trained(model, said, score_prognoses(judge(said.prognoses, record.features, record.lives())))
 
     chosen, verdict = _chosen(train, candidate, last)
-    model = replace(fit_tracks(chosen.base, past), folds=chosen.folds)
-    card = model_card(model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
+    card = model_card(chosen.model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
     card |= {"learned_because": why, "late_flights_not_learned_from": 0}
-    return ModelUpdate(model, chosen.said, card, digest.to_json(), {c: scored(track)[0] for c, track in lived.items()})
+    return ModelUpdate(chosen.model, chosen.said.prognoses, card, digest.to_json(), chosen.said.scored)
+
+
+class _Said(NamedTuple):
+    """Prognoses of flights that had none, which flights have one now, and the keys of those that had one."""
+
+    prognoses: pl.DataFrame
+    scored: dict[str, ScoredFlights]
+    stand: pl.DataFrame
+
+
+def _say(model: Prognosis, record: FleetRecord, before: Mapping[str, ScoredFlights]) -> _Said:
+    """What the folds of a model say about flights that are not, or not as they now are, among those scored before."""
+
+    def say(component: str, track: Tracks) -> tuple[pl.DataFrame, ScoredFlights, pl.DataFrame]:
+        told, new = scored(track, before.get(component))
+        stand = track.keys.filter(~new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
+        return predict_by_fold(model, component, track, new), told, stand
+
+    lived = record.tracks()
+    said, told, stand = zip(*(say(c, lived[c]) for c in lived), strict=True)
+    return _Said(pl.concat(said).sort("component", *IN_ORDER), dict(zip(lived, told, strict=True)), pl.concat(stand))
 
 
 class _Trained(NamedTuple):
-    """A base, what a fleet taught each fold of it, what the folds say, and how well."""
+    """A base with what a fleet taught it, what its folds say, and how well."""
 
-    base: Prognosis
-    folds: tuple[Fold, ...]
-    said: pl.DataFrame
+    model: Prognosis
+    said: _Said
     scores: dict[str, float]
 
 
@@ -102,18 +122,11 @@ def _chosen(
 
 def _score_new(last: ModelUpdate, record: FleetRecord, late: int) -> ModelUpdate:
     """Score flights that are new or whose record has changed; `late` flights are not learned from yet."""
-    lived = record.tracks()
-    scored_by = {c: scored(track, last.scored.get(c)) for c, track in lived.items()}
-    asked = {c: new for c, (_, new) in scored_by.items()}
-    key = ["component", *PACK, "flight_id"]
-    stand = pl.concat(
-        track.keys.filter(~asked[c]).select(*PACK, "flight_id", pl.lit(c).alias("component"))
-        for c, track in lived.items()
-    )
-    kept = last.prognoses.join(stand, on=key, how="semi")
-    said = pl.concat([kept, predict_by_fold(last.model, last.model.folds, lived, asked)]).sort("component", *IN_ORDER)
+    said = _say(last.model, record, last.scored)
+    kept = last.prognoses.join(said.stand, on=["component", *PACK, "flight_id"], how="semi")
+    prognoses = pl.concat([kept, said.prognoses]).sort("component", *IN_ORDER)
     card = last.card | {"late_flights_not_learned_from": late}
-    return replace(last, prognoses=said, card=card, scored={c: told for c, (told, _) in scored_by.items()})
+    return replace(last, prognoses=prognoses, card=card, scored=said.scored)
 
 
 def _learner(candidate: Prognosis, tails: list[str]) -> str:

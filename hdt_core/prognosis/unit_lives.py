@@ -97,6 +97,19 @@ def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
     )
 
 
+def with_lives(flights: pl.DataFrame, lives: pl.DataFrame, component: str) -> pl.DataFrame:
+    """Flights of `flight_rows` with the life of the component's unit that flew, `life_id` over the fleet, and `left`,
+    flights until the life's end."""
+    own = lives.filter(pl.col("component") == component).drop("component").sort("first_row")
+    flown = flights.join_asof(  # both sides are in order within each pack, which Polars can't see
+        own, left_on="row", right_on="first_row", by=PACK, coalesce=False, check_sortedness=False
+    ).drop_nulls("life")
+    return flown.with_columns(
+        life_id=pl.struct(*PACK, "life").rank("dense").cast(pl.Int64) - 1,
+        left=(pl.col("end_row") - pl.col("row")).cast(pl.Float64),
+    )
+
+
 def installations(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> pl.DataFrame:
     """Rows on which another unit flies first, by `records.unit_index`: operator, tail, pack, first_row."""
     found = first_flights(flights, maintenance, (component,))
