@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import gammainc, i0e, i1e
 
+from hdt_core.physics import effectiveness
 from hdt_core.physics.effectiveness import (
     counterflow_effectiveness,
     crossflow_effectiveness,
@@ -78,6 +79,19 @@ def test_inverse_to_the_digits_that_the_effectiveness_holds():
     rough = ~held & (left < 1e-3) & np.isfinite(back)
     # the rounding of ntu * ratio comes on top, which `left` leaves out: 40 times on one processor, 61 on another
     assert np.all(np.abs(back[rough] / ntu[rough] - 1.0) < 100.0 * left[rough])
+
+
+@pytest.mark.parametrize(("fewest", "most", "looks"), [(1e-6, 0.01, 2), (0.3, 4.0, 3), (1.0, 1e6, 5)])
+def test_inverse_takes_few_looks_at_the_exchanger(monkeypatch, fewest, most, looks):
+    """It is the dearest step of calibration; started from the counterflow exchanger's units it took five and more."""
+    rng = np.random.default_rng(3)
+    ntu, ratio = np.exp(rng.uniform(np.log(fewest), np.log(most), 3000)), rng.uniform(0.2, 1.5, 3000)
+    ratio = np.where(ntu < 20.0, ratio, 1.0)
+    eps, asked = crossflow_effectiveness(ntu, ntu * ratio), []
+    seen = effectiveness.crossflow_effectiveness_and_slope
+    monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: asked.append(1) or seen(*a))
+    np.testing.assert_allclose(crossflow_ntu(eps, ratio), ntu, rtol=1e-9)
+    assert len(asked) <= looks
 
 
 def test_handbook_formula_and_how_far_it_is_off():

@@ -1,9 +1,11 @@
 """Features are what they are called, and know nothing of the future."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.history import FEATURES, RISES, Panel, feature_rows, record_rows
+from hdt_core.prognosis.history import FEATURES, RISES, UNITS_AT_ONCE, Panel, feature_rows, record_rows
 
 NAMES = {name: i for i, name in enumerate(FEATURES)}
 
@@ -65,3 +67,16 @@ def test_the_hazard_may_only_follow_physics_where_physics_says_how():
     assert signs["reserve_95"] == signs["left_linear_30"] == signs["passage_median"] == -1
     assert signs["passage_100"] == signs["overheat_40"] == signs["hot_share_40"] == 1
     assert signs["level"] == signs["slope_30"] == 0
+
+
+def test_what_a_unit_shows_does_not_hang_on_who_flies_beside_it():
+    """However many units are looked at together, to the last digit."""
+    level = track(2 * UNITS_AT_ONCE + 3, 40)
+    panel = Panel(level, *(np.full_like(level, k) for k in (0.02, 10.0, -0.3, 2.0, 1.0, 0.2, 100.0)))
+    unit, flight = (i.ravel() for i in np.indices(level.shape))
+    mixed = np.random.default_rng(1).permutation(unit.size)
+    together = record_rows(panel, (unit[mixed], flight[mixed]))
+    for k in (0, UNITS_AT_ONCE - 1, UNITS_AT_ONCE, len(level) - 1):
+        alone = Panel(*(getattr(panel, f.name)[k : k + 1] for f in fields(Panel)))
+        own = unit[mixed] == k
+        np.testing.assert_array_equal(together[own], record_rows(alone, (np.zeros(own.sum(), int), flight[mixed][own])))

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.prognosis.unit_lives import episodes, told_lives
+from hdt_core.prognosis.unit_lives import episodes, flight_rows, told_lives, with_lives
 
 
 def test_failed_lives_end_on_the_message_flight(fleet):
@@ -47,3 +47,17 @@ def test_a_life_is_told_with_what_ended_it(fleet):
     unheard = told_lives(features, episodes(features, messages.clear(), maintenance)).filter(component="HX")
     assert unheard.filter(ended_by="unheard").height == maintenance.height
     assert unheard["ended_by"].null_count() == 16
+
+
+def test_each_flight_is_flown_by_the_unit_that_came_last(fleet):
+    features, lives = fleet[0], episodes(*fleet)
+    own = lives.filter(component="HX")
+    by_pack = {key: part.rows(named=True) for key, part in own.partition_by("tail", "pack", as_dict=True).items()}
+    flown = with_lives(flight_rows(features), lives, "HX")
+    assert flown.height == features.height
+    for flight in flown.sample(500, seed=3).iter_rows(named=True):
+        life = max(
+            (x for x in by_pack[flight["tail"], flight["pack"]] if x["first_row"] <= flight["row"]),
+            key=lambda x: x["first_row"],
+        )
+        assert (flight["life"], flight["left"]) == (life["life"], life["end_row"] - flight["row"])
