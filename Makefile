@@ -6,7 +6,7 @@ LANDING ?= data_samples
 READY := $(VENV)/.ready
 PACKAGES := hdt_core pipelines dagster_batched sql benchmarks
 
-.PHONY: run test real soak audit dagster check lint types imports sql docs setup lock clean ui words
+.PHONY: run test mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
@@ -14,6 +14,10 @@ run: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# which small edits of a room (margin, health, ...) its tests notice: survivors and score; MODULE=name for one module
+mutate: $(READY)
+	$(BIN)/python -m benchmarks.mutation $(ROOM) --sample $(or $(SAMPLE),60) --seed $(or $(SEED),1) --module "$(or $(MODULE),*)"
 
 # real data sets, from the folder HDT_REFERENCE: docs/real.md says what belongs there; hours
 real: $(READY)
