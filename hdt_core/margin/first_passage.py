@@ -109,9 +109,7 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         known[c].cast(pl.Float64).to_numpy()
         for c in ("hx_ln_ua_ratio", "hx_fouling", "hx_fouling_slope_100_per_flight", "flights_seen_of_unit")
     )
-    rate = wear_rate(
-        np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), np.minimum(np.where(np.isnan(slope), 2.0, run + 1.0), 100.0)
-    )
+    rate = wear_rate(np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), np.where(np.isnan(slope), 2.0, run + 1.0))
     levels = np.stack([asks_now[name] for name in ASKED[: len(LEVELS)]], axis=1)
     by = passage(
         ratio,

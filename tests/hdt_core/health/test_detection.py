@@ -73,6 +73,68 @@ def test_a_flight_that_says_nothing_changes_nothing() -> None:
     np.testing.assert_allclose(walked(gaps).z[:, ::2], walked(values).z)
 
 
+def walked_by_hand(values: NDArray[np.float64], prior_sd: float, restarts: frozenset[int]) -> list[tuple[float, ...]]:
+    """One series in plain Python: called, z, moved, sums. Page's sums with slack 1 decide at 8 and clear at 2; a flight
+    counts 4.5 deviations and a sum 14 at most; ten flights teach before any counts, and calm ones of late with a memory
+    of sixty; the scatter starts from twenty flights of the expected one."""
+    offset, n, spread, spread_n, high, low, on, moved = None, 0, 0.0, 0, 0.0, 0.0, False, 0.0
+    rows = []
+    for k, y in enumerate(values):
+        if k in restarts:
+            offset, n, high, low, on, moved = None, 0, 0.0, 0.0, False, 0.0
+        if np.isnan(y):
+            rows.append((on, 0.0, moved, high, low))
+            on = max(high, low) > (2.0 if on else 8.0)
+            rows[-1] = (on, 0.0, moved, high, low)
+            continue
+        offset = y if offset is None else offset
+        miss = y - offset
+        variance = max((20.0 * prior_sd**2 + spread_n * spread) / (20.0 + spread_n), 0.25 * prior_sd**2)
+        sd = (variance * (1.0 + 1.0 / max(n, 1))) ** 0.5
+        z = miss / sd
+        if n >= 10:
+            bounded = min(max(z, -4.5), 4.5)
+            high = min(max(high + bounded - 1.0, 0.0), 14.0)
+            low = min(max(low - bounded - 1.0, 0.0), 14.0)
+        worst = max(high, low)
+        on = worst > (2.0 if on else 8.0)
+        moved = 0.8 * moved + 0.2 * miss if worst > 0.0 else 0.0
+        if not on and worst < 4.0:
+            bounded = min(max(miss, -3.0 * sd), 3.0 * sd)
+            if n > 0:
+                weight = 1.0 / min(spread_n + 1, 60)
+                spread = (1.0 - weight) * (spread if spread_n else prior_sd**2) + weight * bounded**2 * n / (n + 1.0)
+                spread_n = min(spread_n + 1, 60)
+            offset += bounded / min(n + 1, 60)
+            n += 1
+        rows.append((on, z, moved, high, low))
+    return rows
+
+
+@pytest.mark.parametrize(("seed", "scatter"), [(0, 0.8), (1, 0.1), (2, 2.0), (3, 0.8)])
+def test_the_walk_is_that_of_its_rule(seed: int, scatter: float) -> None:
+    rng = np.random.default_rng(seed)
+    values = 3.0 + rng.normal(0.0, scatter, 300)
+    values[100:130] += 3.0 * max(scatter, 0.6)
+    values[200:] -= 0.05 * max(scatter, 0.6) * np.arange(100)
+    values[rng.random(300) < 0.1] = np.nan
+    restarts = frozenset({170} if seed == 3 else ())
+    new = np.isin(np.arange(300), list(restarts))[None, :, None]
+    shift = watch(values[None, :, None], SD, new)
+    one = [a[0, :, 0] for a in (shift.called, shift.z, shift.moved, shift.sum_high, shift.sum_low)]
+    np.testing.assert_allclose(np.array(one, dtype=float).T, walked_by_hand(values, 0.8, restarts), atol=1e-9)
+    assert shift.called.any()
+
+
+@pytest.mark.parametrize(("z", "calls_after"), [(3.5, 4), (4.5, 3), (40.0, 3), (1.0, None)])
+def test_delay_of_a_call(z: float, calls_after: int | None) -> None:
+    """A shift of z raises the sum by z - 1 a flight, 3.5 at most: it passes 8 with flight 8 / (z - 1), rounded up."""
+    values = np.where(np.arange(200) < 100, 0.0, 1.0)
+    sd = 0.4 * np.sqrt(1.0 + 1.0 / 100.0)  # never believed below half of the expected scatter
+    called = walked(values[None, :] * z * sd).called[0, :, 0]
+    assert (int(called.argmax()) - 99 if called.any() else None) == calls_after
+
+
 def test_restart_forgets_the_old_unit() -> None:
     values = noise(20, 120)
     values[:, 60:] += 5.0

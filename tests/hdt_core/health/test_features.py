@@ -7,8 +7,10 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.health.features import features, residual_column, since_maintenance
 from hdt_core.health.residuals import SCHEMA as RESIDUALS
+from hdt_core.health.virtual_sensors import virtual_sensors
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
 NO_RESIDUALS = pl.DataFrame(schema=RESIDUALS)
@@ -65,14 +67,114 @@ def test_slopes_stand_gaps_and_long_histories(nothing_done) -> None:
     assert out["hx_fouling_slope_10_per_flight"][-1] == pytest.approx(1e-4, rel=1e-6)
 
 
-def test_a_step_shows_in_three_flights_and_wear_does_not(nothing_done) -> None:
-    wear = 0.002 * np.arange(80.0)
-    out = described(health(wear), nothing_done)
-    assert out["hx_fouling_step_3"].drop_nulls().abs().max() < 0.02
-    clogged = wear + np.where(np.arange(80) >= 60, 0.15, 0.0)
-    step = described(health(clogged), nothing_done)["hx_fouling_step_3"]
-    assert step[59] < 0.03
-    assert step[61] > 0.12
+def test_a_slope_wants_four_values(nothing_done) -> None:
+    slope = described(health(0.001 * np.arange(6.0)), nothing_done)["hx_fouling_slope_10_per_flight"]
+    assert slope.to_list()[:3] == [None] * 3
+    assert slope.to_list()[3:] == pytest.approx([0.001] * 3)
+
+
+def late_step(loss: np.ndarray, k: int) -> float:
+    """Median of three flights less that of the twelve before, less eight flights of the trend (0 to .004)."""
+    past = loss[max(0, k - 32) : k - 2]
+    slope = np.polyfit(np.arange(len(past)), past, 1)[0] if len(past) >= 4 else 0.0
+    step = np.median(loss[k - 2 : k + 1]) - np.median(loss[max(0, k - 14) : k - 2])
+    return float(step - 8.0 * min(max(slope, 0.0), 0.004))
+
+
+@pytest.mark.parametrize("rate", [-0.003, 0.002, 0.006])
+def test_steps_and_jumps_by_hand(nothing_done, rate) -> None:
+    loss = rate * np.arange(60.0) + np.random.default_rng(3).normal(0.0, 0.01, 60) + 0.1 * (np.arange(60) >= 45)
+    out = described(health(loss), nothing_done)
+    step, jump = out["hx_fouling_step_3"].to_list(), out["hx_fouling_jump_10"].to_list()
+    assert step[:6] == [None] * 6  # four flights before the last three
+    assert step[6:] == pytest.approx([late_step(loss, k) for k in range(6, 60)], abs=1e-9)
+    assert jump[:10] == [None] * 10
+    assert jump[10:] == pytest.approx((loss[10:] - loss[:-10]).tolist())
+
+
+def test_a_step_is_told_from_two_of_the_last_three_flights(nothing_done) -> None:
+    loss = np.full(12, 0.1)
+    loss[[8, 10, 11]] = np.nan
+    step = described(health(loss), nothing_done)["hx_fouling_step_3"].to_list()
+    assert step[9] is not None
+    assert step[10] is None
+
+
+def test_what_a_flight_alone_says_moves_first(nothing_done) -> None:
+    long, loss = health(np.full(20, 0.1)), np.where(np.arange(20) >= 18, 0.3, 0.1)
+    alone = twin_rows(long).with_columns(ln_ua_ratio=np.log(1.0 - loss), ln_ram_ratio=np.log(1.0 - 0.5 * loss))
+    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, twin_flights=alone)
+    assert out["hx_fouling_step_3"].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.2])
+    assert out["ram_flow_loss_step_3"].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.1])
+
+
+TWIN = {
+    "ram_flow_kg_s": 1.2, "pack_flow_kg_s": 0.8, "hx_in_k": 400.0, "hx_out_k": 300.0, "tat_k": 250.0, "n_samples": 9.0,
+    "effectiveness": 0.66, "ua_w_k": 2000.0, "ln_ua_ratio": -0.2, "ln_ua_ratio_sd": 0.03, "ln_ua_ratio_map_sd": 0.04,
+    "ln_ram_ratio": -0.1, "ln_ram_ratio_sd": 0.02, "diameter_m": 0.16, "diameter_m_se": 0.001,
+    "expected_diameter_m": 0.165, "efficiency": 0.75, "inlet_apart_k": 1.5, "door_apart_ln": 0.07,
+}  # fmt: skip
+
+
+def twin_rows(long: pl.DataFrame) -> pl.DataFrame:
+    return long.select("operator", "tail", "flight_id", "pack").with_columns(
+        pl.lit(v).alias(k) for k, v in TWIN.items()
+    )
+
+
+def test_virtual_sensors_by_hand() -> None:
+    row = virtual_sensors(twin_rows(health(np.zeros(1)))).row(0, named=True)
+    # 80 kW of bleed air at 1,011 J/kg K over 1.2 kg/s of ram air at 1,005
+    rise_k = row["ram_outlet_k"] - 250.0
+    assert rise_k == pytest.approx(0.8 * 100.0 / 1.2 * 1011.0 / 1005.0, rel=0.003)
+    reading_sd_k = np.hypot(NOISE_SD["hx_out_k"] / 3.0, BIAS_SD["hx_out_k"])
+    assert row | {"ram_outlet_k": 0.0} == pytest.approx(
+        {
+            "operator": "TST", "tail": "T-AAA", "flight_id": "T-AAA_20240301_01", "pack": 1, "ram_flow_kg_s": 1.2,
+            "ram_flow_kg_s_sd": 0.06, "ram_outlet_k": 0.0, "ram_outlet_k_sd": 0.05 * rise_k, "effectiveness": 0.66,
+            "effectiveness_sd": reading_sd_k / 150.0, "ua_w_k": 2000.0, "ua_w_k_sd": 100.0,
+            "ram_flow_loss": 1.0 - np.exp(-0.1), "ram_flow_loss_sd": 0.02 * np.exp(-0.1),
+            "hx_fouling_flight": 1.0 - np.exp(-0.2), "hx_fouling_flight_sd": 0.03 * np.exp(-0.2),
+            "cc_diameter_deficit": 1.0 - 160.0 / 165.0, "cc_diameter_deficit_sd": 1.0 / 165.0,
+            "w_hx_in_over_discharge_k": 1.5, "w_hx_in_over_pressure_k": None, "w_conductance_off_cruise_ln": 0.07,
+        }
+    )  # fmt: skip
+    silent = twin_rows(health(np.zeros(1))).with_columns(efficiency=pl.lit(None, pl.Float64), n_samples=pl.lit(0.0))
+    row = virtual_sensors(silent).row(0, named=True)
+    assert (row["w_hx_in_over_discharge_k"], row["w_hx_in_over_pressure_k"]) == (None, 1.5)
+    assert row["effectiveness_sd"] == pytest.approx(np.hypot(NOISE_SD["hx_out_k"], BIAS_SD["hx_out_k"]) / 150.0)
+
+
+def test_usage_door_and_the_other_pack(nothing_done) -> None:
+    long = pl.concat([health(np.full(3, 0.2)), health(np.full(3, 0.05), pack=2)])
+    checks = (
+        legs_of(long)
+        .drop("admitted", "departed_at")
+        .with_columns(
+            flight_hours=pl.lit(2.5), door_median=0.1 * pl.col("pack"), door_max=pl.lit(0.7), hx_fouling=pl.lit(9.0)
+        )
+    )
+    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, witnesses=checks)
+    assert out["usage_hours"].to_list() == [2.5, 5.0, 7.5] * 2
+    assert out["ram_door_margin"].to_list() == pytest.approx([0.3] * 6)
+    assert out["ram_door_open_cruise"].to_list() == pytest.approx([0.1] * 3 + [0.2] * 3)
+    assert out["door_median_between_packs"].to_list() == pytest.approx([-0.1] * 3 + [0.1] * 3)
+    assert out["hx_fouling_between_packs"].to_list() == pytest.approx([0.15] * 3 + [-0.15] * 3)
+    assert out["flight_index"].to_list() == [0, 1, 2] * 2
+    assert out["flights_seen_of_unit"].to_list() == [0, 1, 2] * 2
+    assert not [name for name in out.columns if name.startswith("other_") or name.endswith("_life")]
+
+
+def test_residual_means_have_their_names(nothing_done) -> None:
+    long = health(np.zeros(1))
+    row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
+    told = [
+        row | {"signal": s, "kind": k, "mean": m}
+        for s, k, m in (("hx_out_k", "sensor_minus_dsm", 3.0), ("x", "d", 4.0))
+    ]
+    means = pl.DataFrame(told, schema_overrides={"pack": pl.Int32})
+    out = features(long, means, legs_of(long), nothing_done)
+    assert out.select("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d").row(0) == (3.0, 3.0, 4.0)
 
 
 def test_a_new_unit_starts_a_new_life(replaced) -> None:
@@ -108,13 +210,6 @@ def test_row_order_and_other_tails_change_nothing(nothing_done) -> None:
     assert_frame_equal(described(both, nothing_done).filter(pl.col("tail") == "T-AAA"), alone)
 
 
-def test_packs_stand_side_by_side(nothing_done) -> None:
-    long = pl.concat([health(np.full(10, 0.2)), health(np.full(10, 0.05), pack=2)])
-    out = described(long, nothing_done)
-    assert out.filter(pl.col("pack") == 1)["hx_fouling_between_packs"].to_list() == pytest.approx([0.15] * 10)
-    assert out["flight_index"].to_list() == list(range(10)) * 2
-
-
 def test_no_flights_no_rows(nothing_done) -> None:
     empty = health(np.zeros(1)).clear()
     assert described(empty, nothing_done).height == 0
@@ -132,6 +227,11 @@ def test_late_log_entry_counts_from_its_day(replaced) -> None:
         ("hx_out_k", "hx_out_d_k"),
         ("cc_flow_kg_s", "cc_flow_d_kg_s"),
         ("cc_effective_diameter_m", "cc_effective_diameter_d_m"),
+        ("cc_speed_rad_s", "cc_speed_d_rad_s"),
+        ("ua_w_k", "ua_d_w_k"),
+        ("vda_counts", "vda_d_counts"),
+        ("cc_out_pa", "cc_out_d_pa"),
+        ("mach", "mach_d"),
     ],
 )
 def test_unit_ends_the_name(signal: str, name: str) -> None:

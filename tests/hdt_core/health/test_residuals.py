@@ -3,14 +3,18 @@
 import numpy as np
 import polars as pl
 import pytest
+from hand_pack import DSM, FLIGHT
 
 from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.features import residual_column
 from hdt_core.health.residuals import KINDS, SIGNALS, residuals
 from hdt_core.health.virtual_sensors import virtual_sensors
+from hdt_core.physics.compressor import exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.tables.residuals import Residuals
@@ -92,6 +96,45 @@ def test_virtual_sensors_obey_the_heat_balance(flown, twin, model) -> None:
     np.testing.assert_allclose((1 - worn) / (1 - sound), 1 - LOSS, rtol=1e-3)
     for name in ("ram_flow_kg_s", "ram_outlet_k", "effectiveness", "ua_w_k"):
         assert (both[f"{name}_sd"] > 0).all()
+
+
+def test_statistics_of_a_flight_by_hand() -> None:
+    twin = FLIGHT.select(KEY).unique().with_columns(
+        ln_ua_ratio=pl.lit(-0.15), diameter_m=pl.lit(0.160), expected_diameter_m=pl.lit(0.163),
+        efficiency=pl.lit(0.71), group_m3=pl.lit(9.2e-4),
+    )  # fmt: skip
+    table = residuals(FLIGHT, twin, DSM)
+    s = {name: FLIGHT[name].to_numpy() for name in FLIGHT.columns}
+    # the flow reads 1 % high, the temperatures .5, -.4, .3 and .2 K, the door .01; the compressor's inlet .2 K and .2 %
+    true = s | {"pack_flow_kg_s": s["pack_flow_kg_s"] * np.exp(-0.01), "hx_in_k": s["hx_in_k"] - 0.5}
+    true |= {"tat_k": s["tat_k"] - 0.3, "ram_door_open": s["ram_door_open"] - 0.01}
+    ram = clean_ram_flow_kg_s(true, DSM.design)
+    clean = ln_clean_conductance(true, ram, DSM.design)
+    air = true["pack_flow_kg_s"], ram, true["hx_in_k"], true["tat_k"]
+    rows = compressor_samples(cruise_samples(FLIGHT), DSM.pack_table())
+    inlet_k, inlet_pa = s["cc_in_k"] - 0.2, s["cc_in_pa"] * np.exp(-0.002)
+    built_m = 0.175 - 2.8e-5 * s["vda_counts"]
+    of = inlet_k, s["cc_speed_rad_s"]
+    by_model, by_twin = (outlets_k(*air, np.exp(clean + ln)) for ln in (0.05, -0.15))
+    by_hand = {
+        "hx_out_k": (s["hx_out_k"] + 0.4, by_model[0], by_twin[0], hx.NOISE_SD["hx_out_k"]),
+        "ram_out_k": (s["ram_out_k"] - 0.2, by_model[1], by_twin[1], hx.NOISE_SD["ram_out_k"]),
+        "cc_effective_diameter_m": (rows["diameter_m"].to_numpy(), built_m, built_m - 0.003, 0.005),
+        "cc_out_pa": (s["cc_out_pa"], *(inlet_pa * pressure_ratio(d, *of) for d in (built_m, built_m - 0.003)), 400.0),
+        "cc_out_k": (
+            s["cc_out_k"], *(exit_temperature_k(inlet_k, s["cc_out_pa"] / inlet_pa, e) for e in (0.74, 0.71)), 0.7
+        ),
+        "cc_flow_kg_s": (s["cc_flow_kg_s"], *(inlet_flow_kg_s(g, inlet_pa, *of) for g in (9.4e-4, 9.2e-4)), 0.016),
+    }  # fmt: skip
+    for signal, (sensor, model, own, sigma) in by_hand.items():
+        for kind, d in zip(KINDS, (sensor - model, model - own, sensor - own), strict=True):
+            row = table.row(by_predicate=(pl.col("signal") == signal) & (pl.col("kind") == kind), named=True)
+            expected = {
+                "mean": d.mean(), "sd": d.std(ddof=1), "rms": np.sqrt((d**2).mean()), "n": 6,
+                "mean_sigma": d.mean() / sigma,
+            }  # fmt: skip
+            assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-6, abs=1e-9), (signal, kind)
+            assert row["component"] == ("CC" if signal.startswith("cc_") else "HX")
 
 
 def test_every_residual_has_a_feature_name() -> None:

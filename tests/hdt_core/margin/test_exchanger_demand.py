@@ -1,0 +1,138 @@
+"""What a flight asks of an exchanger: the outlet with the door full open against the level that is held."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.margin.curves import falls_through
+from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, exchanger_demand, full_open_outlet_k
+from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
+from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
+
+LN_RATIOS = np.array([-1.2, -0.8, -0.55, -0.35, -0.2, -0.05, 0.1, 0.3, 0.6])
+CRUISE = {
+    "altitude_m": 11_000.0, "mach": 0.84, "tat_k": 247.0, "total_pressure_pa": 36_000.0, "hx_in_k": 400.0,
+    "hx_out_k": 300.0, "ram_door_open": 0.3, "pack_flow_kg_s": 0.8,
+}  # fmt: skip
+
+
+def cruise(**changed: float) -> dict[str, np.ndarray]:
+    return {name: np.array([value]) for name, value in (CRUISE | changed).items()}
+
+
+def test_outlet_with_the_door_full_open_is_the_models():
+    outlet = full_open_outlet_k(cruise(), hx.MEAN, np.array([-0.3, 0.0]), np.log(0.8))[0]
+    full = cruise(ram_door_open=1.0)
+    ram = 0.8 * clean_ram_flow_kg_s(full, hx.MEAN)
+    for ln_ratio, k in zip((-0.3, 0.0), outlet, strict=True):
+        ua = np.exp(ln_clean_conductance(full, ram, hx.MEAN) + ln_ratio)
+        assert k == outlets_k(full["pack_flow_kg_s"], ram, full["hx_in_k"], full["tat_k"], ua)[0][0]
+    np.testing.assert_array_equal(
+        *(full_open_outlet_k(cruise(ram_door_open=d), hx.MEAN, LN_RATIOS) for d in (0.1, 0.9))
+    )
+
+
+def test_a_speed_that_reads_nothing_gives_no_answer_and_no_warning():
+    still = cruise(mach=0.0, total_pressure_pa=22_632.0)
+    assert np.isnan(full_open_outlet_k(still, hx.MEAN, LN_RATIOS)).all()
+
+
+@pytest.mark.parametrize("changed", [{"tat_k": 262.0}, {"pack_flow_kg_s": 0.95}, {"hx_in_k": 425.0}])
+def test_hotter_air_more_flow_and_warmer_bleed_take_margin(changed):
+    plain, harder = (full_open_outlet_k(cruise(**c), hx.MEAN, np.zeros(1))[0, 0] for c in ({}, changed))
+    assert harder > plain
+
+
+def columns(rows: pl.DataFrame) -> dict[str, np.ndarray]:
+    return {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+
+
+def shape_k(tat_k: np.ndarray) -> np.ndarray:
+    return np.interp(tat_k, (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
+
+
+def test_a_flight_by_hand(dsm, laws, flight):
+    row = exchanger_demand(flight, dsm, laws).row(0, named=True)
+    s = columns(flight)
+    above = s["hx_out_k"] - shape_k(s["tat_k"])
+    trim = np.median(above[[0, 1, 4]])  # where the door is not at its end: .3, .5, .949
+    held = shape_k(s["tat_k"]) + trim
+    assert (row["high_n"], row["held_status"]) == (6, "flight")
+    assert row["held_k"] == pytest.approx(np.median(held))
+    assert row["full_open_share"] == pytest.approx(0.5)
+    over = np.where(s["ram_door_open"] > 0.95, np.maximum(s["hx_out_k"] - held, 0.0), 0.0)
+    assert row["overheat_p20_k"] == pytest.approx(np.sort(over)[4])  # the nearest sample to .8 of the way
+    assert row["overheat_p50_k"] == pytest.approx(np.sort(over)[3])
+    # the flow reads 1 % high, the temperatures by .5, -.4 and .3 K
+    true = s | {"pack_flow_kg_s": s["pack_flow_kg_s"] * np.exp(-0.01), "hx_in_k": s["hx_in_k"] - 0.5}
+    true |= {"tat_k": s["tat_k"] - 0.3}
+    excess = np.sort(full_open_outlet_k(true, hx.MEAN, LN_RATIOS) - (held + 0.4)[:, None], axis=0)
+    for share, names in ((4, CRITICAL[:5]), (3, CRITICAL[5:])):
+        for excess_k, name in zip(EXCESS_K, names, strict=True):
+            assert row[name] == pytest.approx(falls_through(excess[[share]], LN_RATIOS, excess_k)[0], abs=1e-9), name
+
+
+def test_hot_day_and_parts_by_hand(dsm, laws, flight):
+    row = exchanger_demand(flight, dsm, laws).row(0, named=True)
+    s = columns(flight)
+    middle = {name: np.array([np.median(v)]) for name, v in s.items()}
+    trim = np.median((s["hx_out_k"] - shape_k(s["tat_k"]))[[0, 1, 4]])
+    hot_k = hot_day_tat_k(middle["altitude_m"], middle["mach"])
+    hot = middle | {"tat_k": hot_k, "hx_in_k": middle["hx_in_k"] + hot_k - middle["tat_k"]}
+    excess = full_open_outlet_k(hot, hx.MEAN, LN_RATIOS) - shape_k(hot_k) - trim
+    for excess_k, name in zip(EXCESS_K, HOT_DAY, strict=True):
+        assert row[name] == pytest.approx(falls_through(excess, LN_RATIOS, excess_k)[0]), name
+
+    def margin(signals: dict[str, np.ndarray], level_k: float, ln_ram: float = 0.0) -> float:
+        outlet = full_open_outlet_k(signals, hx.MEAN, np.array([0.05]), ln_ram)[0, 0]
+        return float(shape_k(signals["tat_k"])[0] + level_k - outlet)
+
+    usual = reference_air(1) | {"hx_in_k": np.array([390.0]), "pack_flow_kg_s": np.array([0.7])}
+    flown = usual | {name: middle[name] for name in ("hx_in_k", "pack_flow_kg_s")}
+    bias = np.array([0.01, 0.5, -0.4, 0.3, 0.01, 0.2])[:, None]
+    ln_ram = float(np.median(hx.ln_ram_flow_ratio(s | {"ram_out_k": flight["ram_out_k"].to_numpy()}, hx.MEAN, bias)))
+    steps = [margin(usual, 301.0), margin(usual, trim), margin(flown, trim), margin(middle, trim)]
+    steps.append(margin(middle, trim, ln_ram))
+    assert [row[name] for name in PARTS] == pytest.approx([steps[0], *np.diff(steps)], abs=1e-9)
+
+
+def test_a_level_is_the_flights_own_from_two_samples_on_and_else_the_packs(dsm, laws, flight):
+    door = pl.when(pl.col("ram_door_open") == 0.949).then(1.0).otherwise("ram_door_open")
+    two = exchanger_demand(flight.with_columns(door.alias("ram_door_open")), dsm, laws)
+    assert two["held_status"].to_list() == ["flight"]
+    shut = flight.with_columns(ram_door_open=pl.when(pl.int_range(pl.len()) == 0).then(0.3).otherwise(1.0))
+    one = exchanger_demand(shut, dsm, laws)
+    assert one["held_status"].to_list() == ["pack"]
+    assert one["held_k"][0] == pytest.approx(302.0 + np.median(shape_k(flight["tat_k"].to_numpy())))
+
+
+def test_low_flight_a_pack_at_rest_and_a_gap_ask_nothing(dsm, laws, flight):
+    at = pl.int_range(pl.len())
+    for rest in (
+        flight.with_columns(altitude_m=pl.when(at == 0).then(4572.0).otherwise("altitude_m")),
+        flight.with_columns(pack_flow_kg_s=pl.when(at == 0).then(0.2).otherwise("pack_flow_kg_s")),
+        flight.with_columns(hx_in_k=pl.when(at != 0).then("hx_in_k")),
+    ):
+        assert exchanger_demand(rest, dsm, laws)["high_n"].to_list() == [5]
+    just = flight.with_columns(altitude_m=pl.lit(4572.1), pack_flow_kg_s=pl.lit(0.201))
+    assert exchanger_demand(just, dsm, laws)["high_n"].to_list() == [6]
+    none = exchanger_demand(flight.with_columns(altitude_m=pl.lit(4000.0)), dsm, laws).row(0, named=True)
+    assert (none["high_n"], none["held_status"], none[CRITICAL[0]]) == (0, "unknown", None)
+
+
+def test_without_a_ram_outlet_the_blockage_is_not_known(dsm, laws, flight):
+    row = exchanger_demand(flight.drop("ram_out_k"), dsm, laws).row(0, named=True)
+    assert row["hx_margin_blockage_k"] is None
+    assert row["hx_margin_ambient_k"] == exchanger_demand(flight, dsm, laws)["hx_margin_ambient_k"][0]
+
+
+def test_a_pack_the_model_has_not_met_has_sound_sensors(dsm, laws, flight):
+    stranger = exchanger_demand(flight.with_columns(tail=pl.lit("T-99")), dsm, laws)
+    sound = replace(dsm, packs=(replace(dsm.packs[0], bias=(0.0,) * 6, inlet_bias_k=0.0),))
+    assert stranger[CRITICAL[2]].to_list() == pytest.approx(
+        exchanger_demand(flight, sound, laws)[CRITICAL[2]].to_list()
+    )

@@ -1,0 +1,111 @@
+"""First passage: against its formula in plain Python and against lives drawn one by one."""
+
+from itertools import pairwise
+from math import exp, hypot, sqrt
+from statistics import NormalDist
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
+from hdt_core.margin.first_passage import PASSAGES, passage, passages, wear_rate
+
+WEIGHTS = (0.65, 0.2, 0.075, 0.04, 0.025, 0.01)
+"""Flights that the quantiles .5, .8, .9, .95, .98 and 1 stand for: to half the way to the next."""
+EDGES = (0.0, 10.0, 25.0, 50.0, 100.0, 150.0, 200.0, 300.0)
+NORMAL = NormalDist()
+
+
+def rate_by_hand(slope: float, flights: float, usual: float = 0.0012, usual_sd: float = 0.0012) -> tuple[float, float]:
+    """A slope over n flights with scatter .010 has variance 12 s2 / n3; units differ by a quarter of their spread."""
+    error2 = 12.0 * 0.010**2 / flights**3 + (0.25 * usual_sd) ** 2
+    precision = 1.0 / error2 + 1.0 / usual_sd**2
+    return (slope / error2 + usual / usual_sd**2) / precision, sqrt(1.0 / precision)
+
+
+def passage_by_hand(ratio: float, sd: float, levels: list[float], rate: float, rate_sd: float) -> list[float]:
+    """P(message by each of `EDGES`): a flight asks for more than is left with P = sum of w Phi((level - left) / sd)."""
+    rates = [max(0.0, rate + rate_sd * NORMAL.inv_cdf(p)) for p in (0.1, 0.3, 0.5, 0.7, 0.9)]
+    log_alive, by = [0.0] * 5, [0.0]
+    for low, high in pairwise(EDGES):
+        for i, r in enumerate(rates):
+            left = ratio - r * (low + high) / 2.0
+            asks = sum(
+                w * NORMAL.cdf((level - left) / hypot(sd, 0.03)) for w, level in zip(WEIGHTS, levels, strict=True)
+            )
+            log_alive[i] -= asks * (high - low)
+        by.append(1.0 - sum(map(exp, log_alive)) / 5.0)
+    return by
+
+
+LEVELS = [-0.60, -0.50, -0.46, -0.44, -0.42, -0.38]
+
+
+def test_passage_is_its_formula():
+    for ratio, sd, rate, rate_sd in ((-0.3, 0.012, 0.0008, 0.0005), (-0.25, 0.04, 0.0002, 0.001)):
+        one = np.ones(1)
+        by = passage(ratio * one, sd * one, np.array([LEVELS]), rate * one, rate_sd * one, np.array(EDGES))[0]
+        assert by.tolist() == pytest.approx(passage_by_hand(ratio, sd, LEVELS, rate, rate_sd), abs=1e-12)
+
+
+def test_passage_is_the_share_of_lives_that_met_it():
+    rng, n, flights = np.random.default_rng(2), 4000, 300
+    ratio, sd, rate, rate_sd = -0.25, 0.012, 0.0006, 0.0002
+    wear = np.maximum(rng.normal(rate, rate_sd, (n, 1)), 0.0) * (np.arange(flights) + 0.5)
+    asks = rng.choice(LEVELS, (n, flights), p=WEIGHTS) + rng.normal(0.0, hypot(sd, 0.03), (n, flights))
+    met = np.maximum.accumulate(asks > ratio - wear, axis=1).mean(axis=0)
+    edges = np.arange(0.0, flights + 1.0)
+    by = passage(
+        *(np.full(1, v) for v in (ratio, sd)), np.array([LEVELS]), np.full(1, rate), np.full(1, rate_sd), edges
+    )
+    np.testing.assert_allclose(by[0, 1:], met, atol=0.03)
+    assert 0.3 < met[-1] < 0.95
+
+
+@pytest.mark.parametrize("flights", [2.0, 3.0, 20.0, 60.0])
+def test_a_slope_counts_by_its_variance(flights):
+    rate, sd = wear_rate(np.array([0.005]), np.array([flights]))
+    assert (rate[0], sd[0]) == pytest.approx(rate_by_hand(0.005, flights), rel=1e-9)
+    other = wear_rate(np.array([0.005]), np.array([flights]), 0.003, 0.0004)
+    assert (other[0][0], other[1][0]) == pytest.approx(rate_by_hand(0.005, flights, 0.003, 0.0004), rel=1e-9)
+
+
+def test_a_slope_counts_as_one_of_two_flights_at_least_and_of_sixty_at_most():
+    rate, sd = wear_rate(np.full(4, 0.005), np.array([0.0, 2.0, 60.0, 500.0]))
+    assert (rate[0], sd[0], rate[2], sd[2]) == (rate[1], sd[1], rate[3], sd[3])
+
+
+def one_pack(**columns: list[float | None]) -> pl.DataFrame:
+    n = len(next(iter(columns.values())))
+    own = {"operator": "TST", "tail": "T", "pack": 1, "flight_id": [f"F{k}" for k in range(n)]}
+    return pl.DataFrame(own | columns)
+
+
+def test_passages_of_a_pack_by_the_rule_before_any_message():
+    flights = one_pack(
+        hx_ln_ua_ratio=[-0.05, -0.05, -0.06, -0.10], hx_fouling=[0.1, 0.1, 0.9, 0.2],
+        hx_fouling_slope_100_per_flight=[0.001, None, 0.0004, 0.0006], flights_seen_of_unit=[5, 50, 29, 200],
+    )  # fmt: skip
+    # critical ratios fall by .026 a kelvin; the rule is 7 K, twice in three flights
+    level = [-0.10, -0.06, -0.04, -0.08]
+    asks = flights.select("operator", "tail", "pack", "flight_id").with_columns(
+        pl.Series(name, level) - 0.026 * (e - 7.0) for name, e in zip(CRITICAL[:5], EXCESS_K, strict=True)
+    )
+    by = passages(flights, asks)
+    assert by.columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
+    assert by.select(PASSAGES).row(0) == (None, None)
+    # -.10, -.06, -.08: the lower of a flight's and the most of the two before; half, a third of the window each
+    windows = ([-0.10] * 6, [-0.10] + [-0.06] * 5, [-0.08] + [-0.06] * 5)
+    rates = (rate_by_hand(0.0, 2.0), rate_by_hand(0.0004 / 0.2, 30.0), rate_by_hand(0.0006 / 0.8, 60.0))
+    for row, ratio, levels, rate in zip((1, 2, 3), (-0.05, -0.06, -0.10), windows, rates, strict=True):
+        hand = passage_by_hand(ratio, 0.012, levels, *rate)
+        assert by.select(PASSAGES).row(row) == pytest.approx((hand[4], hand[7]), abs=1e-9)
+
+
+def test_no_flight_no_passage():
+    none = one_pack(
+        hx_ln_ua_ratio=[0.0], hx_fouling=[0.0], hx_fouling_slope_100_per_flight=[0.0], flights_seen_of_unit=[1]
+    ).clear()
+    asks = none.select("operator", "tail", "pack", "flight_id").with_columns(pl.lit(0.0).alias(n) for n in CRITICAL[:5])
+    assert passages(none, asks).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
