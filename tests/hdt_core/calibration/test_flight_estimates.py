@@ -8,7 +8,6 @@ from made import made_fleet
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.tables.twin import TwinFlights, TwinHealth
-from hdt_core.tracking.lumped_coefficients import ACROSS_SD_K, lumped_coefficients
 from hdt_core.tracking.track import track
 
 SIGNALS = ("hx_out_k", "hx_in_k", "pack_flow_kg_s")
@@ -97,24 +96,6 @@ def test_without_ram_outlet_the_scale_is_a_prior_and_the_doubt_is_larger(flights
     assert rows["sd"].mean() > known["sd"].mean()
     off = rows.join(blind.truth, on=["tail", "flight_id", "pack"]).with_columns(e=pl.col("value") - pl.col("loss"))
     assert off.select((pl.col("e").abs() < 1.645 * pl.col("sd")).mean()).item() > 0.75
-
-
-def test_the_papers_coefficients_are_told_only_where_the_outlets_allow(flights):
-    worn = flights.head(6).with_columns(
-        hx_out_k=pl.lit(320.0),
-        tat_k=pl.lit(250.0),
-        hx_in_k=pl.lit(400.0),
-        pack_flow_kg_s=pl.lit(0.8),
-        ram_flow_kg_s=pl.lit(1.6),
-        ram_out_k=pl.Series([300.0, 310.0, 318.0, 330.0, None, 314.0]),
-    )
-    rows = lumped_coefficients(worn)
-    told = rows.filter(pl.col("status") == "ok")
-    assert set(told["flight_id"]) == {worn["flight_id"][k] for k in range(6) if k in (0, 1, 5)} - {
-        worn["flight_id"][k] for k in (5,) if 4.0 * ACROSS_SD_K >= 320.0 - 314.0
-    }
-    assert (told["sd"] < 0.3 * told["value"]).all()
-    assert rows.filter(pl.col("status") != "ok")["value"].null_count() == rows.height - told.height
 
 
 def test_a_wrong_door_shows_between_cruise_and_climb_and_wear_does_not(fleet, model):

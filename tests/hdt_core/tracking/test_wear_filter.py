@@ -1,0 +1,288 @@
+"""The wear filter against an enumeration of every hypothesis, one 5-vector at a time, with its numbers written out."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import norm, truncnorm
+
+from hdt_core.tracking import hypotheses as hy
+from hdt_core.tracking import multiple_model_filter as mmf
+from hdt_core.tracking.hypotheses import Hypotheses, join, normalise, prune
+from hdt_core.tracking.kim_smoother import smooth
+from hdt_core.tracking.wear_model import Observation, Settings
+
+PACES = [(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5), (0.45, 1e-3, 8e-4, 6e-5, 6e-5), (0.10, 6e-3, 4e-3, 6e-5, 5e-4)]
+ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
+SETTINGS = Settings(level=0.02, level_sd=0.01, offset_sd=0.05)
+ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
+
+
+class One(NamedTuple):
+    """A hypothesis: log weight, mean, cov, pace, flights since renewal, unlogged, faulty; and how it came about."""
+
+    lw: float
+    m: np.ndarray
+    p: np.ndarray
+    pace: int
+    since: int
+    unlogged: bool = False
+    faulty: bool = False
+    parent: int = -1
+    event: np.ndarray = np.ones(5)
+    move: Any = None
+    before: Any = None
+
+
+def renewed(h: One, chance: float, unlogged: bool) -> list[One]:
+    children = []
+    for j, (share, rate, rate_sd, *_) in enumerate(PACES):
+        drop = np.diag([0.0, 0.0, 1.0, 0.0, 1.0])
+        m, p = drop @ h.m, drop @ h.p @ drop
+        m[:2] = 0.003, rate
+        p += np.diag([0.006**2, rate_sd**2, 0.0, 0.04**2, 0.0])
+        event = h.event * drop.diagonal()
+        child = h._replace(lw=h.lw + np.log(share * chance), m=m, p=p, pace=j, since=0, unlogged=unlogged, event=event)
+        children.append(child)
+    return children
+
+
+def washed(h: One, chance: float, leaves: float, leaves_sd: float) -> One:
+    keep = np.diag([leaves, 1.0, 1.0, 1.0, 1.0])
+    more = np.diag([leaves_sd**2 * (h.m[0] ** 2 + h.p[0, 0]), PACES[h.pace][2] ** 2, 0.0, 0.0, 0.0])
+    event = h.event * keep.diagonal()
+    return h._replace(lw=h.lw + np.log(chance), m=keep @ h.m, p=keep @ h.p @ keep + more, since=0, event=event)
+
+
+def worn(h: One, chance: float, more: float, more_sd: float) -> One:
+    wear = np.array([1.0, 0, 0, 0, 0])
+    return h._replace(lw=h.lw + np.log(chance), m=h.m + more * wear, p=h.p + more_sd**2 * np.diag(wear))
+
+
+def aged(h: One, row: int) -> One:
+    """One flight later: the rate's noise a variance, the map's error a stationary process of forty flights."""
+    keep = 1.0 if h.faulty else np.exp(-1.0 / 40.0)
+    move = np.diag([1.0, 1.0, 1.0, 1.0, keep])
+    move[0, 1] = 1.0
+    *_, late, early = PACES[h.pace]
+    rate_step = late + (early - late) * np.exp(-(h.since + 1) / 20.0)
+    noise = [7e-4**2, rate_step**2, 0.0, 0.0, 0.005**2 if h.faulty else 0.005**2 * (1.0 - keep**2)]
+    return h._replace(
+        lw=h.lw + (np.log(29 / 30) if h.faulty else 0.0), m=move @ h.m, p=move @ h.p @ move.T + np.diag(noise),
+        since=h.since + 1, parent=row, event=np.ones(5), move=move,
+    )  # fmt: skip
+
+
+def logged(h: One, due: int, kept: bool) -> list[One]:
+    """What an entry, or its absence on the ninth flight, does: 1 washed, 2 replaced."""
+    recent, missing = h.since <= 8, h.unlogged and h.since == 9 and kept
+    h = h._replace(lw=h.lw + (np.log(0.03) if missing else 0.0), unlogged=h.unlogged and not due and not missing)
+    if not due or recent:
+        return [h]
+    return renewed(h, 1 / 60, h.unlogged) if due == 2 else [washed(h, 1 / 60, 0.3, 0.2)]
+
+
+def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
+    off, sd = ratio - SETTINGS.level - ROW @ h.m, np.sqrt(ROW @ h.p @ ROW + variance)
+    surprised, asked = abs(off) > 2.0 * sd, opened if h.since > 8 else 0
+    children = [h._replace(lw=h.lw + (np.log(0.5) if asked else 0.0))]
+    if asked:
+        children += renewed(h, 0.5 / 60, h.unlogged) if asked == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
+    if surprised and off > 0 and not asked:
+        children += [*renewed(h, 1 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
+    if surprised and off < 0:
+        children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.13, 0.08)]
+    if surprised and h.faulty:
+        gone = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
+        p = gone @ h.p @ gone + np.diag([0, 0, 0, 0, 0.005**2])
+        event = h.event * gone.diagonal()
+        children.append(h._replace(lw=h.lw + np.log(1 / 30), m=gone @ h.m, p=p, faulty=False, event=event))
+    elif surprised:
+        p = h.p + np.diag([0, 0, 0, 0, 0.2**2])
+        children.append(h._replace(lw=h.lw + np.log(1 / 2000), p=p, faulty=True))
+    return children
+
+
+def met(h: One, ratio: float, variance: float) -> One:
+    """Bayes' rule for a flight of which one in a hundred is an outlier of sd 0.3, the two cases merged by moments."""
+    total = ROW @ h.p @ ROW + variance
+    off = ratio - SETTINGS.level - ROW @ h.m
+    sound = 0.99 * norm.pdf(off, scale=np.sqrt(total))
+    stray = 0.01 * norm.pdf(off, scale=np.sqrt(total + 0.3**2))
+    use, gain = sound / (sound + stray), h.p @ ROW / total
+    p = h.p - np.outer(gain, gain) * total * use + use * (1.0 - use) * off**2 * np.outer(gain, gain)
+    return h._replace(lw=h.lw + np.log(sound + stray), m=h.m + use * gain * off, p=p, before=h)
+
+
+def one_flight(known: list[One], ratio, variance, exposure, opened, due, kept) -> list[One]:
+    wear = max(sum(np.exp(h.lw) * h.m[0] for h in known), 0.0)
+    at_reference = ratio + np.log(1.0 + (np.exp(wear) - 1.0) * exposure) - wear
+    came = [b for row, h in enumerate(known) for b in logged(aged(h, row), due, kept)]
+    if np.isnan(ratio):
+        after = [h._replace(before=h) for h in came]
+    else:
+        split = [b for h in came for b in branched(h, at_reference, variance, opened)]
+        after = [met(h, at_reference, variance) for h in split]
+    total = np.log(sum(np.exp(h.lw) for h in after))
+    return [h._replace(lw=h.lw - total) for h in after]
+
+
+def above_zero(weight, mean, sd) -> tuple[float, float]:
+    """Mean and sd of normals cut off below 0."""
+    weight, mean, sd = (np.array(v) for v in (weight, mean, sd))
+    means, variances = truncnorm.stats(-mean / sd, np.inf, mean, sd, moments="mv")
+    middle = weight @ means
+    return middle, np.sqrt(weight @ (variances + (means - middle) ** 2))
+
+
+def first(n_states: int, since: int = 3) -> list[One]:
+    """Of a pack worn by 0.1 and, with a second state, of one that is faulty."""
+    cov = np.diag([0.03**2, 8e-4**2, 0.04**2, 0.03**2, 0.005**2])
+    cov[0, 2] = cov[2, 0] = 0.5 * 0.03 * 0.04
+    sound = One(np.log(0.8 if n_states > 1 else 1.0), np.array([0.1, 1e-3, 0.01, -0.01, 0.0]), cov, 1, since)
+    sick = One(np.log(0.2), np.array([0.05, 6e-3, 0.0, 0.01, -0.06]), 1.2 * cov, 2, 30, faulty=True)
+    return [sound, sick][:n_states]
+
+
+def flat(states: list[One]) -> Hypotheses:
+    k = len(states)
+    columns = [np.array([getattr(h, name) for h in states]) for name in ("lw", "m", "p", "pace", "since")]
+    flags = [np.array([getattr(h, name) for h in states]) for name in ("unlogged", "faulty")]
+    return Hypotheses(np.zeros(k, dtype=int), *columns, *flags, np.arange(k), np.ones((k, 5)))
+
+
+NAN = float("nan")
+# ratio, exposure, log open, log due, log kept of ten flights
+QUIET = [(-0.08, 1.0, 0, 0, 0), (-0.1, 1.2, 0, 0, 0), (NAN, 1.0, 0, 0, 0), (-0.09, 0.8, 0, 0, 0)]
+CASES = {
+    "clog, then a fault that passes": [*QUIET, (-0.27, 1.0, 0, 0, 0), (-0.28, 1.1, 0, 0, 0), (-0.08, 0.9, 0, 0, 0)],
+    "another core, never logged": [*QUIET[:2], (0.13, 1.0, 0, 0, 0), *[(0.06, 1.0, 0, 0, 1)] * 9, QUIET[0]],
+    "replaced by the log": [*QUIET, (0.06, 1.0, 2, 0, 1), (0.07, 1.1, 2, 2, 1), (0.05, 1.0, 0, 0, 1), *QUIET[:2]],
+    "washed by the log": [*QUIET, (0.0, 1.0, 1, 0, 1), (0.01, 1.1, 1, 1, 1), (-0.02, 1.0, 0, 0, 1), QUIET[0]],
+    "an entry on a silent day": [*QUIET[:2], (NAN, 1.0, 2, 2, 1), *[(0.03, 1.0, 0, 0, 1)] * 3],
+}
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda c: c.replace(" ", "-"))
+def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypotheses], list[Any]]:
+    """Enumerated states after each flight, the filter's with nothing dropped or merged, and its branchings."""
+    start = first(1, since=3) if "never" in request.param else first(2, since=30)
+    enumerated, filtered, branchings = [start], [flat(start)], []
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in {"LEAST_WEIGHT": 1e-290, "WEAR_BIN": 1e-13, "MOST": 10**6}.items():
+            patched.setattr(hy, name, value)
+        for ratio, exposure, *log in CASES[request.param]:
+            enumerated.append(one_flight(enumerated[-1], ratio, 5e-4, exposure, *log))
+            seen = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log)))
+            after, branching = mmf.step(filtered[-1], seen, SETTINGS)
+            filtered.append(after)
+            branchings.append(branching)
+    return enumerated, filtered, branchings
+
+
+def test_every_hypothesis_is_enumerated(flown):
+    for states, found in zip(*flown[:2], strict=True):
+        ours = sorted(zip(np.exp(found.log_weight), found.mean[:, 0], found.mean.sum(1), found.cov.sum((1, 2)),
+                          found.pace, found.since, found.unlogged, found.faulty, strict=True))  # fmt: skip
+        by_hand = sorted((np.exp(h.lw), h.m[0], h.m.sum(), h.p.sum(), h.pace, h.since, h.unlogged, h.faulty)
+                         for h in states)  # fmt: skip
+        assert len(ours) == len(by_hand)
+        np.testing.assert_allclose(np.array(ours, float), np.array(by_hand, float), rtol=1e-6, atol=1e-12)
+        mean, sd = mmf.wear_summary(found, 1)
+        told = above_zero(*zip(*((np.exp(h.lw), h.m[0], np.sqrt(h.p[0, 0])) for h in states), strict=True))
+        np.testing.assert_allclose((mean[0], sd[0]), told, rtol=1e-6)
+
+
+def test_the_smoother_is_rauch_tung_striebel_along_every_path(flown):
+    """Each last hypothesis walked back to the first by itself; those through one state merged by their moments."""
+    enumerated, filtered, branchings = flown
+    smoothed = smooth(filtered[1:], branchings)
+    paths = [(np.exp(h.lw), h, h.m, h.p) for h in enumerated[-1]]
+    for k in range(len(enumerated) - 1, 0, -1):
+        nodes: dict[int, list[Any]] = {}
+        for w, h, m, p in paths:
+            nodes.setdefault(id(h), []).append((w, m[0], p[0, 0]))
+        merged = []
+        for rows in nodes.values():
+            w, m, p = np.array(rows).T
+            mean = w @ m / w.sum()
+            merged.append((w.sum(), mean, np.sqrt(w @ (p + (m - mean) ** 2) / w.sum())))
+        np.testing.assert_allclose(np.ravel(smoothed[k - 1]), above_zero(*zip(*merged, strict=True)), rtol=1e-5)
+        back = []
+        for w, h, m, p in paths:
+            up = enumerated[k - 1][h.parent]
+            gain = up.p @ (np.diag(h.event) @ h.move).T @ np.linalg.inv(h.before.p)
+            back.append((w, up, up.m + gain @ (m - h.before.m), up.p + gain @ (p - h.before.p) @ gain.T))
+        paths = back
+
+
+def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
+    states = mmf.start(2, SETTINGS)
+    assert states.pack.tolist() == [0] * 12 + [1] * 12
+    shares = [p[0] * e[0] for p in PACES for e in ENTRY]
+    np.testing.assert_allclose(np.exp(states.log_weight), shares * 2)
+    np.testing.assert_allclose(states.mean[:12, :2], [(e[1], p[1]) for p in PACES for e in ENTRY])
+    assert not states.mean[:, 2:].any()
+    # of the offset 0.05 the unit has 0.04, the sensors the rest, 0.03; the level's own error lies on the sensors too
+    rest = (0.03**2 + 0.01**2, 0.04**2, 0.005**2)
+    for k, cov in enumerate(states.cov[:12]):
+        p, e = PACES[k // 4], ENTRY[k % 4]
+        np.testing.assert_allclose(cov, np.diag([e[2] ** 2, p[2] ** 2, *rest]))
+    assert states.pace[:12].tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert (states.since[:4] == [0, 10**6, 10**6, 10**6]).all()
+    assert not (states.faulty | states.unlogged).any()
+    assert {len(column) for column in states} == {24}
+
+
+def test_wear_is_never_negative():
+    """Of a normal variable a hundred deviations below 0 as much is left above as of one thirty below: sd / 30."""
+    below = flat(first(1))._replace(mean=np.array([[-1.0, 0, 0, 0, 0]]), cov=np.diag([1e-4] * 5)[None])
+    mean, sd = (v[0] for v in mmf.wear_summary(below, 1))
+    assert (mean, sd) == pytest.approx((0.01 / 30, 0.01 / 30), rel=0.05)
+
+
+def test_the_sensors_have_at_least_their_own_spread():
+    assert Settings(0.0, 0.02, 0.041).sensors_sd == pytest.approx(np.hypot(0.015, 0.02))
+    assert Settings(0.0, 0.0, 0.05).sensors_sd == pytest.approx(0.03)
+
+
+def some(weights: list[float], wear: list[float], pack: list[int] | None = None, **changes: Any) -> Hypotheses:
+    k = len(weights)
+    states = [One(np.log(w), np.array([x, 1e-3, 0, 0, 0]), np.diag([1e-4, 1e-6, 1e-3, 1e-3, 1e-5]), 1, r)
+              for r, (w, x) in enumerate(zip(weights, wear, strict=True))]  # fmt: skip
+    return flat(states)._replace(pack=np.array(pack or [0] * k), **changes)
+
+
+def test_like_hypotheses_are_merged_by_their_moments():
+    """Within a bin of 0.01 of wear, alike in pace and fault; the labels are the heavier one's."""
+    after, into = prune(some([0.5, 0.3, 0.15, 0.05], [0.1, 0.104, 0.106, 0.1], faulty=np.array([0, 0, 0, 1]) > 0))
+    assert into.tolist() == [0, 0, 1, 2]
+    np.testing.assert_allclose(np.exp(after.log_weight), [0.8, 0.15, 0.05])
+    assert after.mean[0, 0] == pytest.approx((0.5 * 0.1 + 0.3 * 0.104) / 0.8)
+    assert after.cov[0, 0, 0] == pytest.approx(1e-4 + 0.5 * 0.3 / 0.8**2 * 0.004**2)
+    assert after.since.tolist() == [0, 2, 3]
+
+
+def test_light_hypotheses_are_dropped_and_forty_are_kept():
+    after, into = prune(some([1.0 - 1e-6, 0.999e-6, 1.001e-6], [0.0, 0.05, 0.1]))
+    assert into.tolist() == [0, -1, 1]
+    assert np.exp(after.log_weight).sum() == pytest.approx(1.0)
+    weights = np.r_[np.arange(1.0, 46.0), 7.0]
+    weights[:45] /= weights[:45].sum()
+    after, into = prune(some([*weights[:45], 1.0], [*(0.02 * np.arange(45)), 0.0], [0] * 45 + [1]))
+    assert after.pack.tolist() == [0] * 40 + [1]
+    assert into.tolist() == [-1] * 5 + list(range(39, -1, -1)) + [40]
+    np.testing.assert_allclose(np.exp(after.log_weight[:40]), weights[44:4:-1] / weights[5:45].sum())
+
+
+def test_weights_add_up_to_one_in_each_pack():
+    found = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
+    np.testing.assert_allclose(found, [0.25, 0.75, 1.0])
+
+
+def test_packs_are_told_apart():
+    many = join([some([1.0], [0.1]), some([0.5, 0.5], [0.2, 0.3], [1, 1])])
+    assert many.n_packs == 2
+    assert many.of(1).mean[:, 0].tolist() == [0.2, 0.3]
+    assert many.of_first(1).mean[:, 0].tolist() == [0.1]
+    assert many.of_first(2) is many
