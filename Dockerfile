@@ -10,7 +10,7 @@ COPY pipelines pipelines
 COPY dagster_batched dagster_batched
 COPY sql sql
 RUN /venv/bin/uv pip install --python /venv/bin/python --no-cache \
-      --constraint requirements.lock --build-constraint requirements.lock '.[speed,ui,postgres,celery]'
+      --constraint requirements.lock --build-constraint requirements.lock '.[speed,ui,postgres,celery,serve,s3]'
 
 FROM python:3.11-slim
 COPY --from=build /venv /venv

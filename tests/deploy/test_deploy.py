@@ -123,6 +123,17 @@ def test_the_image_copies_what_it_needs_and_is_let_see_it():
     assert [line for line in lines if line.startswith("USER")] == ["USER 10001"]
 
 
+def test_the_image_brings_what_its_commands_and_several_machines_need():
+    """Every extra that a command or the storage asks for by name, and those of a fleet on several machines."""
+    files = [*(ROOT / "pipelines/cli").glob("*.py"), *(ROOT / "pipelines/storage").glob("*.py"),
+             ROOT / "docs/distributed.md"]  # fmt: skip
+    named = re.findall(r"hybrid-digital-twin\[([\w,]+)\]", "".join(f.read_text() for f in files))
+    (installed,) = re.findall(r"'\.\[([\w,]+)\]'", (ROOT / "Dockerfile").read_text())
+    assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))
+    locked = re.findall(r"--extra (\w+)", (ROOT / "Makefile").read_text())
+    assert set(installed.split(",")) <= set(locked)
+
+
 def test_hooks_call_what_the_lock_installs():
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
     targets = dict(re.findall(r"\n(\w+):(.*(?:\n\t.*)*)", (ROOT / "Makefile").read_text()))
