@@ -10,6 +10,7 @@ from dagster_batched.instance import batch_events
 from pipelines.assets.automation import SENSORS
 from pipelines.assets.location import asset_definitions
 from pipelines.orchestration.jobs import every_night, landing_zone, nightly
+from pipelines.storage.files import narrow_umask
 
 
 def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg.Definitions:
@@ -21,6 +22,7 @@ def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg
 def from_environment() -> dg.Definitions:
     """Definitions for `dagster dev`: folders from HDT_LANDING and HDT_HOME, else those of `make run`."""
     batch_events()
+    narrow_umask()
     return build_defs(
         landing=Path(os.environ.get("HDT_LANDING", "data_samples")).resolve(),
         home=Path(os.environ.get("HDT_HOME", "hdt_home")).resolve(),

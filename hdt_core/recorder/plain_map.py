@@ -2,7 +2,6 @@
 
 import csv
 import io
-import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,6 +20,7 @@ from hdt_core.recorder.layout import (
     lay_out,
 )
 from hdt_core.recorder.places import Place, sample_at, word_bits
+from hdt_core.toml_text import parse_toml
 
 KINDS = ("binary", "bcd", "discrete", "characters", "utc", "float")
 FRAMES_PER_SUPERFRAME = 16
@@ -32,18 +32,19 @@ KEYS = {"name", "unit", "description", *PLACE_KEYS, *VALUE_KEYS}
 def read_toml(text: str) -> ParameterMap:
     """A map from TOML. Raises `MapError`, which names the parameter and what is wrong with it."""
     try:
-        return _build(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"no TOML: {error}") from None
+        said = parse_toml(text)
+    except ValueError as error:
+        raise MapError(str(error)) from None
+    return _build(said)
 
 
 def read_csv(text: str) -> ParameterMap:
     """A map from CSV: lines that begin with `#` are the head, in TOML; then a header and a line a parameter."""
     lines = text.splitlines()
     try:
-        head = tomllib.loads("\n".join(line[1:] for line in lines if line.startswith("#")))
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"the lines that begin with # are no TOML: {error}") from None
+        head = parse_toml("\n".join(line[1:] for line in lines if line.startswith("#")))
+    except ValueError as error:
+        raise MapError(f"the lines that begin with #: {error}") from None
     rows = csv.DictReader(io.StringIO("\n".join(line for line in lines if not line.startswith("#"))), strict=True)
     try:
         entries = [{k: _cell(k, v) for k, v in row.items() if k and v} for row in rows]
@@ -87,6 +88,8 @@ def _build(said: dict[str, Any]) -> ParameterMap:
             return _map_767(said)
     except KeyError as error:
         raise MapError(f"no {error.args[0]} in the head") from None
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MapError(f"the head: {error}") from None
     raise MapError(f"format = {form!r}; it is 'ARINC 717' or 'ARINC 767'")
 
 
@@ -103,10 +106,17 @@ def _map_717(said: dict[str, Any]) -> Map717:
             raise MapError(f"counter: {error}") from None
     found: dict[str, Parameter] = {}
     frames = int(said.get("frames_per_superframe", FRAMES_PER_SUPERFRAME))
-    for entry in said.get("parameter", ()):
+    for entry in _entries(said):
         parameter = _named(entry, lambda e: _parameter_717(e, Map717(words, {}, counter, syncs), frames))
         _add(found, parameter)
     return Map717(words, found, counter, syncs)
+
+
+def _entries(said: dict[str, Any]) -> list[dict[str, Any]]:
+    entries = said.get("parameter", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise MapError("parameters stand below [[parameter]]")
+    return entries
 
 
 def _add(found: dict[str, Parameter], parameter: Parameter) -> None:
@@ -123,7 +133,7 @@ def _named(entry: dict[str, Any], read: Any) -> Parameter:
         parameter: Parameter = read(entry)
     except KeyError as error:
         raise MapError(f"parameter {name}: no {error.args[0]}") from None
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise MapError(f"parameter {name}: {error}") from None
     return parameter
 

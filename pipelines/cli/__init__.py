@@ -1,5 +1,6 @@
 """The `hdt` command, a room for each of its users."""
 
+import logging
 import sqlite3
 import sys
 
@@ -13,6 +14,7 @@ __all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder"
 def main() -> None:
     """Run the command; whatever a user can mend is said in one line."""
     code = 2
+    logging.captureWarnings(True)  # a library's warnings are no words for whoever reads the terminal
     _load_schemas()
     try:
         with ends_in_order():
@@ -53,11 +55,14 @@ def _of_a_night(error: Exception) -> str:
 
     if isinstance(error, ComponentError):
         return f"{error}; mend or uninstall it"
+    from pipelines.digest import NotifyError
     from pipelines.orchestration.local_executor import EngineError
     from pipelines.orchestration.nightly import BusyError
     from pipelines.storage.postgres import DatabaseError
 
-    return str(error) if isinstance(error, BusyError | DatabaseError | EngineError) else _of_the_disk(error)
+    return (
+        str(error) if isinstance(error, BusyError | DatabaseError | EngineError | NotifyError) else _of_the_disk(error)
+    )
 
 
 def _of_the_disk(error: Exception) -> str:

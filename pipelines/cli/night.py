@@ -28,6 +28,7 @@ from pipelines.cli.base import (
 )
 from pipelines.cli.stops import ends_at_once
 from pipelines.orchestration.local_executor import cores
+from pipelines.storage.settings import MOST_DAYS
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]
@@ -118,7 +119,9 @@ def backfill(
 @app.command()
 def tidy(
     home: HomeDir = None,
-    keep_days: Annotated[int, typer.Option("--keep-days", min=0, help="Runs younger than so many days stay.")] = 90,
+    keep_days: Annotated[
+        int, typer.Option("--keep-days", min=0, max=MOST_DAYS, help="Runs younger than so many days stay.")
+    ] = 90,
 ) -> None:
     """Forget Dagster's history of long ago, or one that is damaged.
 

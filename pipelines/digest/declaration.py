@@ -1,10 +1,11 @@
 """Who is told: receivers as `notify.toml` in the home declares them."""
 
 import os
-import tomllib
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
+
+from hdt_core.toml_text import parse_toml
 
 
 class NotifyError(Exception):
@@ -74,13 +75,13 @@ def read_receivers(text: str) -> list[Receiver]:
         It is no TOML, or a key is missing, unknown or can't be; the key and its receiver are named.
     """
     try:
-        given = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise NotifyError(f"no TOML: {error}") from None
+        given = parse_toml(text)
+    except ValueError as error:
+        raise NotifyError(str(error)) from None
     if unknown := sorted(set(given) - {"receiver"}):
         raise NotifyError(f"unknown key {unknown[0]}; receivers stand below [[receiver]]")
     entries = given.get("receiver", [])
-    if not isinstance(entries, list):
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise NotifyError("receiver is no list; write [[receiver]] with two brackets")
     found = [_receiver(entry, f"receiver {n}") for n, entry in enumerate(entries, 1)]
     names = [r.name for r in found]
@@ -91,10 +92,10 @@ def read_receivers(text: str) -> list[Receiver]:
 
 def _receiver(entry: dict[str, Any], where: str) -> Receiver:
     name = entry.get("name", "")
-    if not isinstance(name, str) or not name:
-        raise NotifyError(f"{where}: name is missing")
+    if not isinstance(name, str) or not name or not name.isprintable():
+        raise NotifyError(f"{where}: name is missing, or no text of one line")
     where, kind = f"{where} ({name})", entry.get("kind")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise NotifyError(f"{where}: kind is {kind!r}; there are {', '.join(KINDS)}")
     known = KINDS[kind]
     if unknown := sorted(set(entry) - set(known) - set(_OWN)):
@@ -111,7 +112,7 @@ def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
             raise NotifyError(f"{where}: {key} is missing")
         return default
     value, like = entry[key], str if default is NEEDED else type(default)
-    if not isinstance(value, like) or isinstance(value, bool) or (like is str and "\n" in value):
+    if not isinstance(value, like) or isinstance(value, bool) or (like is str and not value.isprintable()):
         raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_LIKE[like]}")
     return value
 
@@ -130,6 +131,8 @@ def _check(kind: str, settings: dict[str, Any], where: str) -> None:
 
 
 def _check_mail(settings: dict[str, Any], where: str) -> None:
+    if not 1 <= settings["port"] <= 65535:
+        raise NotifyError(f"{where}: port is {settings['port']} and ought to be 1 to 65535")
     if not settings["to"] or not all(isinstance(to, str) and "@" in to for to in settings["to"]):
         raise NotifyError(f"{where}: to is a list of addresses, one at least")
     if settings["security"] not in _SECURITY:
@@ -142,7 +145,10 @@ def _check_mail(settings: dict[str, Any], where: str) -> None:
 
 def checked_url(url: str, where: str) -> str:
     """`url`, if it is one that a digest may go to; it may hold a secret, so what is wrong is told without it."""
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError:  # its words would hold the address
+        raise NotifyError(f"{where}: the url is none") from None
     if parts.scheme == "https" and parts.hostname:
         return url
     if parts.scheme == "http" and parts.hostname in _LOOPBACK:

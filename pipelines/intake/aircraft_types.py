@@ -5,19 +5,20 @@ Read from TOML, and held against the columns that there are: an error names the 
 
 import difflib
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hdt_core.components import recorded_components
+from hdt_core.toml_text import parse_toml
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.names import MAX_PACKS
 
 PACK = "pack"
 CLOCK = ("hour", "minute", "second")
 HEAD = {"type", "title", "map", "reports", "packs", "clock", PACK, "component", "absent"}
+MOST_NUMBER = 1e12
 ENTRY = {"parameter", "unit", "lowest", "highest", "rate_hz"}
 UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "degc": {"degc": (1.0, 0.0), "degf": (5 / 9, -160 / 9), "k": (1.0, -273.15)},
@@ -126,11 +127,12 @@ def read_type(file: Path, map_folder: Path | None = None) -> AircraftType:
     """
     try:
         text = file.read_text("utf-8")
-        return _Description(file, text, tomllib.loads(text)).read(map_folder or file.parent)
+        said = parse_toml(text)
     except (OSError, UnicodeDecodeError) as error:
         raise AircraftTypeError(f"{file.name}: {getattr(error, 'strerror', None) or 'no text in UTF-8'}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise AircraftTypeError(f"{file.name}: no TOML: {error}") from None
+    except ValueError as error:
+        raise AircraftTypeError(f"{file.name}: {error}") from None
+    return _Description(file, text, said).read(map_folder or file.parent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +189,8 @@ class _Description:
             raise self._wrong(table, key, f"{len(names)} parameters for {units} units")
         scale, offset = self._conversion(table, key, entry.get("unit", ""))
         low, high, rate_hz = (self._number(table, key, entry, k) for k in ("lowest", "highest", "rate_hz"))
+        if (low is not None and high is not None and low >= high) or (rate_hz is not None and rate_hz <= 0.0):
+            raise self._wrong(table, key, "lowest is below highest, and rate_hz above 0")
         unit, place = str(entry.get("unit", "")).lower(), self._place(table, key)
         return Station(key, tuple(names), scale, offset, unit, low, high, rate_hz, place)
 
@@ -201,8 +205,9 @@ class _Description:
 
     def _number(self, table: str, key: str, entry: dict[str, Any], name: str) -> float | None:
         value = entry.get(name)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise self._wrong(table, key, f"{name} is a number, not {value!r}")
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and abs(value) <= MOST_NUMBER):
+            raise self._wrong(table, key, f"{name} is a number, not {value!r:.40}")
         return None if value is None else float(value)
 
     def _clock(self) -> dict[str, str]:
@@ -229,8 +234,8 @@ class _Description:
 
     def _text(self, name: str) -> str:
         found = self.said.get(name)
-        if not isinstance(found, str) or not found.strip():
-            raise self._wrong("", name, "missing; it is a text")
+        if not isinstance(found, str) or not found.strip() or not found.isprintable():
+            raise self._wrong("", name, "missing; it is a text of one line")
         return found.strip()
 
     def _count(self, said: Any, name: str, table: str, usual: int, most: int, least: int = 1) -> int:

@@ -3,8 +3,6 @@
 The defaults are round figures of ours to be replaced, in no operator's books; `source` says which a figure is.
 """
 
-import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,14 @@ import polars as pl
 
 from hdt_core.components import components
 from hdt_core.tables import TABLES
+from hdt_core.toml_text import parse_toml
 from pipelines.intake.ledger import Fault
 
 NAME, COSTS = "costs.toml", "costs"
 """File in the home, and the kind under which the ledger knows it."""
 ITEMS = ("wash", "replace", "at_check", "message")
 """A wash or a replacement at the next stop; the same work when it waits for a check; what one message costs."""
+MOST_COST = 1e12
 DEFAULTS: dict[str, Any] = {
     "currency": "USD",
     "horizon_days": 30,
@@ -47,8 +47,8 @@ def read_costs(home: Path) -> pl.DataFrame:
     file, told = home / NAME, dict[str, Any]()
     if file.exists():
         try:
-            told = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            told = parse_toml(file.read_text(encoding="utf-8"))
+        except (ValueError, OSError) as error:
             raise CostError("", f"can't be read: {error}") from None
     own = list(_rows(told, {}, NAME))  # judged before anything is read from it
     rows = [*own, *_rows(DEFAULTS, told, "default")]
@@ -70,8 +70,8 @@ def _rows(told: Mapping[str, Any], over: Mapping[str, Any], source: str) -> Iter
         for item, cost in costs.items():
             if item not in ITEMS:
                 raise CostError(f"{component}.{item}", f"means nothing; there are {', '.join(ITEMS)}")
-            if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost < math.inf:
-                raise CostError(f"{component}.{item}", f"is a number of 0 or more, not {cost!r}")
+            if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost <= MOST_COST:
+                raise CostError(f"{component}.{item}", f"is a number from 0 to {MOST_COST:.0e}, not {cost!r}")
             if item not in over.get(component, {}):
                 yield component, item, float(cost), source
 

@@ -15,8 +15,7 @@ from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.logs import Log, bad_moment, printable
-from pipelines.intake.recorder_rows import MOST_BYTES
-from pipelines.intake.recordings import read_recording, unpacked_bytes
+from pipelines.intake.recordings import MOST_BYTES, read_recording, unpacked_bytes
 from pipelines.intake.types_of_zone import types_of
 
 MESSAGE_FILE = "message.dat"

@@ -16,7 +16,7 @@ from pipelines.intake.aircraft_types import UNITS, AircraftType, AircraftTypeErr
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault
 from pipelines.intake.names import flight_of_file
-from pipelines.intake.recordings import open_recording, unpacked_bytes
+from pipelines.intake.recordings import MOST_BYTES, open_recording, unpacked_bytes
 from pipelines.intake.types_of_zone import types_of
 
 Floats = npt.NDArray[np.float64]
@@ -26,8 +26,6 @@ MAP_UNITS = {"deg c": "degc", "degree c": "degc", "deg f": "degf", "mbar": "mbar
 RATE_OFF = 0.1
 SLACK_S = 0.5
 DAY_S = 86400.0
-MOST_BYTES = 512 << 20
-"""Ten hours of 2,048 words a second have 150 million."""
 MOST_ROWS = 1_000
 """Rows of a component and unit that say all of a flight."""
 MOST_S = 172_800.0

@@ -1,5 +1,6 @@
 """Recordings and parameter maps as files: opened, decoded, written as Parquet."""
 
+import lzma
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -49,8 +50,11 @@ HOW: dict[str, Any] = {
     "store_schema": False,
 }
 ROWS_OF_A_GROUP = 1 << 20
-MOST_UNPACKED = 4 << 30
-"""Bytes that a member of an archive may have; a ten-hour recording of 2,048 words a second has 150 million."""
+_UNREADABLE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError)
+"""What an archive that is damaged, encrypted or packed by another method ends in."""
+MOST_BYTES = 512 << 20
+"""Bytes that a recording, or all members of a map, may have; a ten-hour recording of 2,048 words a second has 150
+million."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +71,17 @@ def read_map(path: Path) -> ParameterMap:
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
-                names = [n for n in archive.namelist() if n.lower().endswith((".par", ".fra", ".frd"))]
-                return read_vec({n: _member(archive, n) for n in names})
+                parts = [i for i in archive.infolist() if i.filename.lower().endswith((".par", ".fra", ".frd"))]
+                _check_size(sum(i.file_size for i in parts))
+                return read_vec({i.filename: archive.read(i) for i in parts})
+        _check_size(path.stat().st_size)
         data = path.read_bytes()
         if data.lstrip()[:1] == b"<" or path.suffix.lower() == ".xml":
             return read_xml(data)
         return (read_csv if path.suffix.lower() == ".csv" else read_toml)(data.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise MapError(f"{path.name}: neither an archive, nor XML, nor text in UTF-8") from None
-    except (MapError, zipfile.BadZipFile) as error:
+    except (MapError, *_UNREADABLE) as error:
         raise MapError(f"{path.name}: {error}") from None
 
 
@@ -92,20 +98,21 @@ def unpacked_bytes(path: Path) -> int:
 
 def read_recording(path: Path, member: str = "") -> npt.NDArray[np.uint8]:
     """The bytes of a recording; of an archive, those of `member` if it has it, else of its largest."""
-    if not zipfile.is_zipfile(path):
-        return np.fromfile(path, np.uint8)
     try:
+        if not zipfile.is_zipfile(path):
+            _check_size(path.stat().st_size)
+            return np.fromfile(path, np.uint8)
         with zipfile.ZipFile(path) as archive:
             chosen = max(archive.infolist(), key=lambda i: (i.filename == member, i.file_size))
-            return np.frombuffer(_member(archive, chosen.filename), np.uint8)
-    except (zipfile.BadZipFile, zlib.error, ValueError) as error:
+            _check_size(chosen.file_size)
+            return np.frombuffer(archive.read(chosen), np.uint8)
+    except (MapError, ValueError, *_UNREADABLE) as error:
         raise MapError(f"{path.name}: {error}") from None
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > MOST_UNPACKED:
-        raise MapError(f"{name} would have {archive.getinfo(name).file_size:,} bytes; {MOST_UNPACKED:,} are allowed")
-    return archive.read(name)
+def _check_size(n_bytes: int) -> None:
+    if n_bytes > MOST_BYTES:
+        raise MapError(f"{n_bytes:,} bytes; {MOST_BYTES:,} are allowed")
 
 
 def open_recording(file: Path, map_file: Path) -> tuple[Recording717 | Recording767, ParameterMap]:

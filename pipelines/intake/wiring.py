@@ -23,6 +23,8 @@ MOST, FEW = 0.7, 0.12
 """Share of a pack's rows from which on a law is broken, and up to which it holds."""
 ENOUGH = 5
 """Rows that must say something of a law, and readings a column must have, not all the same."""
+FAR = 1e100
+"""A number beyond it counts as it: far from any reading, and its square is still a number."""
 SWAPPED = "swapped_columns"
 
 Columns = Mapping[str, Array]
@@ -117,7 +119,7 @@ def miswritten_rows(raw: pl.DataFrame) -> pl.DataFrame:
     units, flights = (_numbered(raw, key) for key in (PACK, PACK[:-1]))
     flight_of = np.zeros(int(units.max(initial=-1)) + 1, np.int64)
     flight_of[units] = flights
-    columns = {n: raw[n].to_numpy().astype(float) for n in SIGNAL_NAMES}
+    columns = {n: np.clip(raw[n].to_numpy().astype(float), -FAR, FAR) for n in SIGNAL_NAMES}
     odd = np.flatnonzero(np.isin(units, np.flatnonzero(_look(columns, units).share.max(axis=0) >= MOST)))
     if not odd.size:
         return _none()

@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
@@ -21,8 +21,10 @@ from pipelines.orchestration.local_executor import EngineError, LocalExecutor, s
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
 from pipelines.storage import earlier, history, ledger_copy, postgres
+from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
+from pipelines.storage.settings import accepted_terms, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, made_as, narrowed, stale
 
@@ -72,7 +74,7 @@ def holding(home: Path) -> Iterator[None]:
     The lock goes with the process, however it ends.
     """
     home.mkdir(parents=True, exist_ok=True)
-    with open(home / ".lock", "a+") as lock:
+    with _closed_to_others(home), open(home / ".lock", "a+") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -86,6 +88,18 @@ def holding(home: Path) -> Iterator[None]:
             if other:
                 raise BusyError(_busy(other, "this fleet"))
             yield
+
+
+@contextmanager
+def _closed_to_others(home: Path) -> Iterator[None]:
+    """Keep from others than the group what lies in the home, and what is made in it."""
+    before = narrow_umask()
+    try:
+        with suppress(PermissionError):  # a volume that is another's
+            home.chmod(home.stat().st_mode & ~0o007)
+        yield
+    finally:
+        os.umask(before)
 
 
 def _busy(who: str, what: str) -> str:
@@ -118,6 +132,7 @@ def run_night(
     ledger, store, began = Ledger(home), Store(home), _now()
     if fault := earlier.fault_of(store):
         raise StoreError(fault)
+    check_settings(home)
     with workers(landing, home, 1 if within else jobs) as hands:
         chain = _Chain(landing, home, ledger, progress, only, within, hands)
         if sends_out(home):
@@ -136,6 +151,16 @@ def run_night(
     if night.idle:  # else once the catalog is published
         ledger_copy.keep_copy(ledger, idle=True)
     return night
+
+
+def check_settings(home: Path) -> None:
+    """Read what the home declares before anything is done by it: a wrong file is said now, and not after the night."""
+    retention(home)
+    accepted_terms(home)
+    if notify_file(home).exists():
+        from pipelines.digest import receivers_of
+
+        receivers_of(home)
 
 
 def _now() -> str:

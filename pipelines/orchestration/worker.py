@@ -1,5 +1,6 @@
 """What a process of a night does beside others. It is loaded once, by the process that all of them are forked from."""
 
+import logging
 import os
 from collections.abc import Mapping
 from functools import cache
@@ -20,6 +21,7 @@ dg.load_assets_from_package_module(assets)  # loads the stages, which takes long
 
 def begin(environment: Mapping[str, str]) -> None:
     """Take the night's `environment`, which may be younger than the parent's, and end when the night does."""
+    logging.captureWarnings(True)
     os.environ.clear()
     os.environ.update(environment)
     Thread(target=_end_with_the_night, daemon=True).start()

@@ -19,6 +19,7 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines.storage import postgres, sqlite_reader
+from pipelines.storage.files import private
 
 FILE = "cases.sqlite"
 _SCHEMA = """
@@ -156,7 +157,7 @@ class CaseLog:
                 session.execute("lock table cases in share row exclusive mode")
                 yield session
             return
-        with closing(sqlite3.connect(self.home / FILE, timeout=60, isolation_level=None)) as con:
+        with closing(sqlite3.connect(private(self.home / FILE), timeout=60, isolation_level=None)) as con:
             con.execute("pragma synchronous=full")
             con.execute("begin immediate")
             for statement in (_SCHEMA, *(f"{s} end;" for s in _NEVER.split(" end;")[:-1])):

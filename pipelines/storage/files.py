@@ -42,6 +42,24 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def narrow_umask() -> int:
+    """Keep from others, not from the group, what this process makes from now on; the mask that was before.
+
+    A narrower mask stays.
+    """
+    before = os.umask(0o077)
+    os.umask(before | 0o027)
+    return before
+
+
+def private(path: Path) -> Path:
+    """A file that its owner alone may read, made where it is missing: SQLite fills an empty one."""
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+    with suppress(PermissionError):  # not ours to change, but we may write it
+        path.chmod(0o600)
+    return path
+
+
 def kept_secret(path: Path, n_bytes: int) -> str:
     """The random secret in a file that its owner alone may read, made the first time it is asked for."""
     with suppress(FileExistsError), open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:

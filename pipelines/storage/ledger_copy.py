@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pipelines.storage import sqlite_reader
 from pipelines.storage.data_file import hash_of
-from pipelines.storage.files import replacing
+from pipelines.storage.files import private, replacing
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_tables import FILE, SEALED
 
@@ -26,7 +26,7 @@ def keep_copy(ledger: Ledger, *, idle: bool = False) -> None:
     copy = ledger.home / f"ledger.{found}.copy"
     if kept := not (idle and _copies(ledger.home)):
         with replacing(copy) as temporary:
-            temporary.write_bytes(content)
+            private(temporary).write_bytes(content)
     whole = sealed.exists()  # or someone has written meanwhile
     if whole:
         _seal(ledger.home, found)
@@ -66,7 +66,7 @@ def mend(ledger: Ledger) -> str | None:
         content = copy.read_bytes()
         if hash_of(content) == _hash_in(copy):
             with replacing(ledger.home / FILE) as temporary:
-                temporary.write_bytes(content)
+                private(temporary).write_bytes(content)
             _seal(ledger.home, _hash_in(copy))
             return f"the ledger {fault}; the copy of the last night's end takes its place"
     return f"the ledger {fault}; all that lies in the landing zone is taken in again"

@@ -13,6 +13,7 @@ from typing import Any, Self, TypeVar
 import polars as pl
 
 from pipelines.storage import postgres, sqlite_reader
+from pipelines.storage.files import private
 
 _SCHEMA = """
 create table if not exists files (
@@ -95,7 +96,7 @@ class LedgerTables:
     @contextmanager
     def _file(self) -> Iterator[sqlite3.Connection]:
         self.home.mkdir(parents=True, exist_ok=True)
-        con = sqlite3.connect(self.home / FILE, timeout=60)
+        con = sqlite3.connect(private(self.home / FILE), timeout=60)
         try:
             con.execute("pragma journal_mode=wal")
             con.execute("pragma synchronous=full")

@@ -7,10 +7,7 @@ they are written (`pipelines/storage/months.py`).
 
 import json
 import time
-import tomllib
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 from deltalake import DeltaTable
 
@@ -19,34 +16,12 @@ from pipelines.storage.delta import QUIET
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
+from pipelines.storage.settings import Retention, retention
 from pipelines.storage.store import Store
 
-NAME, DONE = "retention.toml", ".upkeep"
+DONE = ".upkeep"
 _EVERY_S = 20 * 3600
 _COMMITS = 20  # between two checkpoints, from which a log is read on
-
-
-@dataclass(frozen=True)
-class Retention:
-    """How long what was replaced stays, and which nights stay beyond that."""
-
-    keep_days: int = 30
-    hold: tuple[str, ...] = ()
-
-
-def retention(home: Path) -> Retention:
-    """What the home declares."""
-    file = home / NAME
-    if not file.exists():
-        return Retention()
-    try:
-        told = tomllib.loads(file.read_text(encoding="utf-8"))
-        kept = Retention(int(told.pop("keep_days", 30)), tuple(map(str, told.pop("hold", ()))))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError, ValueError) as error:
-        raise StoreError(f"{file} can't be read: {error}") from None
-    if told or kept.keep_days < 1:
-        raise StoreError(f"{file} holds keep_days (1 or more) and hold (nights), not {', '.join(told) or 'this'}")
-    return kept
 
 
 def keep_house(store: Store, ledger: Ledger, declared: Retention | None = None) -> None:

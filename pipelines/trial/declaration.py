@@ -1,11 +1,16 @@
 """What a trial calls a hit, a false alarm, too early and too late, and what each costs; declared before it begins."""
 
-import tomllib
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from hdt_core.toml_text import parse_toml
+
 DEFAULT = (resources.files("pipelines.trial") / "declaration.toml").read_text("utf-8")
+
+
+MOST, MOST_DAYS = 1e12, 36_525
+"""Largest number, and largest number of days, that a declaration may hold."""
 
 
 class TrialError(Exception):
@@ -69,11 +74,13 @@ def read_declaration(text: str) -> Declaration:
         It is no TOML, names something unknown, or a value can't be.
     """
     try:
-        given = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise TrialError(f"the declaration is no TOML: {error}") from None
+        given = parse_toml(text)
+    except ValueError as error:
+        raise TrialError(f"the declaration is {error}") from None
+    if not isinstance(given.get("rule", {}), dict):
+        raise TrialError("rules stand below [rule.NAME]")
     rules = tuple(_rule(name, entry) for name, entry in given.pop("rule", {}).items())
-    default = tomllib.loads(DEFAULT)
+    default = parse_toml(DEFAULT)
     flat = _filled(default, given, "")
     sections = {name: flat.pop(name) for name in ("event", "alert", "prognosis", "minimum", "cost")}
     declared = Declaration(
@@ -101,7 +108,7 @@ def _filled(default: dict[str, Any], given: dict[str, Any], where: str) -> dict[
 
 def _alike(value: Any, known: Any) -> bool:
     if isinstance(known, int | float) and not isinstance(value, bool):
-        return isinstance(value, int | (float if isinstance(known, float) else int)) and value >= 0
+        return isinstance(value, int | (float if isinstance(known, float) else int)) and 0 <= value <= MOST
     if isinstance(known, list):
         return isinstance(value, list) and all(isinstance(v, str) for v in value)
     return isinstance(value, type(known))
@@ -123,5 +130,7 @@ def _check(d: Declaration) -> None:
         raise TrialError(f"confidence is {d.confidence:g} and lies between 0.5 and 1")
     if not 0 < d.late_flights < d.early_flights:
         raise TrialError(f"late_flights, {d.late_flights}, lies between 0 and early_flights, {d.early_flights}")
+    if max(d.days, d.lapse_days) > MOST_DAYS:
+        raise TrialError(f"days and lapse_days are {MOST_DAYS:,} at most")
     if not (d.days and d.components and d.horizon_flights):
         raise TrialError("days, components and horizon_flights can't be nothing")

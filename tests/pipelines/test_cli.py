@@ -243,3 +243,17 @@ def test_a_backfill_by_date_takes_in_those_flights_and_no_other(sample_landing, 
     with connect(home) as con:
         found = con.execute(asked).fetchall()
     assert found == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
+
+
+def test_no_librarys_warning_reaches_the_terminal():
+    """As a process of its own, whose warnings nobody catches, with a command that warns."""
+    script = (
+        "import sys, warnings\n"
+        "from pipelines.cli import base, main\n"
+        "base.app.command('warn')(lambda: warnings.warn('overflow encountered', RuntimeWarning))\n"
+        "base.ORDER = (*base.ORDER, 'warn')\n"
+        "sys.argv = ['hdt', 'warn']\n"
+        "main()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("", "")

@@ -144,3 +144,51 @@ def test_what_does_not_go_together_is_told_in_one_line(words, says, recording, t
     assert says in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("words", [("reports",), ("list", "--map", DATA / "demo_717.toml")])
+def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.setattr("pipelines.intake.recordings.MOST_BYTES", 1 << 20)
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("message.dat", bytes((1 << 20) + 1))
+    code, _, said = hdt(monkeypatch, capsys, "recorder", words[0], tmp_path / "bomb.zip", *words[1:])
+    assert code == 2
+    assert "1,048,577 bytes; 1,048,576 are allowed" in said
+
+
+def test_the_command_and_the_night_have_one_bound():
+    from pipelines.intake import printed_reports, recorder_rows, recordings
+
+    assert recorder_rows.MOST_BYTES == printed_reports.MOST_BYTES == recordings.MOST_BYTES == 512 << 20
+
+
+DEEP = "[" * 20_000 + "]" * 20_000
+
+
+@pytest.mark.parametrize(("name", "text"), [
+    ("deep.toml", f'format = "ARINC 717"\nx = {DEEP}'), ("deep.csv", f"# x = {DEEP}\nname\n"),
+    ("deep.xml", "<a>" * 20_000 + "</a>" * 20_000), ("head.toml", 'format = "ARINC 717"\nwords_per_second = "x"'),
+    ("head.toml", 'format = "ARINC 717"\nwords_per_second = inf'),
+    ("entry.toml", 'format = "ARINC 717"\nwords_per_second = 64\nparameter = [1]'),
+])  # fmt: skip
+def test_a_map_that_is_none_is_one_line(recording, tmp_path, monkeypatch, capsys, name, text):
+    (tmp_path / name).write_text(text)
+    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", recording[0], "--map", tmp_path / name)
+    assert (code, said.count("\n")) == (2, 1), said
+    assert said.startswith(f"hdt: {name}: ")
+
+
+@pytest.mark.parametrize("member", ["a map", "a recording"])
+def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, monkeypatch, capsys, member):
+    name = "x.par" if member == "a map" else "flight.dat"
+    with zipfile.ZipFile(tmp_path / "bad.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, bytes(range(256)) * 64)
+    damaged = bytearray((tmp_path / "bad.zip").read_bytes())
+    damaged[60:90] = bytes(30)
+    (tmp_path / "bad.zip").write_bytes(damaged)
+    files = (
+        (recording[0], tmp_path / "bad.zip") if member == "a map" else (tmp_path / "bad.zip", DATA / "demo_717.toml")
+    )
+    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", files[0], "--map", files[1])
+    assert (code, said.count("\n")) == (2, 1), said
+    assert "bad.zip: " in said

@@ -20,3 +20,14 @@ def test_columns_change_places_only_where_both_are_recorded(near, told):
             for c in SIGNAL_NAMES}  # fmt: skip
     rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
     assert miswritten_rows(rows)["reason"].unique().to_list() == told
+
+
+@pytest.mark.parametrize("far", [1.7e308, -1.7e308, 1e200, -1e155, np.inf])
+def test_a_number_far_from_any_reading_overflows_nothing(far):
+    """Warnings are errors here: NumPy would say so in the middle of a night."""
+    rng, n = np.random.default_rng(0), 60
+    read = {c: rng.normal(SWAPPED.get(c, 50.0), 0.4, n) for c in SIGNAL_NAMES}
+    for name in SIGNAL_NAMES:
+        read[name][7] = far
+    rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
+    assert miswritten_rows(rows).height <= n
