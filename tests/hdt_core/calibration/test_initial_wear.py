@@ -1,47 +1,84 @@
-"""Wear that a unit brings along, and the level of clean ones."""
+"""Wear that a unit brings along, and the level of clean ones: Bayes' rule over ways to enter, by hand."""
 
 from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
-from seen import NO_LOG, seen_flights
+from by_hand import DSM, flights, log
+from scipy.stats import norm
 
 from hdt_core.calibration.initial_wear import entry_posterior, fleet_levels
 from hdt_core.tracking.wear_model import Observation, at_reference
 
-
-def test_what_is_seen_below_the_level_is_split_between_wear_and_offset():
-    seen = np.linspace(0.1, -0.5, 25)
-    found = entry_posterior(seen, np.full(25, 1e-4), 0.0, 0.05)
-    assert (np.diff(found.wear) > 0.0).all()
-    assert (found.wear >= 0.0).all()
-    # a step of 0.5 can't be an offset of 0.05
-    assert found.wear[-1] > 0.25
-    assert (found.wear_var > 0.0).all()
+ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
 
 
-def test_a_sharper_offset_leaves_less_doubt():
-    wide, sharp = (entry_posterior(np.array([-0.15]), np.array([1e-4]), 0.0, sd) for sd in (0.08, 0.02))
-    assert sharp.wear_var < wide.wear_var
+@pytest.mark.parametrize("seen", [0.05, -0.1, -0.4])
+def test_what_is_below_the_level_is_split_between_wear_and_offset(seen):
+    """On a grid of wear: level less wear plus an offset of 0.05 and an error of 0.02."""
+    wear = np.linspace(-0.5, 1.0, 60001)
+    prior = sum(share * norm.pdf(wear, mean, sd) for share, mean, sd in ENTRY)
+    weight = prior * norm.pdf(seen, 0.03 - wear, np.hypot(0.05, 0.02))
+    mean = weight @ wear / weight.sum()
+    found = entry_posterior(np.array([seen, 0.0]), np.array([0.02**2, 1e-4]), 0.03, 0.05)
+    assert found.wear[0] == pytest.approx(mean, rel=1e-4)
+    assert found.wear_var[0] == pytest.approx(weight @ (wear - mean) ** 2 / weight.sum(), rel=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_clean_level_and_spread_come_back(model, seed):
-    rng = np.random.default_rng(seed)
-    packs = []
-    for k in range(40):
-        worn = rng.choice([0.0, 0.0, 0.03, 0.09, 0.2])
-        offset = 0.07 + rng.normal(0.0, 0.045)
-        packs.append(seen_flights(model, np.full(12, worn), offset=offset, seed=k, tail=f"S-{k:02d}"))
-    found = fleet_levels(pl.concat(packs), NO_LOG, replace(model, clean_level=0.0))
-    assert abs(found.clean_level - model.clean_level - 0.07) < 3.0 * found.clean_level_sd
-    assert 0.03 < found.offset_sd < 0.07
-    assert found.flight_sd == pytest.approx(model.flight_sd, abs=0.004)
+def clean_units(seen, error, new) -> tuple[float, float, float]:
+    """Level with its sd and spread of clean units, on the grids of both."""
+    levels = np.median(seen) + np.linspace(-0.15, 0.25, 81)
+    spreads = 0.05 * np.exp(0.2 * np.linspace(-2.5, 2.5, 21))
+    weight = -0.5 * (np.log(spreads / 0.05) / 0.2)[:, None] ** 2 + np.zeros(81)
+    for value, sd, fresh in zip(seen, error, new, strict=True):
+        ways = [(1.0, *ENTRY[0][1:])] if fresh else ENTRY
+        scale = [np.sqrt(way[2] ** 2 + spreads[:, None] ** 2 + sd**2) for way in ways]
+        density = [share * np.exp(-0.5 * ((levels - wear - value) / s) ** 2) / s
+                   for (share, wear, _), s in zip(ways, scale, strict=True)]  # fmt: skip
+        weight += np.log(sum(density))
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    mean = weight.sum(0) @ levels
+    return mean, np.sqrt(weight.sum(0) @ (levels - mean) ** 2), weight.sum(1) @ spreads
 
 
-def test_nothing_seen_changes_nothing(model):
-    assert fleet_levels(seen_flights(model, np.zeros(0)), NO_LOG, model) == model
+def test_the_clean_level_is_integrated_over_spread_and_wear():
+    """Three packs; one gets another core, of which the log tells. Alternate flights are 0.02 apart."""
+    levels = [0.06, -0.02, 0.01]
+    rows = [
+        flights(24 if k == 0 else 12, tail=f"T-{k}", ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0 + 100 * k)
+        .with_columns(
+            ln_ua_ratio=level + 0.01 * (-1.0) ** pl.int_range(pl.len())
+            + (0.1 if k == 0 else 0.0) * (pl.int_range(pl.len()) >= 12)
+        )
+        for k, level in enumerate(levels)
+    ]  # fmt: skip
+    found = fleet_levels(pl.concat(rows), log(("T-0", 1, "HX", "REPLACED", 11)), DSM)
+    step = 1.4826 * 0.02 / np.sqrt(2.0)
+    assert found.flight_sd == pytest.approx(np.sqrt(step**2 - 0.004**2), rel=1e-9)
+    error = 1.25 * step / np.sqrt(10.0)
+    level, level_sd, spread = clean_units([*levels, 0.16], [error] * 4, [False, False, False, True])
+    assert found.clean_level == pytest.approx(level, rel=1e-6)
+    assert found.clean_level_sd == pytest.approx(level_sd, rel=1e-6)
+    assert found.offset_sd == pytest.approx(spread, rel=1e-6)
+    # where ratios lie less than 0.06 below the level: the new core of the first pack
+    clean = pl.concat(rows).filter(pl.col("ln_ua_ratio") > level - 0.06)["ua_expected_w_k"].median()
+    assert found.reference_ua_w_k == clean
+
+
+def test_few_flights_keep_the_scatter_and_a_calm_record_has_a_least_one():
+    few = flights(15, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
+    assert fleet_levels(few, log(), DSM).flight_sd == pytest.approx(np.sqrt(0.015**2 - 0.004**2))
+    calm = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
+    assert fleet_levels(calm, log(), DSM).flight_sd == 0.005
+    assert fleet_levels(calm.head(20), log(), DSM).flight_sd > 0.01
+
+
+def test_nothing_seen_changes_nothing():
+    none = flights(3, ln_ua_ratio=pl.Series([None] * 3, dtype=pl.Float64).to_list(), ln_ua_ratio_sd=0.1)
+    assert fleet_levels(none.cast({"ln_ua_ratio": pl.Float64}), log(), DSM) == DSM
+    assert replace(DSM) == DSM
 
 
 @pytest.mark.parametrize("wear", [0.0, 0.1, 0.4])

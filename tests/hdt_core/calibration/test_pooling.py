@@ -1,52 +1,84 @@
-"""Partial pooling against laws it must obey and truth it must cover."""
+"""Partial pooling against the normal-normal posterior by dense matrices, on the same grid of spreads."""
 
 import numpy as np
+import polars as pl
 import pytest
 
-from hdt_core.calibration.pooling import pool
+from hdt_core.calibration.pooling import levels_of, pool
+
+GRID = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)
 
 
-def drawn(seed: int, tau_operator: float, tau_pack: float, n: int = 60):
-    rng = np.random.default_rng(seed)
-    operator = np.arange(n) % 5
-    operators = 2.0 + tau_operator * rng.standard_normal(5)
-    packs = operators[operator] + tau_pack * rng.standard_normal(n)
-    error = rng.uniform(0.02, 0.4, n)
-    return packs + error * rng.standard_normal(n), error, operator, packs, operators
+def by_matrices(value, error, operator) -> np.ndarray:
+    """Mean and sd of fleet, operators and packs: a very wide prior on the fleet's mean, a flat one on the spreads."""
+    seen, n = np.isfinite(value), int(operator.max()) + 1
+    unit, design = max(np.std(value[seen]), np.median(error[seen])), np.eye(n)[operator]
+    moments, logs = [], []
+    for a in GRID if n > 1 else [0.0]:
+        for b in GRID[1:]:
+            # fleet, operators, packs from the fleet's mean, operators' and packs' deviations
+            to = np.block([
+                [np.ones((1, 1)), np.zeros((1, n + len(value)))],
+                [np.ones((n, 1)), np.eye(n), np.zeros((n, len(value)))],
+                [np.ones((len(value), 1)), design, np.eye(len(value))],
+            ])  # fmt: skip
+            cov = np.diag(np.r_[1e5 * unit**2, [(a * unit) ** 2] * n, [(b * unit) ** 2] * len(value)])
+            cov, rows = to @ cov @ to.T, 1 + n + np.flatnonzero(seen)
+            noise = cov[np.ix_(rows, rows)] + np.diag(error[seen] ** 2)
+            gain = cov[:, rows] @ np.linalg.inv(noise)
+            moments.append((gain @ value[seen], np.diag(cov - gain @ cov[rows])))
+            residual = value[seen] @ np.linalg.solve(noise, value[seen])
+            logs.append(-0.5 * (np.linalg.slogdet(noise)[1] + residual))
+    weight = np.exp(np.array(logs) - max(logs))
+    weight /= weight.sum()
+    means, variances = (np.array(m) for m in zip(*moments, strict=True))
+    mean = weight @ means
+    return np.array([mean, np.sqrt(weight @ (variances + (means - mean) ** 2))])
 
 
-@pytest.mark.parametrize(("tau_operator", "tau_pack"), [(0.0, 0.1), (0.2, 0.1), (0.1, 0.3)])
-def test_intervals_cover_and_pooling_beats_each_alone(tau_operator, tau_pack):
-    covered, alone, pooled = [], [], []
-    for seed in range(40):
-        value, error, operator, packs, operators = drawn(seed, tau_operator, tau_pack)
-        found = pool(value, error, operator)
-        off, sd = np.r_[found.pack - packs, found.operator - operators], np.r_[found.pack_sd, found.operator_sd]
-        covered.append(np.abs(off) < 1.645 * sd)
-        alone.append(((value - packs) ** 2).mean())
-        pooled.append(((found.pack - packs) ** 2).mean())
-    assert 0.87 <= np.concatenate(covered).mean() <= 0.94
-    assert np.mean(pooled) < 0.8 * np.mean(alone)
+def drawn(n_operators: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(3)
+    operator = np.arange(9) % n_operators
+    value = 0.1 * rng.standard_normal(n_operators)[operator] + 0.05 * rng.standard_normal(9)
+    value[4] = np.nan
+    return value, rng.uniform(0.01, 0.1, 9), operator
 
 
-def test_pack_without_data_is_its_operator_and_one_with_much_is_itself():
-    value, error, operator, _, _ = drawn(1, 0.1, 0.3)
-    value[0], error[1] = np.nan, 1e-6
+@pytest.mark.parametrize("n_operators", [1, 3])
+@pytest.mark.parametrize("size", [1.0, 0.01])
+def test_pooling_is_the_normal_posterior(n_operators, size):
+    """Where packs hardly differ it is their errors that the grid of spreads is measured by."""
+    value, error, operator = drawn(n_operators)
+    found = pool(value * size, error, operator)
+    mean, sd = by_matrices(value * size, error, operator)
+    np.testing.assert_allclose(np.r_[found.fleet, found.operator, found.pack], mean, atol=1e-5 * error.max())
+    np.testing.assert_allclose(np.r_[found.fleet_sd, found.operator_sd, found.pack_sd], sd, rtol=3e-3)
+
+
+def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
+    """A pack of its own has the spread of operators on top of the fleet's doubt, and that of packs on top of it."""
+    value, error, operator = drawn(3)
+    value[operator == 2] = np.nan
     found = pool(value, error, operator)
-    assert found.pack[0] == pytest.approx(found.operator[operator[0]])
-    assert found.pack_sd[0] > found.operator_sd[operator[0]]
-    assert found.pack[1] == pytest.approx(value[1], abs=1e-4)
-
-
-def test_shift_of_all_shifts_all():
-    value, error, operator, _, _ = drawn(2, 0.1, 0.2)
-    here, there = pool(value, error, operator), pool(value + 7.0, error, operator)
-    np.testing.assert_allclose(there.pack, here.pack + 7.0, rtol=1e-9)
-    assert there.fleet == pytest.approx(here.fleet + 7.0)
-    assert there.fleet_sd == pytest.approx(here.fleet_sd)
+    assert found.operator[2] == pytest.approx(found.fleet, rel=1e-6)
+    assert found.pack[2] == pytest.approx(found.fleet, rel=1e-6)
+    assert found.fleet_sd < found.operator_sd[2] < found.pack_sd[2]
 
 
 def test_nothing_known_is_nan_not_an_error():
     found = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
     assert np.isnan(found.fleet)
     assert np.isnan(found.pack).all()
+
+
+def test_levels_are_named_by_operator_and_pack():
+    packs = pl.DataFrame({
+        "operator": ["B", "A", "B"], "tail": ["T1", "T2", "T3"], "pack": [1, 2, 1], "value": [1.0, 1.1, 1.2],
+        "error_sd": [0.1, 0.1, 0.1], "n": [10, 20, 5],
+    })  # fmt: skip
+    pooled, levels = levels_of(packs, "x")
+    assert [(v.operator, v.tail, v.pack, v.n_flights) for v in levels] == [
+        ("A", None, None, 20), ("B", None, None, 15), ("B", "T1", 1, 10), ("A", "T2", 2, 20), ("B", "T3", 1, 5),
+    ]  # fmt: skip
+    assert [v.value for v in levels] == [*pooled.operator, *pooled.pack]
+    assert [v.sd for v in levels] == [*pooled.operator_sd, *pooled.pack_sd]

@@ -1,0 +1,161 @@
+"""Equation (6) over blocks of flights, its rivals, and levels as built: least squares by hand."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.calibration.compressor_fit import _as_built, _pooled, fit_compressor, inlet_geometry
+from hdt_core.calibration.diffuser_line import BlockRows, rows_of, shared_line
+from hdt_core.calibration.forms import compare_forms
+from hdt_core.calibration.pooling import pool
+
+
+def machine_rows(n_flights: int, per_flight: int = 4, *, scatter: float = 0.0, bend: float = 0.0, seed: int = 1):
+    """Two machines of levels 0.16 and 0.2, equally steep for their size: 1e-4 of it a count from 400."""
+    rng = np.random.default_rng(seed)
+    flight = np.repeat(np.arange(n_flights), per_flight)
+    x = rng.uniform(300.0, 500.0, flight.size)
+    block = flight * 2 // n_flights
+    level = np.where(block == 0, 0.16, 0.20)
+    y = level * (1.0 - 1e-4 * (x - 400.0) + bend * (x - 400.0) ** 2) + scatter * rng.standard_normal(flight.size)
+    blocks = pl.DataFrame({"operator": "O", "tail": ["A", "B"], "pack": [1, 1], "turn": [0, 0]})
+    return BlockRows(x, y, block, flight, blocks)
+
+
+def test_the_line_of_machines_of_two_sizes():
+    """Its slope is that of the mean level, raised by what a noise of 5 counts takes from it."""
+    rows = machine_rows(40)
+    line = shared_line(rows)
+    inside = rows.x - np.where(rows.block == 0, *(rows.x[rows.block == b].mean() for b in (0, 1)))
+    reliable = 1.0 - 25.0 / np.mean(inside**2)
+    centre = rows.x.mean()
+    np.testing.assert_allclose(line.centre, centre)
+    np.testing.assert_allclose(line.level, np.array([0.16, 0.20]) * (1.0 - 1e-4 * (centre - 400.0)), rtol=1e-6)
+    assert line.slope == pytest.approx(-1e-4 * 0.18 / reliable, rel=1e-6)
+    np.testing.assert_allclose(line.residual, 0.0, atol=1e-9)
+
+
+def test_the_slopes_error_lets_samples_of_a_flight_err_together():
+    """The sandwich over flights; each sample thrice, the error stays what it was."""
+    rows = machine_rows(200, scatter=0.002)
+    line = shared_line(rows)
+    x_mean = np.array([rows.x[rows.block == b].mean() for b in (0, 1)])
+    inside = rows.x - x_mean[rows.block]
+    score = np.bincount(rows.flight, inside * line.residual)
+    plain = np.sqrt((score**2).sum()) / (inside**2).sum()
+    assert line.slope_sd == pytest.approx(plain, rel=0.15)
+    assert abs(line.slope + 1e-4 * 0.18) < 4.0 * line.slope_sd
+    thrice = BlockRows(*(np.repeat(v, 3) for v in (rows.x, rows.y, rows.block, rows.flight)), rows.blocks)
+    assert shared_line(thrice).slope_sd == pytest.approx(line.slope_sd, rel=1e-6)
+    wild = rows.y.copy()
+    wild[::40] += 0.2
+    robust = shared_line(BlockRows(rows.x, wild, rows.block, rows.flight, rows.blocks))
+    assert robust.slope == pytest.approx(line.slope, abs=3.0 * line.slope_sd)
+
+
+def frame(x: list[float], flights: list[int], y: float = 0.17, tail: str = "A") -> pl.DataFrame:
+    return pl.DataFrame({
+        "operator": "O", "tail": tail, "pack": 1, "time_utc": pl.Series(range(len(x))),
+        "flight_id": [f"F{k:03d}" for k in flights], "vda_counts": x, "diameter_m": y,
+    })  # fmt: skip
+
+
+def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
+    """Four robust deviations and the sensor's noise from the pack's middle: 4 x 1.4826 x 10 + 5."""
+    calm = [*[390.0, 410.0] * 41, 400.0, 400.0]
+    reach = 4.0 * 1.4826 * 10.0 + 5.0
+    for off, kept in ((reach - 0.1, 85), (reach + 0.1, 84)):
+        rows = rows_of(frame([*calm, 400.0 + off], list(range(85))), "diameter_m")
+        assert len(rows.x) == kept
+    rows = rows_of(frame(calm[:42], list(range(42))), "diameter_m")
+    assert np.bincount(rows.block).tolist() == [20, 20, 2]
+    assert rows.flight.tolist() == list(range(42))
+    assert rows.blocks["turn"].to_list() == [0, 1, 2]
+
+
+def test_forms_are_compared_on_flights_left_out():
+    """A parabola: the line's error is that of the bend, the quadratic's of the scatter; a level costs a parameter."""
+    bent = machine_rows(60, scatter=1e-4, bend=2e-6)
+    constant, linear, quadratic, cubic = compare_forms(bent)
+    assert [f.form for f in compare_forms(bent)] == ["constant", "linear", "quadratic", "cubic"]
+    assert quadratic.aic == 0.0 < cubic.aic < 10.0 < linear.aic < constant.aic
+    assert constant.r_squared == 0.0
+    level = np.where(bent.block == 0, 0.16, 0.20)
+    for form, degree in ((constant, 0), (linear, 1), (quadratic, 2)):
+        basis = np.stack(
+            [(bent.block == b).astype(float) for b in (0, 1)] + [(bent.x / 100.0) ** k for k in range(1, degree + 1)], 1
+        )
+        rest = bent.y - basis @ np.linalg.lstsq(basis, bent.y, rcond=None)[0]
+        about = bent.y - np.array([bent.y[bent.block == b].mean() for b in (0, 1)])[bent.block]
+        assert form.r_squared == pytest.approx(1.0 - (rest**2).sum() / (about**2).sum(), abs=1e-9)
+        left = np.empty(bent.y.size)
+        for fold in range(5):
+            out = bent.flight % 5 == fold
+            left[out] = (bent.y - basis @ np.linalg.lstsq(basis[~out], bent.y[~out], rcond=None)[0])[out]
+        assert form.cv_mae_m == pytest.approx(np.abs(left).mean(), rel=1e-6)
+        assert form.cv_rmse_m == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
+        n = bent.y.size
+        if degree == 1:
+            assert linear.aic - constant.aic == pytest.approx(
+                n * np.log((rest**2).mean() / (about**2).mean()) + 2.0, abs=1e-6
+            )
+            assert form.r_squared_low < form.r_squared < form.r_squared_high < form.r_squared + 0.2
+    assert level.mean() == pytest.approx(0.18)
+    assert compare_forms(machine_rows(4)) == ()
+    assert len(compare_forms(machine_rows(5))) == 4
+
+
+def test_machines_as_built_lie_above_machines_as_seen():
+    """By the median of an exponential wear of 0.4 %; units scatter by 1.2 % at least."""
+    value, sd = _as_built(np.array([0.16, 0.17, 0.18]), 0.004, 0.008)
+    assert value == pytest.approx(0.17 * (1.0 + np.log(2.0) * 0.004))
+    assert sd == pytest.approx(np.hypot(1.4826 * 0.01 * 1.2533 / np.sqrt(3.0), 0.008 * 0.17))
+    alike = _as_built(np.array([0.17, 0.17]), 0.004, 0.008)[1]
+    assert alike == pytest.approx(0.17 * np.hypot(0.012 * 1.2533 / np.sqrt(2.0), 0.008))
+
+
+def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
+    rows = pl.concat([
+        frame([400.0] * 30, list(range(30)), tail=tail).with_columns(
+            efficiency=pl.when(pl.int_range(30) < 20).then(level).otherwise(0.5)
+        )
+        for tail, level in (("A", 0.78), ("B", 0.80), ("C", 0.82))
+    ])  # fmt: skip
+    value, sd, levels = _pooled(rows, "efficiency", "cc_efficiency", 0.003, wear=True)
+    assert value == pytest.approx(0.80 * (1.0 + np.log(2.0) * 0.008))
+    assert sd == pytest.approx(np.hypot(1.4826 * 0.02 * 1.2533 / np.sqrt(3.0), 0.016 * 0.8))
+    assert [v.n_flights for v in levels] == [60, 20, 20, 20]
+    middle = np.array([0.78, 0.80, 0.82])
+    scatter = np.array([np.std([m] * 20 + [0.5] * 10, ddof=1) for m in middle]) * 1.2533 / np.sqrt(30.0)
+    by_hand = pool(middle, np.hypot(scatter, 0.02 * middle), np.zeros(3, dtype=int))
+    assert _pooled(rows, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(by_hand[:2])
+    assert _pooled(rows.clear(), "efficiency", "cc_efficiency", 0.02, wear=True) == (0.75, 0.05, ())
+
+
+def test_the_papers_law_stands_where_there_are_fewer_than_thirty_points():
+    def fit(n: int):
+        return fit_compressor(frame([380.0 + k for k in range(n)], list(range(n))).with_columns(
+            group_m3=pl.lit(None, pl.Float64), efficiency=pl.lit(None, pl.Float64)))  # fmt: skip
+
+    few = fit(29)
+    assert (few.intercept_m, few.slope_m_per_count, few.scatter_m, few.vda_counts) == (
+        0.1731,
+        -2.9304e-5,
+        0.0055,
+        400.0,
+    )
+    assert (few.group_m3, few.efficiency, few.n_flights) == (7.6e-4, 0.75, 29)
+    assert fit(30).intercept_m != 0.1731
+
+
+def test_inlet_of_a_known_group():
+    """A D tan(beta) of 8e-4 m3 at 36 degrees and a hub of 0.4 eyes."""
+    inlet = inlet_geometry(8e-4, 2e-5)
+    eye = (8e-4 / (0.25 * np.pi * 0.84 * np.tan(np.deg2rad(36.0)))) ** (1.0 / 3.0)
+    assert inlet["cc_eye_diameter_m"][0] == pytest.approx(eye)
+    share = np.hypot(2e-5 / 8e-4, np.deg2rad(3.0) / (np.sin(np.deg2rad(36.0)) * np.cos(np.deg2rad(36.0)))) / 3.0
+    assert inlet["cc_eye_diameter_m"][1] == pytest.approx(share * eye)
+    assert inlet["cc_inlet_area_m2"] == pytest.approx(
+        (0.25 * np.pi * 0.84 * eye**2, 2 * share * 0.25 * np.pi * 0.84 * eye**2)
+    )
+    assert inlet["cc_blade_angle_rad"] == (np.deg2rad(36.0), np.deg2rad(3.0))
