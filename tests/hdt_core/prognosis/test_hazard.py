@@ -3,25 +3,8 @@
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, fit_hazard, hazards, position, quantile
+from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, position, quantile
 from hdt_core.prognosis.trees import _by_tree, _row_by_row
-
-
-def test_every_failure_is_one_hit_and_no_censored_row_is():
-    left, failed = np.array([3.0, 50.0, 120.0, 120.0, 900.0]), np.array([True, True, True, False, False])
-    row, span, hit, exposure = at_risk(left, failed)
-    assert np.bincount(row[hit], minlength=5).tolist() == [1, 1, 1, 0, 0]
-    assert exposure[(row == 3) & (EDGES[span] == 100.0)] == pytest.approx(0.8)
-    assert not (EDGES[span[row == 3]] > 120.0).any()
-    assert (row == 4).sum() == SPANS
-
-
-def test_constant_hazard_gives_the_exponential_law():
-    rate = 0.01
-    hazard = 1.0 - np.exp(-rate * np.diff(EDGES))[None, :]
-    by = event_by(hazard)
-    np.testing.assert_allclose(by[0], 1.0 - np.exp(-rate * EDGES), rtol=1e-12)
-    assert quantile(by, 0.5)[0] == pytest.approx(np.log(2.0) / rate, rel=0.02)
 
 
 def test_position_undoes_quantile():

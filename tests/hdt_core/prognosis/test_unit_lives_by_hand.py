@@ -1,0 +1,244 @@
+"""Lives, limits, tracks and scores of a few flights that can be counted on paper."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.components import Limit, components
+from hdt_core.margin.exchanger_demand import CRITICAL
+from hdt_core.margin.margin import MessageRule
+from hdt_core.prognosis.component_life import component_prognoses, first_passage
+from hdt_core.prognosis.component_limits import learn_limit
+from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, tracks
+from hdt_core.prognosis.hazard import quantile
+from hdt_core.prognosis.metrics import calibration, judge, score_prognoses
+from hdt_core.prognosis.unit_lives import episodes, flight_rows, told_lives, with_lives
+
+START = datetime(2024, 1, 1, 6, tzinfo=UTC)
+HX_CODE, CC_CODE = "21-52-HXTEMP", "21-51-CCFLOW"
+
+
+def flown(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
+    """A flight a day of pack 1."""
+    frame = pl.DataFrame(
+        {"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": [START + timedelta(k) for k in range(n)]}
+    )
+    named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+    return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
+
+
+def told(*rows: tuple[int, str], tail: str = "T-1") -> pl.DataFrame:
+    """Messages: on which flight, which code."""
+    schema = {"flight_id": pl.String, "code": pl.String}
+    frame = pl.DataFrame([(f"{tail}_{k:03d}", code) for k, code in rows], schema=schema, orient="row")
+    return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+
+
+def log(*rows: tuple[int, str, str, str], tail: str = "T-1") -> pl.DataFrame:
+    """Entries: on the day of which flight, component, action, finding."""
+    schema = {"done_on": pl.Date, "component": pl.String, "action": pl.String, "finding": pl.String}
+    frame = pl.DataFrame([((START + timedelta(k)).date(), *row) for k, *row in rows], schema=schema, orient="row")
+    return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+
+
+def lived(messages: pl.DataFrame, entries: pl.DataFrame, n: int = 100) -> list[tuple]:
+    found = episodes(flown(n), messages, entries).filter(component="HX")
+    return found.select("first_row", "end_row", "failed", "removed", "age_known").rows()
+
+
+CHANGED = (59, "HX", "REPLACED", "FOULED")
+
+
+@pytest.mark.parametrize(("flight", "failed"), [(39, False), (40, True), (59, True), (60, True), (61, False)])
+def test_a_message_ends_a_life_that_is_replaced_within_twenty_flights(flight, failed):
+    """The entry of flight 59's day: the new unit flies from flight 60 on."""
+    first, second = lived(told((flight, HX_CODE)), log(CHANGED))
+    assert first == (0, flight if failed else 60, failed, True, False)
+    assert second == (60, 100, False, False, True)
+
+
+def test_the_first_of_several_messages_ends_it_and_another_code_does_not():
+    several = pl.concat([told((45, HX_CODE)), told((50, HX_CODE)), told((42, CC_CODE))])
+    assert lived(several, log(CHANGED))[0] == (0, 45, True, True, False)
+    assert lived(told((45, HX_CODE)), log((59, "HX", "CLEANED", "FOULED"))) == [(0, 100, False, False, False)]
+
+
+@pytest.mark.parametrize(("days", "failed"), [(0, True), (1, False), (3, False), (4, True)])
+def test_a_unit_found_sound_within_three_days_did_not_fail(days, failed):
+    sound = (50 + days, "HX", "INSPECTED", "NO_FAULT_FOUND")
+    assert lived(told((50, HX_CODE)), log(CHANGED, sound))[0][2] == failed
+    other = (51, "CC", "INSPECTED", "NO_FAULT_FOUND")
+    assert lived(told((50, HX_CODE)), log(CHANGED, other))[0][2]
+
+
+def test_lives_are_told_with_what_ended_them():
+    features, entries = flown(100), log(CHANGED)
+    heard = told_lives(features, episodes(features, told((50, HX_CODE)), entries)).filter(component="HX")
+    assert heard.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
+        ("message", False, 50, "T-1_000", "T-1_050"),
+        (None, True, 40, "T-1_060", "T-1_099"),
+    ]
+    for messages, how in ((told((50, CC_CODE)), "replaced"), (told(), "unheard")):
+        quiet = told_lives(features, episodes(features, messages, entries)).filter(component="HX")
+        assert quiet.select("ended_by", "end_flight_id").rows() == [(how, "T-1_059"), (None, "T-1_099")]
+    rows = with_lives(flight_rows(features), episodes(features, told((50, HX_CODE)), entries), "HX")
+    assert rows["left"].to_list() == [50.0 - k for k in range(60)] + [40.0 - k for k in range(40)]
+    assert rows["life_id"].to_list() == [0] * 60 + [1] * 40
+
+
+def test_prognoses_are_judged_by_what_became_of_them():
+    """An event within 50 flights, none, or nobody knows."""
+    features = flown(160)
+    lives = episodes(features, told((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
+    said = features.select("tail", "flight_id", "pack").with_columns(component=pl.lit("HX"))
+    found = judge(pl.concat([said, said.with_columns(component=pl.lit("CC"))]), features, lives)
+    by_flight = dict(found.select("flight_id", "event_50").rows())
+    assert [by_flight[f"T-1_{k:03d}"] for k in (0, 9, 10, 59, 70, 109, 110, 159)] == [0, 0, 1, 1, 0, 0, None, None]
+    assert "T-1_060" not in by_flight  # the message's own flight
+    assert "T-1_065" not in by_flight  # flown with the unit after its message
+
+
+def test_scores_by_hand():
+    judged = pl.DataFrame({
+        "left": [40.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
+        "rul_flights": [50.0, 100.0, 290.0, 200.0], "rul_low": [20.0, 60.0, 250.0, 100.0],
+        "rul_high": [90.0, 110.0, 300.0, 300.0], "event_50": [1.0, 0.0, 0.0, 0.0], "p_event_50": [0.6, 0.2, 0.0, 0.1],
+    })  # fmt: skip
+    found = score_prognoses(judged)
+    truth = np.array([40.0, 120.0, 300.0])  # the last was not watched for 300 flights
+    low, high = np.quantile(truth, [0.05, 0.95])
+    constant = np.mean([high - low + 20.0 * (max(low - t, 0.0) + max(t - high, 0.0)) for t in truth])
+    score = np.mean([70.0, 50.0 + 20.0 * 10.0, 50.0])
+    assert found == pytest.approx({
+        "failures": 1.0, "mae_flights": 40.0 / 3.0, "interval_score_flights": score, "coverage": 2.0 / 3.0,
+        "interval_skill": 1.0 - score / constant, "coverage_last_100": 1.0, "alpha_lambda_20": 0.0,
+        "brier": (0.16 + 0.04 + 0.01) / 4.0, "brier_skill": 1.0 - (0.21 / 4.0) / (0.25 * 0.75), "auc": 1.0,
+    })  # fmt: skip
+
+
+def test_tenths_of_the_probability_scale():
+    table = calibration([0, 1, 1, 0], [0.05, 0.1, 0.19, 1.0])
+    assert table.rows() == [(0.05, 0.0, 1), (pytest.approx(0.145), 1.0, 2), (1.0, 0.0, 1)]
+
+
+CC = components()["CC"]
+
+
+def described(n: int, tail: str, loss: float) -> pl.DataFrame:
+    return flown(
+        n, tail, component="CC", loss=loss, loss_sd=0.01, loss_slope_100_per_flight=2e-4, flights_seen_of_unit=29
+    )
+
+
+def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
+    """Three tails: one fails at 0.15 in February, one at 0.30 in March; the third is judged by what had come."""
+    rows = pl.concat([described(100, "T-1", 0.15), described(100, "T-2", 0.30), described(100, "T-3", 0.12)])
+    messages = pl.concat([told((0, HX_CODE), (40, CC_CODE)), told((70, CC_CODE), tail="T-2")])
+    entries = pl.concat([log((44, "CC", "REPLACED", "")), log((74, "CC", "REPLACED", ""), tail="T-2")])
+    found = component_prognoses(rows, messages, entries, CC)
+
+    def want(levels: list[float], loss: float) -> np.ndarray:
+        limit = learn_limit(np.array(levels), Limit(0.25, 0.06, 0.05))
+        usual = 0.25 / 2000.0
+        error = 12.0 * 0.010**2 / 30.0**3 + (0.25 * usual) ** 2
+        weight = usual**2 / (usual**2 + error)
+        rate, rate_sd = weight * 2e-4 + (1.0 - weight) * usual, np.sqrt(weight * error)
+        at = (np.array([limit.mean]), np.array([np.hypot(limit.sd, 0.05)]))
+        return first_passage(*(np.array([v]) for v in (loss, 0.01, rate, rate_sd)), at, np.array([True]))
+
+    def said(tail: str, flight: int) -> dict:
+        return found.filter(tail=tail, flight_id=f"{tail}_{flight:03d}").row(0, named=True)
+
+    for tail, flight, levels, loss in (
+        ("T-3", 40, [], 0.12), ("T-3", 61, [0.15], 0.12), ("T-3", 70, [0.15], 0.12), ("T-3", 99, [0.15, 0.30], 0.12),
+        ("T-1", 99, [0.30], 0.15), ("T-2", 99, [0.15], 0.30),
+    ):  # fmt: skip
+        by, row = want(levels, loss), said(tail, flight)
+        assert row["p_event_100"] == pytest.approx(by[0, 10])
+        assert row["rul_flights"] == pytest.approx(quantile(by, 0.5)[0])
+        assert (row["rul_low"], row["rul_high"]) == pytest.approx((quantile(by, 0.05)[0], quantile(by, 0.95)[0]))
+        assert row["beyond_horizon"] == (row["rul_flights"] >= 300.0)
+
+
+def test_where_nobody_would_tell_a_unit_may_have_failed_already():
+    rows = described(40, "T-1", 0.24)
+    silent, heard, mute = (
+        component_prognoses(rows, messages, log(), part)["p_event_50"][-1]
+        for messages, part in (
+            (told(), CC), (told((0, HX_CODE)), CC), (told((0, HX_CODE)), replace(CC, message_code=None)),
+        )
+    )  # fmt: skip
+    assert silent == mute > heard
+    unknown = component_prognoses(rows.with_columns(loss=pl.lit(None, pl.Float64)), told(), log(), CC)
+    assert unknown.select("rul_flights", "p_event_50").row(0) == (None, None)
+
+
+def margin(n: int) -> dict[str, object]:
+    """Curves that fall by 0.03 a kelvin, the half's by 0.1 below the fifth's."""
+    excess = (-20.0, -10.0, 0.0, 5.0, 10.0)
+    return {name: -0.5 - 0.1 * (k // 5) - 0.03 * excess[k % 5] for k, name in enumerate(CRITICAL)} | {
+        "hx_fouling": [0.1 + 0.001 * k for k in range(n)], "hx_fouling_sd": 0.02, "hx_ln_ua_ratio": -0.1,
+        "overheat_p20_k": [float(k % 9) for k in range(n)], "overheat_p50_k": 0.0, "full_open_share": 0.2,
+    }  # fmt: skip
+
+
+def test_tracks_are_cut_into_lives():
+    features = flown(100, **margin(100)).with_columns(
+        pl.when(pl.int_range(100).is_in([0, 5])).then(None).otherwise("hx_fouling").alias("hx_fouling")
+    )
+    track = tracks(features, episodes(features, told((50, HX_CODE)), log(CHANGED)), "HX")
+    assert track.at[:, 0].tolist() == [0] * 60 + [1] * 40
+    assert track.at[[0, 1, 4, 5, 6, 59, 60], 1].tolist() == [-1, 0, 3, 3, 4, 57, 0]
+    assert track.panel.level[0, 4] == pytest.approx(0.106)
+    assert track.panel.age[1, 7] == 7.0
+    assert np.isnan(track.panel.age[0]).all()
+    assert track.panel.day[0, 0] == 2.0
+    assert track.left[[0, 60]].tolist() == [50.0, 40.0]
+    assert not track.mute.any()
+    np.testing.assert_allclose(track.curves[0, 3, 1], [0.0, -0.3, -0.6, -0.75, -0.9])
+    rows = fleet_rows(track, {"": MessageRule(0.2, 7.0, 2.5, 3), "AAA": MessageRule(0.5, 2.0, 1.5, 1)})
+    assert np.isnan(rows.features[0]).all()
+    # the half's curve at 2 K; three neighbouring kelvins say how steep
+    reserve = rows.features[99, FEATURES.index("reserve_95")]
+    assert reserve == pytest.approx(-0.1 - (-0.6 - 0.06))
+    assert rows.features[99, -1] == pytest.approx(1.5 * 0.03)
+    other = fleet_rows(track, {"": MessageRule(0.2, 7.0, 2.5, 3)}, np.arange(100) >= 98)
+    assert other.features.shape[0] == 2
+    assert other.features[1, -1] == pytest.approx(2.5 * 0.03)
+    assert other.take(np.array([False, True])).left.tolist() == [1.0]
+    limited = fleet_rows(track, Limit(0.38, 0.06, 0.05))
+    assert limited.features[99, -1] == pytest.approx(0.06 / 0.62)
+    assert limited.features[99, FEATURES.index("reserve_95")] == pytest.approx(-0.1 - np.log(0.62))
+    none = features.with_columns(pl.lit(None, pl.Float64).alias(c) for c in CRITICAL)
+    blank = fleet_rows(tracks(none, episodes(features, told(), log()), "HX"), {"": MessageRule()})
+    assert blank.features[99, -1] == pytest.approx(2.5 * LN_RATIO_PER_K)
+
+
+def test_the_rule_is_learned_from_flights_up_to_the_message():
+    """Hot on flights 7, 8 of nine: two in a row first at 8 K on flight 8; after its message a unit tells nothing."""
+    features = flown(100, **margin(100))
+    track = tracks(features, episodes(features, told((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
+    everyone = np.ones(100, bool)
+    assert learn_rule(track, "HX", everyone)["AAA"].messages == 1
+    assert learn_rule(track, "HX", track.at[:, 0] == 1)["AAA"].messages == 0
+    hotter = features.with_columns(
+        overheat_p20_k=pl.when(pl.int_range(100).is_between(18, 20)).then(15.0).otherwise("overheat_p20_k")
+    )
+    later = tracks(hotter, episodes(features, told((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
+    assert learn_rule(later, "HX", everyone) == learn_rule(track, "HX", everyone)
+
+
+def test_a_compressors_loss_and_the_level_of_its_messages():
+    """By efficiency, else by the square of what is left of the diameter; the limit by the flight before the message."""
+    n = 60
+    features = flown(n, cc_efficiency_loss=[None] + [0.01 * k for k in range(1, n)], cc_efficiency_loss_sd=0.01,
+                     cc_diameter_loss=0.1)  # fmt: skip
+    track = tracks(features, episodes(features, told((20, CC_CODE)), log((24, "CC", "REPLACED", ""))), "CC")
+    np.testing.assert_allclose(track.panel.level[0, :3], [1.0 - 0.9**2, 0.01, 0.02])
+    np.testing.assert_allclose(track.panel.ratio[0, :3], np.log([0.81, 0.99, 0.98]))
+    found = learn_rule(track, "CC", np.ones(n, bool))
+    assert found == learn_limit(np.array([0.19]), Limit(0.25, 0.06, 0.05))
+    assert learn_rule(track, "CC", np.zeros(n, bool)) == Limit(0.25, 0.06, 0.05)
