@@ -6,6 +6,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
+from hdt_core.alerts.cases import Case
+from hdt_core.alerts.grid import Grid
 from hdt_core.tables.features import FeaturesAlerts
 
 FLIGHTS, A_DAY = 100, 4
@@ -41,6 +43,28 @@ def work(at: datetime, component: str = "HX", action: str = "REPLACED", *, timed
     row = OWN | {"component": component, "action": action, "finding": None, "done_on": at.date()}
     schema = {"pack": pl.Int32, "finding": pl.String, "done_at": pl.Datetime("us", "UTC")}
     return pl.DataFrame([row | {"done_at": at if timed else None}], schema_overrides=schema)
+
+
+def grid(**columns: object) -> Grid:
+    """One pack's flights with these columns and no others."""
+    frame = pl.DataFrame(
+        {"departed_at": [departure(k) for k in range(FLIGHTS)], "flight_id": [f"F{k:03d}" for k in range(FLIGHTS)]}
+    )
+    own = [pl.lit(v).alias(k) for k, v in OWN.items()]
+    given = [
+        pl.Series(k, np.broadcast_to(v, FLIGHTS)) if not isinstance(v, pl.Expr) else v.alias(k)
+        for k, v in columns.items()
+    ]
+    return Grid.cut(frame.with_columns(*own, *given).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")}))
+
+
+def spans(cases: list[Case]) -> list[tuple[str, int, int | None]]:
+    return [(case.diagnosis, case.raised, case.closed) for case in cases]
+
+
+def work_before(first: int, log_of: str = "HX", action: str = "REPLACED") -> pl.DataFrame:
+    """Work just before a flight."""
+    return work(departure(first) - timedelta(minutes=5), log_of, action, timed=True)
 
 
 def alerts(seen: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:

@@ -90,25 +90,6 @@ def role(text: str, says: str) -> str:
     return max((r for r in ROLES if f"{r}:" in before), key=lambda r: before.rfind(f"{r}:"))
 
 
-@pytest.mark.parametrize(
-    ("columns", "says", "expected"),
-    [
-        ({"door_full_open_share": 0.0}, "full open in 0 %", "Neutral"),
-        ({"door_full_open_share": 0.3}, "full open in 30 %", "Supports"),
-        ({"door_median_between_packs": 0.12, "hx_fouling_between_packs": 0.2}, "12 points wider", "Supports"),
-        ({"door_median_between_packs": -0.1, "hx_fouling_between_packs": 0.2}, "10 points narrower", "Against"),
-        ({"door_median_between_packs": 0.01, "hx_fouling_between_packs": 0.2}, "about as wide", "Neutral"),
-        ({"hx_fouling_between_packs": 0.2}, "20 points less", "Supports"),
-        ({"hx_fouling_between_packs": 0.01}, "has lost as much", "Neutral"),
-        ({"ram_flow_loss": 0.09}, "ram flow 9 % below", "Supports"),
-        ({"ram_flow_loss": 0.0}, "no blockage", "Neutral"),
-    ],
-)
-def test_each_witness_has_its_role(columns: dict[str, float], says: str, expected: str) -> None:
-    (alert,) = alerts(features(np.linspace(0.0, 0.35, FLIGHTS), **columns), NOTHING).to_dicts()
-    assert role(alert["evidence_now"], says) == expected
-
-
 def test_a_clog_without_loss_of_ram_flow_has_a_witness_against_it() -> None:
     loss = np.where(np.arange(FLIGHTS) < 60, 0.03, 0.3)
     (alert,) = alerts(features(loss, ram_flow_loss=0.0), NOTHING).to_dicts()

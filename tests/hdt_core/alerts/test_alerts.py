@@ -85,19 +85,6 @@ def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
     assert FeaturesAlerts.faults(out) == []
 
 
-def test_uncertainty_delays_the_call(samples, nothing_done) -> None:
-    loss = 0.004 * np.arange(FLIGHTS)
-    sure = alerts_of(samples, track(samples, {1: loss}, sd=0.005), nothing_done)
-    unsure = alerts_of(samples, track(samples, {1: loss}, sd=0.08), nothing_done)
-    assert unsure["raised_at"][0] > sure["raised_at"][0]
-
-
-def test_icing_is_gone_by_the_next_flight(samples, nothing_done) -> None:
-    loss = np.full(FLIGHTS, 0.02)
-    loss[[30, 52, 70]] = 0.4
-    assert alerts_of(samples, track(samples, {2: loss}), nothing_done).height == 0
-
-
 def test_sudden_clog_is_called_within_three_flights(samples, nothing_done) -> None:
     loss = np.where(np.arange(FLIGHTS) >= 60, 0.32, 0.04)
     out = alerts_of(samples, track(samples, {2: loss}), nothing_done)
@@ -229,22 +216,6 @@ def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
         assert part["evidence"].to_list() == then["evidence"].to_list()
 
 
-def test_fast_wear_is_told_of_before_it_reaches_the_limit(samples, nothing_done) -> None:
-    """At 0.4 % a flight the ram door is used up in 70 flights from a loss of 10 %: a planner can't wait for 15 %."""
-    health = track(samples, {1: 0.004 * np.arange(FLIGHTS)})
-    out = alerts_of(samples, health, nothing_done)
-    assert out["diagnosis"].to_list() == ["HX_FOULING"]
-    raised = health.filter(pl.col("flight_id") == out["raised_flight_id"][0])["value"].max()
-    assert 0.09 <= raised <= 0.15
-
-
-def test_limits_are_settings(samples, nothing_done) -> None:
-    health = track(samples, {1: 0.08 + 0.0015 * np.arange(FLIGHTS)})
-    early = alerts_of(samples, health, nothing_done, limits=Limits(fouling=0.1))
-    late = alerts_of(samples, health, nothing_done, limits=Limits(fouling=0.2))
-    assert early["raised_at"][0] < late["raised_at"][0]
-
-
 def test_no_flights_no_alerts(samples, nothing_done) -> None:
     none = samples.clear()
     out = raise_alerts(pl.DataFrame(schema=track(samples, {}).schema), track(samples, {}).clear(), nothing_done)
@@ -271,17 +242,6 @@ def test_a_probe_that_both_packs_record_is_told_of_both(samples, nothing_done) -
     out = alerts_of(moved, track(moved, {}), nothing_done)
     assert out.sort("pack").select("pack", "diagnosis").rows() == [(1, "SENSOR_FAULT"), (2, "SENSOR_FAULT")]
     assert out["recommended_action"].str.contains("tat_k").all()
-
-
-def test_a_door_stuck_near_its_stop_while_the_outlet_runs_hot_is_jammed(samples, nothing_done) -> None:
-    hit, noise = fault(samples, 2, 50, 60), 0.005 * (pl.int_range(pl.len()) % 3 - 1)
-    stuck = samples.with_columns(
-        pl.when(hit).then(0.13 + noise).otherwise("ram_door_open").alias("ram_door_open"),
-        pl.when(hit).then(pl.col("hx_out_k") + 30.0).otherwise("hx_out_k").alias("hx_out_k"),
-    )
-    out = alerts_of(stuck, track(stuck, {}), nothing_done)
-    assert (2, "RAM_DOOR_FAULT") in out.select("pack", "diagnosis").rows()
-    assert out.filter(diagnosis="RAM_DOOR_FAULT")["raised_at"][0] <= when(samples, 53)
 
 
 @pytest.mark.parametrize(("excess_k", "told"), [(6.0, True), (0.6, False)])

@@ -56,10 +56,6 @@ def test_a_worn_exchanger_is_called_worn():
     assert hx(raise_alerts(fleet(0.97, 0.25), HEALTH, LOG)) == ["HX_FOULING"]
 
 
-def test_enough_reserve_is_no_case():
-    assert hx(raise_alerts(fleet(0.5, 0.04), HEALTH, LOG)) == []
-
-
 def test_it_ends_with_the_unit():
     flights = fleet(0.97, 0.04)
     done = flights["departed_at"][25].date()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, classify, signatures
+from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, SIZES, classify, signatures
 
 KNOWN = signatures()
 SENSORS = [k for k, (name, _) in enumerate(KNOWN.names) if name not in NO_SENSOR]
@@ -39,6 +39,87 @@ def test_does_not_name_what_it_cannot_know() -> None:
     z = np.full(KNOWN.shift.shape[1], np.nan)
     z[AT["hx_out_between_packs_k"]] = 12.0
     assert classify(z)[0][2] == pytest.approx(0.5, abs=0.02)
+
+
+def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
+    """Bayes' rule in plain loops: each sensor's own, other's and shared fault and nothing, over 24 sizes either way."""
+    steps = [sign * 0.15 * (4.0 / 0.15) ** (i / 11) for i in range(12) for sign in (-1.0, 1.0)]
+    checks, weight = (*CHANNELS, HX_STEP), {}
+    for sensor, size in [*SIZES.items(), ("nothing", 0.0)]:
+        for whose in ("own", "other", "both") if sensor in ("tat_k", "total_pressure_pa", "mach") else ("own", "other"):
+            if sensor == "nothing" and whose == "other":
+                continue
+            total = 0.0
+            for step in steps:
+                log = -0.5 * step**2 + np.log(abs(step))
+                for half, mine in ((0, whose != "other"), (1, whose != "own")):
+                    for c, check in enumerate(checks):
+                        seen = z[half * len(checks) + c]
+                        if np.isnan(seen):
+                            continue
+                        sign = float(mine)
+                        if check.between:  # left minus right counts in the own half
+                            sign = 0.0 if half else {"own": 1.0, "other": -1.0, "both": 0.0}[whose]
+                        per_sd = step * size * flights**0.5 / check.sd
+                        a = sign * per_sd * check.moves.get(sensor, 0.0)
+                        b = np.hypot(0.3 * a, sign * per_sd * check.blurs.get(sensor, 0.0))
+                        var = 1.0 + check.wander**2 * flights + b**2
+                        p = np.exp(-0.5 * (seen - a) ** 2 / var) / var**0.5
+                        if half:
+                            wide = var + 20.0**2
+                            p += 1e-3 * np.exp(-0.5 * (seen - a) ** 2 / wide) / wide**0.5
+                        log += np.log(p)
+                total += np.exp(log)
+            weight[sensor, whose] = total * (10.0 if sensor in ("hx", "cc", "nothing") else 1.0)
+    return {name: w / sum(weight.values()) for name, w in weight.items()}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_posterior_is_bayes_rule(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    z = 2.0 * rng.standard_normal(KNOWN.shift.shape[1])
+    z[rng.random(z.size) < 0.2] = np.nan
+    found = {(sensor, whose): p for sensor, whose, p in classify(z, 5.0 + seed)}
+    assert found == pytest.approx(by_hand(z, 5.0 + seed), abs=1e-9)
+
+
+MOVES = """
+inlet_minus_tat_k 0.35 0.3: cc_in_k 1, tat_k -1
+inlet_over_total_pressure_ln 0.003 0.3: cc_in_pa 1, total_pressure_pa -1
+total_over_pitot_pressure_ln 0.0008 0.3: total_pressure_pa 1, mach -1.5, altitude_m 1
+pack_over_compressor_flow_ln 0.011 0.3: pack_flow_kg_s 1, cc_flow_kg_s -1
+tat_between_packs_k 0.15 0.3: tat_k 1
+total_pressure_between_packs_ln 0.0008 0.3: total_pressure_pa 1
+pack_flow_between_packs_ln 0.02 0.3: pack_flow_kg_s 1
+compressor_flow_between_packs_ln 0.022 0.3: cc_flow_kg_s 1
+cc_out_pressure_between_packs_ln 0.005 0.3: cc_out_pa 1
+cc_out_pressure_over_schedule_ln 0.003 0.3: cc_out_pa 1, pack_flow_kg_s -0.26
+hx_out_minus_target_k 1.8 0.6: hx_out_k 1, tat_k -0.6
+hx_out_between_packs_k 0.8 0.3: hx_out_k 1
+hx_in_over_discharge_k 0.7 0.6: hx_in_k 0.7, hx_out_k 0.3, ram_door_open 65 25, pack_flow_kg_s -57, hx 3 8, cc_out_k -0.56, tat_k -0.57
+hx_in_over_pressure_k 0.9 0.6: hx_in_k 0.7, hx_out_k 0.3, ram_door_open 65 25, pack_flow_kg_s -57, hx 3 8, cc_in_pa 75, cc_out_pa -75, tat_k -1.35, cc 56 15
+conductance_off_cruise_ln 0.018 0.3: ram_door_open -1.8 0.8, hx_out_k -0.006, hx_in_k 0.002, tat_k 0.005, hx 0.1 0.15
+hx_fouling_flight 0.016 0: hx_out_k 0.03, hx_in_k -0.008, tat_k -0.024, pack_flow_kg_s -1.6, ram_door_open 1.6 0.8, hx 1
+"""  # noqa: E501
+"""The matrix on paper: check, scatter, wander; what one unit of each fault does to it, and the spread of that."""
+
+
+def test_the_matrix_is_that_on_paper() -> None:
+    checks = {c.name: c for c in (*CHANNELS, HX_STEP)}
+    for line in MOVES.strip().splitlines():
+        head, _, faults = line.partition(": ")
+        name, sd, wander = head.split()
+        own = [fault.split() for fault in faults.split(", ")]
+        check = checks.pop(name)
+        assert (check.sd, check.wander, check.between) == (float(sd), float(wander), "between" in name)
+        assert check.moves == {sensor: float(by) for sensor, by, *_ in own}
+        assert check.blurs == {sensor: float(blur[0]) for sensor, _, *blur in own if blur}
+    assert not checks
+    assert SIZES == {
+        "tat_k": 3.5, "cc_in_k": 3.5, "total_pressure_pa": 0.03, "cc_in_pa": 0.05, "mach": 0.01,
+        "pack_flow_kg_s": 0.07, "cc_flow_kg_s": 0.07, "cc_out_pa": 0.05, "hx_in_k": 4.0, "hx_out_k": 4.0,
+        "cc_out_k": 4.0, "ram_door_open": 0.08, "hx": 0.08, "cc": 0.05,
+    }  # fmt: skip
 
 
 def test_probabilities_add_up_with_channels_missing() -> None:

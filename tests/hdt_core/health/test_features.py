@@ -170,11 +170,12 @@ def test_residual_means_have_their_names(nothing_done) -> None:
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
     told = [
         row | {"signal": s, "kind": k, "mean": m}
-        for s, k, m in (("hx_out_k", "sensor_minus_dsm", 3.0), ("x", "d", 4.0))
+        for s, k, m in (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
     ]
     means = pl.DataFrame(told, schema_overrides={"pack": pl.Int32})
     out = features(long, means, legs_of(long), nothing_done)
     assert out.select("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d").row(0) == (3.0, 3.0, 4.0)
+    assert out["hx_out_d_k"].to_list() == [5.0]
 
 
 def test_a_new_unit_starts_a_new_life(replaced) -> None:

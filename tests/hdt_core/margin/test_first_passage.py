@@ -84,7 +84,7 @@ def one_pack(**columns: list[float | None]) -> pl.DataFrame:
 
 def test_passages_of_a_pack_by_the_rule_before_any_message():
     flights = one_pack(
-        hx_ln_ua_ratio=[-0.05, -0.05, -0.06, -0.10], hx_fouling=[0.1, 0.1, 0.9, 0.2],
+        hx_ln_ua_ratio=[-0.05, 0.15, 0.20, 0.10], hx_fouling=[0.1, 0.1, 0.9, 0.2],
         hx_fouling_slope_100_per_flight=[0.001, None, 0.0004, 0.0006], flights_seen_of_unit=[5, 50, 29, 200],
     )  # fmt: skip
     # critical ratios fall by .026 a kelvin; the rule is 7 K, twice in three flights
@@ -98,9 +98,10 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
     # -.10, -.06, -.08: the lower of a flight's and the most of the two before; half, a third of the window each
     windows = ([-0.10] * 6, [-0.10] + [-0.06] * 5, [-0.08] + [-0.06] * 5)
     rates = (rate_by_hand(0.0, 2.0), rate_by_hand(0.0004 / 0.2, 30.0), rate_by_hand(0.0006 / 0.8, 60.0))
-    for row, ratio, levels, rate in zip((1, 2, 3), (-0.05, -0.06, -0.10), windows, rates, strict=True):
+    for row, ratio, levels, rate in zip((1, 2, 3), (0.15, 0.20, 0.10), windows, rates, strict=True):
         hand = passage_by_hand(ratio, 0.012, levels, *rate)
         assert by.select(PASSAGES).row(row) == pytest.approx((hand[4], hand[7]), abs=1e-9)
+        assert hand[4] < 0.9
 
 
 def test_no_flight_no_passage():
