@@ -175,7 +175,7 @@ STAGES = (
             "calibration_window",
             parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"),
             baseline=True,
-            code="13",
+            code="14",
         ),
         label="digital system model",
     ),

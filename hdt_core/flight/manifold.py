@@ -72,7 +72,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     centre = np.median(x, axis=0)
     off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
     step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG_KEY)).abs().median()).item()
-    noise = max(MAD_TO_SD * float(step or 1.0) / 2**0.5, LEAST_NOISE)
+    noise = max(MAD_TO_SD * (1.0 if step is None else float(step)) / 2**0.5, LEAST_NOISE)
     return Manifold(tuple(centre.tolist()), tuple(slopes.tolist()), noise)
 
 

@@ -53,6 +53,20 @@ def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(le
     assert turn_away_odd_bleed(legs, reports(1.5, **said)).equals(legs)
 
 
+@pytest.mark.parametrize(
+    ("said", "hours", "turned"),
+    [
+        ({"pack_1_flow_kg_s": 0.0999}, 1.0, 1), ({"pack_1_flow_kg_s": 0.1}, 1.0, 0),
+        ({"crossfeed_open": True, "altitude_m": 4572.0}, 1.0, 0),
+        ({"crossfeed_open": True, "altitude_m": 4572.1}, 1.0, 1),
+        ({"crossfeed_open": True}, 25.0, 2), ({"crossfeed_open": True}, 25.1, 0),
+    ],
+)  # fmt: skip
+def test_what_is_odd_and_how_long_a_flight_may_last(legs, said, hours, turned):
+    told = turn_away_odd_bleed(legs, reports(hours, **said))
+    assert (told["reason"] == BLEED).sum() == turned
+
+
 def test_a_report_belongs_to_the_last_departure_before_it(legs):
     told = turn_away_odd_bleed(legs, reports(6.0, crossfeed_open=True))
     assert told.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]

@@ -85,3 +85,61 @@ def test_mach_tells_the_ground():
 def test_recorder_phase_code_is_not_read(a320):
     wrong = flown(a320, phase_code=np.full(a320.size, "GR"))
     assert add_phases(wrong, by=BY)["phase"].equals(add_phases(flown(a320), by=BY)["phase"])
+
+
+def phases(altitude_m: list[float], every_s: float = 120.0, **more: np.ndarray) -> list[str]:
+    return add_phases(flown(np.array(altitude_m), every_s, **more), by=BY)["phase"].to_list()
+
+
+@pytest.mark.parametrize(
+    ("level_m", "top_m", "cruise"),
+    [(4573.0, 4573.0, 1), (4572.0, 4572.0, 0), (6001.0, 1e4, 1), (6000.0, 1e4, 0)],
+)
+def test_cruise_is_above_15000_feet_and_six_tenths_of_the_top(level_m, top_m, cruise):
+    flight = [0.0, *[level_m] * 4, *([top_m] * 4 if top_m > level_m else []), 0.0]
+    assert (phases(flight)[2] == "cruise") == cruise
+
+
+@pytest.mark.parametrize(("every_s", "cruise"), [(150.0, True), (149.0, False)])
+def test_a_level_run_of_five_minutes_is_cruise(every_s, cruise):
+    assert (phases([0.0, 8e3, 8e3, 8e3, 0.0], every_s)[2] == "cruise") is cruise
+
+
+@pytest.mark.parametrize(
+    ("step_m", "every_s", "level"), [(30.4, 120.0, True), (30.5, 120.0, False), (30.0, 19.7, True), (30.0, 19.6, False)]
+)
+def test_snapshots_are_level_within_100_feet_and_300_feet_a_minute(step_m, every_s, level):
+    told = add_phases(flown(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
+    assert told["level"].to_list() == [level] * 2
+    assert told["climb_rate_m_s"].to_list() == pytest.approx([step_m / every_s] * 2)
+
+
+@pytest.mark.parametrize(("rate", "level"), [(1.52, True), (1.53, False)])
+def test_a_log_is_level_below_300_feet_a_minute_over_60_seconds(rate, level):
+    told = add_phases(flown(8e3 + rate * np.arange(200.0)), by=BY)
+    assert told["level"].to_list() == [level] * 200
+    bump = np.where(np.arange(200) < 100, 8e3, 8060.0)
+    rates = add_phases(flown(bump), by=BY)["climb_rate_m_s"].to_list()
+    assert rates[69:71] == pytest.approx([0.0, 1.0])
+    assert rates[129:131] == pytest.approx([1.0, 0.0])
+
+
+@pytest.mark.parametrize(("every_s", "continuous"), [(10.0, True), (11.0, False)])
+def test_records_ten_seconds_apart_are_a_log(every_s, continuous):
+    # sixty samples of a log are smoothed over thirty on either side, snapshots are not
+    bump = np.where(np.arange(100) == 50, 8100.0, 8e3)
+    level = add_phases(flown(bump, every_s), by=BY)["level"].to_list()
+    assert level[50] is continuous
+
+
+def test_the_ground_by_mach_and_without_it_far_below_the_top_at_either_end():
+    flight = [100.0, 100.0, 100.0, 5e3, 9e3, 9e3, 9e3, 9e3, 4e3, 50.0, 50.0]
+    assert phases(flight)[:3] == ["ground"] * 3
+    assert phases(flight)[-2:] == ["ground"] * 2
+    for mach, ground in ((0.149, True), (0.15, False)):
+        assert (phases(flight, mach=np.full(11, mach))[5] == "ground") is ground
+    high = [5500.0, 5500.0, 5500.0, 9e3, 9e3, 9e3, 9e3]
+    assert phases(high)[0] == "cruise"
+    assert phases([5300.0, *high[1:]])[0] == "climb"
+    off = [2e3, 4e3, 4e3, 9e3, 9e3, 9e3, 9e3, 4e3, 4e3, 0.0]
+    assert [phases(off)[k] for k in (1, 8)] == ["climb", "descent"]

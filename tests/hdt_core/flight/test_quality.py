@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.quality import FROZEN_RISE_M, LIMITS, NOISY, SIGNALS, null_bad_values
+from hdt_core.flight.quality import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
 
 BY = ("tail", "pack")
 CRUISE = {
@@ -45,40 +45,76 @@ def test_sound_record_passes_untouched():
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+PAPER = """
+altitude_m -500 15500 1500, mach 0 1 0.06, tat_k 200 335 8, total_pressure_pa 12000 130000 8000, hx_in_k 240 560 15,
+hx_out_k 240 450 8, ram_door_open -0.02 1.02 0.35, pack_flow_kg_s 0 3 0.15, ram_out_k 220 500 12,
+cc_speed_rad_s 0 8000 700, cc_in_k 200 345 8, cc_in_pa 8000 130000 8000, cc_out_k 220 560 20,
+cc_out_pa 30000 300000 8000, cc_flow_kg_s 0 3 0.2, vda_counts -1 4200 400
+"""
+"""Lowest and highest physical value of each signal, and the largest jump out of and back to its neighbours."""
+LIMIT = {
+    name: tuple(map(float, limits)) for name, *limits in (line.split() for line in PAPER.replace("\n", " ").split(","))
+}
+
+
+def read(signal: str, values: dict[int, float], **more: object) -> pl.DataFrame:
+    """A record whose signal reads some values in some rows."""
+    row = pl.int_range(pl.len())
+    changed = pl.col(signal)
+    for k, value in values.items():
+        changed = pl.when(row == k).then(value).otherwise(changed)
+    return null_bad_values(recorded().with_columns(changed.alias(signal)), by=BY)
+
+
+@pytest.mark.parametrize("signal", LIMIT)
+def test_a_value_at_its_limits_and_just_beyond(signal):
+    low, high, _ = LIMIT[signal]
+    margin = 0.02 * high if low == 0.0 else 0.0  # a few counts below zero
+    hair = 1e-6 * (high - low)
+    for value, beyond in ((low - margin, 0), (high, 0), (low - margin - hair, 1), (high + hair, 1), (np.nan, 1)):
+        screened = read(signal, {60: value})
+        assert screened["n_out_of_range"].to_list() == [beyond * (k == 60) for k in range(80)]
+        if beyond:
+            assert screened[signal][60] is None
+
+
+@pytest.mark.parametrize("signal", LIMIT)
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_single_spike_is_nulled_and_counted(signal, sign):
-    whole = recorded()
-    row = 60
-    jumped = pl.col(signal) + sign * 1.5 * LIMITS[signal][2]
-    here = pl.int_range(pl.len()) == row
-    spiked = whole.with_columns(pl.when(here).then(jumped).otherwise(pl.col(signal)).alias(signal))
-    screened = null_bad_values(spiked, by=BY)
-    assert screened[signal][row] is None
-    assert screened[signal].null_count() == 1
-    assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes").sum()).item() == 1
+def test_a_spike_leaves_both_neighbours_by_more_than_a_sound_sensor_can(signal, sign):
+    low, high, jump = LIMIT[signal]
+    level = 0.5 * (low + high)
+    for times, spike in ((1.001, 1), (0.999, 0)):
+        around = dict.fromkeys(range(55, 66), level) | {60: level + sign * times * jump}
+        assert read(signal, around)["n_spikes"][60] == spike
+    steps = dict.fromkeys(range(55, 60), level) | dict.fromkeys(range(60, 66), level + sign * 1.5 * jump)
+    assert read(signal, steps)["n_spikes"][60] == 0
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
-def test_what_no_sensor_can_read_is_nulled(signal):
-    low, high, _ = LIMITS[signal]
-    absurd = recorded().with_columns(
-        pl.when(pl.col("pack") == 1).then(high + (high - low)).otherwise(pl.col(signal)).alias(signal)
-    )
-    screened = null_bad_values(absurd, by=BY)
-    assert screened.filter(pl.col("pack") == 1)[signal].null_count() == 40
-    assert screened.filter(pl.col("pack") == 2)[signal].null_count() == 0
+@pytest.mark.parametrize("signal", NOISY)
+def test_a_noisy_reading_repeated_six_times_over_two_minutes_is_dead(signal):
+    high = LIMIT[signal][1]
+    for n, level, every_s, frozen in (
+        (6, 0.051 * high, 180, True), (5, 0.051 * high, 180, False), (6, 0.05 * high, 180, False),
+        (6, 0.3 * high, 24, True), (6, 0.3 * high, 23, False),
+    ):  # fmt: skip
+        same = pl.when(pl.int_range(pl.len()).is_between(50, 49 + n)).then(level)
+        same = same.otherwise(0.3 * high + 1e-3 * pl.col(signal))
+        row = pl.int_range(pl.len()).over("pack")
+        slow = recorded().with_columns(
+            same.alias(signal), time_utc=datetime(2024, 3, 1, tzinfo=UTC) + row * timedelta(seconds=every_s)
+        )
+        assert (null_bad_values(slow, by=BY)["n_frozen"].sum() == n) is frozen
 
 
-@pytest.mark.parametrize("signal", sorted({*NOISY, *FROZEN_RISE_M}))
-def test_frozen_sensor_is_nulled_on_its_pack_alone(signal):
-    frozen = recorded().with_columns(
-        pl.when(pl.col("pack") == 2).then(CRUISE[signal]).otherwise(pl.col(signal)).alias(signal)
-    )
-    screened = null_bad_values(frozen, by=BY)
-    assert screened.filter(pl.col("pack") == 2)[signal].null_count() == 40
-    assert screened.filter(pl.col("pack") == 2)["n_frozen"].min() == 1
-    assert screened.filter(pl.col("pack") == 1)["n_frozen"].sum() == 0
+@pytest.mark.parametrize("signal", FROZEN_RISE_M)
+def test_a_reading_bound_to_the_air_moves_with_altitude(signal):
+    most_m = 1000.0 if signal.endswith("_pa") else 6000.0
+    assert FROZEN_RISE_M[signal] == most_m
+    row = (pl.int_range(pl.len()) - 60).clip(0, 9)
+    for rise_m, n in ((most_m, 0), (most_m + 1.0, 10)):
+        value = pl.when(pl.int_range(pl.len()).is_between(60, 69)).then(CRUISE[signal]).otherwise(signal)
+        falling = recorded().with_columns(altitude_m=10_000.0 - rise_m * row / 9.0, **{signal: value})
+        assert null_bad_values(falling, by=BY)["n_frozen"].sum() == n
 
 
 def test_step_that_stays_is_no_spike():

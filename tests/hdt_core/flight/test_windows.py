@@ -5,7 +5,7 @@ from datetime import UTC, date, datetime, timedelta
 import polars as pl
 import pytest
 
-from hdt_core.flight.windows import AROUND_MAINTENANCE, AROUND_MESSAGE, flag_windows, number_flights
+from hdt_core.flight.windows import AROUND_MAINTENANCE, AROUND_MESSAGE, baseline_flights, flag_windows, number_flights
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
 
@@ -79,3 +79,18 @@ def test_entry_outside_the_record_flags_nothing(on):
 def test_both_packs_share_their_flight_numbers():
     numbered = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
     assert set(numbered["flight_number"]) == {1}
+
+
+def test_windows_and_milestones_on_paper():
+    assert AROUND_MAINTENANCE["RAM_DOOR"] == AROUND_MAINTENANCE["SENSOR"] == (15, 1)
+    assert AROUND_MESSAGE == {"21-52": (10, 5), "21-51": (10, 5)}
+    first = legs(400).filter(pl.col("tail") == "A", pl.col("pack") == 1)
+    first = first.with_columns(flight_id=pl.col("flight_number").cast(pl.String).str.zfill(3))
+    for held, reached in ((9, 9), (10, 10), (19, 10), (20, 20), (40, 40), (79, 40), (80, 80), (159, 80), (400, 160)):
+        assert baseline_flights(first.head(held).reverse()) == [f"{k:03d}" for k in range(reached)]
+
+
+@pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])
+def test_an_entry_concerns_flights_of_three_weeks_before(days, reached):
+    late = worked("HX", on=(START + timedelta(days=59 + days)).date())
+    assert flag_windows(legs(), late, NO_MESSAGE)["near_maintenance"].any() == reached

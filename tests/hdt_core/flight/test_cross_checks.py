@@ -1,0 +1,159 @@
+"""Cross checks of a leg by hand, and a shift just over and just under what is allowed."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.flight.cross_checks import TOLERANCE, OutletLaw, check_sensors, learn_outlet_law, leg_checks
+from hdt_core.flight.phases import LEG_KEY
+
+N = 60
+FLIGHT = np.arange(N)
+
+
+def samples(pack: int, **changed: object) -> pl.DataFrame:
+    """Six samples of a leg: two of the climb, four of the cruise."""
+    at = [datetime(2024, 3, 1, 6, tzinfo=UTC) + timedelta(minutes=k) for k in range(6)]
+    signals = {
+        "time_utc": at, "source": "acms", "phase": ["climb"] * 2 + ["cruise"] * 4,
+        "altitude_m": [5000.0, 8000.0, 1e4, 1e4, 1.1e4, 1.1e4], "tat_k": [265.0, 258.0, 250.0, 251.0, 248.0, 247.0],
+        "total_pressure_pa": 36e3, "hx_out_k": [300.0, 301.0, 302.0, 303.0, 304.0, 305.0],
+        "ram_door_open": [0.3, 0.08, 0.92, 0.5, 0.07, 0.93], "pack_flow_kg_s": [0.8, 0.8, 0.82, 0.84, 0.86, 0.1],
+        "cc_in_k": 252.0, "cc_in_pa": 35e3, "cc_flow_kg_s": 0.8,
+    }  # fmt: skip
+    frame = pl.DataFrame(signals | {"operator": "TST", "tail": "T", "flight_id": "F", "pack": pack} | changed)
+    return frame.cast({"pack": pl.Int32, "time_utc": pl.Datetime("us", "UTC")})
+
+
+FREE = ((5e3, 265.0), (8e3, 258.0), (1e4, 250.0), (1e4, 251.0))
+"""Altitude and total temperature of the samples whose doors are free."""
+
+
+def test_checks_of_a_leg_by_hand():
+    two = samples(2, hx_out_k=[299.0, 299.0, 301.0, 302.0, 303.0, 303.0], ram_door_open=0.4, pack_flow_kg_s=0.75)
+    law = OutletLaw((301.0, 1e4, 250.0), (1e-3, 0.5))
+    row = leg_checks(pl.concat([samples(1), two]), law).row(by_predicate=pl.col("pack") == 1, named=True)
+    # the last sample is at rest (.1 kg/s); doors of .07 and .93 are at their ends
+    said = [
+        301.0 + 1e-3 * (a - 1e4) + 0.5 * (t - 250.0)
+        for a, t in ((5e3, 265.0), (8e3, 258.0), (1e4, 250.0), (1e4, 251.0))
+    ]
+    flow = np.log([0.82, 0.84, 0.86])
+    expected = {
+        "outlet_between_packs_k": np.mean([1.0, 2.0, 1.0, 1.0]),
+        "outlet_above_law_k": np.mean([300.0, 301.0, 302.0, 303.0]) - np.mean(said),
+        "inlet_minus_tat_k": 252.0 - np.mean([265.0, 258.0, 250.0, 251.0, 248.0]),
+        "inlet_over_total_pressure_ln": np.log(35.0 / 36.0),
+        "pack_over_compressor_flow_ln": np.mean(flow) - np.log(0.8),
+        "pack_flow_between_packs_ln": np.mean(flow) - np.log(0.75), "pack_flow_ln": np.mean(flow),
+    }  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
+    none = leg_checks(samples(1, cc_in_pa=0.0, cc_flow_kg_s=-1.0), None).row(0, named=True)
+    assert [
+        none[c] for c in ("inlet_over_total_pressure_ln", "pack_over_compressor_flow_ln", "outlet_above_law_k")
+    ] == [None] * 3
+
+
+def test_outlet_law_is_least_squares_about_the_medians_of_free_doors():
+    rng = np.random.default_rng(0)
+    altitude, tat = rng.uniform(8e3, 12e3, 60), rng.uniform(240.0, 270.0, 60)
+    outlet = 300.0 + 1e-3 * (altitude - 1e4) + 0.4 * (tat - 255.0) + rng.normal(0.0, 0.5, 60)
+    door = np.where(np.arange(60) < 50, 0.92, 0.93)
+    rows = pl.DataFrame(
+        {"altitude_m": altitude, "tat_k": tat, "hx_out_k": outlet, "ram_door_open": door, "pack_flow_kg_s": 0.11}
+    )
+    law = learn_outlet_law(rows)
+    y, x = outlet[:50], np.column_stack([altitude[:50], tat[:50]])
+    assert law.centre == pytest.approx((np.median(y), *np.median(x, axis=0)))
+    slopes = np.linalg.lstsq(x - np.median(x, axis=0), y - np.median(y), rcond=None)[0]
+    assert law.slopes == pytest.approx(slopes.tolist())
+    assert learn_outlet_law(rows.with_columns(pack_flow_kg_s=pl.lit(0.1))) is None
+    assert learn_outlet_law(rows.head(10)) is not None
+    assert learn_outlet_law(rows.head(9)) is None
+
+
+def checked(column: str, values: np.ndarray, other: np.ndarray | None = None, **more: np.ndarray) -> pl.DataFrame:
+    """Verdicts on sixty flights of one pack, and of the other where it is given."""
+    packs = [{"pack": 1, column: values} | more] + ([] if other is None else [{"pack": 2, column: other}])
+    key = {"operator": "TST", "tail": "T", "flight_id": [f"F{k:02d}" for k in range(N)]}
+    rows = pl.concat([pl.DataFrame(key | p) for p in packs], how="diagonal").cast({"pack": pl.Int32})
+    legs = rows.select(*LEG_KEY, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
+    return check_sensors(rows, legs).join(legs, on=LEG_KEY).sort("pack", "flight_number")
+
+
+ALTERNATE = np.where(FLIGHT % 2 == 0, 1.0, -1.0)
+
+
+def test_tolerances_on_paper():
+    assert TOLERANCE == {
+        "outlet_between_packs_k": 1.2, "inlet_minus_tat_k": 0.8, "inlet_over_total_pressure_ln": 0.015,
+        "pack_over_compressor_flow_ln": 0.030, "pack_flow_between_packs_ln": 0.045, "inlet_apart_k": 2.5,
+        "door_apart_ln": 0.06,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("check", TOLERANCE)
+@pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False), (-1.01, True)])
+def test_a_lasting_shift_is_one_beyond_its_tolerance(check, times, shifted):
+    late = FLIGHT >= 40
+    told = checked(check, times * TOLERANCE[check] * late)
+    assert told["sensor_shift"].to_list() == (late if shifted else late & False).tolist()
+    assert set(told.filter("sensor_shift")["sensor_check"]) == ({check} if shifted else set())
+    assert told[f"{check}_off"].to_list() == pytest.approx((times * TOLERANCE[check] * late).tolist())
+
+
+@pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
+def test_a_shift_of_a_noisy_check_is_four_standard_deviations_of_its_median(times, shifted):
+    noise = np.tile([2.0, 0.0, -2.0], N // 3)  # medians of seven are 0, most steps 2
+    sd_k = 1.2533 * 1.4826 * 2.0 / (2.0 * 7.0) ** 0.5
+    told = checked("inlet_minus_tat_k", noise + times * 4.0 * sd_k * (FLIGHT >= 50))["sensor_shift"].to_list()
+    assert told[53:57] == [shifted] * 4
+    assert not any(told[:45])
+
+
+@pytest.mark.parametrize(("times", "shifted"), [(2.51, True), (2.49, False)])
+def test_one_flight_is_enough_two_and_a_half_tolerances_off(times, shifted):
+    told = checked("inlet_apart_k", times * 2.5 * (FLIGHT == 30))
+    assert told["sensor_shift"].to_list() == ((FLIGHT == 30) & shifted).tolist()
+
+
+@pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
+def test_one_flight_of_a_scattered_check_is_off_by_four_deviations(times, shifted):
+    values = 2.0 * ALTERNATE
+    values[30] = times * 4.0 * 1.4826 * 2.0
+    told = checked("inlet_apart_k", values)
+    assert told["sensor_shift"][30] is shifted
+
+
+def test_a_drift_is_turned_away_from_where_it_left_its_level():
+    drift = np.clip(FLIGHT - 30, 0, 20) * 0.1 * 0.8
+    told = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
+    first = told.filter("sensor_shift")["flight_number"].min()
+    # a quarter of the tolerance of .8 K: .2 K after 2.5 flights
+    assert first == 33
+    assert told["sensor_shift"][49]
+
+
+def test_of_two_packs_the_one_off_the_fleets_law_is_to_blame():
+    late = 2.0 * (FLIGHT >= 40)
+    law = {"outlet_above_law_k": late}
+    told = checked("outlet_between_packs_k", late, -late, **law)
+    assert told.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
+    other = told.filter(pl.col("pack") == 2)["sensor_shift"].sum()
+    assert other == 20  # its own reading is not known, so it is not cleared
+    for share, cleared in ((0.49, True), (0.51, False)):
+        told = two_packs(late, share)
+        assert (told.filter(pl.col("pack") == 2)["sensor_shift"].sum() == 0) is cleared
+        assert told.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
+
+
+def two_packs(late: np.ndarray, share: float) -> pl.DataFrame:
+    """Pack 1 reads high; pack 2 is displaced from the law by a share of that."""
+    key = {"operator": "TST", "tail": "T", "flight_id": [f"F{k:02d}" for k in range(N)]}
+    one = pl.DataFrame(key | {"pack": 1, "outlet_between_packs_k": late, "outlet_above_law_k": late})
+    two = pl.DataFrame(key | {"pack": 2, "outlet_between_packs_k": -late, "outlet_above_law_k": share * late})
+    rows = pl.concat([one, two]).cast({"pack": pl.Int32})
+    legs = rows.select(*LEG_KEY, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
+    return check_sensors(rows, legs).join(legs, on=LEG_KEY).sort("pack", "flight_number")

@@ -1,0 +1,107 @@
+"""The conductance index: its terms by hand, its slopes against weighted least squares, its unrest against loops."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.flight.manifold import TERMS, Manifold, add_conductance_index, learn_manifold, leg_conductance
+from hdt_core.flight.phases import LEG_KEY
+
+FLIGHTS, EACH = 40, 8
+
+
+def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Forty legs of eight samples whose outlet follows a law of the operating point, with a few strays."""
+    rng, n = np.random.default_rng(seed), FLIGHTS * EACH
+    flow, door, mach = rng.uniform(0.6, 0.9, n), rng.uniform(0.15, 0.7, n), rng.uniform(0.7, 0.86, n)
+    tat, total = rng.uniform(240.0, 265.0, n), rng.uniform(28e3, 42e3, n)
+    wear = np.repeat(0.002 * np.arange(FLIGHTS), EACH)
+    y = 0.9 - 0.6 * np.log(flow / 0.75) + 0.4 * np.log(door / 0.4) - wear + rng.standard_t(3, n) * 0.02
+    hot = np.full(n, 400.0)
+    out = (hot + np.exp(y) * tat) / (1.0 + np.exp(y))
+    key = {
+        "operator": "TST",
+        "tail": "T",
+        "flight_id": np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH),
+        "pack": 1,
+    }
+    signals = {
+        "monitored": True, "hx_in_k": hot, "hx_out_k": out, "tat_k": tat, "pack_flow_kg_s": flow, "ram_door_open": door,
+        "total_pressure_pa": total, "mach": mach,
+    }  # fmt: skip
+    samples = pl.DataFrame(key | signals).cast({"pack": pl.Int32})
+    legs = samples.select(LEG_KEY).unique(maintain_order=True).with_columns(flight_number=pl.int_range(pl.len()))
+    return samples, legs
+
+
+def terms(s: dict[str, np.ndarray]) -> np.ndarray:
+    flow, door = np.log(s["pack_flow_kg_s"]), np.log(np.maximum(s["ram_door_open"], 0.02))
+    density = np.log(s["total_pressure_pa"] / np.sqrt(s["tat_k"])) - 7.7
+    return np.column_stack(
+        [flow, door, density, np.log(np.maximum(s["mach"], 0.2)), door**2, door * density, flow * door]
+    )
+
+
+def columns(samples: pl.DataFrame) -> dict[str, np.ndarray]:
+    return {name: samples[name].to_numpy() for name in samples.columns}
+
+
+def test_the_law_is_hubers_regression_with_an_offset_for_ten_flights():
+    samples, legs = flown()
+    s = columns(samples)
+    x = terms(s)
+    y = np.log((s["hx_in_k"] - s["hx_out_k"]) / (s["hx_out_k"] - s["tat_k"]))
+    block = np.repeat(np.arange(FLIGHTS) // 10, EACH)
+    centred = [np.column_stack([x, y])[block == b] for b in range(4)]
+    off = np.concatenate([rows - np.median(rows, axis=0) for rows in centred])
+    slopes, weight = np.zeros(7), np.ones(len(y))
+    for _ in range(12):
+        normal = off[:, :7].T @ (weight[:, None] * off[:, :7]) + 1e-6 * len(y) * np.eye(7)
+        slopes = np.linalg.solve(normal, off[:, :7].T @ (weight * off[:, 7]))
+        miss = np.abs(off[:, 7] - off[:, :7] @ slopes)
+        weight = np.minimum(1.0, 1.345 * 1.4826 * np.median(miss) / np.maximum(miss, 1e-12))
+    law = learn_manifold(samples, legs)
+    assert law.centre == pytest.approx(np.median(x, axis=0).tolist())
+    assert law.slopes == pytest.approx(slopes.tolist(), rel=1e-6)
+    index = (y - (x - np.median(x, axis=0)) @ slopes).reshape(FLIGHTS, EACH)
+    assert law.noise == pytest.approx(1.4826 * np.median(np.abs(np.diff(index, axis=1))) / np.sqrt(2.0), rel=1e-6)
+    told = add_conductance_index(samples, law)["conductance_index"].to_numpy()
+    assert told == pytest.approx(index.ravel())
+
+
+def test_ten_samples_a_term_are_too_few_and_noise_is_a_hundredth_at_least():
+    samples, legs = flown()
+    assert learn_manifold(samples.head(70), legs) is None
+    assert learn_manifold(samples.head(71), legs) is not None
+    calm = samples.with_columns(hx_out_k=pl.lit(300.0), tat_k=pl.lit(250.0))
+    assert learn_manifold(calm, legs).noise == 0.01
+
+
+LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
+"""The index is the ratio's logarithm itself."""
+
+
+def test_outlets_within_five_kelvin_of_either_side_tell_nothing():
+    samples = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
+    for out, known in ((394.9, True), (395.0, False), (255.1, True), (255.0, False)):
+        index = add_conductance_index(samples.with_columns(hx_out_k=pl.lit(out)), LAW)["conductance_index"][0]
+        assert index == (pytest.approx(np.log((400.0 - out) / (out - 250.0))) if known else None)
+    off = samples.with_columns(monitored=pl.lit(False))
+    assert add_conductance_index(off, LAW)["conductance_index"].to_list() == [None]
+    low = samples.with_columns(ram_door_open=pl.lit(0.001), mach=pl.lit(0.1))
+    shut, slow = (Manifold((0.0,) * 7, tuple(float(k == i) for k in range(7)), 0.02) for i in (1, 3))
+    y = add_conductance_index(low, LAW)["conductance_index"][0]
+    assert add_conductance_index(low, shut)["conductance_index"][0] == pytest.approx(y - np.log(0.02))
+    assert add_conductance_index(low, slow)["conductance_index"][0] == pytest.approx(y - np.log(0.2))
+
+
+def test_unrest_is_the_furthest_mean_of_some_in_a_row_in_standard_errors():
+    samples = flown(3)[0].head(2 * EACH)
+    told = leg_conductance(samples, LAW).sort("flight_id")
+    s = columns(samples)
+    index = np.log((s["hx_in_k"] - s["hx_out_k"]) / (s["hx_out_k"] - s["tat_k"])).reshape(2, EACH)
+    for row, own in zip(told.rows(named=True), index, strict=True):
+        off = own - np.median(own)
+        means = [abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)]
+        assert (row["index_level"], row["index_n"]) == (pytest.approx(np.median(own)), EACH)
+        assert row["index_unrest"] == pytest.approx(max(means) / 0.02)
