@@ -23,7 +23,7 @@ from pipelines.storage.ledger_copy import fault_of as ledger_fault
 from pipelines.storage.ledger_tables import FILE
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import views
-from pipelines.storage.seal import NAME, changed, named, read
+from pipelines.storage.seal import CYCLE, NAME, changed, named, read
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
 from pipelines.zone import fault_of
@@ -139,16 +139,32 @@ def _stored(home: Path) -> Iterator[Check]:
     if (home / FILE).exists() or (home / NAME).exists():
         fault = ledger_fault(ledger)
         yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} mends it" if fault else "ok")
-    if fault := CaseLog(home).fault():
-        yield Check("cases", False, f"the log of cases {fault}; {_NIGHT} mends it")
+    yield from _cases(home)
     if (home / "dagster").is_dir():
         fault = history.fault_of(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
     store, held = Store(home.resolve()), read(home)
     if not store.remote and (held or (home / CATALOG).exists()):
         lost = changed(store, held, held.files, whole=True) if held else [NAME]
-        said = f"{named(lost)} missing or not what was written; {_NIGHT} makes it again" if lost else ""
+        said = f"{named(lost)} missing or not what was written; {_mended(store)}" if lost else ""
         yield Check("tables", not lost, said or f"all {len(held.files) if held else 0} files are what was written")
+
+
+def _cases(home: Path) -> Iterator[Check]:
+    """The log of cases, which the tables hold up to the last night."""
+    try:
+        fault = CaseLog(home).fault(Store(home.resolve()).read("raw_cases"))
+    except StoreError as error:
+        fault = f"can't be compared ({error})"
+    if fault:
+        yield Check("cases", False, f"the log of cases {fault}; {_NIGHT} mends it")
+
+
+def _mended(store: Store) -> str:
+    """Have the next night look for itself; when it does."""
+    store.place.doubt()
+    when = "" if store.place.doubted else f" within {CYCLE} nights, for this user may not note it in the home"
+    return f"{_NIGHT} makes it again{when}"
 
 
 _NIGHT = "`hdt nightly`"
@@ -173,8 +189,11 @@ from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin',
 
 def _feed(home: Path) -> Check:
     """Whether files came in other units or wired otherwise than agreed."""
-    with connect(home) as con:
-        odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+    try:
+        with connect(home) as con:
+            odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+    except StoreError as error:
+        return Check("units and wiring", False, str(error))
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
     said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
     return Check("units and wiring", not odd, said)

@@ -174,8 +174,7 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.orchestration.nightly import holding, run_night
-    from pipelines.storage.publication import fault_of, publish
+    from pipelines.orchestration.nightly import complete_night, holding
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
 
@@ -185,17 +184,9 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
 
     with ends_at_once(say_stopped), holding(home):
         try:
-            night = run_night(landing, home, bars, only, jobs=jobs)
+            night, fault = complete_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
-        fault = fault_of(home) if night.idle and not night.mended else None
-        fault = "tables were damaged" if night.idle and night.mended else fault
-        if not night.idle:
-            from pipelines.orchestration.runs import publish_night  # Dagster is loaded already
-
-            publish_night(home)
-        elif fault:
-            publish(home)
         sealed, unsealed = _sealed(home)
         untold = _untold(home)
     seconds = time.monotonic() - began

@@ -8,8 +8,7 @@ import dagster as dg
 
 from pipelines.digest import tell_night
 from pipelines.intake.scan import unseen
-from pipelines.orchestration.nightly import holding, run_night
-from pipelines.orchestration.runs import publish_night
+from pipelines.orchestration.nightly import complete_night, holding
 from pipelines.resources import Home
 from pipelines.trial.seal import seal_night
 from pipelines.versions import digest
@@ -39,8 +38,7 @@ def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
     if fault := fault_of(Path(home.landing)):
         raise dg.Failure(fault)
     with holding(where):
-        night = run_night(Path(home.landing), where, _Log(context.log), within=context)
-        publish_night(where, context.instance)
+        night, _ = complete_night(Path(home.landing), where, _Log(context.log), within=context)
         seal_night(where)
         for line in tell_night(where):
             context.log.warning(line)

@@ -21,9 +21,11 @@ from pipelines.orchestration.local_executor import EngineError, LocalExecutor, s
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
 from pipelines.storage import earlier, history, ledger_copy, postgres
+from pipelines.storage.delta import DamageError
 from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
+from pipelines.storage.publication import fault_of, publish
 from pipelines.storage.settings import accepted_terms, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, made_as, narrowed, stale
@@ -66,6 +68,12 @@ class Night:
         """Whether there was nothing to do."""
         return self.runs == 0 and not self.failed
 
+    def then(self, again: Night) -> Night:
+        """A night that met damage and the same begun again."""
+        runs, cells = self.runs + again.runs, self.cells + again.cells
+        mended = (*self.mended, *again.mended)
+        return Night(again.files, self.new_files + again.new_files, runs, cells, again.failed, mended)
+
 
 @contextmanager
 def holding(home: Path) -> Iterator[None]:
@@ -104,6 +112,45 @@ def _closed_to_others(home: Path) -> Iterator[None]:
 
 def _busy(who: str, what: str) -> str:
     return f"another run ({who}) is writing {what}; wait for it to end"
+
+
+def complete_night(
+    landing: Path,
+    home: Path,
+    progress: Progress,
+    only: pl.Expr | None = None,
+    within: OpExecutionContext | None = None,
+    jobs: int = 1,
+    *,
+    before: Night | None = None,
+) -> tuple[Night, str | None]:
+    """Run a night and publish the catalog; why the catalog was made anew though there was nothing to do.
+
+    A night that meets a damaged file is begun again, once: all files are read then, and what is damaged is made again.
+    `before` is what the night did until it met one; the other arguments are those of `run_night`.
+    """
+    done = before or Night(0, 0, 0, 0, {})
+    try:
+        done = done.then(run_night(landing, home, progress, only, within, jobs))
+        if before or not (done.failed and Store(home).place.doubted):
+            return done, _publish(home, done, within)
+    except DamageError:
+        if before:
+            raise
+    return complete_night(landing, home, progress, only, within, jobs, before=done)
+
+
+def _publish(home: Path, night: Night, within: OpExecutionContext | None) -> str | None:
+    """Publish what a night made; of one that had nothing to do, why the catalog was made anew."""
+    if within or not night.idle:
+        from pipelines.orchestration.runs import publish_night  # Dagster is loaded already
+
+        publish_night(home, within.instance if within else None)
+        return None
+    fault = "tables were damaged" if night.mended else fault_of(home)
+    if fault:
+        publish(home)
+    return fault
 
 
 def run_night(

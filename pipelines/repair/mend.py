@@ -2,6 +2,7 @@
 
 A file that is missing or changed is taken out of its table and its cells become stale; a damaged log is written anew
 from the files. Of a computed stage all tables of an aircraft go together, since it goes on from what it has stored.
+Disks change bits and keep size and time: a night reads a share of all files, and all once one was met that is damaged.
 """
 
 import shutil
@@ -39,12 +40,24 @@ def _mend_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
     held = seal.read(store.home)
     if held is None and ledger.snapshots():
         told.append(f"{seal.NAME} was gone or damaged: every table was read whole")
-    lost = seal.changed(store, held, held.files) if held else _lost(store, ledger)
+    lost = _changed(store, held, ledger) if held else _lost(store, ledger)
     for table, paths in groupby(sorted(lost), key=lambda path: path.split("/")[0]):
         told += _mend_table(landing, store, ledger, table, list(paths), held)
     if held and lost:
         seal.forget(store, held, set(lost), {path.split("/")[0] for path in lost if seal.is_log(path)})
+    store.place.trust()
     return told
+
+
+def _changed(store: Store, held: seal.Seal, ledger: Ledger) -> list[str]:
+    """Sealed files that are not what was written, as far as size and time tell, or this night's share, or all."""
+    read = seal.in_turn(held.files, ledger.nights().height)
+    if store.place.doubted:
+        read = set(held.files)
+        for hint in Path(store.root).glob(f"*/{LOG}/{seal.HINT}"):
+            hint.unlink()  # it is not sealed, and a wrong one keeps a log from being read
+    rest = (path for path in held.files if path not in read)
+    return [*seal.changed(store, held, rest), *seal.changed(store, held, sorted(read), whole=True)]
 
 
 def _lost(store: Store, ledger: Ledger) -> list[str]:

@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
+from polars.exceptions import PolarsError
 
 from hdt_core.tables import TABLES
 from pipelines.storage import postgres, sqlite_reader
 from pipelines.storage.files import private
+from pipelines.storage.panics import message_of
 
 FILE = "cases.sqlite"
 _SCHEMA = """
@@ -118,28 +120,48 @@ class CaseLog:
             )
         )
 
-    def fault(self) -> str | None:
-        """What is wrong with the file; None where it is whole, or where there is none. A server looks after its own."""
+    def fault(self, stored: pl.DataFrame) -> str | None:
+        """What is wrong with the file; None where it is whole, or where there is none. A server looks after its own.
+
+        A line that a night has `stored` must be the same: SQLite keeps no sums of its pages.
+        """
         path = self.home / FILE
         if self.url or not path.exists():
             return None
         said = sqlite_reader.says(path, "pragma integrity_check(1)")
-        return None if said == "ok" else f"is damaged ({said})"
+        if said != "ok":
+            return f"is damaged ({said})"
+        try:
+            now, line = self.entries(), ["line", "at"]
+        except (ValueError, sqlite3.DatabaseError, PolarsError) as error:
+            return f"is damaged ({message_of(error)})"
+        both = [one.join(other, on=line, how="semi").sort(line) for one, other in ((now, stored), (stored, now))]
+        return None if both[0].equals(both[1].select(now.columns)) else "holds a line that is not what was written"
 
     def mend(self, stored: pl.DataFrame) -> str | None:
         """Put lines back that the nights have stored, where the log is gone or damaged; what was wrong, in words."""
-        fault, path = self.fault(), self.home / FILE
+        fault, path = self.fault(stored), self.home / FILE
+        since = self._lines_after(stored["line"].max()) if fault else []
         if fault:
             path.rename(path.with_name(f"{FILE}.damaged"))
         if stored.is_empty() or self._lines():
             return f"the log of cases {fault}; it begins anew, the old one is {FILE}.damaged" if fault else None
         with self._writing() as con:
+            con.executemany(_ADD, since)
             for row in stored.sort("line").iter_rows(named=True):
                 body = {k: v for k, v in row.items() if k not in _OWN and v is not None}
                 own = [row["at"].isoformat(timespec="microseconds") if c == "at" else row[c] for c in _OWN]
                 con.execute(_ADD, (*own, json.dumps(body, ensure_ascii=False, sort_keys=True, default=str)))
         what = f"{fault} ({FILE}.damaged)" if fault else "was gone"
-        return f"the log of cases {what}; {stored.height} lines are put back, those since the last night are lost"
+        end = f"and {len(since)} since the last night" if since else "those since the last night are lost"
+        return f"the log of cases {what}; {stored.height} lines are put back, {end}"
+
+    def _lines_after(self, last: object) -> list[tuple[Any, ...]]:
+        """Lines of a damaged log that no night has stored, as far as they can be read."""
+        try:
+            return [line for line in self._lines() if isinstance(last, int) and line[0] > last]
+        except (ValueError, sqlite3.DatabaseError):
+            return []
 
     def _lines(self) -> list[tuple[Any, ...]]:
         ask = f"select {', '.join(_OWN)}, body from cases order by line"

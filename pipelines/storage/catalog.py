@@ -1,19 +1,23 @@
 """The catalog as it is opened: read only, and with no way out of it but to the tables' own files."""
 
 import atexit
+import re
 import shutil
 import tempfile
-from functools import cache
+import time
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any, Self, cast
 
 import duckdb
 
-from pipelines.storage import seal
+from hdt_core.tables import TABLES
 from pipelines.storage.objects import StoreError
 from pipelines.storage.panics import message_of
 from pipelines.storage.store import URL, Store
 
 CATALOG = "catalog.duckdb"
+_TRUST_S = 3600.0
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
@@ -34,7 +38,7 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     try:
         con = open_catalog(home)
         ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
-        files = [path for (path,) in con.execute("select path from tables.files").fetchall()]
+        con.execute("select max(path) from tables.files")
     except duckdb.Error as error:
         raise StoreError(
             f"the catalog in {home} can't be read ({message_of(error)}); `hdt nightly` makes it anew"
@@ -42,16 +46,62 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     # connections of one process share one database, and who came first has locked it; each has variables of its own
     folder = _held(con) if locked else lock(con, Store(home.resolve()), made)
     con.execute(f"set variable tables_folder = {quote(folder)}")
-    _verify(con, home, files)
-    return con
+    return cast("duckdb.DuckDBPyConnection", _VerifiedCatalog(con, home))
 
 
-def _verify(con: duckdb.DuckDBPyConnection, home: Path, files: list[str]) -> None:
-    """Raise where a file that the views read is not what was written."""
-    store = Store(home.resolve())
-    if not store.remote and (lost := seal.changed(store, seal.read(store.home), files)):
-        con.close()
-        raise StoreError(f"{seal.named(lost)} missing or not what was written; `hdt nightly` makes it again")
+class _VerifiedCatalog:
+    """A connection that answers from files whose content is what was written: DuckDB looks at no checksum of Parquet.
+
+    Before a statement is run, the files of each table are read that a view it names may read: of a catalog once in a
+    process and an hour.
+    """
+
+    def __init__(self, con: duckdb.DuckDBPyConnection, home: Path) -> None:
+        self._con, self._tables = con, Store(home.resolve()).tables
+        self._sound = _sound_tables(_identity(home / CATALOG), int(time.time() / _TRUST_S))
+        sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
+        self._views = {str(name): _names(text) for name, text in sql.fetchall()}
+
+    def sql(self, query: str, **how: Any) -> duckdb.DuckDBPyRelation:
+        """Answer a select."""
+        self._verify(query)
+        return self._con.sql(query, **how)
+
+    def execute(self, query: str, *values: Any) -> duckdb.DuckDBPyConnection:
+        """Run a statement."""
+        self._verify(query)
+        return self._con.execute(query, *values)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._con, name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._con.close()
+
+    def _verify(self, query: str) -> None:
+        """Raise where a file that a statement may read is not what was written."""
+        names, more = set[str](), _names(query)
+        while more:
+            names |= more
+            more = set[str]().union(*(self._views[name] for name in more & self._views.keys())) - names
+        for table in sorted(names & TABLES.keys() - self._sound):
+            asked = "select path from tables.files where starts_with(path, $begins)"
+            for (path,) in self._con.execute(asked, {"begins": f"{table}/"}).fetchall():
+                self._tables.sound(path)
+            self._sound.add(table)
+
+
+def _names(sql: str) -> set[str]:
+    return set(re.findall(r"\w+", sql.lower()))
+
+
+@lru_cache(maxsize=4)
+def _sound_tables(_catalog: tuple[int, int] | None, _hour: int) -> set[str]:
+    """Tables of a catalog whose files this process has read within the hour."""
+    return set()
 
 
 def open_catalog(home: Path) -> duckdb.DuckDBPyConnection:
@@ -77,7 +127,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
         told = path.stat()
     except FileNotFoundError:
         return None
-    return told.st_ino, told.st_mtime_ns
+    return told.st_ino, told.st_ctime_ns
 
 
 def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:

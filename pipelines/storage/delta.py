@@ -170,10 +170,9 @@ class Deltas:
         try:
             content = self.place.get(path)
         except OSError as error:
-            raise DamageError(f"{path} can't be read ({error}); `hdt nightly` makes it again") from None
+            raise self._damage(f"{path} can't be read ({error})") from None
         if hash_of(content) != hash_in(path):
-            self.place.doubt(path)
-            raise DamageError(f"{path} is not what was written; `hdt nightly` makes it again")
+            raise self._damage(f"{path} is not what was written")
         return content
 
     def sound(self, path: str) -> str:
@@ -204,8 +203,14 @@ class Deltas:
 
     def _unreadable(self, table: str, error: Exception) -> StoreError:
         """What keeps a log from being read, in one line."""
-        said = f"the log of {table} can't be read ({message_of(error)})"
-        return StoreError(said) if self.place.remote else DamageError(said)
+        return self._damage(f"the log of {table} can't be read ({message_of(error)})")
+
+    def _damage(self, fault: str) -> StoreError:
+        """An error about what is stored; the next night reads every file. Of objects no night makes any again."""
+        if self.place.remote:
+            return StoreError(fault)
+        self.place.doubt()
+        return DamageError(f"{fault}; `hdt nightly` makes it again")
 
     def _begin(self, table: str, made: "_CommitContent") -> bool:
         """A table's first commit; False where another began it."""

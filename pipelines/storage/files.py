@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import ClassVar
 
 LOG = "_delta_log"
+_DOUBTED = ".doubted"
 
 
 @contextmanager
@@ -144,10 +145,22 @@ class Folder:
         with replacing(self.root / path) as temporary:
             temporary.write_bytes(content)
 
-    def doubt(self, path: str) -> None:
-        """Let who looks at the file next read it whole: its time is no more the one that was sealed."""
+    def doubt(self) -> None:
+        """Note that a file is not what was written, so that the next night reads all, if this process may write here.
+
+        Commands that only read call it too: of a damaged home an empty file more is no answer changed.
+        """
         with suppress(OSError):
-            os.utime(self.root / path, (0, 0))
+            (self.root / _DOUBTED).touch()
+
+    @property
+    def doubted(self) -> bool:
+        """Whether a file was not what was written when it was last read."""
+        return (self.root / _DOUBTED).exists()
+
+    def trust(self) -> None:
+        """Note that every file is what was written."""
+        (self.root / _DOUBTED).unlink(missing_ok=True)
 
     def newest_commit(self, table: str) -> tuple[str, int, int] | None:
         """Name, time and size of the newest commit of a table's log; None where there is none."""

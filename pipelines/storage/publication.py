@@ -41,19 +41,27 @@ def publish(home: Path) -> Path:
     """Bring `<home>/catalog.duckdb` up to date. A reader of the old one keeps it; nobody ever meets a lock.
 
     The views are those of the last one where that is whole and of this version; only what they read is new.
+
+    Raises
+    ------
+    DamageError
+        A file that a view reads is not what was written, and DuckDB can't open it.
     """
     store, path = Store(home.resolve()), home.resolve() / CATALOG
     goes_on = _is_as_published(path) and fault_of(home) is None
     with replacing(path) as temporary:
         if goes_on:
             shutil.copyfile(path, temporary)
-        con = duckdb.connect(str(temporary))
+        held, con = store.snapshot(), duckdb.connect(str(temporary))
         try:
             store.open_to(con)
             con.begin()  # a commit for every comment would take longer than all the rest
-            held = store.snapshot()
             refill(con, held) if goes_on else fill(con, store, held)
             con.commit()
+        except duckdb.Error:
+            for file in (file for _, files in held.values() for file in files):
+                store.tables.sound(file)  # one that is damaged says so itself
+            raise
         finally:
             con.close()
         published = hash_of(temporary.read_bytes())

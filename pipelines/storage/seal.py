@@ -6,6 +6,7 @@ logs, and which files a table was made of. Objects have no seal: an object store
 
 import json
 import os
+import zlib
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,9 @@ from pipelines.storage.files import LOG, files_below, replacing
 from pipelines.storage.store import Store
 
 NAME = "seal.json"
-_HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
+CYCLE = 30
+"""Nights in which each file is read once; a constant of `benchmarks/constants.toml`."""
+HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
 
 
 class SealedFile(NamedTuple):
@@ -42,7 +45,7 @@ def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
         return
     root, before = Path(store.root), read(store.home)
     known = before.files if before else {}
-    there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != _HINT)
+    there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
     files = {f.path.removeprefix(f"{root}/"): f.stat() for f in there}
     new = hashes(root, [name for name, told in files.items() if not _as_before(told, known.get(name))])
     entries = {n: _entry(told, known.get(n), *new[n]) if n in new else known[n] for n, told in files.items()}
@@ -66,6 +69,14 @@ def forget(store: Store, held: Seal, paths: Collection[str], logs: Collection[st
     begins = tuple(f"{table}/{LOG}/" for table in logs)
     files = {path: e for path, e in held.files.items() if path not in paths and not path.startswith(begins)}
     _write(store.home, files, held.tables)
+
+
+def in_turn(paths: Iterable[str], night: int) -> set[str]:
+    """Files that a night reads, by its number: those read longest ago, since each has one turn in a `CYCLE`.
+
+    A night that is stopped is not counted, so its turn comes again.
+    """
+    return {path for path in paths if (zlib.crc32(path.encode()) - night) % CYCLE == 0}
 
 
 def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: bool = False) -> list[str]:

@@ -1,5 +1,7 @@
 """Files of a home deleted, cut, exchanged or with a bit flipped: never a wrong answer, told, and mended by a night.
 
+A disk that rots changes a bit and keeps size and time.
+
 `HDT_SOAK_DAMAGES` sets how many; `make soak` has far more than there is time for in CI.
 """
 
@@ -18,23 +20,32 @@ from zones import drop_fleet, simulated
 
 from benchmarks.fingerprint import fingerprint
 from pipelines.cli.doctor import examine
+from pipelines.storage import seal
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.delta import DamageError
 from pipelines.storage.files import LOG
 from pipelines.storage.history import set_aside
+from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
+from pipelines.storage.publication import HASH, publish
+from pipelines.storage.store import Store
 
 DAMAGES = int(os.environ.get("HDT_SOAK_DAMAGES", "14"))
 KINDS = ("data", "log", "all files of a table", "ledger", "catalog", "history", "seal")
-WAYS = ("delete", "truncate", "swap", "flip")
+WAYS = ("delete", "truncate", "swap", "flip", "rot")
 SILENT = ("catalog", "history")
 """A bit of these may flip where nothing is read: DuckDB and SQLite leave room."""
 
 
 @dataclass(frozen=True)
 class Whole:
-    """Two aircraft of four flights, a home after two nights over them, and what it answers. Read only."""
+    """Two aircraft of four flights, a home after two nights over them, and what it answers. Read only.
+
+    `later` is the landing zone with a fifth flight of each.
+    """
 
     landing: Path
+    later: Path
     home: Path
     stored: dict[str, str]
     answers: dict[str, int]
@@ -44,16 +55,19 @@ class Whole:
 def whole(children, tmp_path_factory) -> Whole:
     root = tmp_path_factory.mktemp("whole")
     landing, home = root / "landing", children.home(root / "home")
-    zones = [simulated(seed, 4, operator="QQX", tail=tail) for seed, tail in ((5, "Z9"), (6, "Z8"))]
+    zones = [simulated(seed, 5, operator="QQX", tail=tail) for seed, tail in ((5, "Z9"), (6, "Z8"))]
     drop_fleet(landing, zones)
     for zone in zones:
         zone.only(zone.flights[:3]).drop_csv(landing)
         zone.drop_papers(landing)
     assert children.night(landing, home) == (0, "")
     for zone in zones:
-        zone.only(zone.flights[3:]).drop_csv(landing)
+        zone.only(zone.flights[3:4]).drop_csv(landing)
     assert children.night(landing, home) == (0, "")
-    return Whole(landing, home, fingerprint(home), answers(home))
+    later = Path(shutil.copytree(landing, root / "later", copy_function=shutil.copy2))
+    for zone in zones:
+        zone.only(zone.flights[4:]).drop_csv(later)
+    return Whole(landing, later, home, fingerprint(home), answers(home))
 
 
 def answers(home: Path) -> dict[str, int]:
@@ -98,10 +112,18 @@ def damage(chance: random.Random, home: Path, kind: str) -> tuple[str, str, str]
         file.write_bytes(two)
         other.write_bytes(one)
     else:
-        way, content = "flip", bytearray(file.read_bytes())
-        content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
-        file.write_bytes(content)
+        way = "rot" if way == "rot" else "flip"
+        flip(file, chance.randrange(file.stat().st_size), 1 << chance.randrange(8), as_disks_do=way == "rot")
     return kind, way, str(file.relative_to(home))
+
+
+def flip(file: Path, at: int, bits: int = 1, *, as_disks_do: bool = True) -> None:
+    """Change bits of a byte; disks keep the time."""
+    before, content = file.stat(), bytearray(file.read_bytes())
+    content[at] ^= bits
+    file.write_bytes(content)
+    if as_disks_do:
+        os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 def asked(home: Path) -> dict[str, int] | str:
@@ -148,3 +170,82 @@ def test_the_next_night_repairs_it(whole, children, tmp_path, first):
         assert children.night(whole.landing, home) == (0, ""), done
         assert all(check.well for check in examine(None, home)), done
         shutil.rmtree(home)
+
+
+def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
+    """A copy of the home with a bit flipped in the middle of a file of each table; these files."""
+    shutil.copytree(whole.home, home)
+    files = [home / Store(home).tables.sources(table, ["QQX/Z8"])[-1] for table in tables]
+    for file in files:
+        flip(file, file.stat().st_size // 3)
+    return files
+
+
+def test_what_the_doctor_finds_the_next_night_makes_again(whole, children, tmp_path):
+    home = tmp_path / "home"
+    rotten(whole, home, "features")
+    (said,) = [check.says for check in examine(None, home) if not check.well]
+    assert said.startswith("features/QQX/Z8/")
+    assert said.endswith("`hdt nightly` makes it again")
+    ended, told = children.night(whole.landing, home)
+    assert (ended, told) == (0, "1 of 3 files of features were missing or changed: made again")
+    assert fingerprint(home) == whole.stored
+    assert answers(home) == whole.answers
+    assert children.night(whole.landing, home) == (0, "")
+
+
+def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
+    home = tmp_path / "home"
+    (file,) = rotten(whole, home, "features")
+    name, ledger = str(file.relative_to(home / "tables")), Ledger(home)
+    while not seal.in_turn([name], ledger.nights().height + 1):
+        ledger.note_night(ledger.nights().row(-1))
+    assert children.night(whole.landing, home) == (0, "")
+    ended, told = children.night(whole.landing, home)
+    assert (ended, told) == (0, "1 of 3 files of features were missing or changed: made again")
+    assert fingerprint(home) == whole.stored
+
+
+def test_each_file_has_its_turn_once_in_a_cycle():
+    names = [f"features/QQX/Z{n}/all.parquet" for n in range(1000)]
+    turns = [seal.in_turn(names, night) for night in range(7, 7 + seal.CYCLE)]
+    assert sorted(name for turn in turns for name in turn) == names == sorted(set().union(*turns))
+    assert max(map(len, turns)) < 3 * len(names) / seal.CYCLE
+
+
+def test_a_night_that_meets_it_mends_it_and_goes_on(whole, children, tmp_path):
+    """Of a raw table, of one whose rows others are made of, and of one that is made last."""
+    clean, home = Path(shutil.copytree(whole.home, tmp_path / "clean")), tmp_path / "home"
+    rotten(whole, home, "raw_snapshots", "twin_health", "features_margin")
+    (home / "tables/raw_flights" / LOG / "_last_checkpoint").write_text('{"version": 7, "size": 3}')  # was 1
+    assert children.night(whole.later, clean) == (0, "")
+    ended, told = children.night(whole.later, home)
+    assert ended == 0, told
+    for table in ("raw_snapshots", "twin_health", "features_margin"):
+        assert f"of {table} were missing or changed: made again" in told
+    assert fingerprint(home) == fingerprint(clean)
+    assert answers(home) == answers(clean)
+
+
+def test_no_answer_is_given_from_a_rotten_file(whole, tmp_path):
+    home = tmp_path / "home"
+    rotten(whole, home, "features")
+    with connect(home) as con:
+        assert con.sql("select count(*) from flights").fetchall() == [(8,)]
+        for asked in (
+            "select * from features",
+            "from (select * from routes)",
+            'select count(*) from tables."features"',
+        ):
+            with pytest.raises(StoreError, match="is not what was written; `hdt nightly` makes it again"):
+                con.execute(asked)
+
+
+def test_a_file_that_the_catalog_cant_open_is_named(whole, tmp_path):
+    home = tmp_path / "home"
+    (file,) = rotten(whole, home, "raw_flights")
+    flip(file, file.stat().st_size - 6)  # of the length of its footer
+    (home / HASH).unlink()
+    with pytest.raises(DamageError, match=r"raw_flights/QQX/Z8/.* is not what was written"):
+        publish(home)
+    assert Store(home).place.doubted

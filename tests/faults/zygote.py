@@ -49,8 +49,7 @@ def work(asked: dict) -> None:
     only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
     nightly.STAGES = stages_of(0, asked.get("steps"))
     with nightly.holding(home):
-        night = nightly.run_night(landing, home, Silent(), only)
-        publish(home)
+        night, _ = nightly.complete_night(landing, home, Silent(), only)
     os.write(2, "\n".join(night.mended).encode())
     if night.failed:
         sys.exit(f"failed: {night.failed}")

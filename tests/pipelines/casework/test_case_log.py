@@ -75,6 +75,20 @@ def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damag
     assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
 
 
+def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
+    log = CaseLog(tmp_path, "")
+    log.append(CaseEntry(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"}))
+    stored = log.entries()
+    log.append(CaseEntry(ALERT, "watch", "Cy"))
+    content = (tmp_path / FILE).read_bytes()
+    (tmp_path / FILE).write_bytes(content.replace(b"2030-01-01", b"2034-01-01"))
+    assert log.fault(stored) == "holds a line that is not what was written"
+    assert "1 lines are put back, and 1 since the last night" in log.mend(stored)
+    assert log.fault(stored) is None
+    assert log.entries()["person"].to_list() == ["Bo", "Cy"]
+    assert log.entries().head(1).equals(stored)
+
+
 @pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
 def test_a_database_keeps_it_for_several_machines():
     with new_database() as url:
