@@ -36,7 +36,6 @@ ORDER = (
     "doctor",
     "docs",
     "tidy",
-    "convert",
     "benchmark",
 )
 

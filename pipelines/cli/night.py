@@ -142,24 +142,6 @@ def tidy(
     out.print(f"{runs} runs forgotten")
 
 
-@app.command()
-def convert(home: HomeDir = None) -> None:
-    """Take over a home of a version before Delta Lake.
-
-    Nothing is made again. It may be stopped and started again; the next night goes on from there.
-    """
-    from pipelines.orchestration.nightly import holding
-    from pipelines.storage.earlier import convert as take_over
-    from pipelines.storage.publication import publish
-    from pipelines.storage.store import Store
-
-    where = home_folder(home)
-    with holding(where):
-        taken = take_over(Store(where.resolve()))
-        publish(where)
-    out.print(f"{sum(taken.values())} files of {len(taken)} tables taken over")
-
-
 def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
     from pipelines.intake.scan import unseen
     from pipelines.storage.ledger import Ledger

@@ -20,11 +20,10 @@ from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
-from pipelines.storage import earlier, history, ledger_copy, postgres
+from pipelines.storage import history, ledger_copy, postgres
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import fault_of, publish
 from pipelines.storage.settings import accepted_terms, notify_file, retention
 from pipelines.storage.store import Store
@@ -177,8 +176,6 @@ def run_night(
         Processes that may work side by side, where there is enough to do; 1 `within` a run.
     """
     ledger, store, began = Ledger(home), Store(home), _now()
-    if fault := earlier.fault_of(store):
-        raise StoreError(fault)
     check_settings(home)
     with workers(landing, home, 1 if within else jobs) as hands:
         chain = _Chain(landing, home, ledger, progress, only, within, hands)

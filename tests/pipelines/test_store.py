@@ -1,17 +1,13 @@
 """What a store promises, whoever keeps the shards: a merge touches its flights alone, a reader sees all or nothing."""
 
-import io
-import json
 import shutil
 import threading
 from datetime import UTC, datetime
-from pathlib import Path
 
 import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.storage import earlier
 from pipelines.storage.delta import Deltas
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
@@ -204,49 +200,3 @@ def test_leftovers_of_a_killed_writer_are_swept_and_never_read(tmp_path):
     assert store.read("raw_flights").height == 1
     assert store.sweep() == 1
     assert not left.exists()
-
-
-def as_before(store: Store) -> None:
-    """Turn a table into what an earlier version wrote: one file a shard, and no log."""
-    for shard, file in store.tables.shards("raw_flights").items():
-        path = store.place.root / "raw_flights" / file
-        path.rename(path.parents[0] / f"{shard.rpartition('/')[2]}.parquet")
-        (path.parent / ".lock").touch()
-    shutil.rmtree(store.place.root / "raw_flights/_delta_log")
-
-
-def test_tables_of_an_earlier_version_are_taken_over_also_after_a_kill(tmp_path, monkeypatch):
-    store, both = Store(tmp_path), [AIRCRAFT, ("BZR", "LX-AAA")]
-    for operator, _ in both:
-        rows = flights(MAY, JUNE).with_columns(operator=pl.lit(operator))
-        store.merge("raw_flights", {(operator, "LX-AAA"): [MAY, JUNE]}, rows)
-    before, files = store.read("raw_flights"), store.tables.shards("raw_flights")
-    as_before(store)
-    assert "`hdt convert" in str(earlier.fault_of(store))
-    unlink = Path.unlink
-
-    def killed(path: Path, missing_ok: bool = False) -> None:
-        if "BZR" in path.parts and not path.name.startswith("."):
-            raise RuntimeError("killed")
-        unlink(path, missing_ok)
-
-    monkeypatch.setattr(Path, "unlink", killed)
-    with pytest.raises(RuntimeError, match="killed"):
-        earlier.convert(store)
-    monkeypatch.undo()
-    assert "`hdt convert" in str(earlier.fault_of(store))
-    assert earlier.convert(store) == {"raw_flights": 2}
-    assert earlier.fault_of(store) is None
-    assert store.read("raw_flights").equals(before)
-    assert store.tables.shards("raw_flights") == files
-    assert not list(tmp_path.rglob(".lock"))
-
-
-def test_objects_of_an_earlier_version_are_taken_over(s3_url, tmp_path):
-    store, packed = Store(tmp_path, s3_url), io.BytesIO()
-    flights(MAY).write_parquet(packed)
-    store.place.put("data/raw_flights/AQX/LX-AAA/2024-05.0.parquet", packed.getvalue())
-    named = json.dumps({"2024-05": "data/raw_flights/AQX/LX-AAA/2024-05.0.parquet"})
-    store.place.put("manifests/raw_flights/AQX/LX-AAA/manifest.json", named.encode())
-    assert earlier.convert(store) == {"raw_flights": 1}
-    assert held(store) == {MAY: 1}
