@@ -17,7 +17,7 @@ from pipelines.storage.store import Store
 
 NAME = "seal.json"
 CYCLE = 30
-"""Nights in which each file is read once; a constant of `benchmarks/constants.toml`."""
+"""Nights in which each file is read once: as long as what a night replaced stays by default."""
 HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
 
 

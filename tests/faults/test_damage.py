@@ -207,9 +207,9 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
 
 
 def test_each_file_has_its_turn_once_in_a_cycle():
-    names = [f"features/QQX/Z{n}/all.parquet" for n in range(1000)]
+    names = [f"features/QQX/Z{n:03}/all.parquet" for n in range(1000)]
     turns = [seal.in_turn(names, night) for night in range(7, 7 + seal.CYCLE)]
-    assert sorted(name for turn in turns for name in turn) == names == sorted(set().union(*turns))
+    assert sorted(name for turn in turns for name in turn) == names
     assert max(map(len, turns)) < 3 * len(names) / seal.CYCLE
 
 
