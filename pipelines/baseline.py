@@ -25,7 +25,7 @@ def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
     on = next(pl.col(c).cast(pl.Date) for c in ("message_time", "reported_at", "done_on") if c in records.columns)
     day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
     last = cells.group_by("operator", "tail").agg(day)
-    return records.join(last, on=["operator", "tail"]).filter(on <= pl.col("last_day")).drop("last_day")
+    return records.join(last, on=["operator", "tail"], validate="m:1").filter(on <= pl.col("last_day")).drop("last_day")
 
 
 def baseline_inputs(ledger: Ledger) -> list[str]:

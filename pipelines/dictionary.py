@@ -58,9 +58,8 @@ def _views() -> list[str]:
 def _tables() -> list[str]:
     parts = []
     for name, entry in TABLES.items():
-        opened = " Open." if entry.open else ""
         grain = {"flight": "a flight of an aircraft", "aircraft": "an aircraft", "fleet": "the fleet"}[entry.grain]
-        parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()} Computed by {grain}.{opened}\n")
+        parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()} Computed by {grain}.\n")
         rows = [
             (f"`{column}`", str(c.dtype).lower(), _span(c), "yes" if c.nullable else "no", declared(c))
             for column, c in entry.schema.columns().items()

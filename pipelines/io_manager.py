@@ -38,7 +38,7 @@ class FrameIO(dg.IOManager):
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
-            self.store.replace(table, scope.aircraft or [FLEET], frame.sort(TABLES[table].key))
+            self.store.replace(table, scope.aircraft or [FLEET], frame)
         cells = self._due_cells(table, scope)
         self.ledger.mark(table, cells)
         return cells

@@ -90,6 +90,8 @@ class PartitionScope:
         if self.aircraft is None or TABLES[table].grain == "fleet":
             return store.read(table)
         flights = [f for asked in self.aircraft.values() for f in asked]
-        if flights and "flight_id" in TABLES[table].schema.columns() and TABLES[table].grain == "flight":
-            return store.scan(table, self.aircraft, flights).filter(pl.col("flight_id").is_in(flights)).collect()
-        return store.read(table, self.aircraft)
+        if not flights or TABLES[table].grain != "flight":
+            return store.read(table, self.aircraft)
+        rows = store.scan(table, self.aircraft, flights).filter(pl.col("flight_id").is_in(flights)).collect()
+        # two operators may fly one registration on one day, and only one of the flights be asked for
+        return rows.join(self.cells(), on=CELL, how="semi", maintain_order="left")

@@ -7,6 +7,7 @@ clock, so late, repeated and out-of-order deliveries end where a clean delivery 
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 
 import polars as pl
 
@@ -43,7 +44,7 @@ def _expected(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -
     first, *others = (parents[parent] for parent in recipe.parents)
     for other in others:
         on = [c for c in CELL if c in other.columns]
-        first = first.join(other, on=on, how="left") if on else first.join(other, how="cross")
+        first = first.join(other, on=on, how="left", validate="m:1") if on else first.join(other, how="cross")
     terms = accepted_terms(ledger.home) if recipe.terms else ()
     return _hashed(first, " ".join((recipe.code, *terms)))
 
@@ -59,11 +60,16 @@ def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:
 
 
 def made_as(ledger: Ledger, stages: Sequence[Stage]) -> str:
-    """How cells are made now: stages, accepted terms, and the fleet's tables that finer ones are made from."""
+    """How cells are made now: stages, declared types, accepted terms, and the fleet's tables that finer ones follow."""
     parents = {p for stage in stages if stage.grain != "fleet" for p in stage.parents if TABLES[p].grain == "fleet"}
     fleet = ledger.of(())
     versions = (v for table in sorted(parents) for v in fleet.done(table)["version"])
-    return digest(repr(stages), *accepted_terms(ledger.home), *versions)
+    return digest(repr(stages), _declared_types(), *accepted_terms(ledger.home), *versions)
+
+
+@cache
+def _declared_types() -> str:
+    return repr([(name, c.dtype) for entry in TABLES.values() for name, c in entry.schema.columns().items()])
 
 
 def narrowed(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], flights: Iterable[str]) -> Ledger:

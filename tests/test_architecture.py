@@ -5,7 +5,7 @@ import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -112,3 +112,37 @@ def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
     assert told == used
     others = {str(p): private(p) for name in ("pipelines", "hdt_core") for p in (root / name).rglob("*.py")}
     assert {p: n for p, n in others.items() if n} == {}
+
+
+MANY_TO_MANY = {
+    "hdt_core/alerts/case_closure.py": "an entry of the log meets every unit that its pack has had",
+    "hdt_core/prognosis/unit_lives.py": "a life meets every message of its pack, a message every sound inspection",
+    "hdt_core/records/renewals.py": "an entry of the log meets every flight of its pack",
+    "pipelines/intake/findings.py": "a finding meets every entry of the log about the same work",
+    "pipelines/intake/merge.py": "a row meets what every other file says of its key",
+}
+"""Where a join makes more rows than it was given, and why; what is not wanted is filtered out at once."""
+
+
+def test_a_join_that_must_not_multiply_rows_says_so():
+    """Polars fails at once where rows do not match as declared; a doubled key once took 18 GB of memory."""
+    many, top = set(), Path(hdt_core.__file__).parents[1]
+    for path in (p for room in ("hdt_core", "pipelines", "dagster_batched") for p in (top / room).rglob("*.py")):
+        for where, how in joins(ast.parse(path.read_text(encoding="utf-8"))):
+            assert how in ("m:1", "1:1", "m:m"), f"{path.relative_to(top)}:{where} declares no cardinality"
+            many |= {str(path.relative_to(top))} if how == "m:m" else set()
+    assert many == set(MANY_TO_MANY)
+
+
+def joins(tree: ast.AST) -> Iterator[tuple[int, str | None]]:
+    """Line and declared cardinality of each join of frames that can multiply rows; one of texts has one argument."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "join":
+            given = {k.arg: k.value.value if isinstance(k.value, ast.Constant) else None for k in node.keywords}
+            if "on" in given and given.get("how") not in ("semi", "anti", "cross"):
+                yield node.lineno, given.get("validate")
+
+
+def test_a_join_without_its_cardinality_would_be_found():
+    text = "a.join(b, on='k')\na.join(b, on='k', how='semi')\n', '.join(c)\na.join(b, on='k', validate='m:1')"
+    assert list(joins(ast.parse(text))) == [(1, None), (4, "m:1")]

@@ -122,7 +122,7 @@ def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.D
         if name not in wide.columns and health_parameters.height:
             one = health_parameters.filter(pl.col("parameter") == name).unique(LEG, keep="last")
             both = pl.col("value").alias(name), pl.col("sd").alias(f"{name}_sd")
-            wide = wide.join(one.select(*LEG, *both), on=LEG, how="left")
+            wide = wide.join(one.select(*LEG, *both), on=LEG, how="left", validate="m:1")
     return wide
 
 

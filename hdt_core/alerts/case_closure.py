@@ -78,7 +78,7 @@ def _unflown(grid: Grid, entries: pl.DataFrame, component: str, actions: tuple[s
         .group_by(*PACK, "unit")
         .agg(pl.col("departed_at").max())
     )
-    found = select_entries(entries, (component,), actions).join(last, on=PACK)
+    found = select_entries(entries, (component,), actions).join(last, on=PACK, validate="m:m")
     later = (
         found.filter(pl.col("counts_from") > pl.col("departed_at")).group_by("unit").agg(pl.col("counts_from").min())
     )

@@ -47,7 +47,9 @@ class Grid:
         flights = int(np.asarray(place["flight"].max() or 0)) + 1 if rows.height else 0
         where = rows.select("operator", "tail", "flight_id", "pack").with_columns(place)
         other = where.with_columns(pack=3 - pl.col("pack"))
-        pairs = where.join(other, on=["operator", "tail", "flight_id", "pack"], how="inner", suffix="_other")
+        pairs = where.join(
+            other, on=["operator", "tail", "flight_id", "pack"], how="inner", suffix="_other", validate="m:1"
+        )
         beside = tuple(pairs[c].to_numpy() for c in ("unit", "flight", "unit_other", "flight_other"))
         return cls(units, rows, place["unit"].to_numpy(), place["flight"].to_numpy(), (units.height, flights), beside)
 

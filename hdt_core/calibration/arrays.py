@@ -101,7 +101,7 @@ def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
     points = usable.group_by(*FLIGHT_PACK, level).agg(
         pl.col(list(RECORDED)).median(), pl.len().cast(pl.Float64).alias("n_samples")
     )
-    return points.join(flights, on=FLIGHT_PACK).sort(*PACK, "order", "level")
+    return points.join(flights, on=FLIGHT_PACK, validate="m:1").sort(*PACK, "order", "level")
 
 
 def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
@@ -112,7 +112,9 @@ def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
     ValueError
         A row belongs to a pack that `packs` does not hold.
     """
-    numbered = frame.join(packs.with_row_index("pack_index"), on=PACK, how="left", maintain_order="left")
+    numbered = frame.join(
+        packs.with_row_index("pack_index"), on=PACK, how="left", maintain_order="left", validate="m:1"
+    )
     if numbered["pack_index"].null_count():
         raise ValueError("points of a pack that the list of packs does not hold")
     signals = {name: numbered[name].to_numpy().astype(float) for name in (*SIGNALS, "ram_out_k")}

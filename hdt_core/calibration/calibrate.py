@@ -84,8 +84,8 @@ def _without_levels(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, 
     usable = np.isfinite(slopes).all(axis=1)
     anchor = slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES))
     counts = base.group_by(PACK).agg(pl.len())
-    rows = packs.join(counts, on=PACK, how="left", maintain_order="left").join(
-        corrections, on=PACK, maintain_order="left"
+    rows = packs.join(counts, on=PACK, how="left", maintain_order="left", validate="m:1").join(
+        corrections, on=PACK, maintain_order="left", validate="m:1"
     )
     designs = tuple(
         SensorBiases(
@@ -168,5 +168,5 @@ def _admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     if "admitted" not in legs.columns or not legs.height:
         return base
     verdicts = legs.select(*FLIGHT_PACK, "admitted").unique(FLIGHT_PACK)
-    judged = base.join(verdicts, on=FLIGHT_PACK, how="left")
+    judged = base.join(verdicts, on=FLIGHT_PACK, how="left", validate="m:1")
     return judged.filter(pl.col("admitted").fill_null(True))

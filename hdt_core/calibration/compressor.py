@@ -44,8 +44,8 @@ def probe_corrections(cruise: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame
         ((pl.col("above_k") - pl.col("above_k").median()) * SHARE_K).alias("inlet_bias_k"),
         ((pl.col("ln_ratio") - pl.col("ln_ratio").median()) * SHARE_LN).alias("inlet_bias_ln"),
     )
-    joined = packs.join(beyond, on=PACK, how="left", maintain_order="left")
-    joined = joined.join(_exit_pressure_bias(cruise), on=PACK, how="left", maintain_order="left")
+    joined = packs.join(beyond, on=PACK, how="left", maintain_order="left", validate="m:1")
+    joined = joined.join(_exit_pressure_bias(cruise), on=PACK, how="left", maintain_order="left", validate="m:1")
     return joined.select(*PACK, pl.col(CORRECTIONS).fill_nan(0.0).fill_null(0.0))
 
 
@@ -75,7 +75,7 @@ def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.Da
     """Cruise samples with `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and the inlet they stand
     on, `inlet_k` and `inlet_pa`; null where not recorded."""
     ordered = cruise.sort(*FLIGHT_PACK, "time_utc")
-    rows = _steadied(ordered).join(corrections, on=PACK, how="left", maintain_order="left")
+    rows = _steadied(ordered).join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
     s = {
         c: rows[c].to_numpy().astype(float)
         for c in ("cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_speed_rad_s", "cc_flow_kg_s")

@@ -126,7 +126,7 @@ class Dsm:
     def bias_of(self, frame: pl.DataFrame) -> Array:
         """Sensor biases of each row's pack, 0 for a pack the model has not met. (6, n)"""
         columns = [f"bias_{name}" for name in hx.BIASES]
-        rows = frame.select(PACK).join(self.pack_table(), on=PACK, how="left", maintain_order="left")
+        rows = frame.select(PACK).join(self.pack_table(), on=PACK, how="left", maintain_order="left", validate="m:1")
         return rows.select(pl.col(columns).fill_null(0.0)).to_numpy().T
 
 

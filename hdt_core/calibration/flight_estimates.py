@@ -58,9 +58,9 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     witnesses = _witnesses(samples, cruise, exchanger, dsm)
     flying = cruise_samples(samples, monitored=False)
     machine = compressor_flights(compressor_samples(flying, dsm.pack_table()))
-    joined = flights.join(exchanger, on=FLIGHT_PACK, how="left")
+    joined = flights.join(exchanger, on=FLIGHT_PACK, how="left", validate="m:1")
     for more in (witnesses, machine):
-        joined = joined.join(more, on=FLIGHT_PACK, how="left")
+        joined = joined.join(more, on=FLIGHT_PACK, how="left", validate="m:1")
     joined = finite(joined)
     odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
     odd &= pl.col("ln_ua_ratio").is_not_null()
@@ -102,7 +102,10 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         pl.Series("effectiveness", (clean["hx_in_k"] - clean["hx_out_k"]) / (clean["hx_in_k"] - clean["tat_k"])),
     ).filter(pl.col("ratio").is_finite())
     located = _located(found, "ratio", "ln_ua_ratio").join(
-        _located(found.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"), on=FLIGHT_PACK, how="left"
+        _located(found.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"),
+        on=FLIGHT_PACK,
+        how="left",
+        validate="m:1",
     )
     medians = found.group_by(FLIGHT_PACK).agg(
         pl.col(MEDIANS).median(),
@@ -111,7 +114,7 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     joined = (
         located.rename({"n": "n_samples"})
         .drop("n_right", strict=False)
-        .join(_sensitivities(medians, dsm), on=FLIGHT_PACK)
+        .join(_sensitivities(medians, dsm), on=FLIGHT_PACK, validate="m:1")
     )
     expected = pl.col("ln_expected").exp()
     return joined.with_columns(
@@ -131,7 +134,7 @@ def _witnesses(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFr
         _door_apart(samples, exchanger, dsm),
     )
     for other in others:
-        seen = seen.join(other, on=FLIGHT_PACK, how="left")
+        seen = seen.join(other, on=FLIGHT_PACK, how="left", validate="m:1")
     return seen
 
 
@@ -151,7 +154,7 @@ def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.
         ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
     there = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
     found = there.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
-    both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK)
+    both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK, validate="m:1")
     return both.select(*FLIGHT_PACK, (pl.col("ratio") - pl.col("ln_ua_ratio")).alias("door_apart_ln"))
 
 

@@ -28,7 +28,7 @@ def sensor_prior(cruise: pl.DataFrame, packs: pl.DataFrame) -> tuple[Array, Arra
         (pl.col("pack_flow_kg_s") / pl.col("cc_flow_kg_s")).log().median().alias("ln_flows"),
         (pl.col("tat_k") - pl.col("cc_in_k")).median().alias("apart_k"),
     )
-    rows = packs.join(seen, on=PACK, how="left", maintain_order="left").with_columns(
+    rows = packs.join(seen, on=PACK, how="left", maintain_order="left", validate="m:1").with_columns(
         # TAT is one probe an aircraft: its packs' inlets vote together
         apart_k=pl.col("apart_k").mean().over("operator", "tail"),
         votes=pl.col("apart_k").count().over("operator", "tail"),

@@ -42,7 +42,7 @@ def learn_baseline(
     numbered = number_flights(legs.drop("flight_number", strict=False))
     laws = NominalBaseline(learn_manifold(samples, numbered), learn_outlet_law(samples))
     signs = leg_indicators(samples, laws)
-    laws = replace(laws, level=learn_level(numbered.join(signs, on=LEG_KEY, how="left"), maintenance))
+    laws = replace(laws, level=learn_level(numbered.join(signs, on=LEG_KEY, how="left", validate="m:1"), maintenance))
     passed = _residuals(_judged(numbered, signs, maintenance, messages, laws, None))
     return replace(laws, scatter=learn_scatter(passed, [c for c in passed.columns if c.endswith("_off")]))
 
@@ -90,7 +90,9 @@ def admit_by(
     """
     numbered = number_flights(legs.drop("flight_number", strict=False))
     if twin_flights is not None:
-        signs = signs.join(twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left")
+        signs = signs.join(
+            twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
+        )
     known = _judged(numbered, signs, maintenance, messages, baseline, health_parameters)
     return _without_outliers(known, baseline.scatter).select(legs.columns)
 
@@ -104,12 +106,16 @@ def _judged(
     health_parameters: pl.DataFrame | None,
 ) -> pl.DataFrame:
     """Every rule but the last."""
-    levels = numbered.join(signs.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left")
+    levels = numbered.join(
+        signs.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left", validate="m:1"
+    )
     known = flag_windows(numbered, maintenance, messages)
     checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in signs.columns)
     checked = check_sensors(signs.select(*LEG_KEY, *checks), numbered)
     for part in (checked, judge_conductance(levels, maintenance, baseline.level), _wear(health_parameters)):
-        known = known.join(part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left")
+        known = known.join(
+            part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left", validate="m:1"
+        )
     return _give_reasons(known)
 
 
@@ -121,7 +127,7 @@ def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
     limits = pl.DataFrame(
         {"parameter": list(LOSSES), "code": [c for c, _ in LOSSES.values()], "limit": [v for _, v in LOSSES.values()]}
     )
-    judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter")
+    judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter", validate="m:1")
     # the chance that a leg's loss is above the limit must be below 5 %: at 1 % a young pack, whose loss is not yet
     # known well, would hardly ever be nominal
     over = pl.col("value") + Z_90 * pl.col("sd").fill_null(0.0) > pl.col("limit")
@@ -156,7 +162,7 @@ def _without_outliers(known: pl.DataFrame, scatter: Scatter | None) -> pl.DataFr
     """The last screen, among legs that passed all others: a leg's deviations together, against the fleet's."""
     passed = _residuals(known)
     found = passed.select(LEG_KEY).with_columns(scatter.outlying(passed) if scatter else pl.lit(False).alias("outlier"))
-    joined = known.join(found, on=LEG_KEY, how="left", maintain_order="left")
+    joined = known.join(found, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
     reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
     final = joined.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
     return final.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))

@@ -48,7 +48,7 @@ def turn_away_odd_bleed(legs: pl.DataFrame, reports: pl.DataFrame) -> pl.DataFra
     turned = pl.col("_odd").fill_null(False) & (pl.col("reason") == "")
     follows = {"admitted": pl.lit(False), "n_nominal": pl.lit(0, pl.Int64)}
     changed = {"reason": pl.lit(BLEED), **{c: e for c, e in follows.items() if c in legs.columns}}
-    joined = legs.join(hits, on=_FLIGHT, how="left", maintain_order="left")
+    joined = legs.join(hits, on=_FLIGHT, how="left", maintain_order="left", validate="m:1")
     return joined.with_columns(pl.when(turned).then(e).otherwise(pl.col(c)).alias(c) for c, e in changed.items()).drop(
         "_odd"
     )

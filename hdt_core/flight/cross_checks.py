@@ -95,7 +95,7 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     where the running median left its usual scatter until it came back.
     """
     absent = (pl.lit(None, pl.Float64).alias(c) for c in CHECKS if c not in values.columns)
-    numbered = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    numbered = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, validate="m:1")
     tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
     off = numbered.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
     smooth = off.with_columns(
@@ -173,7 +173,7 @@ def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
         *(pl.col(c).alias(f"other_{c}") for c in ("hx_out_k", "ram_door_open", "pack_flow_kg_s")),
     )
     known = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
-    paired = known.join(other, on=[*shared, "pack"], how="left")
+    paired = known.join(other, on=[*shared, "pack"], how="left", validate="m:1")
     free = pl.col("ram_door_open").is_between(*DOOR_FREE)
     both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
     cruise = pl.col("phase") == "cruise"

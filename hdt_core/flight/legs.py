@@ -53,7 +53,9 @@ def judge_legs(
     """
     samples = prepare_samples(snapshots)
     legs = _give_reasons(flag_windows(number_flights(_summarise(samples)), maintenance, messages))
-    judged = samples.join(legs.select(*LEG_KEY, "admitted"), on=LEG_KEY, how="left", maintain_order="left")
+    judged = samples.join(
+        legs.select(*LEG_KEY, "admitted"), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
+    )
     return legs, judged.with_columns(
         (pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")).alias("nominal")
     ).drop("admitted")

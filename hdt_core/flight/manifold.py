@@ -65,7 +65,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     .. [1] P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
     """
     numbers = legs.select(*LEG_KEY, "flight_number")
-    usable = _usable(samples, *LEG_KEY).join(numbers, on=LEG_KEY, how="left", maintain_order="left")
+    usable = _usable(samples, *LEG_KEY).join(numbers, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
     if usable.height <= 10 * len(TERMS):
         return None
     x, slopes = usable.select(TERMS).to_numpy(), _slopes(usable)
@@ -91,7 +91,7 @@ def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> p
     numbered = samples.with_row_index("_row")
     found = _usable(numbered, "_row").select("_row", index.alias("conductance_index"))
     # only the numbers of the rows are joined: the samples are as wide as the night's memory allows
-    aligned = numbered.select("_row").join(found, on="_row", how="left", maintain_order="left")
+    aligned = numbered.select("_row").join(found, on="_row", how="left", maintain_order="left", validate="m:1")
     return samples.with_columns(aligned["conductance_index"])
 
 

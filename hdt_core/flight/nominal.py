@@ -73,7 +73,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     """
     smooth = _smooth(levels, maintenance)
     floor = pl.lit(None if fleet.clean is None else fleet.clean - 2.0 * UNIT_SD, pl.Float64)
-    away = smooth.join(_clean(smooth), on=_UNIT, how="left").with_columns(
+    away = smooth.join(_clean(smooth), on=_UNIT, how="left", validate="m:1").with_columns(
         (pl.max_horizontal("clean", floor) - pl.col("smooth")).alias("drop")
     )
     flags = {

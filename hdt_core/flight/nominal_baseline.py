@@ -41,7 +41,9 @@ def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataF
 
     def found(own: pl.DataFrame) -> pl.DataFrame:
         checks = leg_checks(own, baseline.outlet)
-        return checks.join(leg_conductance(own, baseline.manifold), on=LEG_KEY, how="full", coalesce=True)
+        return checks.join(
+            leg_conductance(own, baseline.manifold), on=LEG_KEY, how="full", coalesce=True, validate="m:1"
+        )
 
     return finite(of_each_aircraft(samples, found)).sort(LEG_KEY)
 

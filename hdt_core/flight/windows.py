@@ -85,7 +85,7 @@ def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int,
         schema={"kind": pl.String, "_before": pl.Int64, "_after": pl.Int64},
     )
     flights = legs.select(*TAIL_KEY, "departed_at", "flight_number").unique().sort("departed_at")
-    known = entries.join(spans, on="kind").sort("at")
+    known = entries.join(spans, on="kind", validate="m:1").sort("at")
     # the last flight that left before the entry; one made while the aircraft did not fly concerns no flight
     placed = known.join_asof(
         flights,
@@ -99,5 +99,5 @@ def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int,
     span = pl.int_ranges(last - pl.col("_before"), last + pl.col("_after") + 1).alias("flight_number")
     reached = placed.select(*TAIL_KEY, "pack", span).explode("flight_number").unique()
     hits = reached.with_columns(pl.lit(True).alias(name))
-    joined = legs.join(hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left")
+    joined = legs.join(hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left", validate="m:1")
     return joined.with_columns(pl.col(name).fill_null(False))

@@ -69,19 +69,19 @@ def features(
         and departure.
     """
     base = _flights(legs, health_parameters)
-    wide = base.join(_health(health_parameters, health), on=LEG, how="left").join(
-        _residual_means(residuals), on=LEG, how="left"
+    wide = base.join(_health(health_parameters, health), on=LEG, how="left", validate="m:1").join(
+        _residual_means(residuals), on=LEG, how="left", validate="m:1"
     )
     wide = _join_new(wide, None if twin_flights is None else virtual_sensors(twin_flights))
     wide = _join_new(wide, witnesses)
     components = list(dict.fromkeys(_component(name) for name in health))
     wide = since_maintenance(wide, maintenance, components)
     if margin is not None and twin_flights is not None:
-        wide = wide.join(_margins(wide, twin_flights, margin), on=LEG, how="left")
+        wide = wide.join(_margins(wide, twin_flights, margin), on=LEG, how="left", validate="m:1")
     trends = [e for name in health for e in trend(name, [*PACK, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
     if margin is not None and "hx_ln_ua_ratio" in wide.columns:
-        wide = wide.join(passages(wide, margin), on=LEG, how="left")
+        wide = wide.join(passages(wide, margin), on=LEG, how="left", validate="m:1")
     lives = [f"{component}_life" for component in components]
     return finite(_usage(_beside(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
 
@@ -141,19 +141,21 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
     """Left join the columns that are not there yet."""
     if more is None:
         return wide
-    return wide.join(more.select(*LEG, *(c for c in more.columns if c not in wide.columns)), on=LEG, how="left")
+    return wide.join(
+        more.select(*LEG, *(c for c in more.columns if c not in wide.columns)), on=LEG, how="left", validate="m:1"
+    )
 
 
 def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFrame) -> pl.DataFrame:
     """Margin columns of each flight; rows of `wide` are in order of departure."""
     alone = twin_flights.select(*LEG, pl.selectors.by_name(*ALONE, require_all=False))
     seen = wide.select(*LEG, pl.selectors.by_name(*WORN, require_all=False)).join(
-        alone, on=LEG, how="left", maintain_order="left"
+        alone, on=LEG, how="left", maintain_order="left", validate="m:1"
     )
     told = exchanger_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
     if "cc_flow_asked_kg_s" not in margin.columns:
         return told
-    return told.join(compressor_margin(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left")
+    return told.join(compressor_margin(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left", validate="m:1")
 
 
 def since_maintenance(
@@ -220,7 +222,7 @@ def _beside(wide: pl.DataFrame) -> pl.DataFrame:
         (3 - pl.col("pack")).cast(pl.Int32).alias("pack"),
         *(pl.col(n).alias(f"other_{n}") for n in names),
     )
-    both = wide.join(other, on=LEG, how="left")
+    both = wide.join(other, on=LEG, how="left", validate="m:1")
     return both.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
         f"other_{n}" for n in names
     )

@@ -60,8 +60,8 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     packs = dsm.pack_table()
     corrections = packs.select("operator", "tail", "pack", "inlet_bias_k", "inlet_bias_ln")
     cruise = compressor_samples(cruise_samples(samples), packs)
-    rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left")
-    rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left")
+    rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left", validate="m:1")
+    rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left", validate="m:1")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
     return _summarised(rows, columns, SIGNALS)
 
@@ -83,7 +83,7 @@ def component_residuals(
         Code of the component in the tables.
     """
     health = [p.name for p in model.free("health")]
-    rows = samples.join(twin_flights.select(*LEG, *health), on=LEG, how="left", maintain_order="left")
+    rows = samples.join(twin_flights.select(*LEG, *health), on=LEG, how="left", maintain_order="left", validate="m:1")
     given = {s.name: rows[s.name].to_numpy() for s in model.inputs}
     sound = model.predict({}, given)
     twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, given)

@@ -63,7 +63,7 @@ def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl
         _pegged(whole),
     )
     for part in parts:
-        out = out.join(part, on=LEG, how="left")
+        out = out.join(part, on=LEG, how="left", validate="m:1")
     return finite(out.sort(LEG))
 
 
@@ -131,7 +131,7 @@ def _paired(samples: pl.DataFrame) -> pl.DataFrame:
     other = samples.select(
         *shared, (3 - pl.col("pack")).alias("pack"), *(pl.col(c).alias(f"other_{c}") for c in signals)
     )
-    return samples.join(other, on=[*shared, "pack"], how="left")
+    return samples.join(other, on=[*shared, "pack"], how="left", validate="m:1")
 
 
 def _log_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:

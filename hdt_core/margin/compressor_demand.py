@@ -158,7 +158,9 @@ def _with_pressure(rows: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.D
     """`no_flow_ln` and `flow_ln` of the exit pressure that the controller asks for, its sensor's bias taken out."""
     tail, altitude_m, flow = (rows[c].to_numpy() for c in ("tail", "altitude_m", "pack_flow_kg_s"))
     still = laws.delivery.column(tail, altitude_m)
-    bias = rows.join(dsm.pack_table(), on=PACK, how="left", maintain_order="left")["exit_bias_ln"].fill_null(0.0)
+    bias = rows.join(dsm.pack_table(), on=PACK, how="left", maintain_order="left", validate="m:1")[
+        "exit_bias_ln"
+    ].fill_null(0.0)
     return rows.with_columns(
         (still + laws.delivery.level_column(rows) - bias).alias("no_flow_ln"),
         (laws.delivery.column(tail, altitude_m, flow**2) - still).alias("flow_ln"),

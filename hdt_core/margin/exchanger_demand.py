@@ -91,8 +91,8 @@ def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) ->
     middle = {name: found[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ln_ram_ratio", "trim_k")}
     parts = [*_hot_day(middle, found, dsm, laws), *margin_parts(middle, found, dsm, laws)]
     found = found.select(*FLIGHT_PACK, *SHOWN).with_columns(*critical, *parts)
-    keep = flights.select(*FLIGHT_PACK, "departed_at").join(found, on=FLIGHT_PACK, how="left")
-    keep = keep.join(compressor_demand(samples, dsm, laws), on=FLIGHT_PACK, how="left")
+    keep = flights.select(*FLIGHT_PACK, "departed_at").join(found, on=FLIGHT_PACK, how="left", validate="m:1")
+    keep = keep.join(compressor_demand(samples, dsm, laws), on=FLIGHT_PACK, how="left", validate="m:1")
     return keep.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
 
 
@@ -169,7 +169,7 @@ def _with_level(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
     trims = trims.with_columns(own.alias("own_k"), laws.outlet.level_column(trims).alias("pack_k"))
     status = pl.when(pl.col("own_k").is_not_null()).then(pl.lit("flight")).otherwise(pl.lit("pack"))
     trims = trims.with_columns(pl.coalesce("own_k", "pack_k").alias("trim_k"), status.alias("held_status"))
-    joined = shaped.join(trims.select(*FLIGHT_PACK, "trim_k", "held_status"), on=FLIGHT_PACK)
+    joined = shaped.join(trims.select(*FLIGHT_PACK, "trim_k", "held_status"), on=FLIGHT_PACK, validate="m:1")
     return joined.with_columns((pl.col("shape_k") + pl.col("trim_k")).alias("held_k"))
 
 

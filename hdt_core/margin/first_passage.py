@@ -97,7 +97,9 @@ def passages(flights: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         operator, tail, flight_id, pack and `PASSAGES`; null while nothing is known. It learns from no fleet, so what
         was said of a flight never changes.
     """
-    known = flights.join(asks.select(*LEG, *CRITICAL[: len(EXCESS_K)]), on=LEG, how="left", maintain_order="left")
+    known = flights.join(
+        asks.select(*LEG, *CRITICAL[: len(EXCESS_K)]), on=LEG, how="left", maintain_order="left", validate="m:1"
+    )
     pack = known.select(pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64) - 1).to_series().to_numpy()
     flight = known.select(pl.int_range(pl.len()).over("operator", "tail", "pack")).to_series().to_numpy()
     if not known.height:

@@ -78,7 +78,7 @@ def exchanger_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
         above its level.
     """
     left = ln_ratio_margin(pl.col("ln_ua_ratio"), "hx_fouling", "hx_life").alias("hx_ln_ua_ratio")
-    rows = wide.select(*FLIGHT_PACK, left).join(asks, on=FLIGHT_PACK, how="left", maintain_order="left")
+    rows = wide.select(*FLIGHT_PACK, left).join(asks, on=FLIGHT_PACK, how="left", maintain_order="left", validate="m:1")
     ratio = rows["hx_ln_ua_ratio"].to_numpy().astype(float)
     half = len(EXCESS_K)
     excess, per_ratio = zip(
@@ -127,7 +127,7 @@ def compressor_margin(wide: pl.DataFrame, asks: pl.DataFrame) -> pl.DataFrame:
     seen = (pl.col("diameter_m") / pl.col("expected_diameter_m")).log()
     left = ln_ratio_margin(seen, "cc_diameter_loss", "cc_life").alias("cc_ln_diameter_ratio")
     rows = wide.select(*FLIGHT_PACK, "cc_diameter_loss_sd", left).join(
-        asks, on=FLIGHT_PACK, how="left", maintain_order="left"
+        asks, on=FLIGHT_PACK, how="left", maintain_order="left", validate="m:1"
     )
     ratio, flow = (rows[c].to_numpy().astype(float) for c in ("cc_ln_diameter_ratio", "cc_flow_asked_kg_s"))
     ratio_sd = np.hypot(rows["cc_diameter_loss_sd"].to_numpy().astype(float), PROBE_SD)

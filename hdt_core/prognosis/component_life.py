@@ -133,5 +133,5 @@ def _failures(
     ended = lives.filter("failed").select(*PACK, row=pl.col("end_row"))
     numbered = rows.with_columns(row=pl.int_range(pl.len()).over(PACK).cast(pl.Int64))
     last = pl.col("loss").forward_fill().over(PACK)
-    told = numbered.with_columns(last.alias("loss")).join(ended, on=[*PACK, "row"])
+    told = numbered.with_columns(last.alias("loss")).join(ended, on=[*PACK, "row"], validate="m:1")
     return told.select("tail", pl.col("departed_at").alias("failed_at"), "loss").drop_nulls()

@@ -102,7 +102,7 @@ def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, 
     hit = pl.col("failed") & pl.col("left").is_between(1, 50)
     return (
         prognoses.filter(pl.col("component") == component)
-        .join(truth, on=["tail", "flight_id", "pack"])
+        .join(truth, on=["tail", "flight_id", "pack"], validate="m:1")
         .filter(pl.col("left") >= 1)
         .with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("left") > 50).then(0.0))
     )

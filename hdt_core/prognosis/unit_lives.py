@@ -74,7 +74,9 @@ def told_lives(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
         flown.rename({"row": f"{at}_row", "flight_id": f"{name}_flight_id", "departed_at": f"{name}_departed_at"})
         for at, name in (("first", "first"), ("last", "end"))
     )
-    told = ends.join(first, on=[*PACK, "first_row"], how="left").join(end, on=[*PACK, "last_row"], how="left")
+    told = ends.join(first, on=[*PACK, "first_row"], how="left", validate="m:1").join(
+        end, on=[*PACK, "last_row"], how="left", validate="m:1"
+    )
     return told.with_columns(n_flights=pl.col("end_row") - pl.col("first_row"))
 
 
@@ -128,15 +130,15 @@ def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFr
     entered = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
     lives = pl.concat([entered, installed]).unique().sort(*PACK, "first_row")
-    lives = lives.join(last, on=PACK).with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
+    lives = lives.join(last, on=PACK, validate="m:1").with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
     told = _credible_messages(flights, messages, maintenance, failure)
-    ends = lives.join(told, on=PACK, how="left").filter(
+    ends = lives.join(told, on=PACK, how="left", validate="m:m").filter(
         (pl.col("message_row") >= pl.col("first_row"))
         & (pl.col("message_row") <= pl.col("next_row"))
         & (pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
     )
     ends = ends.group_by(*PACK, "first_row").agg(message_row=pl.col("message_row").min())
-    lives = lives.join(ends, on=[*PACK, "first_row"], how="left")
+    lives = lives.join(ends, on=[*PACK, "first_row"], how="left", validate="m:1")
     return lives.select(
         *PACK,
         pl.lit(failure.component).alias("component"),
@@ -154,12 +156,12 @@ def _credible_messages(
 ) -> pl.DataFrame:
     """Rows with the component's message, less those after which the component was inspected and found sound."""
     told = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
-    told = flights.join(told, on=["tail", "flight_id", "pack"])
+    told = flights.join(told, on=["tail", "flight_id", "pack"], validate="m:1")
     sound = maintenance.filter(
         (pl.col("component") == failure.component) & (pl.col("finding") == "NO_FAULT_FOUND")
     ).select(*PACK, "done_on")
     # inspected the same day or within three days after: the message had another cause
-    cleared = told.join(sound, on=PACK).filter(
+    cleared = told.join(sound, on=PACK, validate="m:m").filter(
         (pl.col("done_on") - pl.col("day")).is_between(pl.duration(days=1), pl.duration(days=3))
     )
     return told.join(cleared, on=[*PACK, "row"], how="anti").select(*PACK, pl.col("row").alias("message_row"))

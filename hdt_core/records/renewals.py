@@ -27,7 +27,7 @@ def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) 
     rows = flights.select(*PACK, "departed_at", row=row, begins=row == row.min().over(PACK))
     entries = select_entries(maintenance, (component,), DONE)
     after = pl.col("departed_at") - pl.col("counts_from")
-    near = entries.join(rows, on=PACK).filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
+    near = entries.join(rows, on=PACK, validate="m:m").filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
     due = first_flights(rows, maintenance, (component,), DONE).filter(~pl.col("begins") | (after < LOG_WINDOW))
     return _flags(near, flights.height), _flags(due, flights.height)
 
@@ -37,9 +37,13 @@ def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
     new core says nothing, for some operators give no log. (n,) bool"""
     tail = ["operator", "tail"]
     begins = flights.group_by(tail).agg(pl.col("departed_at").min().alias("begins"))
-    entries = date_entries(maintenance).join(begins, on=tail).filter(pl.col("counts_from") >= pl.col("begins"))
+    entries = (
+        date_entries(maintenance)
+        .join(begins, on=tail, validate="m:1")
+        .filter(pl.col("counts_from") >= pl.col("begins"))
+    )
     spoke = entries.group_by(tail).agg(pl.col("counts_from").min().alias("spoke"))
-    known = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left")
+    known = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left", validate="m:1")
     return known.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
 
 

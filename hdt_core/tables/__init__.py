@@ -27,8 +27,6 @@ class StoredTable:
         Partition the table is computed in: a flight of an aircraft, an aircraft, the fleet.
     shard : str
         One file of an aircraft holds a month, a flight or all.
-    open : bool
-        Columns beyond the declared ones are kept.
     whole : bool
         Rows mean something only together: if one breaks the declaration, none is stored.
     key : tuple of str
@@ -39,7 +37,6 @@ class StoredTable:
     grain: Literal["flight", "aircraft", "fleet"]
     key: tuple[str, ...]
     shard: Literal["month", "flight", "all"] = "all"
-    open: bool = False
     whole: bool = False
 
     @property
@@ -49,8 +46,16 @@ class StoredTable:
 
     def conform(self, frame: pl.DataFrame) -> pl.DataFrame:
         """`frame` in the declared columns, order and types."""
-        declared = self.schema.conform(frame)
-        return declared.hstack(frame.drop(declared.columns, strict=False)) if self.open else declared
+        return self.schema.conform(frame)
+
+    def doubled(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Primary keys that stand more than once in `frame`, which is sorted by `key`."""
+        unique = self.schema.primary_key()
+        repeats = pl.all_horizontal(pl.col(c).eq_missing(pl.col(c).shift()) for c in self.key)
+        apart = set(self.key) <= set(unique) and not frame.select(repeats.any()).item()  # else they were neighbours
+        if not unique or apart:
+            return frame.select(unique).clear()
+        return frame.select(unique).filter(pl.struct(unique).is_duplicated()).unique()
 
 
 _SAMPLE = ("flight_id", "pack", "time_utc")
@@ -88,13 +93,13 @@ TABLES: dict[str, StoredTable] = {
     ),
     "calibration_laws": StoredTable(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
     "calibration_window": StoredTable(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
-    "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month", open=True),
+    "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month"),
     "twin_health": StoredTable(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
     "twin_chapters": StoredTable(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
     "residuals": StoredTable(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_witnesses": StoredTable(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
-    "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack"), open=True),
+    "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
     "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognosis_base": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
     "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),

@@ -137,7 +137,7 @@ class Table(dy.Schema):
         return frame.select(
             (pl.col(name) if name in frame.columns else pl.lit(None)).cast(column.dtype).alias(name)
             for name, column in cls.columns().items()
-        )
+        ).head(frame.height)  # of a frame without columns, nulls alone would be a row
 
 
 class LegTable(Table):

@@ -125,7 +125,7 @@ def _number(name: str, meaning: str) -> tuple[str, dy.Column]:
 
 
 def _count(name: str, meaning: str) -> tuple[str, dy.Column]:
-    return name, _kept(dy.UInt32, "-", meaning)
+    return name, _kept(dy.Int32, "-", meaning)
 
 
 def _columns() -> Iterator[tuple[str, dy.Column]]:

@@ -124,8 +124,8 @@ def _second_level(legs: pl.DataFrame, strays: list[pl.DataFrame], rows: list[tup
     """Reasons of the first level, then of the second; `admitted` where there is none."""
     known = pl.DataFrame([row[:3] for row in rows], schema=dict(list(_DESIGN.items())[:3]), orient="row").unique()
     apart = pl.concat([legs.select(LEG).clear(), *strays]).with_columns(pl.lit(True).alias("stray"))
-    judged = legs.join(known.with_columns(pl.lit(True).alias("known")), on=PACK, how="left").join(
-        apart, on=LEG, how="left"
+    judged = legs.join(known.with_columns(pl.lit(True).alias("known")), on=PACK, how="left", validate="m:1").join(
+        apart, on=LEG, how="left", validate="m:1"
     )
     reason = (
         pl.when(pl.col("reason") != "")
@@ -222,7 +222,7 @@ def by_prior(health: pl.DataFrame, samples: pl.DataFrame, model: PhysicsModel, c
     for name in names:
         moved = sum((s[name].to_numpy() - mean[name].to_numpy()) ** 2 for s in shifts)
         told.append(mean.select(LEG).with_columns(pl.lit(name).alias("parameter"), pl.Series("moved", moved)))
-    wide = health.join(pl.concat(told), on=[*LEG, "parameter"], how="left", maintain_order="left")
+    wide = health.join(pl.concat(told), on=[*LEG, "parameter"], how="left", maintain_order="left", validate="m:1")
     seen = pl.col("sd") ** 2 + pl.col("moved")
     weight = (component.warn_loss**2 / (component.warn_loss**2 + seen)).fill_nan(0.0).fill_null(0.0)
     return wide.with_columns(

@@ -98,7 +98,7 @@ def _beside(flights: pl.DataFrame) -> pl.DataFrame:
         "flight_id",
         other_tat_apart_k="tat_apart_k",
     )
-    return flights.join(other.unique(key), on=key, how="left", maintain_order="left")
+    return flights.join(other.unique(key), on=key, how="left", maintain_order="left", validate="m:1")
 
 
 def _walk(

@@ -52,7 +52,7 @@ def flight_by_flight(
     outputs = recorded_outputs(model, samples) if outputs is None else outputs
     order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
     known = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
-    known = known.join(order, on=FLIGHT_PACK).sort(*IN_ORDER, "time_utc")
+    known = known.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
     solve = NonlinearLeastSquares() if estimator is None else estimator
     rows = [
         row

@@ -37,7 +37,7 @@ def prognosis(
     described = home.store.scan("features").select(pl.selectors.by_name(*READ, require_all=False))
     asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
     # what a flight asked is kept beside the features, of which it would be a fifth
-    features = described.join(asks, on=[*PACK, "flight_id"], how="left").collect()
+    features = described.join(asks, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
     stored = home.store.read("prognosis_model")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)

@@ -79,7 +79,7 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         op_tags={"hdt/stage": own.group},
     )
     def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
-        scope = PartitionScope.of(list(context.partition_keys) if context.has_partition_key_range else None)
+        scope = PartitionScope.of(None if own.grain == "fleet" else list(context.partition_keys))
         offered: dict[str, Any] = {"scope": scope, "home": home}
         began = time.monotonic()
         with panics_as_errors():

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from hdt_core.tables import TABLES
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
@@ -148,6 +149,15 @@ def _stored(home: Path) -> Iterator[Check]:
         lost = changed(store, held, held.files, whole=True) if held else [NAME]
         said = f"{named(lost)} missing or not what was written; {_mended(store)}" if lost else ""
         yield Check("tables", not lost, said or f"all {len(held.files) if held else 0} files are what was written")
+        if lost:
+            return
+    twice = {table: sum(n.values()) for table in TABLES if (n := store.doubled(table))}
+    said = ", ".join(f"{n} of {table}" for table, n in twice.items())
+    yield Check(
+        "keys",
+        not twice,
+        f"stored more than once: {said}; {_NIGHT} makes them again" if twice else "each is stored once",
+    )
 
 
 def _cases(home: Path) -> Iterator[Check]:

@@ -38,11 +38,11 @@ def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
         .with_columns(source=pl.lit(LOG), closes_alert_id=pl.lit(None, pl.String))
         .with_row_index("n")
     )
-    both = found.join(rows, on=[*PACK, "component", "action"], suffix="_log").filter(
+    both = found.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
         (pl.col("done_on") - pl.col("done_on_log")).abs() <= SAME_WORK
     )
     told = both.unique("n", keep="last").select("n", said="closes_alert_id", saw="finding")
-    rows = rows.join(told, on="n", how="left", maintain_order="left").with_columns(
+    rows = rows.join(told, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
         closes_alert_id=pl.col("said"), finding=pl.coalesce("finding", "saw")
     )
     alone = found.join(both, on="closes_alert_id", how="anti", maintain_order="left")

@@ -107,7 +107,11 @@ class StoredRows:
         told = self._of("raw_deliveries").filter(absent).select(*ACCOUNT, "delivered", "quarantined")
         untold = _count(self.rows()).join(told, on=ACCOUNT, how="anti")  # of broken files, or stored by a killed night
         kept = untold.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
-        before = pl.concat([told, kept]).join(loaded, on=ACCOUNT, how="left").join(aside, on=ACCOUNT, how="left")
+        before = (
+            pl.concat([told, kept])
+            .join(loaded, on=ACCOUNT, how="left", validate="m:1")
+            .join(aside, on=ACCOUNT, how="left", validate="m:1")
+        )
         before = before.with_columns(
             loaded=pl.col("now").fill_null(0), quarantined=pl.col("quarantined") + pl.col("n").fill_null(0)
         )
@@ -152,7 +156,7 @@ def _must_balance(intake: Intake) -> None:
             intake.quarantine.group_by("file").agg(pl.col("n_rows").sum().alias("n")),
         ]
     )
-    sums = intake.delivered.join(out.group_by("file").agg(pl.col("n").sum()), on="file", how="left")
+    sums = intake.delivered.join(out.group_by("file").agg(pl.col("n").sum()), on="file", how="left", validate="m:1")
     wrong = sums.filter(pl.col("n_delivered") != pl.col("n").fill_null(0))
     if wrong.height:
         raise ValueError(
@@ -163,7 +167,7 @@ def _must_balance(intake: Intake) -> None:
 
 def _carried(quarantine: pl.DataFrame, carriers: pl.DataFrame) -> pl.DataFrame:
     """Rows that name no flight of their file go with its first flight, so that each is told once."""
-    joined = quarantine.join(carriers, on="file", how="left")
+    joined = quarantine.join(carriers, on="file", how="left", validate="m:1")
     return joined.with_columns(pl.coalesce("flight_id", "carrier").alias("flight_id")).drop("carrier")
 
 
@@ -183,7 +187,7 @@ def _account(rows: pl.DataFrame, quarantine: pl.DataFrame, merged: MergeResult) 
     account = parts["delivered"].select(ACCOUNT).unique()
     for name, part in parts.items():
         summed = part.group_by(ACCOUNT).agg(pl.col("n").sum().alias(name))
-        account = account.join(summed, on=ACCOUNT, how="left")
+        account = account.join(summed, on=ACCOUNT, how="left", validate="m:1")
     return account.with_columns(pl.col(*parts).fill_null(0).cast(pl.Int64)).select(*ACCOUNT, *parts)
 
 

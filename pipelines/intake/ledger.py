@@ -102,7 +102,7 @@ def account(
     )
     ledger = delivered.group_by("file").agg(pl.col("n_delivered").sum().alias("delivered"))
     for part in parts:
-        ledger = ledger.join(part, on="file", how="full", coalesce=True)
+        ledger = ledger.join(part, on="file", how="full", coalesce=True, validate="m:1")
     ledger = ledger.with_columns(pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0))
     balanced = pl.col("delivered") == pl.col("loaded") + pl.col("quarantined") + pl.col("duplicate")
     return ledger.with_columns(balanced.alias("balanced")).sort("file")

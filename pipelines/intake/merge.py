@@ -49,7 +49,7 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     rows = pl.concat(list(frames))
     repeated = rows.select(pl.struct(KEY).is_duplicated()).to_series()
     contested = rows.filter(repeated).select(FLIGHT).unique()
-    once, again = (rows.join(contested, on=FLIGHT, how=how) for how in ("anti", "semi"))
+    once, again = rows.join(contested, on=FLIGHT, how="anti"), rows.join(contested, on=FLIGHT, how="semi")
     won, lost = _settled(again)
     agreed, differing = _against(lost, won)
     duplicates = agreed.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
@@ -64,7 +64,7 @@ def _settled(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Rows to be stored, one a key, and all others with the `winner`, the first delivery of their flight."""
     own, repeated = _contest(rows, (*KEY, "file"))
     ranks = _ranked(own)
-    ranked = own.join(ranks, on=(*FLIGHT, "file"))
+    ranked = own.join(ranks, on=(*FLIGHT, "file"), validate="m:1")
     accepted = ranked.filter(pl.col("rank") == 1)
     most = ranks.select(pl.col("rank").max()).item() or 1
     for rank in range(2, most + 1):
@@ -75,7 +75,7 @@ def _settled(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     aside = ranked.join(accepted.select(*FLIGHT, "file").unique(), on=(*FLIGHT, "file"), how="anti")
     others = [*(f.select(rows.columns) for f in (lost, aside)), repeated]
     winners = ranks.filter(pl.col("rank") == 1).select(*FLIGHT, winner="file")
-    return won.select(rows.columns), pl.concat(others).join(winners, on=FLIGHT, how="left")
+    return won.select(rows.columns), pl.concat(others).join(winners, on=FLIGHT, how="left", validate="m:1")
 
 
 def _contest(rows: pl.DataFrame, key: tuple[str, ...]) -> tuple[pl.DataFrame, pl.DataFrame]:
@@ -104,14 +104,14 @@ def _ranked(own: pl.DataFrame) -> pl.DataFrame:
 
 def contradictions(rows: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
     """Rows of which `others` give another value for the same flight, pack and time."""
-    pairs = rows.join(others.select(*KEY, *VALUES), on=KEY, suffix=" won")
+    pairs = rows.join(others.select(*KEY, *VALUES), on=KEY, suffix=" won", validate="m:m")
     return pairs.filter(pl.any_horizontal(~_agrees(c) & pl.col(f"{c} won").is_not_null() for c in VALUES))
 
 
 def _against(lost: pl.DataFrame, won: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Losers that say no more than what is stored of their key, and those that do, with what `differs`."""
     here = won.select(*KEY, *VALUES, pl.lit(True).alias("met"), *(pl.col(c).alias(f"{c} won") for c in _PLACE))
-    pairs = lost.join(here, on=KEY, how="left", suffix=" won", maintain_order="left")
+    pairs = lost.join(here, on=KEY, how="left", suffix=" won", maintain_order="left", validate="m:1")
     differs = [pl.when(~_agrees(c)).then(pl.lit(c)) for c in VALUES]
     pairs = pairs.with_columns(pl.concat_list(differs).list.drop_nulls().list.join(", ").alias("differs"))
     agreed = (pl.col("differs") == "") & pl.col("met").fill_null(False)

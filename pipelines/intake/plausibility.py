@@ -101,7 +101,7 @@ def _kilograms(raw: pl.DataFrame) -> pl.DataFrame:
     turning = (pl.col("cc_speed_rpm").median() > 5000.0).fill_null(cooled_k > 25.0)
     flights = raw.group_by(unit).agg((turning & _steady(pl.col(c), e)).alias(f"all {c}") for c, e in like.items())
     marks = raw.with_row_index().select("index", *unit, *(e.alias(c) for c, e in like.items()))
-    marks = marks.join(flights, on=unit, how="left", maintain_order="left", nulls_equal=True)
+    marks = marks.join(flights, on=unit, how="left", maintain_order="left", nulls_equal=True, validate="m:1")
     slipped = pl.any_horizontal(pl.col(c) & pl.col(f"all {c}").fill_null(False) for c in like)
     return _rows(marks.with_columns(slipped.alias("slipped")), list(like), "unit_kg_s")
 

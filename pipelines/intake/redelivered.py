@@ -49,7 +49,7 @@ def redelivered(
     replaced = stored_aside.filter(pl.col("reason") == REPLACED)
     before = _counted(stored.select(*ACCOUNT, n=pl.lit(1, pl.Int64)), replaced.select(*ACCOUNT, n="n_rows"))
     now = _counted(rows.select(*ACCOUNT, n=pl.lit(1, pl.Int64)), aside.select(*ACCOUNT, n="n_rows"))
-    fewer = before.join(now, on=ACCOUNT, suffix="_now").filter(pl.col("n_now") < pl.col("n"))
+    fewer = before.join(now, on=ACCOUNT, suffix="_now", validate="m:1").filter(pl.col("n_now") < pl.col("n"))
     if fewer.is_empty():
         return Redelivery(rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA))
     speaks = fewer.join(rows.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")

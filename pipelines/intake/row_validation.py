@@ -90,7 +90,7 @@ def _verdicts(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> pl.DataF
     unit = ("file_index", "flight_id")
     flights = _flights(raw.select(unit).unique(), about)
     keys = raw.select(*unit, "report_time", "pack").join(
-        flights, on=unit, how="left", nulls_equal=True, maintain_order="left"
+        flights, on=unit, how="left", nulls_equal=True, maintain_order="left", validate="m:1"
     )
     moment, pack = pl.col("report_time"), pl.col("pack")
     in_flight = moment.is_between(pl.col("day") - EARLY, pl.col("day") + LATE)
@@ -106,7 +106,7 @@ def _verdicts(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> pl.DataF
     if slips.is_empty():
         return verdict.with_columns(pl.lit(None, pl.String).alias(c) for c in ("slipped", "told"))
     slips = slips.rename({"reason": "slip", "column_name": "slipped"})
-    joined = verdict.with_row_index("index").join(slips, on="index", how="left", maintain_order="left")
+    joined = verdict.with_row_index("index").join(slips, on="index", how="left", maintain_order="left", validate="m:1")
     return joined.select(
         pl.coalesce("reason", "slip").alias("reason"),
         pl.when(pl.col("reason").is_null()).then("slipped"),

@@ -28,7 +28,7 @@ def to_utc(frame: pl.DataFrame, name: str) -> tuple[pl.DataFrame, pl.DataFrame]:
         moments = [_moment(text) for text in spelled]
         schema = {name: pl.String(), "_other": pl.Datetime("us", "UTC"), "_naive": pl.Boolean()}
         other = pl.DataFrame([(t, *m) for t, m in zip(spelled, moments, strict=True)], schema=schema, orient="row")
-        timed = timed.join(other, on=name, how="left", maintain_order="left")
+        timed = timed.join(other, on=name, how="left", maintain_order="left", validate="m:1")
         naive = timed.filter(pl.col("_naive").fill_null(False)).select(frame.columns)
         timed = timed.with_columns(pl.coalesce("_time", "_other").alias("_time"))
     return timed.select(pl.col("_time").alias(name) if c == name else c for c in frame.columns), naive

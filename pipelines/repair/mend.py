@@ -7,6 +7,7 @@ Disks change bits and keep size and time: a night reads a share of all files, an
 
 import shutil
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import polars as pl
 from hdt_core.tables import TABLES
 from pipelines.intake.costs import COSTS
 from pipelines.intake.findings import CASES, FINDINGS
-from pipelines.lineage import MAKER, Stage
+from pipelines.lineage import FOLLOWED, MAKER, STAGES, Stage
 from pipelines.storage import ledger_copy, seal
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.data_file import hash_in
@@ -23,14 +24,36 @@ from pipelines.storage.delta import DamageError, shards_of
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.months import in_shard, without_folded
-from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store
+from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store, shard_of
+from pipelines.versions import made_as
 
 
 def mend(landing: Path, store: Store, ledger: Ledger) -> list[str]:
     """Make stale what is damaged, put back what people said; a line for each thing that was."""
     told = _mend_tables(landing, store, ledger)
+    if ledger.settled_as() != made_as(ledger, STAGES):  # else a night of this version has looked
+        told += _mend_earlier(store, ledger)
     log = CaseLog(store.home).mend(store.read("raw_cases"))  # of tables that are whole again
     return [*told, log] if log else told
+
+
+def _mend_earlier(store: Store, ledger: Ledger) -> Iterator[str]:
+    """Convert or make again what earlier versions stored and this one would not: other types, keys more than once."""
+    for table in TABLES:
+        with suppress(DamageError):  # which whoever reads the table meets, and mends
+            if n := store.retype(table):
+                yield f"{n} files of {table} held other types than are declared: converted"
+            for aircraft, n in store.doubled(table).items() if MAKER[table].group != "raw" else ():
+                _make_again(store, ledger, table, aircraft)
+                yield f"{n} keys of {table} stood more than once ({' '.join(aircraft).strip() or 'fleet'}): made again"
+
+
+def _make_again(store: Store, ledger: Ledger, table: str, aircraft: Aircraft) -> None:
+    """Let an aircraft's rows of a computed table be made again, and what follows from them."""
+    begins = f"{shard_of(aircraft)}/" if aircraft != FLEET else "fleet"
+    for stage in (s for s in STAGES if s is MAKER[table] or table in FOLLOWED[s.name]):
+        ledger.forget(stage.tables, None if stage.grain == "fleet" else aircraft)
+        _drop_tables(store, stage.tables if stage is MAKER[table] or stage.grain == "aircraft" else (), begins)
 
 
 def _mend_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
@@ -122,7 +145,11 @@ def _forget(landing: Path, store: Store, ledger: Ledger, table: str, shard: str)
 
 def _drop(store: Store, stage: Stage, begins: str = "") -> None:
     """Let a computed stage begin anew, for all or one aircraft; one that goes flight by flight does so anyway."""
-    for table in stage.tables if stage.grain != "flight" and stage.group != "raw" else ():
+    _drop_tables(store, stage.tables if stage.grain != "flight" and stage.group != "raw" else (), begins)
+
+
+def _drop_tables(store: Store, tables: Iterable[str], begins: str) -> None:
+    for table in tables:
         shards = store.tables.shards(table).items()
         store.tables.drop(table, [f for s, f in shards if s.startswith(begins) and s != EMPTY])
 

@@ -83,7 +83,9 @@ def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "F
     figure.subplots_adjust(*MARGINS, hspace=0.08)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     cruise = _segment(samples)
-    seen = outlet_residuals(cruise, twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK), dsm)
+    seen = outlet_residuals(
+        cruise, twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1"), dsm
+    )
     if seen.height:
         minute = (seen["time_utc"] - seen["time_utc"][0]).dt.total_seconds().to_numpy() / 60.0
         sensor = seen["hx_out_k"].to_numpy() - 273.15
@@ -110,7 +112,7 @@ def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) 
     found = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
     if not found.height:
         return alone.clear()
-    wide = alone.join(found.rename({"flight_id": "sample"}), on="sample")
+    wide = alone.join(found.rename({"flight_id": "sample"}), on="sample", validate="m:1")
     return wide.drop_nulls(["sensor_minus_twin", "sensor_minus_dsm"]).sort("time_utc")
 
 

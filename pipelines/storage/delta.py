@@ -43,10 +43,9 @@ _ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
 
 
 class Version(NamedTuple):
-    """A table as it is at a version: its columns, and the file of each shard, below the table's folder."""
+    """A table as it is at a version: the file of each shard, below the table's folder."""
 
     number: int
-    columns: frozenset[str]
     shards: dict[str, str]
 
 
@@ -105,11 +104,10 @@ class Deltas:
         taken = self._take(table) if version is None else _taken(self.open(table, version))
         if taken.table is None:
             return None
-        columns = frozenset(f.name for f in taken.table.schema().fields)
-        told = Version(taken.table.version(), columns, taken.shards)
+        number = taken.table.version()
         if version is None:
             self._leave(table, taken)
-        return told
+        return Version(number, taken.shards)
 
     def _take(self, table: str) -> _TableState:
         """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""

@@ -123,7 +123,11 @@ def fault_of(home: Path) -> str | None:
 
 def _made_as(store: Store) -> str:
     """Of what a catalog is made."""
-    said = [f"{table}.{c} {means}" for table, columns in MEANINGS.items() for c, means in columns.items()]
+    said = [
+        f"{table}.{c} {t.schema.columns()[c].dtype} {means}"
+        for table, t in TABLES.items()
+        for c, means in MEANINGS[table].items()
+    ]
     return hash_of("\n".join([_folder(store), *(sql for _, sql in sorted(views().items())), *said]).encode())
 
 

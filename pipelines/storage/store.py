@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
@@ -13,7 +13,7 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from hdt_core.tables.base import OPERATOR, TAIL
-from pipelines.storage.delta import Deltas, Version
+from pipelines.storage.delta import Change, Deltas, Held, Version
 from pipelines.storage.files import Folder, sweep
 from pipelines.storage.months import merged, shards_with
 from pipelines.storage.objects import Bucket, StoreError, bucket
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 Aircraft = tuple[str, str]
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
 URL = "HDT_STORE_URL"
+_AIRCRAFT = ["operator", "tail"]
 EMPTY = "empty"
 """A shard without rows: it has a table's columns while nothing else is stored."""
 
@@ -87,24 +88,63 @@ class Store:
         return self.scan(table, aircraft).collect()
 
     def replace(self, table: str, aircraft: Iterable[Aircraft], frame: pl.DataFrame) -> None:
-        """Let `frame` be all that the table holds of these aircraft, or of the `FLEET`."""
+        """Let `frame` be all that the table holds of these aircraft, or of the `FLEET`; no rows make no shard."""
         entry, asked = TABLES[table], list(aircraft)
-        frame = entry.conform(frame)
-        self.tables.put(table, {shard_of(a, "all"): _own(frame, a) for a in asked})
+        frame = entry.conform(frame).sort(entry.key)
+        if asked != [FLEET]:
+            _refuse_others(table, frame, pl.DataFrame(asked, schema=_AIRCRAFT, orient="row"))
+        shards = {shard_of(a, "all"): _own(frame, a) for a in asked}
+        self._change(table, lambda held: ((s, own) for s, own in shards.items() if own.height or s in held))
 
     def merge(self, table: str, flights: Mapping[Aircraft, Iterable[str]], frame: pl.DataFrame) -> None:
         """Replace the rows of some flights of each aircraft by `frame`; other flights stay as they are."""
+        asked = [(*a, flight) for a, ids in flights.items() for flight in ids]
+        _refuse_others(table, frame, pl.DataFrame(asked, schema=[*_AIRCRAFT, "flight_id"], orient="row"))
         changes = [merged(TABLES[table], shard_of(a), ids, _own(frame, a)) for a, ids in flights.items()]
-        self.tables.change(table, lambda held: chain.from_iterable(change(held) for change in changes))
+        self._change(table, lambda held: chain.from_iterable(change(held) for change in changes))
+
+    def _change(self, table: str, change: Change) -> None:
+        """Write shards of a table in one commit, if each holds every key once."""
+
+        def checked(held: Held) -> Iterator[tuple[str, pl.DataFrame | None]]:
+            for shard, frame in change(held):
+                if frame is not None and (twice := TABLES[table].doubled(frame)).height:
+                    first = ", ".join(f"{value}" for value in twice.row(0))
+                    raise StoreError(f"{table}: {shard} would hold {twice.height} keys more than once, such as {first}")
+                yield shard, frame
+
+        self.tables.change(table, checked)
 
     def declare(self, table: str) -> Version:
         """The table now, which has its columns even while nothing is stored."""
-        now, columns = self.tables.at(table), TABLES[table].schema.columns()
-        if now is None or EMPTY not in now.shards or not now.columns >= set(columns):
-            self.tables.put(table, {EMPTY: TABLES[table].schema.create_empty()})
-            now = self.tables.at(table)
+        self.tables.put(table, {EMPTY: TABLES[table].schema.create_empty()})  # no commit where it is there as it is
+        now = self.tables.at(table)
         assert now is not None
         return now
+
+    def retype(self, table: str) -> int:
+        """Write shards anew that hold a column in another type than is declared now, in one commit; how many."""
+        entry, before = TABLES[table], self.tables.shards(table)
+        declared = entry.schema.create_empty().schema
+
+        def change(held: Held) -> Iterator[tuple[str, pl.DataFrame]]:
+            if EMPTY in held and held[EMPTY].schema == declared:  # nothing has changed since a night published it
+                return
+            for shard, frame in held.items():
+                if any(declared.get(column, dtype) != dtype for column, dtype in frame.schema.items()):
+                    yield shard, entry.conform(frame)
+
+        self.tables.change(table, change)
+        return len(set(before.values()).difference(self.tables.shards(table).values()))
+
+    def doubled(self, table: str) -> dict[Aircraft, int]:
+        """How many primary keys of each aircraft, or of the `FLEET`, are stored more than once."""
+        entry = TABLES[table]
+        if not (key := entry.schema.primary_key()):
+            return {}
+        owner = [pl.lit("") if entry.grain == "fleet" else pl.col(c).first() for c in _AIRCRAFT]
+        counted = self.scan(table).group_by(key).agg(pl.len(), o=owner[0], t=owner[1]).filter(pl.col("len") > 1)
+        return {(o, t): n for o, t, n in counted.group_by("o", "t").len("n").collect().rows()}
 
     def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
         """Of every table its version, and the files below `root` that it is; now, or of some at other versions."""
@@ -134,6 +174,14 @@ def shard_of(aircraft: Aircraft, shard: str = "") -> str:
     if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(TAIL, tail)):
         raise ValueError(f"not an operator and tail: {operator!r}, {tail!r}")
     return f"{operator}/{tail}/{shard}".rstrip("/")
+
+
+def _refuse_others(table: str, frame: pl.DataFrame, asked: pl.DataFrame) -> None:
+    """Raise an error where a frame has rows of another aircraft or flight than the `asked`."""
+    others = frame.join(asked.cast(pl.String), on=asked.columns, how="anti")
+    if others.height:
+        first = " ".join(others.select(asked.columns).row(0))
+        raise StoreError(f"{table}: {others.height} rows are of nothing that was asked for, such as {first}")
 
 
 def _own(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:

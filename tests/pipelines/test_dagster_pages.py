@@ -71,6 +71,7 @@ def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_hom
     graph, keys = defs.resolve_asset_graph(), [dg.AssetKey(t) for t in ("twin_flights", "residuals")]
     with open_instance(home) as instance:
         flown, never = flown_and_never(instance)
+        before = Store(home).snapshot()
         backfill = PartitionBackfill.from_asset_partitions(
             "three", graph, [*flown, never], keys, time.time(), {}, instance, False, None, None, None
         )
@@ -90,6 +91,7 @@ def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_hom
             assert newest[never] == {"rows": 0, "expected": 0}
             assert all(newest[cell]["rows"] for cell in flown)
             assert never in instance.get_materialized_partitions(key)
+    assert [files for _, files in Store(home).snapshot().values()] == [files for _, files in before.values()]
 
 
 def test_a_night_tells_that_it_published_and_the_page_can_do_it_too(own_home):

@@ -4,14 +4,17 @@ import shutil
 import threading
 from datetime import UTC, datetime
 
+import duckdb
 import polars as pl
+import pyarrow as pa
 import pytest
+from deltalake import DeltaTable, Schema
 
 from hdt_core.tables import TABLES
 from pipelines.storage.delta import Deltas
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
-from pipelines.storage.store import FLEET, Store, shard_of
+from pipelines.storage.store import EMPTY, FLEET, Store, shard_of
 
 AIRCRAFT = ("AQX", "LX-AAA")
 MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"
@@ -140,6 +143,58 @@ def test_many_aircraft_change_in_one_commit(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both.with_columns(n_snapshots=9))
     assert store.tables.open("raw_flights").version() == first + 1
     assert store.read("raw_flights")["n_snapshots"].to_list() == [9, 9]
+
+
+def test_rows_of_what_was_not_asked_for_are_refused(store):
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
+    other = flights(MAY).with_columns(operator=pl.lit("BZR"))
+    for frame, which in ((flights(MAY, MAY_TOO), MAY_TOO), (other, "BZR LX-AAA")):
+        with pytest.raises(StoreError, match=rf"raw_flights: 1 rows are of nothing that was asked for.*{which}"):
+            store.merge("raw_flights", {AIRCRAFT: [MAY]}, frame)
+    with pytest.raises(StoreError, match="twin_health: 1 rows are of nothing that was asked for, such as BZR LX-AAA"):
+        store.replace("twin_health", [AIRCRAFT], TABLES["twin_health"].conform(other))
+    assert held(store) == {MAY: 1}
+
+
+def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there(store):
+    doubled = pl.concat([flights(MAY), flights(MAY, n=2)])
+    with pytest.raises(StoreError, match=f"AQX/LX-AAA/2024-05 would hold 1 keys more than once, such as .*{MAY}"):
+        store.merge("raw_flights", {AIRCRAFT: [MAY]}, doubled)
+    assert store.read("raw_flights").is_empty()
+    store.tables.put("raw_flights", {"AQX/LX-AAA/2024-05": doubled})  # as an earlier version could
+    assert store.doubled("raw_flights") == {AIRCRAFT: 1}
+    with pytest.raises(StoreError, match="more than once"):
+        store.merge("raw_flights", {AIRCRAFT: [MAY_TOO]}, flights(MAY_TOO))
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    assert held(store) == {MAY: 1}
+    assert store.doubled("raw_flights") == {}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_what_is_declared_is_what_delta_lake_can_keep(table):
+    empty = TABLES[table].schema.create_empty()
+    kept = pl.from_arrow(pa.schema(Schema.from_arrow(empty.to_arrow().schema).to_arrow()).empty_table())
+    assert kept.schema == empty.schema
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_table_opens_with_polars_pyarrow_and_duckdb(sample_home, table):
+    rows, path = Store(sample_home).read(table).height, str(sample_home / "tables" / table)
+    delta = DeltaTable(path)
+    assert pl.read_delta(path).height == pl.scan_delta(path).collect().height == rows
+    assert delta.to_pyarrow_table().num_rows == delta.to_pyarrow_dataset().count_rows() == rows
+    asked = "select count(columns(*)) from read_parquet($files)", {"files": delta.file_uris()}
+    assert max(duckdb.sql(asked[0], params=asked[1]).fetchall()[0]) == rows
+
+
+def test_a_column_that_was_stored_in_another_type_is_converted_once(store):
+    store.merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE))
+    store.declare("raw_flights")
+    unsigned = flights(MAY).cast({"n_snapshots": pl.UInt32})
+    store.tables.put("raw_flights", {"AQX/LX-AAA/2024-05": unsigned, EMPTY: unsigned.clear()})
+    assert store.retype("raw_flights") == 2
+    assert store.retype("raw_flights") == 0
+    assert store.read("raw_flights").equals(flights(JUNE, MAY)[::-1])
 
 
 def test_an_earlier_version_stays_readable(store):

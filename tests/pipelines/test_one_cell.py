@@ -1,0 +1,110 @@
+"""What is made from Dagster's page or command, cell, range or all, leaves the store as a night left it."""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dagster as dg
+import polars as pl
+import pytest
+from nights import run
+
+from dagster_batched.runs import range_tags
+from hdt_core.tables import TABLES
+from pipelines.cli.doctor import examine
+from pipelines.definitions import build_defs
+from pipelines.lineage import STAGE, STAGES
+from pipelines.orchestration.runs import open_instance
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
+
+ONE, OTHER = "AQX:LX-AAB", "BZR:A9-BAC"
+
+
+@dataclass(frozen=True)
+class Page:
+    """What Dagster's page starts runs of."""
+
+    defs: dg.Definitions
+    instance: dg.DagsterInstance
+    home: Path
+
+    def materialize(self, stages: list[str], **asked: Any) -> None:
+        """Run some stages for a `partition_key` or a range's `tags`."""
+        keys = {dg.AssetKey(table) for name in stages for table in STAGE[name].tables}
+        job = self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
+        assert job.execute_in_process(instance=self.instance, **asked).success
+
+
+def stored(home) -> dict[str, tuple[list[str], pl.DataFrame]]:
+    """Of each table its files, named by their content, and which cells the ledger says are made as what."""
+    ledger, files = Ledger(home), Store(home).snapshot()
+    return {t: (files[t][1], ledger.done(t).sort(pl.all())) for t in TABLES}
+
+
+def changed(before, after) -> list[str]:
+    return [t for t in TABLES if before[t][0] != after[t][0] or not before[t][1].equals(after[t][1])]
+
+
+@pytest.fixture(scope="module")
+def page(sample_landing, sample_home, tmp_path_factory) -> Iterator[Page]:
+    """Of a home of its own, which every test leaves as it was."""
+    home = shutil.copytree(sample_home, tmp_path_factory.mktemp("page") / "home")
+    with open_instance(home) as instance:
+        yield Page(build_defs(landing=sample_landing, home=home), instance, home)
+
+
+def flown(page: Page, aircraft: str) -> list[str]:
+    """Cells of an aircraft in order of departure."""
+    cells = page.instance.get_materialized_partitions(dg.AssetKey("residuals"))
+    return sorted(cell for cell in cells if cell.startswith(f"{aircraft}|"))
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_a_cell_of_any_asset(page, stage):
+    before = stored(page.home)
+    cell = {"flight": flown(page, ONE)[40], "aircraft": ONE, "fleet": None}[stage.grain]
+    page.materialize([stage.name], partition_key=cell)
+    assert changed(before, stored(page.home)) == []
+
+
+def test_a_range_over_two_aircraft_with_flights_that_only_one_has_flown(page):
+    before = stored(page.home)
+    first, last = flown(page, ONE)[40], flown(page, OTHER)[60]
+    per_flight = [stage.name for stage in STAGES if stage.grain == "flight"]
+    page.materialize(per_flight, tags=range_tags(first, last))
+    page.materialize([stage.name for stage in STAGES if stage.grain == "aircraft"], tags=range_tags(ONE, OTHER))
+    assert changed(before, stored(page.home)) == []
+
+
+def test_a_cell_beside_an_asset_of_the_whole_fleet(page):
+    """One run makes a flight of the one and all of the other."""
+    before = stored(page.home)
+    page.materialize(["twin_flights", "calibration"], partition_key=flown(page, ONE)[40])
+    assert changed(before, stored(page.home)) == []
+
+
+def test_a_run_that_names_no_cell_is_refused(page):
+    before = stored(page.home)
+    with pytest.raises(dg.DagsterInvariantViolationError):
+        page.materialize(["twin_flights"])
+    assert changed(before, stored(page.home)) == []
+
+
+def test_an_aircraft_that_was_stored_twice_is_told_and_made_again_by_the_next_night(own_home):
+    landing, home = own_home
+    before, store = stored(home), Store(home)
+    shards = store.tables.shards("twin_flights")
+    shard = next(s for s in shards if s.startswith("AQX/"))
+    store.tables.change("twin_flights", lambda held: [(shard, pl.concat([held[shard], held[shard]]))])
+    twice = store.doubled("twin_flights")[("AQX", "LX-AAB")]
+    Ledger(home).mark("twin_flights", Ledger(home).done("twin_flights"))  # as the page does
+    (told,) = (check for check in examine(None, home) if check.name == "keys")
+    assert (told.well, told.says) == (
+        False,
+        f"stored more than once: {twice} of twin_flights; `hdt nightly` makes them again",
+    )
+    assert run(landing, home).mended == (f"{twice} keys of twin_flights stood more than once (AQX LX-AAB): made again",)
+    assert changed(before, stored(home)) == []
