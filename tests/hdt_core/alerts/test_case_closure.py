@@ -7,7 +7,8 @@ import polars as pl
 import pytest
 from one_pack import FLIGHTS, alerts, departure, features, work
 
-LOOKED_AFTER = 60
+LOOKED_AFTER, SEEN = 60, 0.2 * 59 / 60
+"""Flights before an inspection, and the loss that it looks at."""
 
 
 def looked(at: int = LOOKED_AFTER, finding: str | None = "NO_FAULT_FOUND", **more: object) -> pl.DataFrame:
@@ -51,6 +52,32 @@ def test_a_loss_that_grows_by_a_whole_limit_is_wear_again() -> None:
     gap[LOOKED_AFTER + 1 : LOOKED_AFTER + 20] = 0.0  # the belief ends, and comes back higher
     found = alerts(features(gap), looked())
     assert found["diagnosis"].to_list()[0] == "HX_FOULING"
+
+
+@pytest.mark.parametrize(("grown", "back"), [(0.031, True), (0.029, False)])
+def test_three_points_more_on_three_flights_of_four_contradict_an_inspection(grown: float, back: bool) -> None:
+    loss = np.where(np.arange(FLIGHTS) < LOOKED_AFTER + 5, worn(0.0), SEEN + grown)
+    found = alerts(features(loss), looked())
+    assert found["diagnosis"].to_list() == ["HX_FOULING"] + ["SENSOR_FAULT"] * back
+    if back:
+        assert found["raised_at"].to_list()[1] == departure(LOOKED_AFTER + 7)
+        assert "at a loss of 20 %, and the loss has grown to 23 %" in found["evidence_now"].to_list()[1]
+
+
+@pytest.mark.parametrize(("after", "held"), [(0.0149, False), (0.0151, True)])
+def test_a_contradiction_is_held_for_15_flights_above_half_of_it(after: float, held: bool) -> None:
+    flight = np.arange(FLIGHTS)
+    loss = np.where(flight < 65, worn(0.0), np.where(flight < 70, 0.25, SEEN + after))
+    second = alerts(features(loss), looked()).row(1, named=True)
+    assert (second["closed_at"], second["closed_reason"]) == ((None, None) if held else (departure(84), "recovered"))
+
+
+@pytest.mark.parametrize(("grown", "wear"), [(0.151, True), (0.149, False)])
+def test_wear_is_believed_again_once_the_loss_has_grown_by_a_whole_limit(grown: float, wear: bool) -> None:
+    flight = np.arange(FLIGHTS)
+    loss = np.where(flight < LOOKED_AFTER, worn(0.0), np.where(flight < 80, 0.0, SEEN + grown))
+    found = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), looked())
+    assert ("HX_FOULING" in found["diagnosis"].to_list()[1:]) is wear
 
 
 @pytest.mark.parametrize("finding", [None, "FOULED"])
@@ -98,3 +125,12 @@ def test_the_third_unit_in_ninety_days_asks_for_the_cause_upstream(days: tuple[i
     (alert,) = alerts(features(loss), log).to_dicts()
     assert alert["units_in_90_days"] == units
     assert alert["recommended_action"].startswith("Find the cause upstream") == (units >= 3)
+
+
+@pytest.mark.parametrize(("late_s", "units"), [(0, 2), (1, 3)])
+def test_units_count_from_ninety_days_before_the_alert(late_s: int, units: int) -> None:
+    flight = np.arange(4 * 110)
+    seen = features(np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98)))
+    raised = alerts(seen, work(departure(0)).clear())["raised_at"][0]
+    log = [work(raised - timedelta(days=90, seconds=-late_s), timed=True), work(departure(4 * 60), timed=True)]
+    assert alerts(seen, pl.concat(log))["units_in_90_days"].to_list() == [units]
