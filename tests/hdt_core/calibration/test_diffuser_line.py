@@ -73,6 +73,37 @@ def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
     assert rows.blocks["turn"].to_list() == [0, 1, 2]
 
 
+def test_half_of_a_slope_is_what_noise_may_take():
+    """Positions that spread by less than twice their noise: the slope is doubled, no more."""
+    rows = machine_rows(40)
+    calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
+    plain = shared_line(rows)
+    inside = rows.x - np.array([rows.x[rows.block == b].mean() for b in (0, 1)])[rows.block]
+    raised = 1.0 - 25.0 / np.mean(inside**2)
+    assert shared_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
+
+
+def test_an_as_built_line_is_that_of_machines_as_seen_raised():
+    """Two machines of 0.16 and 0.20 m: as built 0.18 m and the wear of their entry; the slope grows with it."""
+    rows = machine_rows(40)
+    frames = [
+        frame(list(rows.x[rows.block == b]), list(rows.flight[rows.block == b] % 20), tail=tail).with_columns(
+            diameter_m=pl.Series(rows.y[rows.block == b]), group_m3=pl.lit(None, pl.Float64), efficiency=pl.lit(0.8)
+        )
+        for b, tail in enumerate("AB")
+    ]
+    fit, line = fit_compressor(pl.concat(frames)), shared_line(rows)
+    as_built, as_built_sd = _as_built(line.level, 0.004, 0.008)
+    slope = line.slope * as_built / line.level.mean()
+    slope_sd = np.hypot(line.slope_sd, slope * as_built_sd / as_built)
+    assert (fit.slope_m_per_count, fit.slope_sd_m_per_count) == pytest.approx((slope, slope_sd))
+    assert (fit.intercept_m, fit.vda_counts) == pytest.approx((as_built - slope * line.centre, line.centre))
+    assert fit.intercept_sd_m == pytest.approx(np.hypot(as_built_sd, slope_sd * line.centre))
+    assert (fit.vda_widest_counts, fit.n_flights) == (rows.x.max(), 40)
+    assert fit.mae_m == fit.forms[1].cv_mae_m
+    assert fit.r_squared == fit.forms[1].r_squared
+
+
 def test_forms_are_compared_on_flights_left_out():
     """A parabola: the line's error is that of the bend, the quadratic's of the scatter; a level costs a parameter."""
     bent = machine_rows(60, scatter=1e-4, bend=2e-6)

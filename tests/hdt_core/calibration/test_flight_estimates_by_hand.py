@@ -163,7 +163,8 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     rows = pl.DataFrame({
         **KEY, "time_utc": [START + timedelta(minutes=k) for k in range(n)], "altitude_m": [1e4] * 6 + [1.1e4],
         "tat_k": [250.0 + k for k in range(n)], "cc_in_k": [252.0 + k for k in range(6)] + [None],
-        "total_pressure_pa": [3e4] * n, "cc_in_pa": [2.7e4] * n, "cc_out_pa": [9e4 + 100.0 * k**2 for k in range(n)],
+        "total_pressure_pa": [3e4] * n, "cc_in_pa": [2.7e4] * 5 + [2.4e4] * 2,
+        "cc_out_pa": [9e4 + 100.0 * k**2 for k in range(n)],
         "cc_out_k": [400.0] * n, "cc_speed_rad_s": [3400.0] * 6 + [0.0], "cc_flow_kg_s": [0.8] * n,
     })  # fmt: skip
     none = pl.DataFrame({**{k: KEY[k] for k in PACK}, "inlet_bias_k": 1.0, "inlet_bias_ln": 0.01, "exit_bias_ln": 0.02})

@@ -32,6 +32,12 @@ def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
     share = 0.25 / (0.25 + 0.5)
     np.testing.assert_allclose(mean[:, tat], share * np.array([0.75, 0.75, -0.75, -0.75]))
     np.testing.assert_allclose(sd[:, tat], 0.5 * np.sqrt(1.0 - share))
+    three = pl.concat([PACKS[:2], PACKS[:1].with_columns(pack=pl.lit(3, pl.Int32)), PACKS[2:]])
+    apart = pl.Series([3.0, 1.0, 0.5, 0.0, 0.0])
+    more = pl.concat([seen[:2], seen[:1], seen[2:]]).with_columns(pack=three["pack"], tat_k=250.0 + apart)
+    share = 0.25 / (0.25 + 1.0 / 3.0)
+    np.testing.assert_allclose(sensor_prior(more, three)[0][:3, tat], share * 0.0, atol=1e-12)
+    np.testing.assert_allclose(sensor_prior(more, three)[0][3:, tat], 0.25 / 0.75 * -1.5)
     others = [k for k in range(6) if k not in (flow, tat)]
     assert not mean[:, others].any()
     np.testing.assert_allclose(sd[:, others], np.tile(hx.BIAS_SDS[others], (4, 1)))

@@ -103,25 +103,25 @@ def test_prognoses_are_judged_by_what_became_of_them():
 
 def test_scores_by_hand():
     judged = pl.DataFrame({
-        "left": [40.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
-        "rul_flights": [50.0, 100.0, 290.0, 200.0], "rul_low": [20.0, 60.0, 250.0, 100.0],
-        "rul_high": [90.0, 110.0, 300.0, 300.0], "event_50": [1.0, 0.0, 0.0, 0.0], "p_event_50": [0.6, 0.2, 0.0, 0.1],
+        "left": [100.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
+        "rul_flights": [110.0, 100.0, 290.0, 200.0], "rul_low": [20.0, 60.0, 250.0, 100.0],
+        "rul_high": [150.0, 110.0, 300.0, 300.0], "event_50": [1.0, 0.0, 0.0, 0.0], "p_event_50": [0.6, 0.2, 0.0, 0.1],
     })  # fmt: skip
     found = score_prognoses(judged)
-    truth = np.array([40.0, 120.0, 300.0])  # the last was not watched for 300 flights
+    truth = np.array([100.0, 120.0, 300.0])  # the last was not watched for 300 flights
     low, high = np.quantile(truth, [0.05, 0.95])
     constant = np.mean([high - low + 20.0 * (max(low - t, 0.0) + max(t - high, 0.0)) for t in truth])
-    score = np.mean([70.0, 50.0 + 20.0 * 10.0, 50.0])
+    score = np.mean([130.0, 50.0 + 20.0 * 10.0, 50.0])
     assert found == pytest.approx({
         "failures": 1.0, "mae_flights": 40.0 / 3.0, "interval_score_flights": score, "coverage": 2.0 / 3.0,
-        "interval_skill": 1.0 - score / constant, "coverage_last_100": 1.0, "alpha_lambda_20": 0.0,
+        "interval_skill": 1.0 - score / constant, "coverage_last_100": 1.0, "alpha_lambda_20": 1.0,
         "brier": (0.16 + 0.04 + 0.01) / 4.0, "brier_skill": 1.0 - (0.21 / 4.0) / (0.25 * 0.75), "auc": 1.0,
     })  # fmt: skip
 
 
 def test_tenths_of_the_probability_scale():
-    table = calibration([0, 1, 1, 0], [0.05, 0.1, 0.19, 1.0])
-    assert table.rows() == [(0.05, 0.0, 1), (pytest.approx(0.145), 1.0, 2), (1.0, 0.0, 1)]
+    table = calibration([0, 1, 1, 0, 1], [0.05, 0.1, 0.19, 1.0, 0.96])
+    assert table.rows() == [(0.05, 0.0, 1), (pytest.approx(0.145), 1.0, 2), (0.98, 0.5, 2)]
 
 
 CC = components()["CC"]

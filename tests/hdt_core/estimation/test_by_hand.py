@@ -1,0 +1,253 @@
+"""Problem, fit, Fisher information, doubts and one Kalman step against linear algebra and closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.descent import Point, distance_to_optimum, linearised
+from hdt_core.estimation.fit import Fit, noise_variance
+from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, inverted
+from hdt_core.estimation.kalman_step import (
+    Affine,
+    corrected,
+    innovate,
+    is_moving,
+    joint_belief,
+    predicted,
+    projected,
+    stepped,
+    tangent,
+)
+
+X = np.linspace(-1.0, 2.0, 12)
+SEEN = 0.4 + 1.2 * X + 0.1 * np.cos(5.0 * X)
+A = np.column_stack([np.ones(12), X]) / 0.1
+
+
+def line(**more) -> Problem:
+    """An offset and a slope."""
+    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
+             "measured": SEEN[:, None], "sigma": np.array([0.1]),
+             "observe": lambda _x, theta, i: (theta[0] + theta[1] * X[i])[None]}  # fmt: skip
+    return Problem(**(asked | more))
+
+
+def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
+    measured = SEEN[:, None].copy()
+    measured[3] = np.nan
+    prior = Belief(np.array([0.5, 1.0]), np.array([[0.04, 0.01], [0.01, 0.09]]))
+    problem = line(measured=measured, prior=prior)
+    there = np.isfinite(measured[:, 0])
+    weight = np.linalg.inv(prior.cov)
+    normal = A[there].T @ A[there] + weight
+    mean = np.linalg.solve(normal, A[there].T @ SEEN[there] / 0.1 + weight @ prior.mean)
+    found = NonlinearLeastSquares().estimate(problem)
+    np.testing.assert_allclose(found.belief.mean, mean, rtol=1e-6)
+    np.testing.assert_allclose(found.belief.cov, np.linalg.inv(normal), rtol=1e-6)
+    assert (found.status, found.method, problem.n_values) == ("converged", "nls", 11)
+    residual = (A @ mean - SEEN / 0.1)[there]
+    away = mean - prior.mean
+    assert problem.chi2(mean[None])[0] == pytest.approx(residual @ residual)
+    assert problem.objective(mean[None])[0] == pytest.approx(residual @ residual + away @ weight @ away)
+    np.testing.assert_allclose(problem.sensitivity(mean)[there], A[there], rtol=1e-6)
+    assert not problem.sensitivity(mean)[3].any()
+    np.testing.assert_allclose(found.identifiability.information, A[there].T @ A[there], rtol=1e-6)
+    np.testing.assert_allclose(fisher(problem, mean).information, A[there].T @ A[there], rtol=1e-6)
+
+
+def test_a_fits_figures_are_those_of_its_residuals():
+    """White's sandwich with n / (n - p), deviations scaled by reduced chi-square, Akaike's and Schwarz's criteria."""
+    found = NonlinearLeastSquares().estimate(line())
+    mean = np.linalg.lstsq(A, SEEN / 0.1, rcond=None)[0]
+    r, cov = SEEN / 0.1 - A @ mean, np.linalg.inv(A.T @ A)
+    fit, chi2 = found.fit, r @ r
+    assert (fit.n_values, fit.n_free, fit.degrees) == (12, 2, 10)
+    assert (fit.chi2, fit.reduced_chi2) == pytest.approx((chi2, chi2 / 10.0))
+    assert fit.p_value == pytest.approx(stats.chi2.sf(chi2, 10))
+    assert fit.aic == pytest.approx(12 * np.log(chi2 / 12) + 4.0)
+    assert fit.bic == pytest.approx(12 * np.log(chi2 / 12) + 2.0 * np.log(12))
+    assert fit.serial_correlation == pytest.approx((r[:-1] @ r[1:]) / (chi2 / 12) / np.sqrt(11))
+    np.testing.assert_allclose(fit.scaled_sd, np.sqrt(chi2 / 10.0 * np.diag(cov)), rtol=1e-5)
+    score = A * r[:, None]
+    np.testing.assert_allclose(fit.sandwich_sd, np.sqrt(np.diag(cov @ score.T @ score @ cov) * 1.2), rtol=1e-5)
+    assert fit.verdict == "adequate"
+
+
+@pytest.mark.parametrize(
+    ("residuals", "verdict"),
+    [
+        (np.tile([1.6, -1.6], 10), "lack_of_fit"), (np.tile([1.4, -1.4], 10), "adequate"),
+        (np.tile([0.52, -0.52], 10), "adequate"), (np.tile([0.4, -0.4], 10), "sigma_too_large"),
+        (np.repeat([1.0, -1.0], 20), "lack_of_fit"), (np.tile([1.0, 1.0, -1.0, -1.0], 10), "adequate"),
+        (np.array([0.1]), "untested"),
+    ],
+)  # fmt: skip
+def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
+    """Quantiles of chi-square: 5.4 and 43.8 for 19 degrees; a series that keeps its sign for twenty values has run."""
+    fit = Fit(residuals[:, None], np.array([True]), np.zeros((residuals.size, 1)), np.zeros((1, 1)))
+    assert fit.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("chi2", "n", "variance"),
+    [(29.5, 12, 1.0), (29.7, 12, 2.97), (1.5, 12, 1.0), (1.4, 12, 0.14), (86.6, 52, 1.0), (86.7, 52, 86.7 / 50.0),
+     (9.0, 2, 1.0), (np.inf, 12, 1.0), (9.0, 1, 1.0)],
+)  # fmt: skip
+def test_noise_is_as_declared_unless_chi_square_contradicts(chi2, n, variance):
+    assert noise_variance(chi2, n, 2) == pytest.approx(variance)
+
+
+def test_what_data_tell_and_what_they_do_not():
+    information = np.array([[4.0, 3.0], [3.0, 9.0]])
+    seen = Identifiability(("a", "b"), information)
+    cov = np.linalg.inv(information)
+    np.testing.assert_allclose(seen.scaled, [[1.0, 0.5], [0.5, 1.0]])
+    assert seen.condition == pytest.approx(3.0)
+    np.testing.assert_allclose(seen.bound_sd, np.sqrt(np.diag(cov)))
+    assert seen.correlation[0, 1] == pytest.approx(-0.5)
+    weakest = seen.weakest
+    assert weakest["a"] == pytest.approx(-weakest["b"])
+    blind = np.array([[4.0, 6.0, 0.0], [6.0, 9.0, 0.0], [0.0, 0.0, 25.0]])
+    found, told = inverted(blind)
+    assert not told
+    assert np.isinf(np.diag(found)[:2]).all()
+    assert found[2, 2] == pytest.approx(0.04)
+    assert not Identifiability(("a", "b", "c"), blind).identifiable
+    held, told = covariance_of_free(np.array([[0.0, 0.0], [-1.0, 1.0]]), information)
+    np.testing.assert_allclose(held, [[0.0, 0.0], [0.0, 1.0 / 9.0]])
+    assert told
+
+
+def test_newtons_decrement_with_and_without_bounds():
+    normal, gradient = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([1.0, -0.5])
+    at, wide = Point(np.zeros(2), 1.0, gradient, normal), np.tile([-9.0, 9.0], (2, 1))
+    assert distance_to_optimum(at, wide) == pytest.approx(np.sqrt(gradient @ np.linalg.solve(normal, gradient)))
+    # the first is pressed against its lower bound, so only the second may move
+    pressed = np.array([[0.0, 9.0], [-9.0, 9.0]])
+    assert distance_to_optimum(at, pressed) == pytest.approx(0.5 / np.sqrt(2.0))
+    # a bound on the way: the best of a parabola that ends there
+    near = np.array([[0.0, 0.0], [-9.0, 0.1]])
+    assert distance_to_optimum(at, near) == pytest.approx(np.sqrt(2 * 0.5 * 0.1 - 2.0 * 0.1**2))
+
+
+def test_how_a_fit_ends_is_told():
+    optimum = NonlinearLeastSquares().estimate(line())
+    mean, sd = optimum.belief.mean, optimum.belief.sd
+    # alone along the first parameter, 4e-4 and 6e-4 of a deviation away
+    step = 1.0 / np.sqrt((A.T @ A)[0, 0])
+    for off, reached, status in ((4e-4, "max_steps", "converged"), (6e-4, "converged", "max_steps"),
+                                 (6e-4, "approximate", "approximate")):  # fmt: skip
+        assert conclude(line(), mean + np.array([off * step, 0.0]), reached, 1).status == status
+    assert conclude(line(), mean * np.nan, "converged", 1).status == "diverged"
+    corner = line(
+        bounds=np.array([[-50.0, mean[0] - 0.5 * sd[0]], [-50.0, 50.0]]), prior=Belief(np.zeros(2), 25.0 * np.eye(2))
+    )
+    assert NonlinearLeastSquares().estimate(corner).status == "at_bound"
+    narrow = replace(line(), bounds=np.column_stack([mean - 2.9 * sd, mean + 2.9 * sd]))
+    left_open = NonlinearLeastSquares().estimate(narrow)
+    assert (left_open.status, left_open.weak) == ("weakly_identifiable", ("offset", "slope"))
+    # twice too many parameters for one mean
+    twins = line(observe=lambda _x, theta, i: (theta[0] + theta[1] + 0.0 * X[i])[None])
+    assert NonlinearLeastSquares().estimate(twins).status == "not_identifiable"
+    near = settle(line(), mean + 0.5 * sd, 0, cov=4.0 * optimum.belief.cov)
+    np.testing.assert_allclose(near.belief.cov, 4.0 * optimum.belief.cov)
+    far = settle(line(), mean + 2.5 * sd, 0, cov=optimum.belief.cov)
+    np.testing.assert_allclose(far.belief.cov, optimum.belief.cov, rtol=1e-6)
+    assert linearised(line(), mean).n_evals == 5
+
+
+def curved(seen: float, sigma: float) -> Problem:
+    """One value of exp(theta)."""
+    return Problem(("x",), np.array([[-40.0, 40.0]]), unknown(np.array([0.0])), np.full((1, 1), seen),
+                   np.array([sigma]), lambda _x, theta, i: np.exp(theta[0] + 0.0 * i)[None])  # fmt: skip
+
+
+def test_profile_intervals_of_a_logarithm():
+    """Objective ((e^x - y) / s)^2 rises by 3.84 where e^x is y +- 1.96 s; below zero it never does."""
+    found = NonlinearLeastSquares().estimate(curved(1.0, 0.4))
+    np.testing.assert_allclose(found.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
+    assert found.status == "converged"
+    left = NonlinearLeastSquares().estimate(curved(1.0, 0.6))
+    assert left.profile.unlimited == left.weak == ("x",)
+    assert left.profile.open.tolist() == [[True, False]]
+    assert left.profile.interval[0, 1] == pytest.approx(np.log(1.0 + 1.96 * 0.6), rel=0.03)
+    assert left.status == "weakly_identifiable"
+
+
+def test_a_better_optimum_elsewhere_is_told():
+    """x squared near 1, and x itself near 1: from below a fit ends near -1."""
+    two = Problem(("x",), np.array([[-4.0, 4.0]]), unknown(np.array([-2.0])), np.tile([1.0, 0.3], (3, 1)),
+                  np.full(2, 0.05),
+                  lambda _x, theta, i: np.stack([theta[0] ** 2 + 0.0 * i, 0.3 * theta[0] + 0.0 * i]))  # fmt: skip
+    found = NonlinearLeastSquares().estimate(two)
+    assert found.status == "local_optimum"
+    assert found.belief.mean[0] < -0.9
+    assert found.better[0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_kalman_step_is_the_conditional_normal():
+    cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
+    belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
+    model, sigma, seen = (
+        Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02])),
+        np.array([0.3, 0.4]),
+        np.array([2.0, -2.0]),
+    )
+    s = h @ cov @ h.T + np.diag([0.01 + 0.09, 0.02 + 0.16])
+    error = seen - (h @ belief.mean + [0.2, -0.1])
+    correction = innovate(belief, model, seen, sigma)
+    after = corrected(belief, correction)
+    np.testing.assert_allclose(after.mean, belief.mean + cov @ h.T @ np.linalg.solve(s, error))
+    np.testing.assert_allclose(after.cov, cov - cov @ h.T @ np.linalg.solve(s, h @ cov), atol=1e-12)
+    assert correction.nis == pytest.approx(error @ np.linalg.solve(s, error))
+    assert correction.log_likelihood == pytest.approx(stats.multivariate_normal.logpdf(error, cov=s))
+    one = corrected(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
+    gain = cov @ h[1] / s[1, 1]
+    np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])
+    move = Affine(
+        np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3)
+    )
+    later = predicted(belief, move)
+    np.testing.assert_allclose(later.mean, [0.5, -0.8, 0.5])
+    np.testing.assert_allclose(later.cov, move.slope @ cov @ move.slope.T + 0.1 * np.eye(3))
+
+
+def test_drift_and_process_noise_are_variances():
+    moving = line(drift=np.array([0.1, 0.2]))
+    assert is_moving(moving)
+    assert not is_moving(line(drift=np.zeros(2)))
+    step = stepped(moving, tangent, joint_belief(moving), 0)
+    np.testing.assert_allclose(step.spread, np.diag([0.01, 0.04]))
+    np.testing.assert_allclose(step.slope, np.eye(2))
+    states = replace(
+        moving, start=Belief(np.array([2.0]), np.array([[0.5]])), process_sd=np.array([0.3]),
+        transition=lambda x, theta, _i: 0.5 * x**2 + theta[:1],
+    )  # fmt: skip
+    start = joint_belief(states)
+    # a parameter of which nothing is known is as unsure as a uniform one over its bounds
+    np.testing.assert_allclose(np.diag(start.cov), [0.5, 100.0**2 / 12.0, 100.0**2 / 12.0])
+    step = stepped(states, tangent, start, 0)
+    np.testing.assert_allclose(step.slope, [[2.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(step.spread, np.diag([0.09, 0.01, 0.04]))
+    assert (step.slope @ start.mean + step.offset)[0] == pytest.approx(2.0)
+    open_ended = joint_belief(line(bounds=np.tile([-np.inf, np.inf], (2, 1)), prior=unknown(np.array([0.5, 3.0]))))
+    np.testing.assert_allclose(np.diag(open_ended.cov), [1e6, 9e6])
+    held = joint_belief(line(bounds=np.array([[0.3, 0.3], [-1.0, 1.0]])))
+    np.testing.assert_allclose(np.diag(held.cov), [0.0, 4.0 / 12.0])
+    assert held.mean[0] == 0.3
+
+
+def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
+    belief = Belief(np.array([1.5, 0.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
+    np.testing.assert_allclose(projected(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
+    np.testing.assert_allclose(projected(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])
+
+
+def test_a_belief_by_hand():
+    belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
+    np.testing.assert_allclose(belief.interval(0.95), [[1.0 - 3.92, 1.0 + 3.92], [2.0 - 5.88, 2.0 + 5.88]], atol=1e-3)
+    np.testing.assert_allclose(belief.widened(np.array([1.0, 2.0])).cov, np.diag([5.0, 13.0]))
