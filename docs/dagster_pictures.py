@@ -20,7 +20,7 @@ ROW = "main a[href*='/assets/'], a[href^='/assets/']"
 @contextmanager
 def served(landing: str, home: str) -> Iterator[str]:
     """Address of Dagster's page of a home, for as long as it is looked at."""
-    command = [Path(sys.executable).with_name("hdt"), "ui", "--read-only", "--no-daemon", "--port", "0"]
+    command = [Path(sys.executable).with_name("hdt"), "ui", "--port", "0"]
     command += ["--landing", landing, "--home", home]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as page:
         try:

@@ -5,7 +5,6 @@ from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from pipelines.casework.listing import find_case
 from pipelines.storage.cases import CaseEntry, CaseLog
 
 FOUND = {
@@ -23,15 +22,17 @@ class RefusedError(ValueError):
     """What was asked can't be done; says why and what can."""
 
 
-def change_case(home: Path, alert_id: str, kind: str, person: str, seen: int | None = None, **asked: Any) -> str:
+def change_case(
+    home: Path, case: Mapping[str, Any], kind: str, person: str, seen: int | None = None, **asked: Any
+) -> str:
     """Write one line about a case; what follows from it, in words.
 
     Parameters
     ----------
     home : Path
-        Holds the catalog and the log.
-    alert_id : str
-        Which alert, or the first digits of its id.
+        Holds the log.
+    case : mapping
+        The case as it stands, a row of `list_cases`.
     kind : str
         acknowledge, assign (`assignee`), mute (`until`), watch, unwatch, close (`finding`, `action`, `on`, `reference`)
         or reopen.
@@ -44,14 +45,11 @@ def change_case(home: Path, alert_id: str, kind: str, person: str, seen: int | N
 
     Raises
     ------
-    LookupError
-        There is no such alert.
     RefusedError
         Something is missing, wrong, or makes no sense for this case.
     ConflictError
         Somebody else changed the case since.
     """
-    case = find_case(home, alert_id)
     body = {"note": _text(asked.get("note"), "note"), **_BODY[kind](case, asked)}
     stood = {f"{c}_then": case[k] for c, k in _STOOD.items()}
     alert = {c: case[c] for c in _ALERT}
@@ -134,7 +132,7 @@ def moment(given: Any, name: str) -> tuple[date, datetime]:
         at = datetime.fromisoformat(str(given))
         at = at.replace(tzinfo=UTC) if at.tzinfo is None else at.astimezone(UTC)
         return at.date(), at
-    except ValueError:
+    except (ValueError, OverflowError):  # the last day has no end, and the first hour none before it
         raise RefusedError(f"{name} is a day (2024-06-19) or a time in UTC (2024-06-19T04:30), not {given}") from None
 
 

@@ -52,14 +52,11 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
     return found[0]
 
 
-def outlook_of(home: Path, case: dict[str, Any]) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
-    """When the message of a case's component is due (row of `due_dates`), and the choices (of `next_stop`) by cost."""
-    place = {c: case[c] for c in ("operator", "tail", "pack", "component")}
-    where = " and ".join(f"{c} = ${c}" for c in place)
+def outlooks(home: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of `due_dates`, when messages are due, and of `next_stop`, the choices at it, the best first."""
     with connect(home) as con:
-        due = _rows(con.execute(f"select * from due_dates where {where}", place))
-        choices = f"select * from next_stop where {where} order by place nulls last, choice"
-        return next(iter(due), None), _rows(con.execute(choices, place))
+        due = _rows(con.execute("select * from due_dates"))
+        return due, _rows(con.execute("select * from next_stop order by place nulls last, choice"))
 
 
 def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:

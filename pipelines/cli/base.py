@@ -21,7 +21,6 @@ ORDER = (
     "close",
     "case",
     "serve",
-    "user",
     "report",
     "digest",
     "orders",

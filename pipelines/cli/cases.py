@@ -143,9 +143,11 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
 
 def _change(home: Path | None, alert: str, kind: str, by: str, **asked: Any) -> None:
     from pipelines.casework.changes import change_case
+    from pipelines.casework.listing import find_case
 
     where = home_folder(home)
-    out.print(_asked(lambda: change_case(where, alert, kind, by, **asked)), markup=False, soft_wrap=True)
+    message = _asked(lambda: change_case(where, find_case(where, alert), kind, by, **asked))
+    out.print(message, markup=False, soft_wrap=True)
 
 
 def _asked(what: Any) -> Any:

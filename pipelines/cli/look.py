@@ -11,12 +11,10 @@ from rich.table import Table
 from pipelines.cli.base import (
     AsJson,
     HomeDir,
-    LandingDir,
     Language,
     StopError,
     app,
     home_folder,
-    landing_folder,
     out,
     say_error,
     spoken,
@@ -117,41 +115,6 @@ def explain(
             f'no pack or alert {named}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'
         )
     out.print(told, markup=False, soft_wrap=True)
-
-
-@app.command()
-def ui(
-    landing: LandingDir = None,
-    home: HomeDir = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 3000,
-    read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no run can be started.")] = False,
-    listen: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 within a container.")] = "127.0.0.1",
-    name: Annotated[
-        list[str] | None, typer.Option(help="Name, without a port, under which a proxy shows the page.")
-    ] = None,
-    daemon: Annotated[bool, typer.Option(help="Start Dagster's daemon too, which runs schedules and sensors.")] = True,
-) -> None:
-    """Open Dagster's page on this machine.
-
-    It shows the same assets and run history that the other commands work on. The address it prints holds the home's
-    token, without which the page can only be looked at.
-    """
-    where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
-    try:
-        from pipelines.web.address import listening
-        from pipelines.web.page import serve
-    except ImportError:
-        raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
-    try:
-        sock = listening(listen, port)
-    except OSError as error:
-        raise StopError(f"can't listen at {listen}:{port} ({error.strerror}); name another --port") from None
-    with sock:
-        serve(where, zone, sock, _say_where, tuple(name or ()), read_only, daemon)
-
-
-def _say_where(address: str) -> None:
-    out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)
 
 
 @app.command()

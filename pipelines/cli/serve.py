@@ -1,94 +1,92 @@
-"""Commands of the page of cases: serve it, and say who may use it."""
+"""Commands of the two pages: cases for the shift, and Dagster's."""
 
-import sys
+import re
+import socket
+from ipaddress import ip_network
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from pipelines.cli.base import HomeDir, StopError, app, home_folder, out
+from pipelines.cli.base import HomeDir, LandingDir, StopError, app, home_folder, landing_folder, out
 
-user = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who may use the page of cases.")
-app.add_typer(user, name="user")
-_EXTRA = "the page of cases needs the extra serve: pip install 'hybrid-digital-twin[serve]'"
+Name = Annotated[list[str] | None, typer.Option(help="Name, without a port, under which a proxy shows the page.")]
 
 
 @app.command()
 def serve(
     home: HomeDir = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 8460,
-    listen: Annotated[
-        str, typer.Option(help="Address to listen at; others than this machine want https before it.")
-    ] = ("127.0.0.1"),
-    name: Annotated[
-        list[str] | None, typer.Option(help="Name, without a port, under which a proxy shows the page.")
-    ] = None,
+    listen: Annotated[str, typer.Option(help="Address to listen at; others want https before it.")] = "127.0.0.1",
+    name: Name = None,
     https: Annotated[bool, typer.Option("--https", help="Browsers come by https, through a proxy.")] = False,
+    proxy: Annotated[
+        list[str] | None, typer.Option(help="Address or network of the site's proxy, which says who asks; no token.")
+    ] = None,
+    header: Annotated[str, typer.Option(help="Header into which the proxy writes the name.")] = "X-Remote-User",
 ) -> None:
     """The page of cases: who has what in hand, what was found.
 
-    Nothing is seen without a name and a password; `hdt user add` gives them.
+    The address it prints holds a token, another at each start, that lets one in. Behind the site's proxy (--proxy)
+    people come by their own names; `roles.toml` of the home says what each may do.
     """
     where = home_folder(home).resolve()
     try:
-        from pipelines.web.address import listening
-        from pipelines.web.casebook import serve_cases
+        from pipelines.web.casebook import application
+        from pipelines.web.guard import LOCAL
+        from pipelines.web.roles import FILE, RolesError, local_person, read_people
+        from pipelines.web.sign_in import LocalToken, ProxyHeader
     except ImportError:
-        raise StopError(_EXTRA) from None
-    from pipelines.web.people import people
-
-    if not people(where):
-        raise StopError(f"nobody may use the page yet; `hdt user add NAME --role admin --home {where}` adds somebody")
+        raise StopError("the page of cases needs the extra serve: pip install 'hybrid-digital-twin[serve]'") from None
+    if not re.fullmatch(r"[A-Za-z0-9-]+", header):
+        raise StopError(f"--header {header} is no name of a header")
     try:
-        sock = listening(listen, port)
-    except OSError as error:
-        raise StopError(f"can't listen at {listen}:{port} ({error.strerror}); name another --port") from None
-    with sock:
-        out.print(f"Cases: http://127.0.0.1:{sock.getsockname()[1]}/", soft_wrap=True, markup=False)
-        serve_cases(where, sock, tuple(name or ()), https)
+        people, sign_in = read_people(where), LocalToken(local_person(where), https)
+        behind = ProxyHeader(where, header, [ip_network(p) for p in proxy]) if proxy else None
+    except RolesError as error:
+        raise StopError(str(error)) from None
+    except ValueError as error:
+        raise StopError(f"--proxy: {error}") from None
+    if behind and not people:
+        raise StopError(f"nobody has a role yet; name people below [people] in {where / FILE}")
+    with _listening(listen, port) as sock:
+        address = f"http://127.0.0.1:{sock.getsockname()[1]}/"
+        out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}", soft_wrap=True, markup=False)
+        application(where, LOCAL | set(name or ()), behind or sign_in).serve(sock)
 
 
-@user.command("add")
-def add(
-    name: str,
-    role: Annotated[str, typer.Option(help="viewer (looks), engineer (changes cases) or admin (all operators).")],
-    operator: Annotated[
-        list[str] | None, typer.Option(help="Sees this operator's cases alone; may be given more than once.")
-    ] = None,
+@app.command()
+def ui(
+    landing: LandingDir = None,
     home: HomeDir = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 3000,
+    read_only: Annotated[
+        bool, typer.Option("--read-only/--launch", help="Look only, or let runs, schedules and sensors be started.")
+    ] = True,
+    listen: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 within a container.")] = "127.0.0.1",
+    name: Name = None,
+    daemon: Annotated[bool, typer.Option(help="With --launch: Dagster's daemon, for schedules and sensors.")] = True,
 ) -> None:
-    """Add a person, or give one another role and password; the password is asked for, or read from a pipe."""
-    from pipelines.web.people import PeopleError, add_person
+    """Open Dagster's page on this machine.
 
-    where = home_folder(home)
-    asked = sys.stdin.isatty()
-    password = typer.prompt("Password", hide_input=True, confirmation_prompt=True) if asked else sys.stdin.readline()
+    It shows the same assets and run history that the other commands work on, to look at. With --launch runs can be
+    started from it; the address it prints then holds a token, another at each start, that lets one in.
+    """
+    where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
     try:
-        add_person(where, name, role, tuple(operator or ()), password.rstrip("\n"))
-    except PeopleError as error:
-        raise StopError(str(error)) from None
-    out.print(f"{name} is {role}{' of ' + ', '.join(operator) if operator else ''}.", markup=False)
+        from pipelines.web import page
+    except ImportError:
+        raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
+    with _listening(listen, port) as sock:
+        page.serve(where, zone, sock, _say_where, tuple(name or ()), read_only, daemon)
 
 
-@user.command("remove")
-def remove(name: str, home: HomeDir = None) -> None:
-    """Take a person out; an open session ends at once."""
-    from pipelines.web.people import PeopleError, remove_person
+def _say_where(address: str) -> None:
+    out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)
 
+
+def _listening(address: str, port: int) -> socket.socket:
+    """A socket that listens already, so that who comes before the server is ready waits."""
     try:
-        remove_person(home_folder(home), name)
-    except PeopleError as error:
-        raise StopError(str(error)) from None
-    out.print(f"{name} is no user any more.", markup=False)
-
-
-@user.command("list")
-def list_(home: HomeDir = None) -> None:
-    """Who may use the page."""
-    from pipelines.web.people import people
-
-    table = Table("name", "role", "operators", box=SIMPLE_HEAD)
-    for person in people(home_folder(home)).values():
-        table.add_row(person.name, person.role, ", ".join(person.operators) or "all")
-    out.print(table)
+        return socket.create_server((address, port), family=socket.AF_INET6 if ":" in address else socket.AF_INET)
+    except OSError as error:
+        raise StopError(f"can't listen at {address}:{port} ({error.strerror}); name another --port") from None

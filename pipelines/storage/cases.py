@@ -86,16 +86,18 @@ class CaseLog:
         Raises
         ------
         ConflictError
-            There is a later line about the alert.
+            Another line is the last about the alert.
         """
         name = entry.alert["alert_id"]
         with self._writing() as con:
             last = con.execute(
                 "select line, person, kind, at from cases where alert_id = ? order by line desc limit 1", (name,)
             ).fetchone()
-            if seen is not None and last is not None and last[0] > seen:
+            if seen is not None and seen != (last[0] if last else 0):
                 raise ConflictError(
                     f"{last[1]} changed this case in the meantime ({last[2]}, {last[3][:16]}); look again"
+                    if last and last[0] > seen
+                    else f"line {seen} of the log is none about this case; look again"
                 )
             number = 1 + int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
             at = datetime.now(UTC).isoformat(timespec="microseconds")
@@ -103,6 +105,10 @@ class CaseLog:
             body = json.dumps(dict(entry.body), ensure_ascii=False, sort_keys=True, default=str)
             con.execute(_ADD, (number, at, *own, entry.kind, entry.person, body))
         return number
+
+    def last_line(self) -> int:
+        """Number of the last line, 0 where there is none."""
+        return int(self._ask("select coalesce(max(line), 0) from cases", [(0,)])[0][0])
 
     def entries(self) -> pl.DataFrame:
         """All lines as rows of `raw_cases`, in order."""
@@ -164,12 +170,17 @@ class CaseLog:
             return []
 
     def _lines(self) -> list[tuple[Any, ...]]:
-        ask = f"select {', '.join(_OWN)}, body from cases order by line"
+        return self._ask(f"select {', '.join(_OWN)}, body from cases order by line", [])
+
+    def _ask(self, sql: str, without: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+        """Rows of a select; `without` where there is no log yet."""
         if self.url:
             with postgres.session(self.url, _SCHEMA) as con:
-                return list(con.execute(ask).fetchall())
+                return list(con.execute(sql).fetchall())
         path = self.home / FILE
-        return sqlite_reader.read(path, lambda con: con.execute(ask).fetchall()) if path.exists() else []
+        if not path.exists() or not path.stat().st_size:  # empty: the first line was taken back, or never came to be
+            return without
+        return sqlite_reader.read(path, lambda con: con.execute(sql).fetchall())
 
     @contextmanager
     def _writing(self) -> Iterator[Any]:

@@ -4,6 +4,7 @@ import atexit
 import re
 import shutil
 import tempfile
+import threading
 import time
 from functools import cache, lru_cache
 from pathlib import Path
@@ -18,6 +19,7 @@ from pipelines.storage.store import URL, Store
 
 CATALOG = "catalog.duckdb"
 _TRUST_S = 3600.0
+_OPENING = threading.Lock()
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
@@ -35,6 +37,13 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     """
     if not (home / CATALOG).exists():
         raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
+    with _OPENING:  # connections of one process share one database: of two that come first at once one may lock it
+        con = _open_locked(home)
+    return cast("duckdb.DuckDBPyConnection", _VerifiedCatalog(con, home))
+
+
+def _open_locked(home: Path) -> duckdb.DuckDBPyConnection:
+    """A connection to the catalog that reaches the tables' place alone."""
     try:
         con = open_catalog(home)
         ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
@@ -43,10 +52,9 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
         raise StoreError(
             f"the catalog in {home} can't be read ({message_of(error)}); `hdt nightly` makes it anew"
         ) from None
-    # connections of one process share one database, and who came first has locked it; each has variables of its own
     folder = _held(con) if locked else lock(con, Store(home.resolve()), made)
-    con.execute(f"set variable tables_folder = {quote(folder)}")
-    return cast("duckdb.DuckDBPyConnection", _VerifiedCatalog(con, home))
+    con.execute(f"set variable tables_folder = {quote(folder)}")  # each connection has variables of its own
+    return con
 
 
 class _VerifiedCatalog:

@@ -1,7 +1,6 @@
 """Local files, and how any gets there whole or not at all: temporary name, fsync, rename."""
 
 import os
-import secrets
 import shutil
 import sys
 from collections.abc import Collection, Iterator
@@ -59,13 +58,6 @@ def private(path: Path) -> Path:
     with suppress(PermissionError):  # not ours to change, but we may write it
         path.chmod(0o600)
     return path
-
-
-def kept_secret(path: Path, n_bytes: int) -> str:
-    """The random secret in a file that its owner alone may read, made the first time it is asked for."""
-    with suppress(FileExistsError), open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-        file.write(secrets.token_urlsafe(n_bytes))
-    return path.read_text()
 
 
 @contextmanager

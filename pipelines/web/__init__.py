@@ -1,1 +1,1 @@
-"""Dagster's page behind its gate."""
+"""The page of cases and Dagster's page, each behind the same guard."""

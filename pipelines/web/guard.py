@@ -1,86 +1,115 @@
-"""What stands before the page of cases: its own name only, small requests, and no end of guesses."""
+"""What stands before a page: its own name and origin only, small bodies, and a sign-in.
 
-import time
-from collections import deque
+Any page that is open in the same browser can send requests to this machine. It can choose neither the `Host` by which
+the browser reached this server nor the `Origin` that the browser adds, so both must be the page's own, and what changes
+anything must name its origin: no form or script of another page can.
+"""
+
+import re
+import socket
 from collections.abc import Collection
+from http import HTTPStatus
 
+import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from pipelines.web.address import is_stranger
+from pipelines.web.sign_in import SignIn
 
-MAX_BODY = 64 << 10
-TRIES, TRIES_OF_ADDRESS, WINDOW_S = 5, 50, 300.0
-"""Tries to log in with a name, and from an address, before it waits; and for how long they count. [-, -, s]"""
-_KNOWN = 10_000  # names and addresses that are remembered
+LOCAL = frozenset({"127.0.0.1", "localhost", "[::1]"})
+METHODS = ("GET", "HEAD", "POST")
 HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
-    "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
 }
 
 
 class Guard:
-    """Lets through what came by one of the `names`, with a body that is small and told beforehand."""
+    """Lets through who comes by one of the page's names and is signed in; `request.state.person` is who that is.
 
-    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
-        self.app, self.names = app, frozenset(names)
+    Parameters
+    ----------
+    app : ASGI application
+        The page.
+    names : collection of str
+        Names, without a port, by which this machine or the proxy before it is called.
+    sign_in : SignIn, optional
+        Says who asks; without one anybody may.
+    max_body : int, optional
+        Bytes of a request; without it, any number.
+    by_post : collection of str
+        Paths at which nothing but POST is answered.
+    """
+
+    def __init__(
+        self, app: ASGIApp, names: Collection[str], sign_in: SignIn | None = None, max_body: int | None = None,
+        by_post: Collection[str] = (),
+    ) -> None:  # fmt: skip
+        self.app, self.names, self.sign_in = app, frozenset(names), sign_in
+        self.max_body, self.by_post = max_body, frozenset(by_post)
+
+    def serve(self, sock: socket.socket) -> None:
+        """Serve the page until someone stops it."""
+        config = uvicorn.Config(self, log_level="warning", server_header=False, proxy_headers=False)
+        uvicorn.Server(config).run(sockets=[sock])
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, or let the page do it."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        if scope["type"] != "http":
-            await send({"type": "websocket.close", "code": 1008})
-            return
-        headers = Headers(scope=scope)
-        if is_stranger(headers, self.names):
-            await PlainTextResponse("this page answers under its own address only", 403)(scope, receive, send)
-            return
-        length = headers.get("content-length", "0")
-        told = scope["method"] != "POST" or "content-length" in headers
-        if not told or not length.isdecimal() or int(length) > MAX_BODY:
-            await PlainTextResponse("too large", 413)(scope, receive, send)
-            return
 
-        async def with_headers(message: Message) -> None:
+        async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                found = MutableHeaders(scope=message)
+                headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
-                    found.setdefault(name, value)
+                    headers.setdefault(name, value)
             await send(message)
 
-        await self.app(scope, receive, with_headers)
+        answer = self._answer(scope)
+        if answer is None:
+            await self.app(scope, receive, send_guarded)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await answer(scope, receive, send_guarded)
+
+    def _answer(self, scope: Scope) -> Response | None:
+        """What turns the request away or signs it in or out; None lets it through."""
+        connection = HTTPConnection(scope)
+        if refusal := self._refusal(scope, connection.headers):
+            return PlainTextResponse(f"{refusal[1]}\n", refusal[0])
+        person = self.sign_in(connection) if self.sign_in else None
+        if isinstance(person, Response):
+            return person
+        scope.setdefault("state", {})["person"] = person
+        return None
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
+        """Why a request is refused whoever sends it."""
+        method = scope.get("method", "GET")  # a web socket begins with one
+        if is_foreign(headers, self.names, names_origin=method == "POST" or scope["type"] == "websocket"):
+            return HTTPStatus.FORBIDDEN, "this page answers under its own address only; --name adds a proxy's"
+        if method not in METHODS or (method != "POST" and scope["type"] == "http" and scope["path"] in self.by_post):
+            return HTTPStatus.METHOD_NOT_ALLOWED, "this is asked by POST" if method in METHODS else "no such method"
+        if self.max_body is not None and not _is_small(method, headers, self.max_body):
+            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request says its length and has {self.max_body} bytes"
+        return None
 
 
-class Guesses:
-    """Wrong passwords of late, by name and by address; many people may share an address."""
+def is_foreign(headers: Headers, names: Collection[str], *, names_origin: bool) -> bool:
+    """Whether a request came by another name than ours or from another page; or, where it must, names no origin."""
+    hosts, origin = headers.getlist("host"), headers.get("origin")
+    if len(hosts) != 1 or re.sub(r":\d{1,5}$", "", hosts[0]).lower() not in names:
+        return True
+    return names_origin if origin is None else origin not in {f"http://{hosts[0]}", f"https://{hosts[0]}"}
 
-    def __init__(self) -> None:
-        self._held: dict[tuple[str, str], deque[float]] = {}
 
-    def too_many(self, name: str, address: str) -> bool:
-        """Whether this name or this address has to wait."""
-        return len(self._late("name", name)) >= TRIES or len(self._late("address", address)) >= TRIES_OF_ADDRESS
-
-    def note(self, name: str, address: str) -> None:
-        """One more try."""
-        if len(self._held) > _KNOWN:  # who floods it with names only forgets the oldest
-            for key in list(self._held)[: _KNOWN // 10]:
-                del self._held[key]
-        for kind, who in (("name", name), ("address", address)):
-            self._late(kind, who).append(time.monotonic())
-
-    def forget(self, name: str) -> None:
-        """The right password came."""
-        self._held.pop(("name", name), None)
-
-    def _late(self, kind: str, who: str) -> deque[float]:
-        late = self._held.setdefault((kind, who), deque(maxlen=TRIES_OF_ADDRESS))
-        while late and late[0] < time.monotonic() - WINDOW_S:
-            late.popleft()
-        return late
+def _is_small(method: str, headers: Headers, max_body: int) -> bool:
+    """Whether the body's length is told beforehand and not above the limit."""
+    length = headers.get("content-length", "" if method == "POST" else "0")
+    return re.fullmatch(r"[0-9]{1,9}", length) is not None and int(length) <= max_body

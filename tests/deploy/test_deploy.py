@@ -23,7 +23,11 @@ SERVICES = COMPOSE["services"]
 OURS = {name: s for name, s in SERVICES.items() if "build" in s}
 COMMANDS = {"dagster-webserver": create_dagster_webserver_cli, "dagster-daemon": create_dagster_daemon_cli,
             "dagster": create_dagster_cli, "hdt": lambda: typer.main.get_command(app)}  # fmt: skip
-GIVEN = {"webserver": {"listen": "0.0.0.0"}, "daemon": {"module_name": ("pipelines.definitions",)}, "night": {}}
+GIVEN = {
+    "webserver": {"listen": "0.0.0.0", "read_only": False},
+    "daemon": {"module_name": ("pipelines.definitions",)},
+    "night": {},
+}
 
 
 @pytest.mark.parametrize("name", sorted(set(OURS) - {"worker"}))

@@ -4,11 +4,15 @@ import re
 import shutil
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import duckdb
 import pytest
+from case_homes import case_home
 
+from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import HASH, fault_of, ordered, publish, views
@@ -242,6 +246,23 @@ def test_a_second_reader_of_one_process_answers_too(sample_home):
             second.sql("select count(*) from flights").fetchall()
             == first.sql("select count(*) from flights").fetchall()
         )
+
+
+def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, monkeypatch):
+    """Of two that find the configuration open, one locks it before the other has changed it."""
+    home, lock = case_home(tmp_path / "home"), catalog.lock
+
+    def lock_late(*arguments):
+        time.sleep(0.05)
+        return lock(*arguments)
+
+    def count(_: int) -> int:
+        with connect(home) as con:
+            return con.execute("select count(*) from cases").fetchone()[0]
+
+    monkeypatch.setattr(catalog, "lock", lock_late)
+    with ThreadPoolExecutor(8) as pool:
+        assert set(pool.map(count, range(16))) == {4}
 
 
 def test_nobody_writes_through_the_catalog(sample_home):

@@ -6,19 +6,25 @@ from typing import Any
 import httpx
 from starlette.types import ASGIApp
 
+ADDRESS = "http://127.0.0.1"
+
 
 class Client:
-    """Keeps its cookies; follows no redirect."""
+    """Keeps its cookies, follows no redirect, names its origin where it posts; sends `headers` with every request."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._http = httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://127.0.0.1")
+    def __init__(self, app: ASGIApp, headers: dict[str, str] | None = None, address: str = "127.0.0.1") -> None:
+        transport = httpx.ASGITransport(app, client=(address, 40_000))
+        self._http = httpx.AsyncClient(transport=transport, base_url=ADDRESS, headers=headers)
 
     @property
     def cookies(self) -> httpx.Cookies:
         return self._http.cookies
 
-    def get(self, path: str, **asked: Any) -> httpx.Response:
-        return asyncio.run(self._http.get(path, **asked))
+    def ask(self, method: str, path: str, **asked: Any) -> httpx.Response:
+        return asyncio.run(self._http.request(method, path, **asked))
 
-    def post(self, path: str, **asked: Any) -> httpx.Response:
-        return asyncio.run(self._http.post(path, **asked))
+    def get(self, path: str, **asked: Any) -> httpx.Response:
+        return self.ask("GET", path, **asked)
+
+    def post(self, path: str, headers: dict[str, str] | None = None, **asked: Any) -> httpx.Response:
+        return self.ask("POST", path, headers={"origin": ADDRESS} | (headers or {}), **asked)

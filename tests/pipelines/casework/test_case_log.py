@@ -43,6 +43,18 @@ def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
     assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
 
 
+@pytest.mark.parametrize("seen", [2, 10**17, -1])
+def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, seen):
+    log = CaseLog(tmp_path, "")
+    with pytest.raises(ConflictError, match=f"line {seen} of the log is none about this case"):
+        log.append(CaseEntry(ALERT, "acknowledge", "Ada"), seen=seen)
+    assert log.last_line() == 0
+    log.append(CaseEntry(ALERT, "acknowledge", "Ada"), seen=0)
+    with pytest.raises(ConflictError):
+        log.append(CaseEntry(ALERT, "acknowledge", "Bo"), seen=seen)
+    assert log.last_line() == 1
+
+
 def test_no_line_is_ever_changed_or_taken_out(tmp_path):
     CaseLog(tmp_path, "").append(CaseEntry(ALERT, "acknowledge", "Ada"))
     with sqlite3.connect(tmp_path / FILE) as con:

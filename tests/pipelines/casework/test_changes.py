@@ -26,6 +26,10 @@ def home(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "home"))
 
 
+def change(home: Path, alert_id: str, *what: object, **asked: object) -> str:
+    return change_case(home, find_case(home, alert_id), *what, **asked)
+
+
 def state(home: Path, alert_id: str = "wear") -> str:
     return str(find_case(home, alert_id)["state"])
 
@@ -34,23 +38,23 @@ def test_a_change_is_seen_at_once(home):
     assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
         "wear": "new", "clog": "new", "gone": "closed", "other": "new",
     }  # fmt: skip
-    change_case(home, "wear", "acknowledge", "Ada")
+    change(home, "wear", "acknowledge", "Ada")
     assert state(home) == "acknowledged"
-    change_case(home, "wear", "assign", "Ada", assignee="Bo")
-    change_case(home, "wear", "watch", "Cy")
-    change_case(home, "wear", "watch", "Di")
-    change_case(home, "wear", "unwatch", "Di")
+    change(home, "wear", "assign", "Ada", assignee="Bo")
+    change(home, "wear", "watch", "Cy")
+    change(home, "wear", "watch", "Di")
+    change(home, "wear", "unwatch", "Di")
     found = find_case(home, "wear")
     assert [found[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
     assert [h["kind"] for h in history_of(home, "wear")] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
 
 
 def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
-    change_case(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
+    change(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
     assert state(home) == "muted"
     for more, now in ((0.06, "worsened"), (0.04, "muted")):
         assert state(case_home(home, loss=0.2 + more)) == now
-    change_case(home, "wear", "reopen", "Ada", note="parts came")
+    change(home, "wear", "reopen", "Ada", note="parts came")
     assert state(home) == "new"
 
 
@@ -64,11 +68,11 @@ def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
 )
 def test_a_finding_answers_the_case(home, finding, action, state_is, says):
     day = START.date() + dt.timedelta(days=40)
-    said = change_case(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
+    said = change(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
     assert says in said
     found = find_case(home, "wear")
     assert (found["state"], found["found_by"], found["found_on"]) == (state_is, "Ada", day)
-    change_case(home, "wear", "reopen", "Bo", note="wrong pack")
+    change(home, "wear", "reopen", "Bo", note="wrong pack")
     assert state(home) == "new"
 
 
@@ -82,6 +86,10 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, says):
         ("close", {"finding": "clean", "on": "soon"}, "on is a day"),
         ("mute", {"until": SOON}, "say why"),
         ("mute", {"until": "2020-01-01", "note": "x"}, "until is a day within"),
+        ("mute", {"until": "9999-12-31", "note": "x"}, "until is a day"),
+        ("mute", {"until": "0001-01-01T00:00+14:00", "note": "x"}, "until is a day"),
+        ("close", {"finding": "clean", "on": "9999-12-31"}, "on is a day"),
+        ("close", {"finding": "clean", "on": "9999-12-31T23:59-14:00"}, "on is a day"),
         ("assign", {"assignee": " "}, "to is a person's name"),
         ("assign", {"assignee": "x" * 81}, "to is a person's name"),
         ("acknowledge", {"note": "x" * 1001}, "1000 are kept"),
@@ -90,13 +98,13 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, says):
 )
 def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, asked, says):
     with pytest.raises(RefusedError, match=says):
-        change_case(home, "wear", kind, "Ada", **asked)
+        change(home, "wear", kind, "Ada", **asked)
     assert history_of(home, "wear") == []
 
 
 def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(home):
     with pytest.raises(RefusedError, match="closed on"):
-        change_case(home, "gone", "acknowledge", "Ada")
+        change(home, "gone", "acknowledge", "Ada")
     for name in ("", "x", "%", "_"):
         with pytest.raises(LookupError):
             find_case(home, name)
@@ -104,7 +112,7 @@ def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(hom
 
 def test_two_people_change_one_case(home):
     seen = find_case(home, "wear")["last_line"]
-    change_case(home, "wear", "assign", "Ada", seen, assignee="Ada")
+    change(home, "wear", "assign", "Ada", seen, assignee="Ada")
     with pytest.raises(ConflictError, match="Ada changed this case"):
-        change_case(home, "wear", "assign", "Bo", seen, assignee="Bo")
+        change(home, "wear", "assign", "Bo", seen, assignee="Bo")
     assert find_case(home, "wear")["owner"] == "Ada"

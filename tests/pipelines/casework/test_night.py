@@ -11,7 +11,7 @@ from pipelines.storage.ledger import Ledger
 def test_found_clean_it_closes_with_the_next_night_and_comes_back_as_the_sensors(own_home):
     landing, home = own_home
     (case,) = list_cases(home, "c.diagnosis = 'HX_FOULING' and c.closed_at is null and c.tail = 'A9-BAC'")
-    change_case(home, case["alert_id"], "close", "Ada", finding="clean", on="2024-06-19", note="core face clean")
+    change_case(home, case, "close", "Ada", finding="clean", on="2024-06-19", note="core face clean")
     assert find_case(home, case["alert_id"])["state"] == "answered"
     health = Ledger(home).done("twin_health")
     night = run(landing, home)
@@ -35,5 +35,5 @@ def test_found_clean_it_closes_with_the_next_night_and_comes_back_as_the_sensors
         assert con.execute("select person, note from tables.raw_cases").fetchall() == [("Ada", "core face clean")]
     assert find_case(home, case["alert_id"])["state"] == "closed"
     assert run(landing, home).idle
-    change_case(home, case["alert_id"], "watch", "Bo")
+    change_case(home, case, "watch", "Bo")
     assert run(landing, home).cells == 1, "a word alone makes nothing anew but its own table"

@@ -1,8 +1,10 @@
-"""The page of cases in a real browser: three people at once, no script, no sideways scroll, nothing from outside."""
+"""The page of cases in a real browser: signing in and out, three people at once, no sideways scroll, no script."""
 
 import shutil
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
+from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
@@ -11,33 +13,42 @@ from case_homes import case_home
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from pipelines.casework.listing import find_case
-from pipelines.web.address import LOCAL, listening
+from pipelines.web import roles
 from pipelines.web.casebook import application
-from pipelines.web.people import add_person
+from pipelines.web.guard import LOCAL, Guard
+from pipelines.web.roles import Person
+from pipelines.web.sign_in import LocalToken, ProxyHeader
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-PASSWORD = "correct horse 7"
+HEADER = "X-Remote-User"
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory) -> Path:
-    made = case_home(tmp_path_factory.mktemp("browsed") / "home")
-    for name, role in (("Ada", "engineer"), ("Bo", "engineer"), ("Vi", "viewer")):
-        add_person(made, name, role, (), PASSWORD)
-    return made
+    home = case_home(tmp_path_factory.mktemp("browsed") / "home")
+    (home / roles.FILE).write_text('[people]\nAda = "engineer"\nBo = "engineer"\nVi = "viewer"\n')
+    return home
+
+
+@contextmanager
+def served(app: Guard) -> Iterator[str]:
+    """The page, served on the loopback."""
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning", proxy_headers=False))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        thread.join(0.01)
+    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/"
+    server.should_exit = True
+    thread.join()
 
 
 @pytest.fixture(scope="module")
 def address(home: Path) -> Iterator[str]:
-    """The page, served on the loopback."""
-    with listening("127.0.0.1", 0) as sock:
-        server = uvicorn.Server(uvicorn.Config(application(home, LOCAL), log_level="warning"))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]})
-        thread.start()
-        yield f"http://127.0.0.1:{sock.getsockname()[1]}/"
-        server.should_exit = True
-        thread.join()
+    """The page as it is behind the site's proxy."""
+    with served(application(home, LOCAL, ProxyHeader(home, HEADER, [ip_network("127.0.0.1")]))) as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
@@ -48,22 +59,46 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def enter(browser: Browser, address: str):
-    """A window of somebody who has logged in; what its console said and what it fetched is looked at in the end."""
-    said: list[str] = []
+    """A window of somebody whom the proxy names; what its console said and what it fetched is looked at in the end."""
+    noted: list[str] = []
 
     def of(name: str, width: int = 1280) -> Page:
-        page = browser.new_context(viewport={"width": width, "height": 900}).new_page()
-        page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
-        page.on("request", lambda r: said.append(r.url) if not r.url.startswith((address, "data:")) else None)
+        window = {"width": width, "height": 900}
+        page = browser.new_context(viewport=window, extra_http_headers={HEADER: name}).new_page()
+        page.on("console", lambda m: noted.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("request", lambda r: noted.append(r.url) if not r.url.startswith((address, "data:")) else None)
         page.goto(address)
-        page.fill("[name=name]", name)
-        page.fill("[name=password]", PASSWORD)
-        page.click("main button")
         expect(page.locator("h1")).to_have_text("Open cases")
         return page
 
     yield of
-    assert [s for s in said if "409" not in s] == []
+    assert [s for s in noted if "409" not in s] == []
+
+
+def test_the_printed_address_or_its_token_signs_in_and_a_copied_cookie_dies_with_signing_out(browser, home):
+    token = LocalToken(Person("ada"))
+    with served(application(home, LOCAL, token)) as address:
+        page, other = (browser.new_context().new_page() for _ in range(2))
+        page.goto(f"{address}case/wear?token={token.token}")
+        assert page.url == f"{address}case/wear"
+        expect(page.locator("header")).to_contain_text("ada, engineer")
+        other.goto(address)
+        expect(other.locator("h1")).to_have_text("Sign in")
+        other.fill("[name=token]", "wrong")
+        other.get_by_role("button", name="Sign in").click()
+        expect(other.get_by_role("status")).to_contain_text("not the token")
+        other.fill("[name=token]", token.token)
+        other.get_by_role("button", name="Sign in").click()
+        expect(other.locator("h1")).to_have_text("Open cases")
+        assert other.url == address
+        cookies = page.context.cookies()
+        page.get_by_role("button", name="Sign out").click()
+        expect(page.get_by_role("status")).to_contain_text("Signed out")
+        page.context.add_cookies(cookies)
+        page.goto(address)
+        expect(page.locator("h1")).to_have_text("Sign in")
+        other.reload()
+        expect(other.locator("h1")).to_have_text("Open cases")
 
 
 def test_three_people_work_at_once_and_the_second_is_told(enter, home):
@@ -84,8 +119,6 @@ def test_three_people_work_at_once_and_the_second_is_told(enter, home):
     expect(vi.locator("main")).to_contain_text("answered, with Ada")
     found = find_case(home, "wear")
     assert (found["owner"], found["found_by"], found["state"]) == ("Ada", "Bo", "answered")
-    vi.get_by_role("button", name="Log out").click()
-    expect(vi.locator("h1")).to_have_text("Log in")
 
 
 @pytest.mark.parametrize("width", [390, 800, 1280])

@@ -1,0 +1,28 @@
+"""Pages as they are sent: nothing in them runs, and nothing is fetched for them."""
+
+import re
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment
+from starlette.responses import HTMLResponse
+
+from pipelines.report import words
+from pipelines.report.templating import source_hash, templates_of
+
+_POLICY = "default-src 'none'; style-src {}; img-src data:; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+
+
+def html_page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
+    """A page with its content security policy, kept by no browser."""
+    html = _environment().get_template(template).render(language="en", **context)
+    (style,) = re.findall(r"<style>(.*?)</style>", html, flags=re.DOTALL)
+    headers = {"content-security-policy": _POLICY.format(source_hash(style)), "cache-control": "no-store"}
+    return HTMLResponse(html, status, headers)
+
+
+@cache
+def _environment() -> Environment:
+    environment = templates_of("pipelines.web", "pipelines.report")
+    environment.filters["plainly"] = words.diagnosis
+    return environment

@@ -1,0 +1,93 @@
+"""Who may do what on the page of cases: `roles.toml` of the home, a role a name.
+
+A viewer looks, an engineer changes cases. Who is given operators sees theirs alone.
+"""
+
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+FILE = "roles.toml"
+ROLES = ("viewer", "engineer")
+_MAX_NAME = 80
+
+
+class RolesError(ValueError):
+    """What is wrong with the file, in one line that names the entry."""
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """Who asks; `operators` is empty for who sees all of them."""
+
+    name: str
+    role: str = "engineer"
+    operators: tuple[str, ...] = ()
+
+    @property
+    def may_change(self) -> bool:
+        """Whether cases may be changed."""
+        return self.role == "engineer"
+
+    def sees(self, operator: str) -> bool:
+        """Whether cases of an operator may be seen."""
+        return not self.operators or operator in self.operators
+
+
+def read_people(home: Path) -> dict[str, Person]:
+    """Everybody below `[people]`, by name; nobody where there is no file.
+
+    Raises
+    ------
+    RolesError
+        The file is no TOML, or an entry is unknown or can't be.
+    """
+    return {name: _person(name, entry) for name, entry in _read(home)["people"].items()}
+
+
+def local_person(home: Path) -> Person:
+    """Who comes with the token that the command prints: this account, an engineer unless `local` gives another role.
+
+    Raises
+    ------
+    RolesError
+        As `read_people`.
+    """
+    return _person(os.environ.get("USER", "").strip() or "local", _read(home)["local"])
+
+
+def _read(home: Path) -> dict[str, Any]:
+    try:
+        text = (home / FILE).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        text = ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise RolesError(f"{FILE} can't be read: {error}") from None
+    try:
+        entries = {"local": "engineer", "people": {}} | tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RolesError(f"{FILE} is no TOML: {error}") from None
+    if unknown := sorted(set(entries) - {"local", "people"}):
+        raise RolesError(f"{FILE}: unknown key {unknown[0]}; names stand below [people]")
+    if not isinstance(entries["people"], dict):
+        raise RolesError(f"{FILE}: people is a table of names; write [people] on a line of its own")
+    return entries
+
+
+def _person(name: str, entry: Any) -> Person:
+    """One entry: a role, or a table of `role` and `operators`."""
+    where, entry = f"{FILE}: {name!r}", entry if isinstance(entry, dict) else {"role": entry}
+    if not (0 < len(name) <= _MAX_NAME and name.isprintable() and name == name.strip()):
+        raise RolesError(f"{where}: a name has 1 to {_MAX_NAME} printable characters")
+    if unknown := sorted(set(entry) - {"role", "operators"}):
+        raise RolesError(f"{where}: unknown key {unknown[0]}; there are role and operators")
+    role, operators = entry.get("role"), entry.get("operators", [])
+    if role not in ROLES:
+        raise RolesError(f"{where}: role is {' or '.join(ROLES)}, not {role!r}")
+    if not isinstance(operators, list) or not all(isinstance(o, str) for o in operators):
+        raise RolesError(f"{where}: operators is a list of texts, not {operators!r}")
+    if "operators" in entry and not operators:
+        raise RolesError(f"{where}: operators is empty; leave it out for who sees all of them")
+    return Person(name, role, tuple(operators))

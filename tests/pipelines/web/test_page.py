@@ -1,0 +1,213 @@
+"""Dagster's page: to look at unless runs are asked for, then for who brings the token alone; and it still works."""
+
+import http.client
+import http.server
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pipelines.orchestration.runs import open_instance
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+ASKS = "{ assetNodes { assetKey { path } } }"
+
+
+@contextmanager
+def opened(landing: Path, home: Path, *options: str) -> Iterator[tuple[int, str]]:
+    """The command itself on a free port: port and token, which may be none."""
+    words = ("ui", "--landing", str(landing), "--home", str(home), "--port", "0", "--no-daemon", *options)
+    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        line = next(line for line in server.stdout if line.startswith("Dagster's page"))
+        address, _, token = line.split()[-1].partition("?token=")
+        yield int(address.rstrip("/").rpartition(":")[2]), token
+        server.send_signal(signal.SIGTERM)
+        _, said = server.communicate(timeout=60)
+    assert (server.returncode, said.splitlines()[-1]) == (143, "hdt: stopped"), said
+
+
+@pytest.fixture(scope="module")
+def home(sample_home, tmp_path_factory) -> Path:
+    return Path(shutil.copytree(sample_home, tmp_path_factory.mktemp("page") / "home"))
+
+
+@pytest.fixture(scope="module")
+def page(sample_landing, home) -> Iterator[tuple[int, str]]:
+    """Port and token of the page that may launch, where a session is open."""
+    with opened(sample_landing, home, "--launch") as (port, token):
+        yield port, token
+
+
+@pytest.fixture(scope="module")
+def shown(sample_landing, home) -> Iterator[int]:
+    """Port of the page as it is without an option."""
+    with opened(sample_landing, home) as (port, token):
+        assert token == ""
+        yield port
+
+
+def over_http(port: int, method: str, path: str, query: str | None = None, **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+    own = {"Host": f"127.0.0.1:{port}", "Content-Type": "application/json", "Origin": f"http://127.0.0.1:{port}"}
+    try:
+        connection.request(method, path, json.dumps({"query": query}) if query else None, own | headers)
+        answer = connection.getresponse()
+        return answer.status, answer.getheader("set-cookie", "").partition(";")[0].encode() or answer.read()
+    finally:
+        connection.close()
+
+
+def session(port: int, token: str) -> dict[str, str]:
+    status, cookie = over_http(port, "GET", f"/runs?token={token}")
+    assert status == 303
+    return {"Cookie": cookie.decode()}
+
+
+def runs(home: Path) -> set[str]:
+    with open_instance(home) as instance:
+        return {run.run_id for run in instance.get_runs()}
+
+
+def deletion(home: Path) -> str:
+    return f'mutation {{ deleteRun(runId: "{min(runs(home))}") {{ __typename }} }}'
+
+
+CHANGES = {
+    "deleteRun": 'deleteRun(runId: "a") { __typename }',
+    "startSchedule": 'startSchedule(scheduleSelector: {repositoryName: "__repository__", repositoryLocationName: '
+    '"pipelines.definitions", scheduleName: "every_night"}) { __typename }',
+    "startSensor": 'startSensor(sensorSelector: {repositoryName: "__repository__", repositoryLocationName: '
+    '"pipelines.definitions", sensorName: "landing_zone"}) { __typename }',
+    "wipeAssets": 'wipeAssets(assetPartitionRanges: [{assetKey: {path: ["features"]}}]) { __typename }',
+    "reportRunlessAssetEvents": "reportRunlessAssetEvents(eventParams: {eventType: ASSET_MATERIALIZATION, "
+    'assetKey: {path: ["features"]}}) { __typename }',
+    "addDynamicPartition": 'addDynamicPartition(partitionsDefName: "flight", partitionKey: "x", repositorySelector: '
+    '{repositoryName: "__repository__", repositoryLocationName: "pipelines.definitions"}) { __typename }',
+    "setConcurrencyLimit": 'setConcurrencyLimit(concurrencyKey: "a", limit: 1)',
+}
+
+
+def test_without_being_asked_the_page_changes_nothing(shown, home):
+    before = runs(home)
+    status, answer = over_http(shown, "POST", "/graphql", ASKS)
+    assert status == 200
+    assert {"path": ["features"]} in [node["assetKey"] for node in json.loads(answer)["data"]["assetNodes"]]
+    for name, change in CHANGES.items():
+        _, answer = over_http(shown, "POST", "/graphql", f"mutation {{ {change} }}")
+        assert b"UnauthorizedError" in answer, (name, answer)
+    assert over_http(shown, "POST", "/report_asset_materialization/features", "x")[0] == 401
+    assert b"UnauthorizedError" in over_http(shown, "POST", "/graphql", deletion(home))[1]
+    assert over_http(shown, "GET", "/graphql?query=mutation")[0] == 405
+    assert over_http(shown, "POST", "/graphql", ASKS, Origin="http://evil.example")[0] == 403
+    assert over_http(shown, "GET", "/", Host="evil.example")[0] == 403
+    assert runs(home) == before
+
+
+def test_a_run_goes_only_for_who_brought_the_token(page, home):
+    (port, token), before = page, runs(home)
+    delete = deletion(home)
+    searched = f"/graphql?query={delete.replace(' ', '%20').replace(chr(34), '%22')}"
+    assert over_http(port, "GET", "/?token=another")[0] == 403
+    assert [over_http(port, "POST", "/graphql", asked)[0] for asked in (delete, ASKS)] == [401, 401]
+    own = session(port, token)
+    assert over_http(port, "GET", searched, **own)[0] == 405
+    assert over_http(port, "POST", "/graphql", delete, Origin="http://evil.example", **own)[0] == 403
+    assert over_http(port, "POST", "/graphql", delete, Origin="http://127.0.0.1:1", **own)[0] == 403
+    assert over_http(port, "POST", "/graphql", delete, Cookie=f"hdt_session_{port}={token}")[0] == 401
+    assert runs(home) == before
+    _, answer = over_http(port, "POST", "/graphql", delete, **own)
+    assert json.loads(answer)["data"]["deleteRun"] == {"__typename": "DeletePipelineRunSuccess"}
+    assert runs(home) == before - {min(before)}
+    assert over_http(port, "POST", "/logout", **own)[0] == 200
+    assert over_http(port, "POST", "/graphql", ASKS, **own)[0] == 401
+
+
+def test_no_socket_opens_to_another_page_and_none_changes_anything(page, home):
+    client = pytest.importorskip("websockets.sync.client")
+    (port, token), before = page, runs(home)
+    where = {"uri": f"ws://127.0.0.1:{port}/graphql", "subprotocols": ["graphql-ws"]}
+    own = session(port, token)
+    with pytest.raises(Exception, match="403"):
+        client.connect(**where, origin="http://evil.example", additional_headers=own)
+    with pytest.raises(Exception, match="403"):
+        client.connect(**where, origin=f"http://127.0.0.1:{port}")
+    with client.connect(**where, origin=f"http://127.0.0.1:{port}", additional_headers=own) as socket:
+        socket.send(json.dumps({"type": "connection_init"}))
+        assert json.loads(socket.recv()) == {"type": "connection_ack"}
+        socket.send(json.dumps({"type": "start", "id": "1", "payload": {"query": deletion(home)}}))
+        assert json.loads(socket.recv(timeout=60))["type"] == "error"
+    assert runs(home) == before
+
+
+def browse(address: str, profile: Path) -> str:
+    """The document as the browser has it after 30 s of the page's own time."""
+    options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}"]
+    done = subprocess.run(
+        [str(CHROMIUM), *options, "--virtual-time-budget=30000", "--dump-dom", address],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return done.stdout
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_page_works_in_a_browser(page, home, tmp_path):
+    port, token = page
+    seen = browse(f"http://127.0.0.1:{port}/runs?token={token}", tmp_path / "profile")
+    assert "token=" not in seen
+    assert any(run[:8] in seen for run in runs(home)), seen[-2000:]
+
+
+class Evil(http.server.SimpleHTTPRequestHandler):
+    """A page of another origin on this machine that tries what a page can."""
+
+    page = b""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(self.page)
+
+    def log_message(self, *_: object) -> None: ...
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_another_page_in_the_browser_changes_nothing(page, home, tmp_path):
+    (port, token), before = page, runs(home)
+    change = json.dumps({"query": deletion(home)})
+    at = f"http://127.0.0.1:{port}"
+    Evil.page = f"""<img src="{at}/?token={token}"><script>
+    const change = {change!r}, send = (how) => fetch('{at}/graphql', {{method: 'POST', body: change, ...how}});
+    const tries = [send({{mode: 'no-cors', credentials: 'include'}}),
+      send({{credentials: 'include', headers: {{'Content-Type': 'application/json'}}}}),
+      fetch('{at}/graphql?query=' + encodeURIComponent(JSON.parse(change).query), {{mode: 'no-cors'}})];
+    Promise.allSettled(tries).then((all) => document.title = 'tried ' + all.length);
+    </script>""".encode()
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Evil) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        seen = browse(f"http://127.0.0.1:{server.server_port}/", tmp_path / "profile")
+        server.shutdown()
+    assert "tried 3" in seen
+    assert runs(home) == before
+
+
+def test_a_taken_port_is_said_in_one_line(page, home, sample_landing):
+    port, _ = page
+    words = ("ui", "--landing", str(sample_landing), "--home", str(home), "--port", str(port), "--no-daemon")
+    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 2
+    assert "name another --port" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
