@@ -45,10 +45,14 @@ def test_the_slopes_error_lets_samples_of_a_flight_err_together():
     plain = np.sqrt((score**2).sum()) / (inside**2).sum()
     assert line.slope_sd == pytest.approx(plain, rel=0.15)
     assert abs(line.slope + 1e-4 * 0.18) < 4.0 * line.slope_sd
+    calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
+    raised = 1.0 - 25.0 / np.mean(inside**2)
+    assert shared_line(calm).slope_sd == pytest.approx(line.slope_sd * raised * 20.0 / 0.5, rel=1e-3)
     thrice = BlockRows(*(np.repeat(v, 3) for v in (rows.x, rows.y, rows.block, rows.flight)), rows.blocks)
     assert shared_line(thrice).slope_sd == pytest.approx(line.slope_sd, rel=1e-6)
     wild = rows.y.copy()
-    wild[::40] += 0.2
+    wild[::80] += 0.2
+    wild[40::80] -= 0.2
     robust = shared_line(BlockRows(rows.x, wild, rows.block, rows.flight, rows.blocks))
     assert robust.slope == pytest.approx(line.slope, abs=3.0 * line.slope_sd)
 

@@ -178,6 +178,9 @@ def test_levels_are_kaplan_and_meiers():
     own = [next(at for at, reached in steps if reached >= level - 1e-12) for level in (0.05, 0.5, 0.95)]
     found = learn_levels(by, left, failed, np.arange(11), prior=(0.04, 0.52, 0.97))
     np.testing.assert_allclose(found, [(10 * o + 20 * p) / 30 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
+    # where nearly all were cut the upper level is never reached: it is the end of the scale
+    cut = learn_levels(by, left, np.arange(11) < 3, np.arange(11), prior=(0.04, 0.52, 0.97))
+    assert cut[2] == pytest.approx((3 * 1.0 + 20 * 0.97) / 23)
     # a life of which several rows failed is one; an event after the horizon is none
     late = learn_levels(by, np.where(failed, left + 301.0, left), failed, np.arange(11), prior=(0.04, 0.52, 0.97))
     assert late == (0.04, 0.52, 0.97)
@@ -200,6 +203,10 @@ def test_bounds_of_a_life_are_order_statistics():
     rest = np.sort(np.minimum(np.delete(lives, np.arange(0, 400, 10)), 300.0))
     assert (short.low, short.high) == (rest[35], np.inf)
     assert short.most == pytest.approx((361 - 36) / 361)
+    # an upper end needs nineteen of twenty to be over, of those that look first
+    for over, two_sided in ((37, False), (38, True)):
+        late = np.where((np.arange(400) % 10 == 0) & (np.arange(400) // 10 >= over), 1000.0, lives)
+        assert np.isfinite(life_bounds(late, late < 500.0, np.full(400, 1000.0)).high) == two_sided
 
 
 def test_units_watched_longest_are_a_fair_sample():

@@ -75,6 +75,7 @@ def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
     hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
     hot[[5, 55]], hot[30], hot[56] = np.nan, 9.0, 3.0
     found = record(np.zeros(60), overheat_k=hot, overheat_half_k=half, full_open=door)
+    assert found["overheat_10"][0] == pytest.approx(hot[0])
     assert found["overheat_10"][59] == pytest.approx(np.nanmean(hot[50:]))
     assert found["overheat_40"][59] == pytest.approx(np.nanmean(hot[20:]))
     assert found["overheat_half_40"][59] == pytest.approx(half[20:].mean())

@@ -54,6 +54,7 @@ def test_the_posterior_is_that_of_every_rule_of_the_grid(excess_k, of, seed):
     operator = np.array(["AAA"] * 4 + ["BBB"] * 3 + ["MUT"] * 2)
     message[[1, 5]] += 3
     message[2] += 4
+    overheat[0.2][3, 0], message[3] = 14.0, 0  # hot at once
     message[7:] = -1
     message[6] = -1
     found = learn_rules(overheat, message, operator)

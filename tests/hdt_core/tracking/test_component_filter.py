@@ -10,7 +10,7 @@ from by_hand import flights
 
 from hdt_core.components import Reading, components
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import track_component
+from hdt_core.tracking.component import design_prior, track_component
 from hdt_core.tracking.component_readings import component_readings
 
 VALVE = PhysicsModel(
@@ -75,6 +75,17 @@ def test_a_flight_that_says_nothing_is_predicted():
     np.testing.assert_allclose(
         found.select("value", "sd"), walk([0.01, 0.02, np.nan, np.nan, 0.03], SD), rtol=1e-5, atol=1e-7
     )
+
+
+def test_a_design_has_a_prior_where_the_declaration_says_it_of_each():
+    sure, unsure = Param("a", "-", 2.0, (0.0, 5.0), "design", sd=0.3), Param("b", "-", 1.0, (0.0, 5.0), "design")
+    both = replace(VALVE, params=(sure, replace(unsure, sd=0.5)), equations=lambda flow_kg_s, a, b: flow_kg_s * a * b)
+    prior = design_prior(both)
+    np.testing.assert_allclose(prior.mean, [2.0, 1.0])
+    np.testing.assert_allclose(prior.cov, np.diag([0.09, 0.25]))
+    assert design_prior(replace(both, params=(sure, unsure))) is None
+    with pytest.raises(ValueError, match="no flight"):
+        track_component(flights(0, valve_loss=0.1), VALVE, "V")
 
 
 HXT = components()["HXT"]
