@@ -227,7 +227,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="14"),
+        alike("features_alerts", parents=("features",), code="15"),
     ),
     Stage(
         "raw_components",
@@ -264,7 +264,7 @@ STAGES = (
     Stage(
         "features_components",
         "features",
-        alike("features_components", "features_component_alerts", parents=("twin_components",), code="3"),
+        alike("features_components", "features_component_alerts", parents=("twin_components",), code="4"),
         road=COMPONENT,
     ),
     Stage("declared_components", "raw", alike("components", code=DECLARED)),

@@ -22,7 +22,7 @@ from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
 
 KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
-TRENDS = ("sd", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
+TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
 """What is told of the loss beside its value, each with the loss's name before it."""
 NEAR = 0.8
 """Share of the loss at which the component fails from which its alert is of high severity. [-]"""
@@ -91,7 +91,7 @@ def _worn(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: L
     """Loss above its limit with enough probability on three of four flights, until it has long been below."""
     ended = grid.worked_on(maintenance, (component.code,), component.ended_by)
     loss, sd = grid.values("loss"), grid.values("loss_sd")
-    sure = odds_above(loss, sd, component.warn_loss) > limits.fouling_odds
+    sure = grid.as_observed(odds_above(loss, sd, component.warn_loss) > limits.fouling_odds, "loss", ended)
     keep = np.nan_to_num(loss) > 0.75 * component.warn_loss
     on = persistent(sure, 3, 4, 15, keep=keep, ended=ended)
     return [

@@ -9,6 +9,9 @@ from hdt_core.health.detection import Array
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import first_flights
 
+UNOBSERVED = ("predicted", "unconfirmed", "prior_only")
+"""Statuses of an estimate that the flight did not move, as in the view `health_parameters` (`is_observed`)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Grid:
@@ -63,6 +66,28 @@ class Grid:
     def flags(self, name: str) -> Array:
         """Column as (units, flights) booleans; False where null, absent or not flown."""
         return self.values(name) > 0.5
+
+    def observed(self, name: str) -> Array:
+        """Flights that moved the estimate `name`: its value is there, and is no prediction. (units, flights) bool"""
+        there = np.isfinite(self.values(name))
+        if f"{name}_status" in self.rows.columns:
+            there[self.unit, self.flight] &= ~self.rows[f"{name}_status"].is_in(UNOBSERVED).fill_null(True).to_numpy()
+        return there
+
+    def as_observed(self, flags: Array, name: str, ended: Array) -> Array:
+        """`flags` as of the last flight of the unit that moved the estimate `name`; False before the first one.
+
+        A prediction drifts by what is believed of any unit, and no alert rests on that.
+
+        Parameters
+        ----------
+        flags, ended : array
+            (units, flights) bool; flights with a new or cleaned unit.
+        """
+        flight = np.arange(self.shape[1])
+        last = np.maximum.accumulate(np.where(self.observed(name), flight, -1), axis=1)
+        entry = np.maximum.accumulate(np.where(ended, flight, 0), axis=1)
+        return np.asarray(np.take_along_axis(flags, np.maximum(last, 0), axis=1) & (last >= entry) & self.flown)
 
     def at(self, name: str, unit: int, flight: int) -> object:
         """One value of one flight."""

@@ -33,6 +33,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, sick
     ended = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
     sure = (soon > limits.passage) & (since(ended) > SETTLED) & ~sick
+    sure = grid.as_observed(sure, "hx_fouling", ended)
     low = persistent(sure, 4, 5, 20, keep=soon > 0.6 * limits.passage, ended=ended)
     cases = []
     for unit, first, end in spells(low, ended):

@@ -45,7 +45,7 @@ def hx_cases(
     gained = risen(np.where(lingering(sick, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), ended)
     limit = limits.fouling + (0.0 if planned is None else np.where(planned, BEYOND_DOUBT, 0.0))
     worn = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gained > limit + RISE_MARGIN)
-    sure = worn | _soon(grid, loss, sd, limits)
+    sure = grid.as_observed(worn | _soon(grid, loss, sd, limits), "hx_fouling", ended)
     keep = np.fmax(loss, gained) > 0.75 * limits.fouling_soon
     # what was gained stays known after the last flight, where a busier pack still has columns
     fouled = persistent(sure & trusted & grid.flown, 3, 4, 15, keep=keep, ended=ended)
@@ -127,6 +127,7 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     ended = grid.worked_on(maintenance, ("CC",), ("REPLACED",))
     loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
     sure = (odds_above(loss, sd, limits.compressor) > 0.9) & (loss > 1.2 * limits.compressor) & (since(ended) > SETTLED)
+    sure = grid.as_observed(sure, "cc_efficiency_loss", ended)
     by_efficiency = persistent(sure, 4, 5, 20, keep=loss > 0.7 * limits.compressor, ended=ended)
     shrunk = _diameter(grid, ended)
     by_diameter = (shrunk[:, :, 1] > 0.5) & ~_ever(np.isfinite(loss)) & ~doubtful

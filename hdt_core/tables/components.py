@@ -95,6 +95,7 @@ class FeaturesComponents(_Leg):
     flights_seen_of_unit = dy.Int64(nullable=True, metadata={"unit": "", "meaning": "flights of the unit before this"})
     loss = number("loss after this flight, from no later one; 0 as built, larger is worse")
     loss_sd = number("standard deviation of it", low=0)
+    loss_status = text("how that estimate ended")
     loss_slope_10_per_flight = number("trend of ten flights", "1/flight")
     loss_slope_30_per_flight = number("trend of thirty flights", "1/flight")
     loss_slope_100_per_flight = number("trend of a hundred flights", "1/flight")

@@ -30,6 +30,8 @@ from pipelines.cli.stops import ends_at_once
 from pipelines.orchestration.local_executor import cores
 from pipelines.storage.settings import MOST_DAYS
 
+SHOWN = 10
+"""Packs, and units, that the terminal lists."""
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]
 Day = Annotated[dt.datetime | None, typer.Option(formats=["%Y-%m-%d"])]
@@ -235,18 +237,20 @@ def _ranking(home: Path) -> None:
 
     with connect(home) as con:
         rows, units = (
-            con.sql(f"select * from {view} order by place limit 10").pl().to_dicts()
-            for view in ("fleet_ranking", "component_ranking where urgency <> 'unknown'")
+            con.sql(f"select * from {view} order by place").pl().to_dicts()
+            for view in ("fleet_ranking", "component_ranking")
         )
     table = Table(title=_("Packs most in need of attention"), box=SIMPLE_HEAD, pad_edge=False)
     names = (_("pack"), _("urgency"), _("UA lost\n(90 %)"), _("flights left\n(90 %)"), _("message\nin 50"))
     for k, name in enumerate((*names, _("open alerts"))):
         table.add_column(name, justify="right" if k in (2, 4) else "left", no_wrap=k not in (3, 5))
-    for r in rows:
+    for r in rows[:SHOWN]:
         outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
         table.add_row(f"{r['operator']} {r['tail']} {r['pack']}", words.urgency(r), *outlook, r["diagnoses"] or "")
     out.print(table)
-    _components(units)
+    _components(units[:SHOWN])
+    for line in words.unknown([*rows, *units]):
+        out.print(line, markup=False, soft_wrap=True)
 
 
 def _components(rows: list[dict[str, Any]]) -> None:

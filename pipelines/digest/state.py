@@ -32,7 +32,7 @@ select
 from prognoses as p
 left join lives as l
     on p.operator = l.operator and p.tail = l.tail and p.pack = l.pack and p.component = l.component
-where p.rul_flights is not null
+where p.rul_flights is not null and p.status <> 'prior_only'
 group by all
 order by all
 """

@@ -70,7 +70,7 @@ def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
         **_last(row),
     )
     opened = [a for a in alerts if a["closed_at"] is None]
-    return "\n".join([head, *(line for a in opened for line in ("", *_alert_told(a)))])
+    return "\n".join([head, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_told(a)))])
 
 
 def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
@@ -78,7 +78,7 @@ def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> s
     sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({units})"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"])
     opened = [a for a in alerts if a["closed_at"] is None]
-    lines = [_head(row), *(line for a in opened for line in ("", *_alert_told(a)))]
+    lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_told(a)))]
     if not opened:
         last = max(alerts, key=lambda a: a["closed_at"], default=None)
         lines.append(_("No alert is open.") + (f" {_before(last)}" if last else ""))

@@ -16,12 +16,13 @@ Row = dict[str, Any]
 def headline(facts: Facts) -> dict[str, Any]:
     """First what can't wait, with its action; then what to plan, what isn't known, and who is silent."""
     rows = facts["ranking"].to_dicts()
-    act, plan, unknown = ([r for r in rows if r["urgency"] == u] for u in ("act", "plan", "unknown"))
+    units = facts["components"].to_dicts()
+    act, plan = ([r for r in rows if r["urgency"] == u] for u in ("act", "plan"))
     return {
         "summary": _summary(len(act), len(plan), len(rows)) if rows else None,
         "lists": [[_item(facts, r) for r in some] for some in (act, plan)],
-        "units": [r for r in facts["components"].to_dicts() if r["urgency"] in ("act", "plan")],
-        "unknown": ", ".join(map(words.pack_name, unknown)),
+        "units": [r for r in units if r["urgency"] in ("act", "plan")],
+        "unknown": words.unknown([*rows, *units]),
         "silent": "; ".join(
             _("{tail} since {day}", tail=g["tail"], day=words.day(g["from_at"]))
             for g in facts["gaps"].filter(gap="silent_now").to_dicts()

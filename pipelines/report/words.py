@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
@@ -15,7 +15,8 @@ from pipelines.words import _, grouped, number, several
 from pipelines.words.evidence import retold
 
 Row = Mapping[str, Any]
-URGENCY = {"act": "Act now", "plan": "Plan", "unknown": "Not known", "none": "No action"}
+URGENCY = {"act": "Act now", "plan": "Plan", "none": "No action", "unknown": "Not known"}
+"""In the order of every output: what is not known stands last, and says what is missing."""
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
 PARTS = {**{c.code: c.name for c in components().values()}, "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 SIDES = {1: "left", 2: "right"}
@@ -57,6 +58,35 @@ def unit_key(row: Row) -> tuple[Any, ...]:
 def urgency(row: Row) -> str:
     """How urgent it is."""
     return _(URGENCY[row["urgency"]])
+
+
+def unknown(rows: Iterable[Row]) -> list[str]:
+    """A line for all packs, or units, that lack an estimate for the same reason."""
+    same: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["urgency"] == "unknown":
+            same.setdefault(_missing(row), []).append(row)
+    return [_unknown(own, missing) for missing, own in same.items()]
+
+
+def _unknown(rows: list[Row], missing: str) -> str:
+    names = [unit_name(row) if "name" in row else pack_name(row) for row in rows]
+    more = several(" and {n} more", " and {n} more", len(names) - FEW) if len(names) > FEW else ""
+    since = min((row["missing_since"] for row in rows if row["missing_since"] is not None), default=None)
+    return _(
+        "Not known: {packs}{more}. No estimate since {day}{missing}.",
+        packs=", ".join(names[:FEW]),
+        more=more,
+        day=day(since),
+        missing=missing,
+    )
+
+
+def _missing(row: Row) -> str:
+    """Why there is no estimate, as far as the flights show it."""
+    reason, columns = REASONS.get(row["missing_reason"] or ""), row.get("missing_columns")
+    why = [_(reason)] if reason else []
+    return "".join(f"; {x}" for x in [*why, *([_("without values: {columns}", columns=columns)] if columns else [])])
 
 
 def found_by(row: Row, diagnoses: str | None = None) -> str:

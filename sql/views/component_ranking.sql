@@ -1,15 +1,25 @@
 -- Which units of declared components are most in need of attention tonight?
 -- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none.
+-- is open, or an event within 50 flights has a chance of one in ten), none, unknown (nothing was seen of the unit
+-- beyond the prior: loss and prognosis are null).
 -- name: what the night shift calls the component
 -- lost: what it loses
 -- last_flight_id: its last flight
 -- last_departed_at: departure of that
 -- diagnoses: diagnoses of its open alerts
--- place: 1 is the most urgent
--- Grain: operator, tail, pack, component. Reads: component_features, prognoses, alert_urgencies, tables.components.
+-- place: 1 is the most urgent; what is not known stands last
+-- missing_since: departure of the first flight without an estimate, where nothing was seen
+-- missing_reason: why most legs since were not admitted; a code, as in component_legs
+-- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, prognoses, unobserved_units,
+-- alert_urgencies, tables.components.
 create or replace view component_ranking as
-with latest as (
+with unobserved as (
+    select *
+    from unobserved_units
+    where counts_to is null
+),
+
+latest as (
     select
         operator,
         tail,
@@ -35,6 +45,11 @@ outlook as (
         arg_max(p_event_50, departed_at) as p_event_50,
         arg_max(status, departed_at) as status
     from prognoses
+    where
+        (operator, tail, pack, component) not in (
+            select (u.operator, u.tail, u.pack, u.component)
+            from unobserved as u
+        )
     group by operator, tail, pack, component
 ),
 
@@ -59,8 +74,8 @@ judged as (
         l.component,
         c.name,
         c.lost,
-        l.loss,
-        l.loss_sd,
+        if(u.component is null, l.loss, null) as loss,
+        if(u.component is null, l.loss_sd, null) as loss_sd,
         o.rul_flights,
         o.rul_low,
         o.rul_high,
@@ -71,10 +86,16 @@ judged as (
         case
             when coalesce(a.any_act, false) or (o.p_event_50 >= 0.5 and o.status = 'ok') then 'act'
             when a.diagnoses is not null or o.p_event_50 >= 0.1 then 'plan'
-            when l.loss is null then 'unknown'
+            when l.loss is null or u.component is not null then 'unknown'
             else 'none'
-        end as urgency
+        end as urgency,
+        m.since as missing_since,
+        m.reason as missing_reason
     from latest as l
+    left join unobserved as u
+        on l.operator = u.operator and l.tail = u.tail and l.pack = u.pack and l.component = u.component
+    left join missing_estimates as m
+        on l.operator = m.operator and l.tail = m.tail and l.pack = m.pack and l.component = m.component
     left join tables.components as c on l.component = c.component
     left join outlook as o
         on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack and l.component = o.component
@@ -86,7 +107,7 @@ select
     *,
     row_number() over (
         order by
-            list_position(['act', 'plan', 'unknown', 'none'], urgency) asc,
+            list_position(['act', 'plan', 'none', 'unknown'], urgency) asc,
             p_event_50 desc nulls last,
             loss desc nulls last,
             operator asc,

@@ -40,6 +40,7 @@ dated as (
         if(l.rul_high < 300, l.rul_high / r.flights_per_day, null) as days_left_high
     from latest as l
     left join flight_rates as r on l.operator = r.operator and l.tail = r.tail
+    where l.said_status != 'prior_only' -- a day needs more than what is believed of any unit
 )
 
 select

@@ -1,7 +1,8 @@
 -- Which packs are most in need of attention tonight?
 -- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), unknown (no health estimate), none. A prognosis
--- that an inspection contradicts does not say act. Units of other declared components stand in component_ranking.
+-- is open, or an event within 50 flights has a chance of one in ten), none, unknown (nothing was seen of the exchanger
+-- beyond the prior: its columns are null, as are the compressor's where nothing was seen of that). A prognosis that an
+-- inspection contradicts does not say act. Units of other declared components stand in component_ranking.
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first
@@ -12,13 +13,39 @@
 -- cc_efficiency_loss_sd: its standard deviation [-]
 -- cc_rul_flights: flights left of the compressor [flights]
 -- cc_p_event_50: probability of a compressor event within the next 50 flights [-]
--- place: 1 is the most urgent
--- Grain: pack. Reads: health_parameters, prognoses, alert_urgencies, tables.components.
+-- place: 1 is the most urgent; what is not known stands last
+-- missing_since: departure of the first flight without an estimate, where nothing was seen
+-- missing_reason: why most legs since were not admitted; a code, as in legs
+-- missing_columns: columns that the estimate needs and that hold no value since
+-- Grain: pack. Reads: health_parameters, missing_estimates, prognoses, unobserved_units, alert_urgencies,
+-- tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
     from tables.components
     where recorded
+),
+
+unobserved as (
+    select *
+    from unobserved_units
+    where counts_to is null
+),
+
+estimates as ( -- of a unit that nothing was seen of it is the prior
+    select
+        h.operator,
+        h.tail,
+        h.pack,
+        h.flight_id,
+        h.departed_at,
+        h.parameter,
+        if(u.component is null, h.value, null) as value,
+        if(u.component is null, h.sd, null) as sd
+    from health_parameters as h
+    left join unobserved as u
+        on h.operator = u.operator and h.tail = u.tail and h.pack = u.pack and h.component = u.component
+    where h.component not in (select o.component from others as o)
 ),
 
 latest as (
@@ -32,8 +59,7 @@ latest as (
         arg_max(sd, departed_at) filter (where parameter = 'hx_fouling') as hx_fouling_sd,
         arg_max(value, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss,
         arg_max(sd, departed_at) filter (where parameter = 'cc_efficiency_loss') as cc_efficiency_loss_sd
-    from health_parameters
-    where component not in (select o.component from others as o)
+    from estimates
     group by operator, tail, pack
 ),
 
@@ -51,6 +77,11 @@ outlook as (
         arg_max(status, departed_at) filter (where component = 'HX') as status,
         arg_max(status, departed_at) filter (where component = 'CC') as cc_status
     from prognoses
+    where
+        (operator, tail, pack, component) not in (
+            select (u.operator, u.tail, u.pack, u.component)
+            from unobserved as u
+        )
     group by operator, tail, pack
 ),
 
@@ -122,31 +153,36 @@ urgent as (
 )
 
 select
-    operator,
-    tail,
-    pack,
-    hx_fouling,
-    hx_fouling_sd,
-    rul_flights,
-    rul_low,
-    rul_high,
-    p_event_50,
-    diagnoses,
-    raised_at,
-    last_flight_id,
-    last_departed_at,
-    urgency,
-    cc_efficiency_loss,
-    cc_efficiency_loss_sd,
-    cc_rul_flights,
-    cc_p_event_50,
+    u.operator,
+    u.tail,
+    u.pack,
+    u.hx_fouling,
+    u.hx_fouling_sd,
+    u.rul_flights,
+    u.rul_low,
+    u.rul_high,
+    u.p_event_50,
+    u.diagnoses,
+    u.raised_at,
+    u.last_flight_id,
+    u.last_departed_at,
+    u.urgency,
+    u.cc_efficiency_loss,
+    u.cc_efficiency_loss_sd,
+    u.cc_rul_flights,
+    u.cc_p_event_50,
     row_number() over (
         order by
-            list_position(['act', 'plan', 'unknown', 'none'], urgency) asc,
-            p_event desc,
-            hx_fouling desc nulls last,
-            operator asc,
-            tail asc,
-            pack asc
-    ) as place
-from urgent;
+            list_position(['act', 'plan', 'none', 'unknown'], u.urgency) asc,
+            u.p_event desc,
+            u.hx_fouling desc nulls last,
+            u.operator asc,
+            u.tail asc,
+            u.pack asc
+    ) as place,
+    m.since as missing_since,
+    m.reason as missing_reason,
+    m.columns as missing_columns
+from urgent as u
+left join missing_estimates as m
+    on u.operator = m.operator and u.tail = m.tail and u.pack = m.pack and m.component = 'HX';

@@ -1,6 +1,7 @@
 -- How is each pack now, after each flight?
 -- A row uses its flight and those before it. One parameter does not: hx_fouling_smoothed also knows the 50 to 100
 -- flights after, changes while they come in, and is for looking back; decide by hx_fouling.
+-- is_observed: the flight moved the estimate; else it is what the flights before say, the prior, or nothing
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- Grain: flight, pack, parameter. Reads: tables.twin_health, tables.twin_components.
 create or replace view health_parameters as
@@ -12,5 +13,6 @@ with known as (
 
 select
     *,
+    value is not null and status not in ('predicted', 'unconfirmed', 'prior_only') as is_observed,
     (departed_at at time zone 'UTC')::date as departed_on
 from known;

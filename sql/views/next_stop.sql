@@ -170,6 +170,7 @@ placed as (
     left join spans as s on l.operator = s.operator and l.tail = s.tail
     left join renewed as r on o.component = r.component and o.choice = r.choice
     left join costs as m on l.component = m.component and m.item = 'message'
+    where l.said_status != 'prior_only' -- money needs more than what is believed of any unit
 ),
 
 segments as (

@@ -1,8 +1,9 @@
 -- How long is left, and how sure?
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
--- inspection did not see)
--- Grain: flight, pack, component. Reads: alerts, tables.prognoses, tables.prognoses_components, tables.raw_maintenance.
+-- inspection did not see); prior_only (no flight of the unit has told anything of it: what is believed of any unit)
+-- Grain: flight, pack, component. Reads: alerts, unobserved_units, tables.prognoses, tables.prognoses_components,
+-- tables.raw_maintenance.
 create or replace view prognoses as
 with outlook as (
     select * from tables.prognoses
@@ -67,8 +68,19 @@ contradicted as (
 select
     o.*,
     (o.departed_at at time zone 'UTC')::date as departed_on,
-    coalesce(c.status, 'ok') as status
+    case
+        when u.component is not null then 'prior_only'
+        else coalesce(c.status, 'ok')
+    end as status
 from outlook as o
+left join unobserved_units as u
+    on
+        o.operator = u.operator
+        and o.tail = u.tail
+        and o.pack = u.pack
+        and o.component = u.component
+        and o.departed_at >= coalesce(u.counts_from, '-infinity')
+        and o.departed_at < coalesce(u.counts_to, 'infinity')
 left join contradicted as c -- few rows, so that no prognosis need be sorted
     on
         o.operator = c.operator

@@ -8,6 +8,7 @@ from answers import CHECKS, rows
 from made_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 from scipy.stats import binomtest
 
+from hdt_core.alerts.grid import UNOBSERVED
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.storage.publication import views
 
@@ -243,3 +244,60 @@ def test_loss_and_margin_by_route_and_air():
     asked = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
     found = rows(con, f"select {asked} from routes order by destination")
     assert found == [("CCCC", 260.0, 10, 0.0, 25.0), ("HHHH", 290.0, 10, 1.0, 5.0)]
+
+
+BELIEVED = {"component": "HX", "rul_flights": 126.0, "rul_low": 9.0, "rul_high": 300.0, "p_event_50": 0.22, "pack": 1}
+
+
+def unobserved(n: int, *, tail: str = "T-1") -> dict:
+    return fouling(n, 0.15, tail=tail) | {"sd": 0.3, "status": "predicted"}
+
+
+def test_no_information_is_not_a_plan():
+    """T-1 has shown nothing, T-2 little: what is believed of any unit ranks neither, nor is it dated or priced."""
+    legs = [flight(n, tail=t) | {"pack": 1, "admitted": False, "reason": "NO_CRUISE", "n_samples": 9, "n_nominal": 0}
+            for n in range(4) for t in ("T-1", "T-2")]  # fmt: skip
+    con = catalog(
+        raw_flights=[flight(n, tail=t) for n in range(4) for t in ("T-1", "T-2")],
+        legs_verdicts=legs,
+        twin_health=[
+            *(unobserved(n) for n in range(4)),
+            *(unobserved(n, tail="T-2") | ({"status": "ok"} if n == 1 else {}) for n in range(4)),
+        ],
+        features=[flight(n) | {"pack": 1, "mach_lost_share": 1.0, "tat_k_lost_share": 0.1} for n in range(4)],
+        prognoses=[flight(n, tail=t) | BELIEVED for n in range(4) for t in ("T-1", "T-2")],
+    )
+    told = "tail, urgency, hx_fouling, rul_flights, p_event_50, missing_reason, missing_columns"
+    assert rows(con, f"select {told} from fleet_ranking order by place") == [
+        ("T-2", "plan", 0.15, 126.0, 0.22, None, None),
+        ("T-1", "unknown", None, None, None, "NO_CRUISE", "mach"),
+    ]
+    assert rows(con, "select tail, status, count(*)::int from prognoses group by all order by all") == [
+        ("T-1", "prior_only", 4), ("T-2", "ok", 3), ("T-2", "prior_only", 1)
+    ]  # fmt: skip
+    assert rows(con, "select distinct rul_flights from prognoses") == [(126.0,)]  # an estimate, with its status
+    for view in ("due_dates", "next_stop"):
+        assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-2"}
+    assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
+
+
+def test_a_new_unit_is_unknown_until_it_has_flown_with_something_to_see():
+    health = [fouling(n, 0.2) for n in range(3)] + [unobserved(n) for n in range(3, 6)]
+    con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | BELIEVED])
+    assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("unknown", None)]
+    con.execute("update tables.twin_health set status = 'ok' where departed_at >= '2024-03-06'")
+    assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("plan", 0.15)]
+
+
+def test_the_last_known_of_a_pack_stands_before_the_first_unknown():
+    health = [fouling(1, 0.0, tail="T-9"), unobserved(1, tail="T-1")]
+    con = catalog(twin_health=health, prognoses=[flight(1, tail="T-9") | BELIEVED | {"p_event_50": 0.01}])
+    found = rows(con, "select tail, urgency from fleet_ranking order by place")
+    assert found == [("T-9", "none"), ("T-1", "unknown")]
+
+
+def test_views_and_rules_of_alerts_agree_on_what_an_estimate_rests_on():
+    health = [fouling(n, 0.1) | {"status": s} for n, s in enumerate(("ok", "few_samples", "sensor_corrected",
+                                                                    *UNOBSERVED))]  # fmt: skip
+    con = catalog(twin_health=health)
+    assert {s for (s,) in rows(con, "select status from health_parameters where not is_observed")} == set(UNOBSERVED)
