@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.alerts.alerts import raise_alerts
+from hdt_core.alerts.alerts import raise_alerts, with_health
 from hdt_core.alerts.cases import Case, Limits
 from hdt_core.alerts.sensor_faults import feigns_wear
 from hdt_core.health.features import features
@@ -214,6 +214,18 @@ def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
         then = whole.filter(pl.col("raised_at") < cut)
         assert part["alert_id"].to_list() == then["alert_id"].to_list()
         assert part["evidence"].to_list() == then["evidence"].to_list()
+
+
+def test_health_that_the_features_lack_is_taken_from_the_long_form(samples):
+    long = track(samples, {1: np.full(FLIGHTS, 0.3)})
+    bare = long.select("operator", "tail", "flight_id", "pack", "departed_at")
+    filled = with_health(bare, long)
+    assert filled["hx_fouling"].to_list() == long["value"].to_list()
+    assert set(filled["hx_fouling_sd"]) == {0.01}
+    given = with_health(bare.with_columns(hx_fouling=pl.lit(0.1)), long)
+    assert set(given["hx_fouling"]) == {0.1}
+    assert "hx_fouling_sd" not in given.columns
+    assert with_health(bare, pl.DataFrame()).equals(bare)
 
 
 def test_no_flights_no_alerts(samples, nothing_done) -> None:

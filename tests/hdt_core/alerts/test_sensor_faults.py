@@ -5,9 +5,13 @@ import polars as pl
 import pytest
 from one_pack import FLIGHTS, departure, grid, spans, work, work_before
 
-from hdt_core.alerts.cases import Limits
+from hdt_core.alerts import sensor_faults
+from hdt_core.alerts.cases import Case, Limits
+from hdt_core.alerts.fault_isolation import Indications
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.sensor_faults import outlet_doubtful, sensor_cases
+from hdt_core.alerts.signatures import CHANNELS
+from hdt_core.health.detection import Shift, watch
 
 FLIGHT = np.arange(FLIGHTS)
 NOTHING = work(departure(0)).clear()
@@ -123,3 +127,85 @@ def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
     one = checks(w_pack_over_compressor_flow_ln=0.08 * LATE, w_cc_out_pressure_over_schedule_ln=-0.02 * LATE) | told
     (case,) = sensor_cases(both(checks() | told, **one), NOTHING, Limits(), none, none)
     assert (case.unit, case.facts["sensor"]) == (0, "pack_flow_kg_s")
+
+
+def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "mach", p: float = 0.96) -> Case:
+    facts = {"sensor": sensor, "p": p, "kind": "shift", "since": raised, "whose": "own"}
+    return Case(unit, "SENSOR", "SENSOR_FAULT", raised, closed, facts)
+
+
+@pytest.mark.parametrize(
+    ("shift", "echo"),
+    [
+        (case(38), True), (case(37), False), (case(62), True), (case(63), False), (case(50, sensor="tat_k"), False),
+        (case(50, unit=1), False),
+    ],
+)  # fmt: skip
+def test_a_shift_within_twelve_flights_of_a_silence_is_its_echo(shift: Case, echo: bool) -> None:
+    assert sensor_faults._echo(shift, [case(50, 50)]) is echo
+    assert sensor_faults._echo(case(90), [case(50)])
+
+
+def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
+    grid = both({"running": True}, running=True)
+    z = np.zeros((2, FLIGHTS, 15))
+    evidence = Indications(grid, Shift(z > 0, z, z, z, z), np.zeros((2, FLIGHTS)), grid.partner())
+    return [(c.unit, c.facts["sensor"], c.raised, c.closed) for c in sensor_faults._one_each(list(cases), evidence)]
+
+
+def test_of_two_names_within_twelve_flights_the_first_and_surer_stands() -> None:
+    assert one_each(case(62, sensor="tat_k"), case(50)) == [(0, "mach", 50, None)]
+    assert one_each(case(63, sensor="tat_k"), case(50)) == [(0, "mach", 50, None), (0, "tat_k", 63, None)]
+    assert one_each(case(50, p=0.96), case(50, sensor="tat_k", p=0.97)) == [(0, "tat_k", 50, None)]
+
+
+def test_the_same_sensor_again_carries_its_case_on() -> None:
+    assert one_each(case(50, 60), case(72, 80)) == [(0, "mach", 50, 80)]
+    assert one_each(case(50, 60), case(72)) == [(0, "mach", 50, None)]
+    assert one_each(case(50, 90), case(70, 80)) == [(0, "mach", 50, 90)]
+    assert one_each(case(50, 60), case(73, 80)) == [(0, "mach", 50, 60), (0, "mach", 73, 80)]
+
+
+def test_the_other_pack_accused_long_after_ends_the_first_case() -> None:
+    own = {"sensor": "cc_in_k"}
+    assert one_each(case(50, **own), case(60, unit=1, **own)) == [(0, "cc_in_k", 50, None)]
+    assert one_each(case(50, **own), case(70, unit=1, **own)) == [(0, "cc_in_k", 50, 71), (1, "cc_in_k", 70, None)]
+    assert one_each(case(50, 60, **own), case(70, unit=1, **own))[0] == (0, "cc_in_k", 50, 60)
+    # both packs may record one Mach number
+    assert one_each(case(50), case(55, unit=1)) == [(0, "mach", 50, None), (1, "mach", 55, None)]
+
+
+@pytest.mark.parametrize(
+    ("component", "column", "hushed"),
+    [
+        ("HX", "hx_in_over_discharge_k", True), ("HX", "hx_in_over_pressure_k", True),
+        ("HX", "conductance_off_cruise_ln", True), ("HX", "inlet_minus_tat_k", False),
+        ("CC", "hx_in_over_pressure_k", True), ("CC", "hx_in_over_discharge_k", False),
+        ("RAM_DOOR", "hx_out_minus_target_k", True), ("RAM_DOOR", "inlet_minus_tat_k", False),
+    ],
+)  # fmt: skip
+def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, column: str, hushed: bool) -> None:
+    calls = []
+    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(new) or watch(values, sd, new))
+    found(work_before(50, component), **checks())
+    new = calls[0][0, :, [c.name for c in CHANNELS].index(column)]
+    assert new.nonzero()[0].tolist() == [50] * hushed
+
+
+def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
+    calls = []
+    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
+    told = checks() | {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40}
+    told |= {"cc_in_k_lost_share": empty(0.9)}
+    door, jam = QUIET.copy(), QUIET.copy()
+    door[0, 60:] = jam[0, 70:] = True
+    sensor_cases(grid(**told), NOTHING, Limits(), door, jam)
+    for k, check in enumerate(CHANNELS):
+        first = FLIGHTS
+        if "cc_in_k" in check.moves:
+            first = 30
+        elif check.name in ("hx_out_minus_target_k", "hx_out_between_packs_k"):
+            first = 60
+        elif check.name in ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_off_cruise_ln"):
+            first = 70
+        assert np.isnan(calls[0][0, :, k]).tolist() == (first <= FLIGHT).tolist(), check.name

@@ -66,11 +66,15 @@ def test_an_earlier_reason_stays_and_rules_come_in_order():
     assert not told["admitted"].any()
 
 
-@pytest.mark.parametrize(("n", "out"), [(8, True), (20, True), (7, False), (None, False)])
-def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, out):
-    """Weighted by the root of an eighth of its samples: 3.49 K is the 99.95 % quantile of one normal residual."""
+@pytest.mark.parametrize(
+    ("n", "off_k", "out"),
+    [(8, 0.7, True), (20, 0.7, True), (7, 0.7, False), (7, 0.75, True), (None, 1.98, True), (None, 1.96, False)],
+)
+def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, off_k, out):
+    """Weighted by the root of an eighth of its samples, one where the number is not known: 3.48 deviations of .2 K is
+    the 99.95 % quantile of one normal residual."""
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))
-    told = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [0.7], index_n=pl.Series([n] * N, dtype=pl.Int64))
+    told = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=pl.Series([n] * N, dtype=pl.Int64))
     assert told["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])
 
 

@@ -101,6 +101,7 @@ def test_a_door_that_follows_no_climb_is_jammed(span, rise_m, rows, still):
 def test_a_row_recorded_twice_counts_once_and_a_gap_is_not_monitored():
     twice = pl.concat([leg(), leg()])
     assert prepare_samples(twice).height == 12
+    assert prepare_samples(pl.concat([leg(rows=1), leg(2, rows=1)])).height == 2
     holed = prepare_samples(leg(hx_out_k=[None] + [296.0] * 11))
     assert holed["monitored"].to_list() == [False] + [True] * 11
     assert prepare_samples(leg(vda_counts=None))["monitored"].all()
