@@ -209,3 +209,13 @@ def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
         elif check.name in ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_off_cruise_ln"):
             first = 70
         assert np.isnan(calls[0][0, :, k]).tolist() == (first <= FLIGHT).tolist(), check.name
+
+
+def test_a_silent_sensor_of_the_other_pack_hushes_the_checks_between_them_alone(monkeypatch) -> None:
+    calls = []
+    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
+    told = {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40, "tat_k_lost_share": 0.0}
+    none = np.zeros((2, FLIGHTS), dtype=bool)
+    sensor_cases(both(told | {"tat_k_lost_share": empty(0.9)}, **told), NOTHING, Limits(), none, none)
+    hushed = [c.name for k, c in enumerate(CHANNELS) if np.isnan(calls[0][0, 40, k])]
+    assert hushed == ["tat_between_packs_k"]

@@ -76,6 +76,8 @@ def test_neighbours_are_seven_flights_and_a_level_learned_is_theirs():
     assert learned.stray == pytest.approx(np.median(np.abs(level - smooth)))
     assert learned.clean == pytest.approx(np.sort(smooth)[round(0.9 * (N - 1))])
     assert learn_level(levels(level).clear(), NO_LOG) == IndexLevel()
+    lone = judge_conductance(levels(level).head(1), NO_LOG, UNKNOWN)
+    assert lone["index_off"].to_list() == [None]
 
 
 def test_outliers_lie_beyond_the_chi_square_quantile():
@@ -96,6 +98,10 @@ def test_a_scatter_wants_two_hundred_legs_that_move():
     assert learned.precision[0][0] == pytest.approx(100.0, rel=0.25)
     moving = rows.with_columns(b=pl.Series(np.where(np.arange(400) < 199, 0.0, rng.normal(size=400))))
     assert learn_scatter(moving, ["a", "b"]).columns == ("a", "b")
+    half = rows.with_columns(b=pl.Series(np.where(np.arange(400) < 200, 0.0, rng.normal(size=400))))
+    assert learn_scatter(half, ["a", "b"]).columns == ("a",)
+    gaps = rows.with_columns(b=pl.when(pl.col("b") > 0.0).then("a"))
+    assert learn_scatter(gaps, ["a", "b"]).columns == ("a",)
     assert learn_scatter(rows.head(199), ["a"]) is None
     assert learn_scatter(rows.head(200), ["a"]) is not None
     assert learn_scatter(rows.clear(), ["a"]) is None
