@@ -139,11 +139,11 @@ STAGES = (
         "raw_records",
         "raw",
         {
-            "raw_messages": Recipe(files=("messages",), code="2"),
-            "raw_maintenance": Recipe(files=("maintenance", "findings"), code="4"),
+            "raw_messages": Recipe(files=("messages",), code="3"),
+            "raw_maintenance": Recipe(files=("maintenance", "findings"), code="5"),
             "raw_cases": Recipe(files=("cases",)),
             "raw_reports": Recipe(files=("reports",)),
-            **alike("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="2"),
+            **alike("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="3"),
         },
         untracked=("raw_fleet",),
         label="messages and maintenance",
@@ -152,7 +152,7 @@ STAGES = (
         "raw",
         "raw",
         alike(
-            "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", files=FLIGHT_FILES, code="2"
+            "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", files=FLIGHT_FILES, code="3"
         ),
         untracked=("raw_fleet",),
         fresh="raw_flights",
@@ -237,7 +237,7 @@ STAGES = (
             "raw_components_deliveries",
             "raw_components_quarantine",
             files=("component", "recorder"),
-            code=DECLARED,
+            code=f"2 {DECLARED}",
         ),
         untracked=("raw_fleet",),
         label="declared components",

@@ -5,7 +5,8 @@ from typing import Any
 import dataframely as dy
 import polars as pl
 
-OPERATOR = r"^[A-Z]{3}$"
+OPERATOR = r"^[A-Z][A-Z0-9]{1,7}$"
+"""An ICAO airline code, or a fleet's own name."""
 TAIL = r"^[A-Z0-9-]{2,10}$"
 FLIGHT_ID = r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$"
 UTC = pl.Datetime("us", "UTC")
@@ -42,8 +43,8 @@ def moment(meaning: str, **kw: Any) -> dy.Datetime:
 
 
 def operator_key(*, primary_key: bool = True) -> dy.String:
-    """ICAO airline code; part of the key, for an aircraft may change hands and keep its registration."""
-    return text("ICAO airline code", nullable=False, primary_key=primary_key, regex=OPERATOR)
+    """Operator: part of the key, for an aircraft may change hands and keep its registration."""
+    return text("ICAO airline code or a fleet's own name", nullable=False, primary_key=primary_key, regex=OPERATOR)
 
 
 def tail_key(*, primary_key: bool = True) -> dy.String:

@@ -36,7 +36,7 @@ class CalibrationDesign(Table):
     """One design parameter: scope, component, parameter."""
 
     scope = text("fleet, operator or tail", nullable=False)
-    operator = text("airline code, null above operator")
+    operator = text("operator, null above one")
     tail = text("aircraft, null above tail")
     pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack, null above a pack"})
     component = text("HX or CC", nullable=False)

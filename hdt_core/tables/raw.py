@@ -70,7 +70,7 @@ class RawFlights(Table):
 class RawDeliveries(Table):
     """Where the delivered rows of a file went: file, flight."""
 
-    operator = text("airline code of the folder")
+    operator = text("operator of the folder")
     tail = text("tail of the folder")
     file = text("file below the landing zone", nullable=False)
     flight_id = text("flight the rows belong to; rows that name none go with the file's first flight")
@@ -100,7 +100,7 @@ class RawQuarantine(Table):
         "file, row, value (stored as null, its row goes on), result (a computed row) or note (nothing kept out)",
         nullable=False,
     )
-    operator = text("airline code of the folder")
+    operator = text("operator of the folder")
     tail = text("tail of the folder")
     flight_id = text("flight the row belongs to; a row that names none goes with the file's first flight")
     received_at = moment("modification time of the file", nullable=True)

@@ -1,5 +1,6 @@
 """Declared components along the same chain: from files of their own to legs, twin, alerts and remaining life."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -43,19 +44,31 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
     wanted = pl.struct("operator", "tail").is_in([{"operator": o, "tail": t} for o, t in scope.aircraft or {}])
     files = landing_files(Path(home.landing), listed.filter(wanted))
     files = [f for f in files if f.is_recording or f.folder in recorded_components()]
-    fleet = home.store.read("raw_fleet").drop_nulls("packs").select("operator", "tail", "packs").rows()
-    read = read_components(files, datetime.now(UTC), {(o, t): packs for o, t, packs in fleet})
-    here = [f.path for f in files]
-
-    def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        return pl.concat([left(table, here, scope, home.store), *frames], how="diagonal_relaxed")
-
-    rows = with_stored("raw_components", [d.rows for _, d in read])
+    stored = scope.read(home.store, "raw_components")
+    packs = dict(stored.group_by("file").agg(pl.col("pack").max()).iter_rows())
+    files = [replace(f, packs_stored=packs.get(f.path, 0)) for f in files]
+    read = read_components(files, datetime.now(UTC))
+    present, good = [f.path for f in files], [f.path for f, d in read if d.n_good]
+    old = left("raw_components_deliveries", present, scope, home.store)
+    silent = [path for path in present if path in packs and path not in good]  # they take nothing away
+    before = scope.read(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(silent))
+    before = before.with_columns(delivered=pl.col("loaded") + pl.col("duplicate"), quarantined=pl.lit(0, pl.Int64))
+    accounts = pl.concat([before, *(of_aircraft(f, account(f, d)) for f, d in read)], how="diagonal_relaxed")
+    gone = [path for path in present if path not in silent]
+    kept = left("raw_components", gone, scope, home.store)
+    rows = pl.concat([kept, *(d.rows for _, d in read)], how="diagonal_relaxed")
+    aside = left("raw_components_quarantine", present, scope, home.store)
     return (
         rows.unique(SAMPLE, keep="last", maintain_order=True),
-        with_stored("raw_components_deliveries", [of_aircraft(f, account(f, d)) for f, d in read]),
-        with_stored("raw_components_quarantine", [of_aircraft(f, d.quarantine) for f, d in read]),
+        pl.concat([old, _summed(accounts)], how="diagonal_relaxed"),
+        pl.concat([aside, *(of_aircraft(f, d.quarantine) for f, d in read)], how="diagonal_relaxed"),
     )
+
+
+def _summed(accounts: pl.DataFrame) -> pl.DataFrame:
+    """One account a file."""
+    counts = pl.col("delivered", "loaded", "quarantined", "duplicate")
+    return accounts.group_by("operator", "tail", "file").agg(counts.sum())
 
 
 @stage

@@ -1,5 +1,6 @@
 """What was recorded, typed, in SI, each row once; and an account of every row that was delivered."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -33,13 +34,14 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     """The fleet list, and files that hold no flight at all."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
     lists = [(f, read_fleet(f, now)) for f in landing_files(landing, ledger.files(["fleet"]))]
+    fleet = pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed")
     checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
     costs, wrong = costs_or_fault(Path(home.home))
     rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
     left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
     refused = [list_landing(landing).quarantine, rejected.quarantine]
     return (
-        pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed"),
+        fleet if fleet.height else home.store.read("raw_fleet"),  # a list that is gone or broken takes nothing away
         pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
         coverage(types_of(landing.resolve())),
@@ -53,7 +55,7 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Messages the aircraft raised, work done on them, what people did about alerts, heads of printed reports."""
     aircraft = list(scope.aircraft or {})
     listed = home.ledger.files([*RECORDS, REPORTS]).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
-    read = [*_logs(listed, home), *_printed(listed, scope, home)]
+    read = [*_logs(listed, scope, home), *_printed(listed, scope, home)]
     paths = [f.path for f, _ in read]
 
     rows = {kind: _records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS}
@@ -81,11 +83,17 @@ def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
     return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
-def _logs(listed: pl.DataFrame, home: Home) -> list[tuple[LandingFile, Log]]:
-    """Messages and maintenance: one file an aircraft."""
-    now, fleet = datetime.now(UTC), home.store.read("raw_fleet")
-    files = landing_files(Path(home.landing), listed.filter(pl.col("kind") != REPORTS))
-    return [(f, RECORDS[f.kind][1](f, now, fleet)) for f in files]
+def _logs(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+    """Messages and maintenance: one file an aircraft; a pack that is stored of it stays one."""
+    files, now = landing_files(Path(home.landing), listed.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
+    stored = {kind: scope.read(home.store, table) for kind, (table, _) in RECORDS.items()}
+    packs = {
+        (kind, *row[:2]): row[2] or 0
+        for kind, frame in stored.items()
+        for row in frame.group_by("operator", "tail").agg(pl.col("pack").max()).rows()
+    }
+    files = [replace(f, packs_stored=packs.get((f.kind, f.operator, f.tail), 0)) for f in files]
+    return [(f, RECORDS[f.kind][1](f, now)) for f in files]
 
 
 def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:

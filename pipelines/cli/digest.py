@@ -7,7 +7,7 @@ import typer
 
 from pipelines.cli.base import AsJson, HomeDir, StopError, app, home_folder, out, say_error
 
-OperatorOnly = Annotated[str | None, typer.Option("--operator", help="Only this operator, three letters.")]
+OperatorOnly = Annotated[str | None, typer.Option("--operator", help="Only this operator, as its folder is called.")]
 
 
 @app.command()

@@ -7,6 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from hdt_core.tables import TABLES
@@ -15,6 +16,8 @@ from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.intake.coverage import coverage_of, faults_of, in_use
 from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_sample import silent_in_landing
+from pipelines.intake.refusals import not_read, silent_columns, silent_lines
 from pipelines.intake.types_of_zone import types_of
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
@@ -46,7 +49,7 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
     yield Check("python", sys.version_info >= (3, 11), f"{platform.python_version()}, {os.cpu_count()} cores")
     yield from _packages()
     if landing is not None:
-        yield _landing(landing)
+        yield from _landing(landing)
         yield from _types(landing)
     if home is not None:
         yield from _home(home)
@@ -68,13 +71,19 @@ def _packages() -> Iterator[Check]:
         )
 
 
-def _landing(landing: Path) -> Check:
+def _landing(landing: Path) -> Iterator[Check]:
+    """Names in the landing zone, and what a few files of each aircraft hold."""
     if fault := fault_of(landing):
-        return Check("landing zone", False, fault)
+        yield Check("landing zone", False, fault)
+        return
     listing = list_landing(landing)
-    files, refused = len(listing.files), listing.quarantine.height
-    said = f"{files} files to take in, {refused} that are none of the contract's"
-    return Check("landing zone", files > 0, said if files else f"{said}; `hdt docs raw-data` shows the layout")
+    files, refused = len(listing.files), listing.quarantine
+    said = f"{files} files to take in, {refused.height} that are none of the contract's"
+    said += f": {'; '.join(not_read(refused))}" if refused.height else ""
+    well = files > 0 and refused.is_empty()
+    yield Check("landing zone", well, said if files else f"{said}; `hdt docs raw-data` shows the layout")
+    read, silent = silent_in_landing(landing, datetime.now(UTC))
+    yield Check("contents", not silent, "; ".join(silent) or f"{read} files looked into, as agreed")
 
 
 def _types(landing: Path) -> Iterator[Check]:
@@ -198,12 +207,13 @@ from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin',
 
 
 def _feed(home: Path) -> Check:
-    """Whether files came in other units or wired otherwise than agreed."""
+    """Whether files came in other units or wired otherwise than agreed, and which columns fell silent."""
     try:
         with connect(home) as con:
             odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+            silent = silent_lines(silent_columns(con))
     except StoreError as error:
         return Check("units and wiring", False, str(error))
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
-    said = f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`" if odd else "as physics wants them"
-    return Check("units and wiring", not odd, said)
+    said = [f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`"] if odd else []
+    return Check("units and wiring", not odd + silent, "; ".join([*said, *silent]) or "as physics wants them")

@@ -91,7 +91,7 @@ def nightly(
 def backfill(
     landing: LandingDir = None,
     home: HomeDir = None,
-    operator: Annotated[str | None, typer.Option(help="Only this operator, three letters.")] = None,
+    operator: Annotated[str | None, typer.Option(help="Only this operator, as its folder is called.")] = None,
     tail: Annotated[str | None, typer.Option(help="Only this aircraft.")] = None,
     since: Day = None,
     until: Day = None,
@@ -179,13 +179,15 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
     if as_json:
         told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed,
                 "untold": untold}  # fmt: skip
-        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__}))
+        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__ if f != "came"}))
     elif night.idle:
         said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
         mended = f" made anew, for {fault}" if fault else ""
         out.print(f"{said} Catalog{mended}: {home / 'catalog.duckdb'}", soft_wrap=True)
     else:
         _say(home, night, seconds)
+    for line in () if as_json else night.not_read:
+        err.print(f"not read: {line}", markup=False, soft_wrap=True)
     if sealed and not as_json:
         out.print(f"Trial: sealed, {sealed}", soft_wrap=True)
     for line in untold:
@@ -226,7 +228,22 @@ def _say(home: Path, night: Any, seconds: float) -> None:
     out.print(
         f"{night.new_files} new of {night.files} files, {night.cells} cells in {night.runs} runs, {seconds:.0f} s."
     )
+    _refusals(home, night.came)
     out.print(f"Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
+
+
+def _refusals(home: Path, came: frozenset[str]) -> None:
+    """What of tonight's files was set aside, and which columns of their aircraft fell silent."""
+    from pipelines.intake.refusals import set_aside, silent_columns, silent_lines
+    from pipelines.storage.catalog import connect
+
+    with connect(home) as con:
+        aside, silent = set_aside(con, came), silent_columns(con)
+    if aside:
+        err.print(f"set aside: {aside}", markup=False, soft_wrap=True)
+    own = {tuple(path.split("/")[:2]) for path in came}
+    for line in silent_lines(r for r in silent if (r["operator"], r["tail"]) in own):
+        err.print(f"silent: {line}", markup=False, soft_wrap=True)
 
 
 def _ranking(home: Path) -> None:

@@ -24,7 +24,7 @@ class Format(StrEnum):
 def export(
     target: Annotated[Path, typer.Option("--out", help="Folder to write: a new one, or an earlier export's.")],
     home: HomeDir = None,
-    operator: Annotated[str | None, typer.Option(help="Only what this operator may see, three letters.")] = None,
+    operator: Annotated[str | None, typer.Option(help="Only what this operator may see.")] = None,
     view: Annotated[list[str] | None, typer.Option(help="Only this view; may be given more than once.")] = None,
     form: Annotated[Format, typer.Option("--format", help="Files of views, or one catalog.")] = Format.parquet,
     pseudonymise: Annotated[

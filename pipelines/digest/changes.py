@@ -1,4 +1,4 @@
-"""What changed between two states: alerts, outlooks that left their own interval, gaps, refused files."""
+"""What changed between two states: alerts, outlooks that left their own interval, gaps, silence, refused files."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from pipelines.digest.state import State
 
 Row = dict[str, Any]
 _URGENCY, _SEVERITY = ("none", "plan", "act"), ("low", "medium", "high")
-KINDS = ("new", "worse", "closed", "moved", "eased", "gap", "refused")
+KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "refused")
 """In the order in which they are told."""
 
 
@@ -52,6 +52,7 @@ def compare(before: State, now: State) -> Digest:
         "closed": [_closed(was, now) for name, was in before["alerts"].items() if name not in now["alerts"]],
         "moved": list(_moved(before["outlook"], now["outlook"])),
         "eased": [row | {"was": was} for was, row in pairs if _weight(row) < _weight(was)],
+        "silent": [row for name, row in now["silent"].items() if name not in before["silent"]],
         "gap": [row for name, row in now["gaps"].items() if name not in before["gaps"]],
         "refused": [row for name, row in now["files"].items() if before["files"].get(name) != row],
     }

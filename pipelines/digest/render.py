@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.digest.changes import Digest, Row
+from pipelines.intake.refusals import silence
 from pipelines.report import words
 from pipelines.report.templating import templates_of
 from pipelines.storage.files import replacing
@@ -18,11 +19,12 @@ TITLES = {
     "closed": "Closed",
     "moved": "Flights left moved beyond their own interval",
     "eased": "Eased",
+    "silent": "Columns that fell silent",
     "gap": "Data gaps",
     "refused": "Files refused, whole or in part",
 }
-_SHORT = {"new": "new", "worse": "worse", "closed": "closed", "moved": "moved", "eased": "eased", "gap": "gaps",
-          "refused": "refused"}  # fmt: skip
+_SHORT = {"new": "new", "worse": "worse", "closed": "closed", "moved": "moved", "eased": "eased", "silent": "silent",
+          "gap": "gaps", "refused": "refused"}  # fmt: skip
 _GAPS = {
     "missing_leg": "{flights} after {after_flight_id} never arrived",
     "silence": "silent for {silent_days:.0f} days from {since}",
@@ -118,7 +120,7 @@ def _escaped(text: str) -> str:
 
 def _who(row: Row) -> str:
     """`AQX LX-AAC pack 2 (right)`; a file's name."""
-    if "file" in row:
+    if "tail" not in row:
         return str(row["file"])
     unit = words.pack_name(row) if "pack" in row else row["tail"]
     return f"{row['operator']} {unit}"
@@ -157,5 +159,5 @@ def _refused(row: Row) -> str:
     return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
 
 
-_SAID = {"new": _alert, "worse": _changed, "closed": _ended, "moved": _outlook, "eased": _changed, "gap": _gap,
-         "refused": _refused}  # fmt: skip
+_SAID = {"new": _alert, "worse": _changed, "closed": _ended, "moved": _outlook, "eased": _changed,
+         "silent": silence, "gap": _gap, "refused": _refused}  # fmt: skip

@@ -1,12 +1,14 @@
-"""What stands after a night, as far as the next one has to remember it: open alerts, outlooks, gaps, refused files."""
+"""What stands after a night, as far as the next has to remember it: alerts, outlooks, gaps, silence, refused files."""
 
 from typing import Any
 
 import duckdb
 
+from pipelines.intake.refusals import silent_columns
+
 State = dict[str, Any]
-"""JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps` by name, `files` by path."""
-EMPTY: State = {"until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "files": {}}
+"""JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps` and `silent` by name, `files` by path."""
+EMPTY: State = {"until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}}
 """Before the first night."""
 
 _UNTIL = "select strftime(max(departed_at) at time zone 'UTC', '%Y-%m-%d %H:%M') from flights"
@@ -59,6 +61,9 @@ def read_state(con: duckdb.DuckDBPyConnection) -> State:
         "closed": {name: row for name, row in alerts.items() if row["closed_on"] is not None},
         "outlook": {_named(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
         "gaps": {_named(r, "operator", "tail", "gap", "since", "after_flight_id"): r for r in _rows(con, _GAPS)},
+        "silent": {
+            _named(r, "operator", "tail", "folder", "column_name", "reason"): r for r in map(dict, silent_columns(con))
+        },
         "files": {row["file"]: row for row in _rows(con, _FILES)},
     }
 

@@ -1,6 +1,6 @@
 """Files of declared components become judged rows in SI, one a flight, pack, time and signal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -42,10 +42,13 @@ class ComponentIntake:
     n_loaded: int
     n_duplicate: int
 
+    @property
+    def n_good(self) -> int:
+        """Lines that could be stored, were there no other delivery."""
+        return self.n_loaded + self.n_duplicate + self.quarantine.filter(reason="conflicting_delivery").height
 
-def read_components(
-    files: Sequence[LandingFile], now: datetime, packs: Mapping[tuple[str, str], int]
-) -> list[tuple[LandingFile, ComponentIntake]]:
+
+def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[LandingFile, ComponentIntake]]:
     """What came of each file, of a recording once for each component; deliveries of one flight are settled among them.
 
     Parameters
@@ -54,8 +57,6 @@ def read_components(
         Of one or several aircraft, all that hold a component of them.
     now : datetime
         Times after it lie in the future. UTC.
-    packs : mapping
-        Packs of each operator and tail; two where it is not there.
 
     Returns
     -------
@@ -64,7 +65,7 @@ def read_components(
         for what a file holds.
     """
     held = [(file, code) for file in files for code in _components_in(file)]
-    read = [_one_file(file, code, now, packs.get((file.operator, file.tail), 2)) for file, code in held]
+    read = [_one_file(file, code, now) for file, code in held]
     keys = pl.DataFrame(schema={**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64(), "index": pl.Int64()})
     wide = pl.concat([keys, *(_placed(f.rows, i, held[i][0]) for i, f in enumerate(read))], how="diagonal")
     won = _settled(wide)
@@ -92,7 +93,7 @@ def _components_in(file: LandingFile) -> tuple[str, ...]:
     return tuple(code.lower() for code in kind.components) if kind else ()
 
 
-def _one_file(file: LandingFile, folder: str, now: datetime, packs: int) -> _Read:
+def _one_file(file: LandingFile, folder: str, now: datetime) -> _Read:
     component = recorded_components()[folder]
     try:
         with panics_as_errors():
@@ -100,7 +101,7 @@ def _one_file(file: LandingFile, folder: str, now: datetime, packs: int) -> _Rea
                 frame, n_rows, faults = recorder_rows(file, component.code)
                 return _judged(frame, _Read(pl.DataFrame(), faults, n_rows), None, component, now, MAX_PACKS)
             frame, text, found = _opened(file, component)
-            return _judged(frame, found, text, component, now, packs)
+            return _judged(frame, found, text, component, now, file.packs)
     except Exception as error:
         return _Read(pl.DataFrame(), [Fault("cannot_process", detail=first_line(error))])
 

@@ -5,7 +5,7 @@ has since left the landing zone, or now holds no good row of the flight, are tak
 again and arrives broken takes nothing away.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,9 @@ from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
+
+LEAST_ROWS = 0.1
+"""Share of the rows of a file's fullest pack from which on another is a pack and no slip of the recorder."""
 
 
 @dataclass(frozen=True)
@@ -40,22 +43,24 @@ def ingest_flights(
     held = ledger.of([aircraft]).flight_files().filter(pl.col("kind").is_in(FLIGHT_FILES))
     first = held.group_by("path").agg(pl.col("flight_id").min().alias("carrier")).rename({"path": "file"})
     files = landing_files(landing, held.filter(pl.col("flight_id").is_in(flights)))
-    intake = read_snapshots(files, datetime.now(UTC), store.read("raw_fleet"))
+    stored = StoredRows(store, aircraft, flights, [f.path for f in files])
+    packs = stored.packs()
+    intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
     _must_balance(intake)
     rows, quarantine = _wanted(intake.rows, flights), _wanted(_carried(intake.quarantine, first), flights)
-    gone = StoredRows(store, aircraft, flights, [f.path for f in files], rows.select(ACCOUNT).unique())
+    spoke = rows.select(ACCOUNT).unique()
     received_at = {path: received(ns) for path, ns in held.select("path", "mtime_ns").iter_rows()}
-    before = redelivered(rows, quarantine, *gone.replaced(), received_at)
+    before = redelivered(rows, quarantine, *stored.replaced(), received_at)
     rows, quarantine = pl.concat([rows, before.rows]), pl.concat([quarantine, before.quarantine])
-    merged = merge_deliveries([rows, gone.rows()], received_at)
-    here = MergeResult(*(part.join(gone.spoke, on=ACCOUNT, how="semi") for part in merged))
+    merged = merge_deliveries([rows, stored.rows(spoke)], received_at)
+    here = MergeResult(*(part.join(spoke, on=ACCOUNT, how="semi") for part in merged))
     account = _account(rows, quarantine, here)
     quarantine = pl.concat([quarantine, merged.quarantine])
     whole = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
     return IngestResult(
         merged.rows.drop("row_in_file"),
-        pl.concat([account, gone.deliveries(merged)]).group_by(ACCOUNT).sum().with_columns(**whole),
-        pl.concat([quarantine, gone.quarantine()], how="diagonal").with_columns(**whole),
+        pl.concat([account, stored.deliveries(merged, spoke)]).group_by(ACCOUNT).sum().with_columns(**whole),
+        pl.concat([quarantine, stored.quarantine()], how="diagonal").with_columns(**whole),
     )
 
 
@@ -63,14 +68,13 @@ def ingest_flights(
 class StoredRows:
     """What is stored of some flights from files that are not in the landing zone, or do not speak of them any more.
 
-    `present` are files that lie there, `spoke` (file, flight_id) those that hold good rows of which flight.
+    `present` are files that lie there; `spoke` (file, flight_id) says which of them hold good rows of which flight.
     """
 
     store: Store
     aircraft: tuple[str, str]
     flights: list[str]
     present: list[str]
-    spoke: pl.DataFrame
 
     def _of(self, table: str) -> pl.DataFrame:
         some = self.store.scan(table, [self.aircraft], self.flights)
@@ -86,9 +90,15 @@ class StoredRows:
         both = pl.concat([self._of("raw_snapshots"), self._of("raw_logs")])
         return both.with_columns(row_in_file=pl.lit(0, pl.Int64)).select(ROW_COLUMNS)
 
-    def rows(self) -> pl.DataFrame:
+    def packs(self) -> dict[str, int]:
+        """Highest number of a pack of which each file has stored more than a few odd rows."""
+        sizes = self._recorded.filter(pl.col("file").is_in(self.present)).group_by("file", "pack").len()
+        real = sizes.filter(pl.col("len") >= LEAST_ROWS * pl.col("len").max().over("file"))
+        return dict(real.group_by("file").agg(pl.col("pack").max()).iter_rows())
+
+    def rows(self, spoke: pl.DataFrame) -> pl.DataFrame:
         """Rows as `read_snapshots` gave them."""
-        return self._recorded.join(self.spoke, on=ACCOUNT, how="anti")
+        return self._recorded.join(spoke, on=ACCOUNT, how="anti")
 
     def replaced(self) -> tuple[pl.DataFrame, pl.DataFrame]:
         """Rows and quarantine rows that earlier versions of files that lie there have left."""
@@ -99,13 +109,14 @@ class StoredRows:
         """Quarantine rows as they were."""
         return self._quarantined().filter(~pl.col("file").is_in(self.present))
 
-    def deliveries(self, merged: MergeResult) -> pl.DataFrame:
+    def deliveries(self, merged: MergeResult, spoke: pl.DataFrame) -> pl.DataFrame:
         """Their account, with what has been said better since counted as duplicate."""
         loaded = _count(merged.rows).rename({"n": "now"})
         aside = _n_rows(merged.quarantine)
         absent = ~pl.col("file").is_in(self.present)
         told = self._of("raw_deliveries").filter(absent).select(*ACCOUNT, "delivered", "quarantined")
-        untold = _count(self.rows()).join(told, on=ACCOUNT, how="anti")  # of broken files, or stored by a killed night
+        # of broken files, or stored by a killed night
+        untold = _count(self.rows(spoke)).join(told, on=ACCOUNT, how="anti")
         kept = untold.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
         before = (
             pl.concat([told, kept])
@@ -121,10 +132,10 @@ class StoredRows:
 
 def landing_files(landing: Path, listed: pl.DataFrame) -> list[LandingFile]:
     """The files of ledger rows that still lie in the landing zone, by path."""
-    columns = ("path", "operator", "tail", "kind", "size", "mtime_ns")
+    columns = ("path", "operator", "tail", "kind", "size", "mtime_ns", "digest")
     rows = listed.select(columns).unique().sort("path").rows()
-    root = str(landing.resolve())
-    return [LandingFile(root, *row) for row in rows if (landing / row[0]).is_file()]
+    root, there = str(landing.resolve()), (row for row in rows if (landing / row[0]).is_file())
+    return [LandingFile(root, *row, judged_by=digest.partition(" ")[2]) for *row, digest in there]  # type: ignore[misc]
 
 
 def flights_of(rows: pl.DataFrame) -> pl.DataFrame:

@@ -4,16 +4,17 @@ import os
 import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import polars as pl
 
 from hdt_core.components import recorded_components
+from pipelines.intake.fleet_list import PACKS
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import is_operator, is_tail
-from pipelines.intake.types_of_zone import FOLDER, RECORDER, REPORTS, Types, read_by, types_of
+from pipelines.intake.types_of_zone import FOLDER, MAINTENANCE, MESSAGES, RECORDER, REPORTS, Types, types_of
 
 Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
@@ -38,6 +39,36 @@ class LandingFile:
     mtime_ns: int
     touched_ns: int = 0
     """When content or modification time were last set, by the file system's own clock, which no program sets back."""
+    judged_by: str = ""
+    """What it is judged by beside itself, see `Types.judged_by`."""
+    listed: bool = True
+    """Whether the fleet list has a line of its aircraft; else what is on record of a file goes on to count."""
+    packs_stored: int = 0
+    """Packs that are stored of it, which no line of the fleet list takes away."""
+
+    @property
+    def packs(self) -> int:
+        """Packs of its aircraft."""
+        return max(self.packs_listed, self.packs_stored)
+
+    @property
+    def packs_listed(self) -> int:
+        """Packs by the fleet list; two where it says nothing."""
+        return int(self._word("packs") or PACKS)
+
+    @property
+    def delivered_on(self) -> date | None:
+        """Day on which its aircraft was delivered, of a maintenance log."""
+        day = self._word("delivered_on")
+        return date.fromisoformat(day) if day else None
+
+    @property
+    def unlisted(self) -> str | None:
+        """None where the fleet list has the aircraft; else operators under which it has the tail."""
+        return self._word("unlisted")
+
+    def _word(self, name: str) -> str | None:
+        return dict(word.split("=", 1) for word in self.judged_by.split()).get(name)
 
     @property
     def name(self) -> str:
@@ -138,11 +169,8 @@ class _Listing:
             elif not self._log_file(entry, path):
                 self.refuse(path, "unexpected_name", f"not {what}")
 
-    def take(self, entry: os.DirEntry[str], path: str, kind: Kind, also: tuple[Path, ...] = ()) -> None:
-        """Add a regular file; refuse pipes and devices, which would hang whoever opens them.
-
-        One that is read by others, `also`, is as new as the newest of them.
-        """
+    def take(self, entry: os.DirEntry[str], path: str, kind: Kind, judged_by: str = "") -> None:
+        """Add a regular file; refuse pipes and devices, which would hang whoever opens them."""
         try:
             status = entry.stat()
         except OSError as error:
@@ -153,18 +181,20 @@ class _Listing:
             return
         operator, _, rest = path.partition("/")
         tail = rest.partition("/")[0]
-        read_by = [p.stat() for p in also if p.exists()]
-        written = max(status.st_mtime_ns, *(s.st_mtime_ns for s in read_by), 0)
-        touched = max(status.st_ctime_ns, written, *(s.st_ctime_ns for s in read_by))
         keys = ("", "") if kind in ("fleet", "type", "checks") else (operator, tail)
-        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, written, touched))
+        written, touched = status.st_mtime_ns, max(status.st_ctime_ns, status.st_mtime_ns)
+        listed = keys == ("", "") or keys in self.types.lines
+        self.files.append(
+            LandingFile(self.root, path, *keys, kind, status.st_size, written, touched, judged_by, listed)
+        )
 
     def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
         """Take fleet.csv at the top and the logs of a tail, where they belong."""
         kind = _LOGS.get((path.count("/"), entry.name))
         if kind is None or entry.is_dir():
             return False
-        self.take(entry, path, kind)
+        place = path.split("/")
+        self.take(entry, path, kind, self.types.judged_by(*place) if len(place) == 3 else "")
         return True
 
     def _stays_inside(self, path: str) -> bool:
@@ -176,8 +206,8 @@ _LOGS: dict[tuple[int, str], Kind] = {
     (0, "fleet.csv"): "fleet",
     (0, "checks.csv"): "checks",
     (0, "checks.parquet"): "checks",
-    (2, "messages.csv"): "messages",
-    (2, "maintenance.csv"): "maintenance",
+    (2, MESSAGES): "messages",
+    (2, MAINTENANCE): "maintenance",
 }
 
 
@@ -189,8 +219,8 @@ def list_landing(landing: Path) -> Landing:
     """
     walk = _Listing(landing)
     _descriptions(walk)
-    for operator in walk.folders("", is_operator, "fleet.csv, checks.csv or an airline code"):
-        for tail in walk.folders(operator, is_tail, "a registration"):
+    for operator in walk.folders("", is_operator, _OPERATOR):
+        for tail in walk.folders(operator, is_tail, _TAIL):
             aircraft = f"{operator}/{tail}"
             known = {"acms", "cpl", RECORDER, REPORTS, *recorded_components()}
             for folder in walk.folders(aircraft, known.__contains__, "a file or folder of the contract"):
@@ -211,24 +241,23 @@ def _descriptions(walk: _Listing) -> None:
 
 
 def _flights(walk: _Listing, below: str, folder: str) -> None:
+    operator, tail, _ = below.split("/")
+    judged_by = walk.types.judged_by(operator, tail, folder)
     if folder == RECORDER:
-        _recordings(walk, below)
+        _recordings(walk, below, operator, tail, judged_by)
         return
-    also = read_by(Path(walk.root), *below.split("/")) if folder == REPORTS else ()
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
         kind = _kind(entry.name, folder)
         if kind is None or _printable(entry.name) != entry.name or entry.is_dir():
             walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, _OTHERWISE))
         else:
-            walk.take(entry, path, kind, also)
+            walk.take(entry, path, kind, judged_by)
 
 
-def _recordings(walk: _Listing, below: str) -> None:
+def _recordings(walk: _Listing, below: str, operator: str, tail: str, judged_by: str) -> None:
     """Recordings of an aircraft whose type says how to read them."""
-    aircraft = below.split("/", maxsplit=1)[0], below.split("/")[1]
-    kind, fault = walk.types.of(*aircraft), walk.types.fault_of(*aircraft)
-    also = read_by(Path(walk.root), *aircraft, RECORDER)
+    kind, fault = walk.types.of(operator, tail), walk.types.fault_of(operator, tail)
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
         if entry.is_dir() or _printable(entry.name) != entry.name:
@@ -236,9 +265,11 @@ def _recordings(walk: _Listing, below: str) -> None:
         elif kind is None or fault:
             walk.refuse(path, "unknown_type", f"{fault}.")
         else:
-            walk.take(entry, path, "recorder" if kind.has_packs else "component", also)
+            walk.take(entry, path, "recorder" if kind.has_packs else "component", judged_by)
 
 
+_OPERATOR = "fleet.csv, checks.csv or an operator's folder: 2 to 8 capitals and digits, first a letter"
+_TAIL = "an aircraft's folder: its registration, 2 to 10 capitals, digits and hyphens"
 _OTHERWISE = "neither .csv nor .parquet"
 _NAMED = "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet"
 _EXPECTED = {"acms": _NAMED, "cpl": _NAMED, REPORTS: "neither .dat, .txt nor .zip"}

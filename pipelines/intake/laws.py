@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
 from hdt_core.physics.model import Array
+from pipelines.intake.columns import PSI_PA
 
 Signals = Mapping[str, Array]
 """SI name: values, NaN where missing."""
@@ -71,9 +72,22 @@ def _of_the_way(s: Signals) -> Array:
     return np.where(apart > 40.0, (s["ram_out_k"] - s["tat_k"]) / apart, np.nan)
 
 
-def _atmosphere(s: Signals) -> Array:
+def over_atmosphere(s: Signals) -> Array:
+    """Total pressure over that of the standard atmosphere at the altitude and Mach number. [-]"""
     static = standard_pressure_pa(np.clip(s["altitude_m"], -1000.0, 20000.0))
     return s["total_pressure_pa"] / (static * total_to_static_pressure(np.clip(s["mach"], 0.0, 1.0)))
+
+
+HIGHEST = {
+    "tat_k": 423.15, "cc_in_k": 423.15, "hx_out_k": 493.15, "ram_out_k": 493.15, "hx_in_k": 563.15, "cc_out_k": 533.15,
+    "total_pressure_pa": 23.5 * PSI_PA, "cc_in_pa": 23.5 * PSI_PA, "cc_out_pa": 75.0 * PSI_PA,
+}  # fmt: skip
+"""What no air in the pack reaches: outside it stays below 80 °C, behind the exchanger below 200 °C, its total pressure
+below 23.5 psia; in kelvin and, up to 45,000 ft, in kPa it reads above that."""
+
+
+def _of(signal: str) -> Callable[[Signals], Array]:
+    return lambda s: s[signal]
 
 
 LAWS = (
@@ -82,18 +96,20 @@ LAWS = (
     Law("the compressor compresses", _over("cc_out_pa", "cc_in_pa"), 0.93, 4.6),
     Law("outside air is the compressor's air", _less("tat_k", "cc_in_k"), -6.5, 6.5),
     Law("and has its pressure", _over("cc_in_pa", "total_pressure_pa"), 0.8, 1.08),
-    Law("altitude, Mach and pressure are of one atmosphere", _atmosphere, 0.9, 1.1),
+    Law("altitude, Mach and pressure are of one atmosphere", over_atmosphere, 0.9, 1.1),
+    Law("an airliner stays below the speed of sound", _of("mach"), -0.1, 1.2),
     Law("a ratio takes its speed", _diameter_m, 0.115, 0.205),
     Law("a rise takes its work", _efficiency, 0.5, 0.88),
     Law("a speed moves its air", _group_m3("cc_flow_kg_s"), 5.8e-4, 1.3e-3),
     Law("a speed moves its air into the pack", _group_m3("pack_flow_kg_s"), 5.6e-4, 1.3e-3),
     Law("what enters the compressor leaves the pack", _flows, 0.75, 1.33),
     Law("the exchanger's inlet is near the compressor's exit", _less("hx_in_k", "cc_out_k"), -10.0, 88.0),
-    Law("the exchanger's inlet is bleed air", lambda s: s["hx_in_k"], 293.0, 461.0),
+    Law("the exchanger's inlet is bleed air", _of("hx_in_k"), 293.0, 461.0),
     Law("the exchanger's exit is near the air outside", _less("hx_out_k", "tat_k"), -30.0, 80.0),
     Law("ram air stays colder than bleed air", _less("hx_in_k", "ram_out_k"), -5.0, 160.0),
     Law("ram air is heated part of the way", _of_the_way, 0.15, 0.85),
-    Law("a door is never shut in flight", lambda s: s["ram_door_open"], 0.015, 1.1),
+    Law("a door is never shut in flight", _of("ram_door_open"), 0.015, 1.1),
+    *(Law(f"no air of a pack has such a {signal}", _of(signal), -np.inf, high) for signal, high in HIGHEST.items()),
 )
 
 

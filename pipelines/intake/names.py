@@ -13,7 +13,7 @@ _HISTORY = re.compile(r"history_\d{4}-\d{2}\.parquet", re.ASCII)
 
 
 def is_operator(name: str) -> bool:
-    """Whether `name` is an ICAO airline code."""
+    """Whether `name` is that of an operator."""
     return _OPERATOR.fullmatch(name) is not None
 
 

@@ -14,7 +14,8 @@ from hdt_core.tables.raw import RawReports
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.landing import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
-from pipelines.intake.logs import Log, bad_moment, printable
+from pipelines.intake.log_lines import printable
+from pipelines.intake.logs import Log, bad_moment
 from pipelines.intake.recordings import MOST_BYTES, read_recording, unpacked_bytes
 from pipelines.intake.types_of_zone import types_of
 

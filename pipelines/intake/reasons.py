@@ -164,6 +164,11 @@ REASONS: dict[str, Reason] = {
         "note", "The same tail flies for two operators on the same days.", "Find out which of the folders is right."
     ),
     "unknown_tail": Reason("note", "The aircraft is not in fleet.csv.", "Add it to the fleet list."),
+    "fewer_packs": Reason(
+        "note",
+        "fleet.csv gives the aircraft fewer packs than are stored of this file; what is stored stays.",
+        "Correct the line in fleet.csv.",
+    ),
     "flight_id_from_column": Reason(
         "note",
         "The file name is not a flight_id; the flight was taken from the column.",

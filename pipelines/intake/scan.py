@@ -3,15 +3,16 @@
 import hashlib
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+
+import polars as pl
 
 from pipelines.intake.costs import COSTS
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.findings import case_files
 from pipelines.intake.landing import LandingFile, list_landing
-from pipelines.intake.types_of_zone import read_by
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.ledger import Ledger
@@ -32,6 +33,10 @@ class Scan:
     new: int
     flights: int
     """Flights that the new files hold; one in two of them counts twice."""
+    came: frozenset[str]
+    """Paths of the new files."""
+    refused: pl.DataFrame
+    """What lies there and is not read, as quarantine rows."""
 
 
 def scan(landing: Path, ledger: Ledger) -> Scan:
@@ -47,7 +52,8 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     touched = seen.touched_since(listing.files, began_ns)
     if rows or touched:
         ledger.register(rows, held, touched)
-    return Scan(len(listing.files), len(new), sum(map(len, held.values())))
+    came = frozenset(f.path for f in new)
+    return Scan(len(listing.files), len(new), sum(map(len, held.values())), came, listing.quarantine)
 
 
 def _flights(files: Iterable[LandingFile]) -> dict[str, list[str]]:
@@ -86,8 +92,23 @@ class _Seen:
         return cls(ledger.known_files(), ledger.digests(), ledger.touched(), _last_look_ns(ledger))
 
     def new(self, files: Iterable[LandingFile]) -> list[LandingFile]:
-        """Files that are not known as they are."""
-        return [f for f in files if self.known.get(f.path) != (f.size, f.mtime_ns) or self._changed(f)]
+        """Files that are not known as they are, or were judged by something else."""
+        return [f for f in map(self._as_listed, files) if self._is_new(f) or self._changed(f)]
+
+    def _is_new(self, file: LandingFile) -> bool:
+        """Whether its size, its time or what it is judged by is not what is on record."""
+        if self.known.get(file.path) != (file.size, file.mtime_ns):
+            return True
+        return self._judged_by(file) != file.judged_by
+
+    def _judged_by(self, file: LandingFile) -> str:
+        return self.digests[file.path].partition(" ")[2]
+
+    def _as_listed(self, file: LandingFile) -> LandingFile:
+        """Of an aircraft that is not on the list tonight a file stays judged as it was."""
+        if file.listed or file.path not in self.digests:
+            return file
+        return replace(file, judged_by=self._judged_by(file))
 
     def touched_since(self, files: Iterable[LandingFile], began_ns: int) -> list[tuple[str, int]]:
         """Files with a change time not on record, where a night that began then reads what will not change under it."""
@@ -114,13 +135,12 @@ def _kind(file: LandingFile, held: dict[str, list[str]]) -> str:
 
 
 def _digest(file: LandingFile) -> str:
-    """Hash of the content, and of what a recording is read by; empty where it cannot be read, which intake tells."""
-    also = read_by(Path(file.landing), file.operator, file.tail, file.folder)
+    """Hash of the content, empty where it cannot be read, which intake tells; and what the file is judged by."""
     try:
-        digests = [_of_content(path) for path in (Path(file.full_path), *also)]
+        content = _of_content(Path(file.full_path))
     except OSError:
-        return ""
-    return digests[0] if len(digests) == 1 else hashlib.blake2b(" ".join(digests).encode()).hexdigest()[:32]
+        content = ""
+    return f"{content} {file.judged_by}" if file.judged_by else content
 
 
 def _of_content(path: Path) -> str:

@@ -52,9 +52,7 @@ class _OpenFile:
     text: Text | None = None
 
 
-def read_snapshots(
-    files: LandingFile | Sequence[LandingFile], now: datetime, fleet: pl.DataFrame | None = None
-) -> Intake:
+def read_snapshots(files: LandingFile | Sequence[LandingFile], now: datetime) -> Intake:
     """Rows of `acms`, `history` and `cpl` files in SI, and a quarantine row for all that is wrong with them.
 
     Many files at once cost far less each than one at a time; the answer is the same.
@@ -64,8 +62,6 @@ def read_snapshots(
     files : LandingFile or sequence of them
     now : datetime
         Times after it lie in the future. UTC.
-    fleet : DataFrame, optional
-        `operator, tail, packs`: bounds the pack numbers, and tails it lacks are noted. Without it packs are 1 and 2.
 
     Returns
     -------
@@ -75,12 +71,12 @@ def read_snapshots(
     files = [files] if isinstance(files, LandingFile) else list(files)
     try:
         with panics_as_errors():
-            return _read_together(files, now, fleet)
+            return _read_together(files, now)
     except Exception as error:
         if len(files) == 1:
             return _failed(files[0], error)
     half = len(files) // 2
-    parts = [read_snapshots(part, now, fleet) for part in (files[:half], files[half:])]
+    parts = [read_snapshots(part, now) for part in (files[:half], files[half:])]
     return Intake(*(pl.concat([getattr(p, f) for p in parts]) for f in ("rows", "quarantine", "delivered")))
 
 
@@ -90,11 +86,11 @@ def _failed(file: LandingFile, error: Exception) -> Intake:
     return Intake(_no_rows(), told, _delivered([file.path], [0]))
 
 
-def _read_together(files: Sequence[LandingFile], now: datetime, fleet: pl.DataFrame | None) -> Intake:
+def _read_together(files: Sequence[LandingFile], now: datetime) -> Intake:
     opened, raw = _open_all(files)
     rows = _no_rows()
     if raw.height:
-        about = about_files(files, fleet)
+        about = about_files(files)
         judged = judge(raw, about, now)
         rows = _in_si(judged.rows, about)
         _record(judged, opened)

@@ -3,20 +3,22 @@
 A flight's columns must obey the laws of `laws`. Where most rows of a pack break one of them, each unit a column is
 written in elsewhere and each swap of two columns is tried. If after one such change all laws hold, the recorder wrote
 the column that way: those rows are refused, with the column by name. A faulty sensor breaks laws too, and no change
-mends them: its readings are stored, and judged flight by flight afterwards.
+mends them: its readings are stored, and judged flight by flight afterwards. A Mach number in knots lies outside what a
+Mach number can be; of it the values are refused and the rows stored.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from hdt_core.physics.air import GAMMA, R_J_KG_K, mach_from_pressures, standard_pressure_pa
 from hdt_core.physics.model import Array
 from pipelines.intake.columns import POUND_KG, PSI_PA, SIGNAL_COLUMNS, SIGNAL_NAMES, ZERO_CELSIUS_K
-from pipelines.intake.laws import broken, readings
+from pipelines.intake.laws import HIGHEST, broken, readings
 
 PACK = ("file_index", "flight_id", "pack")
 MOST, FEW = 0.7, 0.12
@@ -25,7 +27,9 @@ ENOUGH = 5
 """Rows that must say something of a law, and readings a column must have, not all the same."""
 FAR = 1e100
 """A number beyond it counts as it: far from any reading, and its square is still a number."""
-SWAPPED = "swapped_columns"
+SWAPPED, OUTSIDE = "swapped_columns", "out_of_range"
+KNOT_M_S = 1852 / 3600
+SEA_LEVEL_PA, SEA_LEVEL_SOUND_M_S = 101_325.0, 340.294
 
 Columns = Mapping[str, Array]
 Index = NDArray[np.int64]
@@ -42,6 +46,8 @@ class Change:
     made: Mapping[str, Callable[[Columns], Array]]
     shifts: bool = False
     """Whether it moves both zero and scale."""
+    lows: Mapping[str, float] = field(default_factory=dict)
+    """Where it is of just those columns that read as a unit: from where on they do."""
 
     def of(self, columns: Columns) -> dict[str, Array]:
         """The columns as they should have been written."""
@@ -95,14 +101,54 @@ _SWAPS = (
 )
 
 
+def _mach_of_sea_level(c: Columns) -> Array:
+    return c["mach"] * KNOT_M_S / SEA_LEVEL_SOUND_M_S
+
+
+def _mach_of_true_airspeed(c: Columns) -> Array:
+    """Mach number of a true airspeed in knots at the total air temperature."""
+    speed2 = (c["mach"] * KNOT_M_S) ** 2
+    sound2 = GAMMA * R_J_KG_K * (c["tat_degc"] + ZERO_CELSIUS_K) - 0.5 * (GAMMA - 1.0) * speed2
+    return np.sqrt(np.where(sound2 > 0.0, speed2 / sound2, np.nan))
+
+
+def _mach_of_calibrated_airspeed(c: Columns) -> Array:
+    """Mach number of a calibrated airspeed in knots at the pressure altitude."""
+    impact_pa = SEA_LEVEL_PA * ((1.0 + 0.2 * (c["mach"] * KNOT_M_S / SEA_LEVEL_SOUND_M_S) ** 2) ** 3.5 - 1.0)
+    static_pa = standard_pressure_pa(np.clip(c["altitude_ft"] * 0.3048, -1000.0, 20000.0))
+    return mach_from_pressures(static_pa + impact_pa, static_pa)
+
+
+_KNOTS = tuple(
+    Change(OUTSIDE, "It fits knots.", {"mach": made})
+    for made in (_mach_of_true_airspeed, _mach_of_calibrated_airspeed, _mach_of_sea_level)
+)
+_READS_AS = {"unit_kelvin": (1.0, -ZERO_CELSIUS_K), "unit_kpa": (1e3 / PSI_PA, 0.0)}
+"""Scale and offset of units in which a column reads higher than any air in a pack."""
+
+
+def _some_of(reason: str) -> Change:
+    """The change of just those columns that read as the unit."""
+    scale, offset = _READS_AS[reason]
+    highest = {c.name: (HIGHEST[c.si_name] - c.offset) / c.scale for c in SIGNAL_COLUMNS if c.si_name in HIGHEST}
+    lows = {name: low for name, low in highest.items() if name in (_CELSIUS if offset else _PSI)}
+
+    def made(name: str) -> Callable[[Columns], Array]:
+        return lambda c: np.where(c[name] >= lows[name], c[name] * scale + offset, c[name])
+
+    return Change(reason, "", {name: made(name) for name in lows}, lows=lows)
+
+
 def _changes() -> Iterator[Change]:
     """All changes that are tried, of few columns before those of many."""
+    yield from _KNOTS
     for names, units in _UNITS.items():
         for unit in units:
             yield from (_unit(unit[0], (name,), *unit[1:]) for name in names)
     yield from (_swap(*pair) for pair in _SWAPS)
     for names, units in _UNITS.items():
         yield from (_unit(unit[0], names, *unit[1:]) for unit in units if len(names) > 1)
+    yield from map(_some_of, _READS_AS)
 
 
 CHANGES = tuple(_changes())
@@ -110,6 +156,8 @@ CHANGES = tuple(_changes())
 
 def miswritten_rows(raw: pl.DataFrame) -> pl.DataFrame:
     """Rows that some recorder wrote otherwise than agreed: `index` (in `raw`), `reason`, `column_name`, `told`.
+
+    Where the reason is `out_of_range` the values of the column are at fault and not the rows.
 
     Parameters
     ----------
@@ -219,8 +267,9 @@ def _lively(values: Array, units: Index, n_units: int) -> Mask:
 def _told(change: Change, suspects: _Suspects, cured: Mask) -> pl.DataFrame:
     recorded = np.any([~np.isnan(suspects.columns[name]) for name in change.made], axis=0)
     index = pl.Series("index", suspects.rows[cured & recorded], dtype=pl.UInt32)
-    words = {"reason": change.reason, "column_name": ", ".join(change.made), "told": change.says}
-    return pl.DataFrame(index).with_columns(pl.lit(v).alias(k) for k, v in words.items())
+    read = [n for n, low in change.lows.items() if np.mean(suspects.columns[n][cured] >= low) > FEW]
+    words = {"reason": change.reason, "column_name": ", ".join(read or change.made), "told": change.says or None}
+    return pl.DataFrame(index).with_columns(pl.lit(v, pl.String).alias(k) for k, v in words.items())
 
 
 def _none() -> pl.DataFrame:

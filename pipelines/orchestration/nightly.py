@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
+from pipelines.intake.refusals import not_read
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
@@ -61,6 +62,10 @@ class Night:
     cells: int
     failed: dict[str, str]
     mended: tuple[str, ...] = ()
+    not_read: tuple[str, ...] = ()
+    """A line for each name in the landing zone that fits nothing."""
+    came: frozenset[str] = frozenset()
+    """Paths of the new files."""
 
     @property
     def idle(self) -> bool:
@@ -190,7 +195,10 @@ def run_night(
             chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(made_as(ledger, STAGES))
-    night = Night(found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended))
+    unread = tuple(not_read(found.refused))
+    night = Night(
+        found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended), unread, found.came
+    )
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
         ledger_copy.keep_copy(ledger, idle=True)

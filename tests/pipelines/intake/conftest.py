@@ -58,7 +58,8 @@ def balanced() -> Callable[[Intake], Intake]:
 def read(balanced) -> Callable[..., Intake]:
     """`read_snapshots` at a fixed now, checked to balance."""
 
-    def call(files, fleet=None) -> Intake:
-        return balanced(read_snapshots(files, NOW, fleet))
+    def call(files) -> Intake:
+        files = [files] if isinstance(files, LandingFile) else files
+        return balanced(read_snapshots([f for f in files if f.kind != "fleet"], NOW))
 
     return call

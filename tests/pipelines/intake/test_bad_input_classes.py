@@ -262,16 +262,14 @@ def test_one_bad_file_blocks_nothing(good_flight, deliver, read):
 
 
 def test_unknown_tail_and_tail_of_another_operator_are_noted_and_kept(good_flight, deliver, read):
-    fleet = pl.DataFrame({"operator": ["BZR"], "tail": ["LX-AAA"], "packs": [2]})
-    intake = read(deliver({CSV: good_flight}), fleet)
+    intake = read(deliver({"fleet.csv": b"operator,tail,packs\nBZR,LX-AAA,2\n", CSV: good_flight}))
     assert intake.rows.height == N
     assert intake.quarantine["reason"].to_list() == ["unknown_tail"]
     assert "BZR" in intake.quarantine["detail"].item()
 
 
 def test_fleet_list_bounds_the_packs(good_flight, deliver, read):
-    fleet = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "packs": [1]})
-    intake = read(deliver({CSV: good_flight}), fleet)
+    intake = read(deliver({"fleet.csv": b"operator,tail,packs\nAQX,LX-AAA,1\n", CSV: good_flight}))
     assert intake.rows["pack"].unique().to_list() == [1]
     assert set(intake.quarantine["reason"]) == {"bad_pack"}
 

@@ -44,8 +44,8 @@ def lines(flight: str, n: int, hot: float = 400.0) -> str:
     return HEAD + "".join(LINE.format(flight=flight, second=k, hot=hot) for k in range(n))
 
 
-def delivered(files, now, packs) -> list[intake.ComponentIntake]:
-    return [d for _, d in intake.read_components(files, now, packs)]
+def delivered(files, now) -> list[intake.ComponentIntake]:
+    return [d for _, d in intake.read_components(files, now)]
 
 
 def balanced(read: list[intake.ComponentIntake]) -> bool:
@@ -54,7 +54,7 @@ def balanced(read: list[intake.ComponentIntake]) -> bool:
 
 def test_two_aircraft_may_name_their_flights_alike(deliver):
     files = [deliver(f"AAA/{tail}/hx/a.csv", lines("CYCLE-0001", 5, hot)) for tail, hot in (("T1", 400), ("T2", 410))]
-    read = delivered(files, NOW, {})
+    read = delivered(files, NOW)
     assert [d.n_loaded for d in read] == [5, 5]
     assert [d.rows.filter(signal="hot_in_k")["value"].unique().to_list() for d in read] == [[400.0], [410.0]]
     assert balanced(read)
@@ -62,7 +62,7 @@ def test_two_aircraft_may_name_their_flights_alike(deliver):
 
 def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(deliver):
     short, long = deliver("AAA/T1/hx/b.csv", lines("C1", 3, 401)), deliver("AAA/T1/hx/a.csv", lines("C1", 6))
-    read = delivered([long, short], NOW, {})
+    read = delivered([long, short], NOW)
     assert [d.n_loaded for d in read] == [6, 0]
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
     assert balanced(read)
@@ -70,7 +70,7 @@ def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(deliver):
 
 def test_the_same_again_is_a_duplicate(deliver):
     files = [deliver(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
-    read = delivered(files, NOW, {})
+    read = delivered(files, NOW)
     assert sorted((d.n_loaded, d.n_duplicate) for d in read) == [(0, 4), (4, 0)]
     assert balanced(read)
 
@@ -80,7 +80,7 @@ def test_a_parquet_file_is_read_as_the_same_rows(deliver, tmp_path):
     frame = pl.read_csv(tmp_path / text.path).with_columns(pl.col("report_time").str.to_datetime(time_zone="UTC"))
     frame.write_parquet(tmp_path / "AAA/T1/hx/b.parquet")
     other = replace(text, path="AAA/T1/hx/b.parquet")
-    first, second = (delivered([f], NOW, {})[0] for f in (text, other))
+    first, second = (delivered([f], NOW)[0] for f in (text, other))
     assert first.rows.drop("file").equals(second.rows.drop("file"))
 
 
@@ -96,7 +96,7 @@ def test_a_parquet_file_is_read_as_the_same_rows(deliver, tmp_path):
     ],
 )
 def test_what_is_wrong_is_told(deliver, text, reason):
-    (read,) = delivered([deliver("AAA/T1/hx/a.csv", text)], NOW, {})
+    (read,) = delivered([deliver("AAA/T1/hx/a.csv", text)], NOW)
     assert reason in read.quarantine["reason"].to_list()
     assert balanced([read])
 
@@ -111,6 +111,6 @@ def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
         return real(file, component)
 
     monkeypatch.setattr(intake, "_opened", sick)
-    read = delivered(files, NOW, {})
+    read = delivered(files, NOW)
     assert [d.n_loaded for d in read] == [4, 0, 4]
     assert read[1].quarantine["reason"].to_list() == ["cannot_process"]

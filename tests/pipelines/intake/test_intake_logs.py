@@ -1,8 +1,5 @@
 """The classes of bad input in messages, maintenance and the fleet list."""
 
-from datetime import date
-
-import polars as pl
 import pytest
 
 from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
@@ -69,9 +66,10 @@ def test_a_log_of_work_gives_a_day_or_a_time_of_day(deliver, now):
 
 
 def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
-    fleet = pl.DataFrame([{"operator": "AQX", "tail": "LX-AAA", "packs": 3, "delivered_on": date(2014, 6, 1)}])
+    fleet = b"operator,tail,packs,delivered_on\nAQX,LX-AAA,3,2014-06-01\n"
     content = WORK + "2024-05-03,3,HX,REPLACED,FOULED,WO1\n2013-05-03,1,HX,CLEANED,,WO2\n2024-05-04,4,HX,CLEANED,,WO3\n"
-    log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now, fleet)
+    files = deliver({"fleet.csv": fleet, "AQX/LX-AAA/maintenance.csv": content.encode()})
+    log = read_maintenance(next(f for f in files if f.kind == "maintenance"), now)
     assert log.rows["pack"].to_list() == [1, 3]
     reasons = dict(log.quarantine.select("reason", "column_name").iter_rows())
     assert reasons == {"bad_pack": "pack", "before_delivery": "done_on"}

@@ -167,5 +167,6 @@ def test_what_is_a_flight_id():
     assert flight_day("LX-AAA_20240229_01") == date(2024, 2, 29)
     assert flight_of_file("LX-AAA_20240229_01.csv", "LX-AAA") == "LX-AAA_20240229_01"
     assert flight_of_file("LX-AAA_20240229_01.csv", "LX-AAB") is None
-    assert [n for n in ("AQX", "AQX\n", "../", "AQ1", "") if is_operator(n)] == ["AQX"]
+    good = ["AQX", "AQ", "AQ1", "NORDIC", "FLEET787"]
+    assert [n for n in (*good, "AQX\n", "../", "A", "1AQ", "aqx", "AQ-X", "FLEET7871", "") if is_operator(n)] == good
     assert [n for n in ("LX-AAA", "..", "LX/AAA", "LX-AAA\n", "X") if is_tail(n)] == ["LX-AAA"]

@@ -12,7 +12,7 @@ from pipelines.intake.logs import read_checks
 
 NOW = dt.datetime(2024, 6, 19, tzinfo=dt.UTC)
 GOOD = [("AAA", "T-1", "2024-07-01", "A12"), ("AAA", "T-2", "2024-09-01", "C1")]
-BAD = [("AA", "T-1", "2024-07-01", "A12"), ("AAA", "T-1", "soon", "A12"), ("AAA", "T-1", "2099-01-01", "A12")]
+BAD = [("A", "T-1", "2024-07-01", "A12"), ("AAA", "T-1", "soon", "A12"), ("AAA", "T-1", "2099-01-01", "A12")]
 COLUMNS = ["operator", "tail", "date", "name"]
 
 

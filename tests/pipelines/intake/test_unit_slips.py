@@ -5,7 +5,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.intake.plausibility import slipped_rows
+from pipelines.intake.wiring import miswritten_rows
 
 SAMPLES = Path(__file__).parents[3] / "data_samples"
 KELVIN, KPA, KG_S = (1.0, 273.15), (6.894757, 0.0), (0.45359237 / 60.0, 0.0)
@@ -56,13 +56,13 @@ def fleet():
 
 
 def test_a_sound_fleet_is_not_accused(fleet):
-    assert slipped_rows(fleet).is_empty()
+    assert miswritten_rows(fleet).is_empty()
 
 
 @pytest.mark.parametrize(("column", "unit", "reason"), SLIPS, ids=[c for c, _, _ in SLIPS])
 def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
     scale, offset = unit
-    found = slipped_rows(fleet.with_columns(pl.col(column) * scale + offset))
+    found = miswritten_rows(fleet.with_columns(pl.col(column) * scale + offset))
     assert set(found["reason"]) == {reason}
     assert all(column in c for c in found["column_name"])
     assert found.height > 0.985 * fleet[column].count()  # what is missed are flights with a dead sensor or a pack off
@@ -80,16 +80,47 @@ def told(found: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
 )
 def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, quarter):
     recorded = quarter.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
-    found = slipped_rows(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
+    found = miswritten_rows(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
     right = told(found, columns, f"It fits {unit}.")
     assert right > LEAST * recorded.height
     assert found.height - right < 0.12 * recorded.height  # told, but of another unit
 
 
+def _true_kt(mach: pl.Expr) -> pl.Expr:
+    """True airspeed in knots, by the total temperature (ISA sound speed 661.5 kt at 288.15 K)."""
+    static_k = (pl.col("tat_degc") + 273.15) / (1.0 + 0.2 * mach**2)
+    return mach * 661.4786 * (static_k / 288.15).sqrt()
+
+
+def _calibrated_kt(mach: pl.Expr) -> pl.Expr:
+    """Calibrated airspeed in knots below the tropopause (ISA pressure ratio of ICAO Doc 7488)."""
+    ratio = (1.0 - 6.8756e-6 * pl.col("altitude_ft").clip(upper_bound=36_089)) ** 5.25588
+    above = ((36_089 - pl.col("altitude_ft").clip(lower_bound=36_089)) / 20_806).exp()
+    impact = ratio * above * ((1.0 + 0.2 * mach**2) ** 3.5 - 1.0)
+    return 661.4786 * (5.0 * ((impact + 1.0) ** (1 / 3.5) - 1.0)).sqrt()
+
+
+@pytest.mark.parametrize(
+    "knots", [_true_kt, _calibrated_kt, lambda mach: mach * 661.4786], ids=["true", "calibrated", "by sea level"]
+)
+def test_a_mach_number_in_knots_is_told_of_its_values(knots, quarter):
+    """Out of range as it is, so the rows stay; but the likely unit is named."""
+    wrong = quarter.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
+    found = miswritten_rows(wrong)
+    assert set(found["reason"]) == {"out_of_range"}
+    assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+
+
+def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(quarter):
+    alone = quarter.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
+    found = miswritten_rows(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
+    assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+
+
 @pytest.mark.parametrize(("one", "other"), SWAPPED)
 def test_columns_in_each_others_place_are_told_by_name(one, other, quarter):
     recorded = quarter.drop_nulls([one, other])
-    found = slipped_rows(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
+    found = miswritten_rows(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
     assert told(found, (one, other), "change places") > LEAST * recorded.height
 
 
@@ -100,7 +131,7 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
         pl.when(swapped).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(swapped).then(one).otherwise(other).alias("hx_out_degc"),
     )
-    found = slipped_rows(wired)
+    found = miswritten_rows(wired)
     assert set(found["column_name"]) == {"hx_in_degc, hx_out_degc"}
     assert set(wired[found["index"].to_list()]["pack"]) == {1}
     assert found.height > LEAST * quarter.filter(pack=1).height
@@ -114,7 +145,9 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
 def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, quarter):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
-    found = slipped_rows(quarter.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column)))
+    found = miswritten_rows(
+        quarter.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
+    )
     assert found.height < 0.01 * quarter.height, found.group_by("column_name", "told").len()
 
 
@@ -122,7 +155,7 @@ def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, quarter
     ("column", "value"), [("tat_degc", 32.5), ("pack_flow_lbpm", 0.0), ("ram_door_pct", 0.5), ("hx_in_degc", 300.0)]
 )
 def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, quarter):
-    found = slipped_rows(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
+    found = miswritten_rows(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
     assert found.is_empty(), found.group_by("column_name", "told").len()
 
 

@@ -1,0 +1,56 @@
+"""The fleet list, `fleet.csv`: what its line says of an aircraft. Of an aircraft's good lines the first counts."""
+
+from dataclasses import dataclass
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipelines.intake.ledger import Fault
+from pipelines.intake.log_lines import Columns, Lines, Row, Words, judge_lines
+from pipelines.intake.names import MAX_PACKS, is_operator, is_tail
+from pipelines.intake.times import to_day
+
+PACKS = 2
+"""Packs of an aircraft that the fleet list does not know."""
+FLEET: dict[str, type[pl.DataType]] = {
+    "operator": pl.String, "tail": pl.String, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32,
+    "type": pl.String,
+}  # fmt: skip
+COLUMNS = Columns(("operator", "tail"), ("msn", "delivered_on", "packs", "type"), unique=2)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetLine:
+    """What the list says of one aircraft; `type` is empty where its files are the default record."""
+
+    delivered_on: date | None = None
+    packs: int = PACKS
+    type: str = ""
+
+
+def judge_fleet(content: bytes) -> Lines:
+    """Lines of the list in the order of `FLEET`, and what is wrong with the others."""
+    return judge_lines(content, COLUMNS, _judge)
+
+
+def _judge(words: Words, _: datetime | None) -> Row | Fault:
+    if not is_operator(words["operator"]) or not is_tail(words["tail"]):
+        return Fault("bad_key", column_name="operator, tail")
+    day = to_day(words["delivered_on"])
+    if words["delivered_on"] and day is None:
+        return Fault("unreadable_time", column_name="delivered_on")
+    packs = words["packs"] or str(PACKS)
+    if packs not in {str(n) for n in range(1, MAX_PACKS + 1)}:
+        return Fault("bad_pack", column_name="packs")
+    return (words["operator"], words["tail"], words["msn"] or None, day, int(packs), words["type"] or None)
+
+
+def fleet_lines(path: Path) -> dict[tuple[str, str], FleetLine]:
+    """Line of each aircraft by operator and tail; none where the list can't be read, which its intake reports."""
+    try:
+        rows: list[Any] = judge_fleet(path.read_bytes()).rows if path.is_file() else []
+    except OSError:
+        return {}
+    return {(operator, tail): FleetLine(day, packs, kind or "") for operator, tail, _, day, packs, kind in rows}

@@ -1,0 +1,223 @@
+"""A file is judged by its aircraft's line, type, map and layouts: read again when one changes, and only then."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from spoils import column
+
+from hdt_core.tables import TABLES
+from pipelines.intake.ingest import ingest_flights
+from pipelines.intake.landing import list_landing
+from pipelines.intake.logs import read_fleet, read_messages
+from pipelines.intake.scan import scan
+from pipelines.io_manager import FrameIO
+from pipelines.lineage import STAGE
+from pipelines.partitions import PartitionScope
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
+from pipelines.versions import stale
+
+GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
+CSV, OTHER = (f"AQX/{tail}/acms/{tail}_20240525_04.csv" for tail in ("LX-AAA", "LX-AAB"))
+HEAD = "operator,tail,msn,delivered_on,packs\n"
+RIGHT = HEAD + "AQX,LX-AAA,1,2014-06-01,2\nAQX,LX-AAB,2,2014-06-01,2\n"
+ONE_PACK = RIGHT.replace("2014-06-01,2\nAQX", "2014-06-01,1\nAQX")
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+N = 42  # rows of the flight, half of each pack
+
+
+class Zone:
+    """A landing zone of two aircraft, and what the raw stage made of it."""
+
+    def __init__(self, root: Path) -> None:
+        self.landing, self.store, self.ledger = root / "landing", Store(root / "home"), Ledger(root / "home")
+        for path, content in {CSV: GOOD.read_bytes(), OTHER: GOOD.read_bytes().replace(b"LX-AAA", b"LX-AAB")}.items():
+            (self.landing / path).parent.mkdir(parents=True)
+            (self.landing / path).write_bytes(content)
+
+    def night(self, fleet: str | None) -> list[str]:
+        """Tails whose flight was read in a night with this fleet list; None: there is no list."""
+        file = self.landing / "fleet.csv"
+        file.unlink(missing_ok=True) if fleet is None else file.write_text(fleet)
+        scan(self.landing, self.ledger)
+        cells = stale(self.ledger, STAGE["raw"]).rows()
+        for operator, tail, flight, _ in cells:
+            aircraft = (operator, tail)
+            taken = ingest_flights(self.landing, self.store, self.ledger, aircraft, [flight])
+            frames = {
+                "raw_snapshots": taken.rows,
+                "raw_deliveries": taken.deliveries,
+                "raw_quarantine": taken.quarantine,
+            }
+            frames |= {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables if t not in frames}
+            io, scope = FrameIO(self.store, self.ledger), PartitionScope({aircraft: [flight]})
+            for table in STAGE["raw"].tables:
+                io.keep(table, scope, frames[table])
+        return [tail for _, tail, *_ in cells]
+
+    def rows(self) -> dict[tuple[str, int], int]:
+        """Stored rows by tail and pack."""
+        counted = self.store.read("raw_snapshots").group_by("tail", "pack").len().rows()
+        return {(tail, pack): n for tail, pack, n in counted}
+
+    def reasons(self) -> set[str]:
+        return set(self.store.read("raw_quarantine")["reason"])
+
+
+ALL = {(tail, pack): N // 2 for tail in ("LX-AAA", "LX-AAB") for pack in (1, 2)}
+
+
+@pytest.fixture
+def zone(tmp_path) -> Zone:
+    return Zone(tmp_path)
+
+
+def test_a_pack_that_a_wrong_line_kept_out_comes_back_with_the_right_one(zone):
+    assert sorted(zone.night(ONE_PACK)) == ["LX-AAA", "LX-AAB"]
+    assert ("LX-AAA", 2) not in zone.rows()
+    assert zone.night(RIGHT) == ["LX-AAA"]
+    assert zone.rows() == ALL
+    assert zone.reasons() == set()
+    assert zone.night(RIGHT) == []
+
+
+def test_a_wrong_line_takes_no_stored_row_away_even_where_the_file_comes_again(zone):
+    zone.night(RIGHT)
+    assert zone.night(ONE_PACK) == ["LX-AAA"]
+    assert zone.rows() == ALL
+    assert zone.reasons() == {"fewer_packs"}
+    (zone.landing / CSV).write_bytes(column("mach", lambda v: v + 0.001)(GOOD.read_bytes()))
+    assert zone.night(ONE_PACK) == ["LX-AAA"]
+    assert zone.rows() == ALL
+    assert zone.night(RIGHT) == ["LX-AAA"]
+    assert (zone.rows(), zone.reasons()) == (ALL, set())
+
+
+def test_a_file_that_has_left_loses_nothing_by_a_wrong_line(zone):
+    zone.night(RIGHT)
+    zone.night(ONE_PACK)
+    (zone.landing / CSV).unlink()
+    assert zone.night(ONE_PACK.replace("AQX,LX-AAA,1,2014-06-01,1", "AQX,LX-AAA,1,2014-06-01,3")) == []
+    zone.night(RIGHT)
+    assert zone.rows() == ALL
+
+
+def test_a_line_with_too_many_packs_leaves_no_pack_behind_once_corrected(zone):
+    rows = GOOD.read_bytes().splitlines(keepends=True)
+    where = rows[0].split(b",").index(b"pack")
+    odd = rows[1].split(b",")
+    odd[where] = b"3"
+    (zone.landing / CSV).write_bytes(b"".join([rows[0], b",".join(odd), *rows[2:]]))
+    zone.night(RIGHT)
+    clean = zone.rows()
+    zone.night(RIGHT.replace("2014-06-01,2\nAQX", "2014-06-01,4\nAQX"))
+    assert zone.rows()["LX-AAA", 3] == 1
+    zone.night(RIGHT)
+    assert zone.rows() == clean
+    assert zone.reasons() == {"bad_pack"}
+
+
+UNCHANGED = {
+    "no list": None,
+    "an empty file": "",
+    "a header alone": HEAD,
+    "no list but noise": "\x00\x01\x02",
+    "semicolons": RIGHT.replace(",", ";"),
+    "a line gone": HEAD + "AQX,LX-AAB,2,2014-06-01,2\n",
+    "a line garbled": RIGHT.replace("AQX,LX-AAA,1,2014-06-01,2", "AQX,LX-AAA,1,soon,many"),
+    "another msn": RIGHT.replace("AQX,LX-AAA,1,", "AQX,LX-AAA,77,"),
+    "another day of delivery": RIGHT.replace("2014-06-01", "2015-07-02"),
+    "another operator's aircraft": RIGHT + "BZR,A9-BAB,3,2014-06-01,1\n",
+    "a second line of an aircraft": RIGHT + "AQX,LX-AAA,1,2014-06-01,1\n",
+    "a type that nothing describes": RIGHT.replace("packs\n", "packs,type\n").replace(",2\n", ",2,NONE\n"),
+}
+
+
+@pytest.mark.parametrize("packs", [2, 3])
+@pytest.mark.parametrize("wrong", UNCHANGED.values(), ids=UNCHANGED.keys())
+def test_what_does_not_judge_a_file_has_nothing_read_again(zone, wrong, packs):
+    """Of a usual aircraft, and of one whose line gives other packs than is usual."""
+    right = RIGHT.replace("2014-06-01,2\n", f"2014-06-01,{packs}\n")
+    zone.night(right)
+    assert zone.night(wrong and wrong.replace("-01,2", f"-01,{packs}").replace("-02,2", f"-02,{packs}")) == []
+    assert zone.night(right) == []
+    assert (zone.rows(), zone.reasons()) == (ALL, set())
+
+
+def test_an_aircraft_that_comes_onto_the_list_loses_the_note_that_it_was_not(zone):
+    zone.night(UNCHANGED["a line gone"])
+    assert zone.reasons() == {"unknown_tail"}
+    assert zone.night(RIGHT) == ["LX-AAA"]
+    assert (zone.rows(), zone.reasons()) == (ALL, set())
+
+
+def test_of_two_lines_the_first_counts_and_the_other_is_set_aside(zone):
+    """By the alphabet the second would come first."""
+    (zone.landing / "fleet.csv").write_text(HEAD + "AQX,LX-AAA,9,2014-06-01,2\nAQX,LX-AAA,1,2014-06-01,1\n")
+    (file,) = (f for f in list_landing(zone.landing).files if f.kind == "fleet")
+    log = read_fleet(file, NOW)
+    assert log.rows.select("msn", "packs").rows() == [("9", 2)]
+    assert log.quarantine.select("row", "reason").rows() == [(3, "bad_key")]
+    assert "line 2 counts" in log.quarantine["detail"].item()
+
+
+TYPE = 'type = "{name}"\nmap = "map.toml"\nreports = "{name}.layouts"\n[pack]\nmach = "M"\n'
+
+
+def write_types(landing: Path) -> None:
+    """Two types, all of whose files are older than the recording."""
+    (landing / "types").mkdir()
+    for name in ("ONE", "TWO"):
+        (landing / f"types/{name}.toml").write_text(TYPE.format(name=name))
+        (landing / f"types/{name}.layouts").write_text(name)
+    (landing / "types/map.toml").write_text("one")
+
+
+def digests(zone: Zone) -> dict[str, str]:
+    scan(zone.landing, zone.ledger)
+    return {path: digest for path, digest in zone.ledger.digests().items() if path.startswith("AQX/LX-AAA")}
+
+
+CHANGES = {
+    "type": (lambda z: z.landing.joinpath("fleet.csv").write_text(TYPED.replace("ONE", "TWO")),
+             {"recorder", "reports"}),
+    "description": (lambda z: append(z.landing / "types/ONE.toml", "# a word\n"), {"recorder", "reports"}),
+    "map": (lambda z: append(z.landing / "types/map.toml", "more"), {"recorder"}),
+    "layouts": (lambda z: append(z.landing / "types/ONE.layouts", "more"), {"reports"}),
+    "packs": (lambda z: z.landing.joinpath("fleet.csv").write_text(TYPED.replace(",2,ONE", ",1,ONE")),
+              {"acms", "recorder", "messages.csv", "maintenance.csv"}),
+    "delivered_on": (lambda z: z.landing.joinpath("fleet.csv").write_text(TYPED.replace("2014", "2015")),
+                     {"maintenance.csv"}),
+    "msn": (lambda z: z.landing.joinpath("fleet.csv").write_text(TYPED.replace("LX-AAA,1", "LX-AAA,5")), set()),
+}  # fmt: skip
+TYPED = HEAD.replace("packs", "packs,type") + "AQX,LX-AAA,1,2014-06-01,2,ONE\n"
+
+
+def append(path: Path, text: str) -> None:
+    path.write_text(path.read_text() + text)
+
+
+@pytest.mark.parametrize(("change", "folders"), CHANGES.values(), ids=CHANGES.keys())
+def test_files_are_known_by_all_that_they_are_judged_by(zone, change, folders):
+    write_types(zone.landing)
+    (zone.landing / "fleet.csv").write_text(TYPED)
+    for name in ("recorder/LX-AAA_20240525_05.dat", "reports/a.dat", "messages.csv", "maintenance.csv"):
+        (zone.landing / "AQX/LX-AAA" / name).parent.mkdir(exist_ok=True)
+        (zone.landing / "AQX/LX-AAA" / name).write_text("x")
+    before = digests(zone)
+    assert digests(zone) == before
+    change(zone)
+    after = digests(zone)
+    assert {path.split("/")[2] for path in before if before[path] != after[path]} == folders
+
+
+def test_a_log_keeps_the_packs_that_are_stored_of_it(zone):
+    """A message of pack 2 is none of an aircraft with one pack, unless it is stored."""
+    content = "message_time,flight_id,pack,code,text\n2024-05-02T18:51:18Z,,2,21-52-HXTEMP,\n"
+    (zone.landing / "AQX/LX-AAA/messages.csv").write_text(content)
+    (zone.landing / "fleet.csv").write_text(ONE_PACK)
+    (file,) = (f for f in list_landing(zone.landing).files if f.kind == "messages")
+    assert read_messages(file, NOW).rows.height == 0
+    assert read_messages(replace(file, packs_stored=2), NOW).rows.height == 1

@@ -1,0 +1,154 @@
+"""What is not taken in does not go by without a word: names, rows set aside, columns that fell silent."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+import pytest
+from spoils import column, field
+
+from pipelines.cli.doctor import examine
+from pipelines.digest import EMPTY, as_text, compare
+from pipelines.digest.state import read_state
+from pipelines.intake.ingest import ingest_flights
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_sample import SAMPLED, sample
+from pipelines.intake.refusals import MOST, not_read, set_aside, silent_columns, silent_lines
+from pipelines.intake.scan import scan
+from pipelines.storage.catalog import connect
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import publish
+from pipelines.storage.store import Store
+
+GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
+KNOTS = column("mach", lambda mach: round(mach * 600.0, 1))
+LATE = column("pack", lambda pack: 5)
+Spoil = Callable[[bytes], bytes]
+
+
+def as_it_is(content: bytes) -> bytes:
+    return content
+
+
+def drop(landing: Path, spoils: list[Spoil], folder: str = "AQX/LX-AAA") -> None:
+    """A flight a spoil, of legs 01, 02 ... of a day."""
+    (landing / "fleet.csv").write_text("operator,tail,packs\nAQX,LX-AAA,2\n")
+    (landing / folder / "acms").mkdir(parents=True, exist_ok=True)
+    for leg, spoil in enumerate(spoils, 1):
+        flight = f"20240525_{leg:02d}"
+        content = spoil(GOOD.read_bytes()).replace(b"20240525_04", flight.encode())
+        (landing / folder / f"acms/LX-AAA_{flight}.csv").write_bytes(content)
+
+
+def night(landing: Path, home: Path) -> frozenset[str]:
+    """Take in and publish what lies there, as far as the raw stage; the files that came."""
+    store, ledger, aircraft = Store(home), Ledger(home), ("AQX", "LX-AAA")
+    came = scan(landing, ledger).came
+    flights = ledger.flown()["flight_id"].to_list()
+    taken = ingest_flights(landing, store, ledger, aircraft, flights)
+    frames = {"raw_snapshots": taken.rows, "raw_deliveries": taken.deliveries, "raw_quarantine": taken.quarantine}
+    for table, frame in frames.items():
+        store.merge(table, {aircraft: flights}, frame)
+    publish(home)
+    return came
+
+
+@pytest.fixture
+def zone(tmp_path) -> tuple[Path, Path]:
+    (tmp_path / "landing").mkdir()
+    return tmp_path / "landing", tmp_path / "home"
+
+
+def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(zone):
+    landing, home = zone
+    drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS])
+    night(landing, home)
+    with connect(home) as con:
+        (line,) = silent_lines(silent_columns(con))
+        digest = compare(EMPTY, read_state(con))
+    assert line == (
+        "AQX LX-AAA: mach refused in 100 % of 84 rows since 2024-05-25 leg 04 (out of range), last in"
+        " AQX/LX-AAA/acms/LX-AAA_20240525_05.csv. It fits knots."
+    )
+    assert f"Columns that fell silent\n- {line}" in as_text(digest)
+    check = next(c for c in examine(None, home) if c.name == "units and wiring")
+    assert not check.well
+    assert line in check.says
+    drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS, as_it_is])
+    night(landing, home)
+    with connect(home) as con:
+        assert silent_columns(con) == []
+
+
+def test_whole_rows_refused_are_silence_and_a_spike_is_none(zone):
+    landing, home = zone
+    drop(landing, [as_it_is, LATE, LATE])
+    night(landing, home)
+    with connect(home) as con:
+        (row,) = silent_columns(con)
+    assert (row["column_name"], row["reason"], row["n_files"], row["n_refused"]) == ("pack", "bad_pack", 2, 84)
+    drop(landing, [as_it_is, LATE, LATE, field(7, "hx_out_degc", b"999")])
+    night(landing, home)
+    with connect(home) as con:
+        assert silent_columns(con) == []
+
+
+def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
+    landing, home = zone
+    drop(landing, [as_it_is, LATE])
+    came = night(landing, home)
+    with connect(home) as con:
+        said = set_aside(con, came)
+        assert set_aside(con, frozenset()) == ""
+    assert said.startswith(
+        "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
+    )
+    assert 'hdt query "select * from quarantine where n_rows > 0"' in said
+
+
+def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
+    landing, _ = zone
+    drop(landing, [as_it_is] * 4)
+    checks = {c.name: c for c in examine(landing, None)}
+    assert checks["contents"].well, checks["contents"].says
+    assert checks["landing zone"].well
+    drop(landing, [as_it_is] * 4 + [KNOTS])
+    check = {c.name: c for c in examine(landing, None)}["contents"]
+    assert not check.well
+    assert "mach refused in 100 % of 42 rows since 2024-05-25 leg 05" in check.says
+    assert "It fits knots." in check.says
+
+
+def test_of_each_folder_the_oldest_and_the_newest_are_looked_into(zone):
+    landing, _ = zone
+    drop(landing, [as_it_is] * 6)
+    legs = [file.path[-6:-4] for file in sample(list_landing(landing).files)]
+    assert (len(legs), legs) == (SAMPLED, ["01", "05", "06"])
+
+
+def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
+    landing, _ = zone
+    drop(landing, [as_it_is])
+    for name in ("AQXLONGNAME", "aqx", "AQX/lx-aaa"):
+        (landing / name).mkdir()
+    for n in range(5):
+        (landing / f"AQX/LX-AAA/acms/note_{n}.txt").write_text("x")
+    lines = not_read(list_landing(landing).quarantine)
+    named = {line.split(":")[0]: line for line in lines}
+    notes = ", ".join(f"AQX/LX-AAA/acms/note_{n}.txt" for n in range(3))
+    assert set(named) == {f"{notes} and 2 more", "AQX/lx-aaa", "AQXLONGNAME, aqx"}
+    assert "2 to 8 capitals and digits, first a letter" in named["AQXLONGNAME, aqx"]
+    check = {c.name: c for c in examine(landing, None)}["landing zone"]
+    assert not check.well
+    assert "AQX/lx-aaa" in check.says
+    many = pl.DataFrame({"file": [f"F{n}" for n in range(9)], "detail": [f"so {n}" for n in range(9)]})
+    assert len(not_read(many)) == MOST + 1
+
+
+@pytest.mark.parametrize("operator", ["NORD", "AQ", "FLEET787"])
+def test_an_operator_may_have_a_name_of_its_own(zone, operator):
+    landing, _ = zone
+    drop(landing, [as_it_is], f"{operator}/LX-AAA")
+    listing = list_landing(landing)
+    assert listing.quarantine.is_empty()
+    assert {f.operator for f in listing.files if f.kind == "acms"} == {operator}
