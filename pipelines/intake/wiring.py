@@ -51,7 +51,8 @@ class Change:
 
     def of(self, columns: Columns) -> dict[str, Array]:
         """The columns as they should have been written."""
-        return {**columns, **{name: make(columns) for name, make in self.made.items()}}
+        with np.errstate(all="ignore"):
+            return {**columns, **{name: make(columns) for name, make in self.made.items()}}
 
 
 def _unit(says: str, names: tuple[str, ...], scale: float, offset: float = 0.0, reason: str = "wrong_unit") -> Change:
@@ -109,7 +110,7 @@ def _mach_of_true_airspeed(c: Columns) -> Array:
     """Mach number of a true airspeed in knots at the total air temperature."""
     speed2 = (c["mach"] * KNOT_M_S) ** 2
     sound2 = GAMMA * R_J_KG_K * (c["tat_degc"] + ZERO_CELSIUS_K) - 0.5 * (GAMMA - 1.0) * speed2
-    return np.sqrt(np.where(sound2 > 0.0, speed2 / sound2, np.nan))
+    return np.sqrt(np.where(sound2 <= 0.0, np.inf, speed2 / sound2))
 
 
 def _mach_of_calibrated_airspeed(c: Columns) -> Array:

@@ -8,7 +8,8 @@
 -- n_refused: values refused, or rows where rows are
 -- n_delivered: rows in these files
 -- fits: unit in which the values would make sense, where one is known
--- Grain: aircraft, folder, column, reason. Reads: tables.raw_quarantine, tables.raw_deliveries.
+-- Grain: operator, tail, folder, column_name, reason. Reads: tables.raw_quarantine,
+-- tables.raw_deliveries.
 create or replace view silent_columns as
 with files as (
     select
@@ -77,7 +78,7 @@ sound as (
     from columns_silent as a
     inner join files as f on a.operator = f.operator and a.tail = f.tail and a.folder = f.folder
     left join silent as s
-        on f.file = s.file and a.reason = s.reason and a.of_column is not distinct from s.of_column
+        on f.file = s.file and a.reason = s.reason and coalesce(a.of_column, '') = coalesce(s.of_column, '')
     where s.file is null
     group by a.operator, a.tail, a.folder, a.reason, a.of_column
 )
@@ -99,6 +100,6 @@ from silent as s
 left join sound as g
     on
         s.operator = g.operator and s.tail = g.tail and s.folder = g.folder and s.reason = g.reason
-        and s.of_column is not distinct from g.of_column
+        and coalesce(s.of_column, '') = coalesce(g.of_column, '')
 where g.last_flight is null or s.last_flight > g.last_flight
 group by s.operator, s.tail, s.folder, s.reason, s.of_column;

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from accounts import account
 
 from pipelines.intake.landing import list_landing
-from pipelines.intake.ledger import account
 from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
 from pipelines.intake.merge import merge_deliveries
 

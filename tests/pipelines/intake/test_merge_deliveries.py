@@ -5,11 +5,11 @@ import random
 
 import polars as pl
 import pytest
+from accounts import account
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipelines.intake.columns import SIGNAL_COLUMNS
-from pipelines.intake.ledger import account
 from pipelines.intake.merge import merge_deliveries
 
 CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"

@@ -111,6 +111,11 @@ def test_a_mach_number_in_knots_is_told_of_its_values(knots, quarter):
     assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
 
 
+def test_a_mach_number_beyond_all_numbers_is_no_unit(quarter):
+    far = pl.when(pl.int_range(pl.len()) % 2 == 0).then(1e300).otherwise(pl.int_range(pl.len()) * 1e90)
+    assert miswritten_rows(quarter.with_columns(far.alias("mach"))).is_empty()
+
+
 def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(quarter):
     alone = quarter.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
     found = miswritten_rows(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
