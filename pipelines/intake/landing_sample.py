@@ -51,8 +51,8 @@ def _look_into(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: da
     flights = named.drop_nulls().group_by("file").agg(pl.col("flight_id").max())
     names = dict.fromkeys(("file", "operator", "tail"), pl.String)
     place = pl.DataFrame([(f.path, f.operator, f.tail) for f in files], schema=names, orient="row")
-    accounts = place.join(intake.delivered.rename({"n_delivered": "delivered"}), on="file")
-    accounts = accounts.join(flights, on="file", how="left")
+    accounts = place.join(intake.delivered.rename({"n_delivered": "delivered"}), on="file", validate="1:1")
+    accounts = accounts.join(flights, on="file", how="left", validate="1:1")
     for table, frame in (("raw_deliveries", accounts), ("raw_quarantine", intake.quarantine)):
         con.register("frame", frame)
         con.execute(f"create table if not exists tables.{table} as select * from frame limit 0")

@@ -94,7 +94,7 @@ def judge(raw: pl.DataFrame, about: pl.DataFrame, now: datetime) -> ValidatedRow
 
 def _read_as(raw: pl.DataFrame, slips: pl.DataFrame) -> dict[tuple[int, str, str], str]:
     """Of files, flights and columns whose values lie outside all sense the unit that they fit, as a sentence."""
-    some = raw.select("file_index", "flight_id").with_row_index().join(slips, on="index")
+    some = raw.select("file_index", "flight_id").with_row_index().join(slips, on="index", validate="1:1")
     keys = some.select("file_index", "flight_id", "column_name", "told").unique().rows()
     return {(file, flight, column): told for file, flight, column, told in keys}
 
