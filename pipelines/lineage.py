@@ -268,7 +268,7 @@ STAGES = (
         road=COMPONENT,
     ),
     Stage("declared_components", "raw", alike("components", code=DECLARED)),
-    Stage("prognosis_base", "prognosis", alike("prognosis_base", code="3"), label="prognosis"),
+    Stage("prognosis_base", "prognosis", alike("prognosis_base", code="4"), label="prognosis"),
     # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
     Stage(
         "prognosis",
@@ -278,7 +278,7 @@ STAGES = (
             "prognosis_model",
             "prognosis_lives",
             parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-            code="7",
+            code="8",
         ),
         fresh="prognoses",
     ),
@@ -289,6 +289,7 @@ STAGES = (
             "prognoses_components",
             "prognoses_components_lives",
             parents=("features_components", "raw_messages", "raw_maintenance"),
+            code="2",
         ),
     ),
 )

@@ -1,7 +1,7 @@
 """Remaining life of a declared component: first passage of its loss through the level at which units fail.
 
 Wear goes on at a rate that the unit's own trend and its declared life tell; where it ends is learned from the messages
-of the other tails, and from the declared limit while there are none.
+of the other tails that were on record when the flight's month began, and from the declared limit while there are none.
 """
 
 import hashlib
@@ -11,9 +11,10 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hdt_core.components import Component, Limit
+from hdt_core.components import Component
 from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.component_limits import learn_limit
+from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.model import AHEAD, HELD, HORIZON
 from hdt_core.prognosis.unit_lives import Failure, component_lives
@@ -35,7 +36,7 @@ def component_prognoses(
     described : DataFrame
         Of `component_features`, all tails.
     messages, maintenance : DataFrame
-        Of the same fleet. A flight is judged by the failures of other tails that had happened before it.
+        Of the same fleet. A flight is judged by the failures of other tails that were on record when its month began.
 
     Returns
     -------
@@ -43,19 +44,26 @@ def component_prognoses(
         One row a flight and pack; values are null where the loss is not known.
     """
     rows = described.filter(pl.col("component") == component.code).sort(*PACK, "departed_at", "flight_id")
-    by = _event_by(rows, _limits(rows, messages, maintenance, component), component, _speaks(rows, messages, component))
-    told = {name: quantile(by, level) for name, level in TOLD_AT.items()}
-    told |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
+    record, month_at = FleetRecord(rows, messages, maintenance), month_of(rows["departed_at"])
+    parts = [_foretell(rows.filter(month_at == m), record.before(start_of(m)), component) for m in record.months()]
+    return pl.concat([_foretell(rows.clear(), record, component), *parts]).sort(*PACK, "departed_at", "flight_id")
+
+
+def _foretell(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.DataFrame:
+    """Prognoses of some flights from what was on record before."""
+    failed = _failures(past, component)
+    # the aircraft would have raised it: there is a message, and the operator delivers messages
+    operators = past.messages["operator"].unique().to_list() if component.message_code else []
+    by = _event_by(rows, _limits(rows, failed, component), component, rows["operator"].is_in(operators).to_numpy())
+    values = {name: quantile(by, level) for name, level in TOLD_AT.items()}
+    values |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
     known = np.isfinite(by[:, -1])
-    columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in told.items()]
-    version = f"first-passage-{hashlib.blake2b(component.version.encode(), digest_size=4).hexdigest()}"
+    columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in values.items()]
+    taught = repr((component.version, sorted(operators), failed.sort("tail", "loss").rows())).encode()
+    version = f"first-passage-{hashlib.blake2b(taught, digest_size=4).hexdigest()}"
     return (
         rows.select(*KEYS)
-        .with_columns(
-            *columns,
-            pl.lit(version).alias("model_version"),
-            pl.lit(HELD).alias("split"),
-        )
+        .with_columns(*columns, pl.lit(version).alias("model_version"), pl.lit(HELD).alias("split"))
         .with_columns((pl.col("rul_flights") >= HORIZON).alias("beyond_horizon"))
     )
 
@@ -85,12 +93,6 @@ def first_passage(
     return np.clip(np.maximum.accumulate((passed - before) / left, axis=1), 0.0, 1.0)
 
 
-def _speaks(rows: pl.DataFrame, messages: pl.DataFrame, component: Component) -> NDArray[np.bool_]:
-    """Whether the aircraft would have told of a failure: it has a message, and its operator delivers messages."""
-    operators = messages["operator"].unique().to_list() if component.message_code else []
-    return rows["operator"].is_in(operators).to_numpy()
-
-
 def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Component, alive: NDArray[np.bool_]) -> Array:
     loss, sd, slope, seen = (rows[c].cast(pl.Float64).to_numpy() for c in KNOWN)
     usual = component.limit.mean / component.life_flights
@@ -99,39 +101,25 @@ def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Compon
     return first_passage(loss, sd, rate, rate_sd, limits, alive)
 
 
-def _limits(
-    rows: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> tuple[Array, Array]:
-    """Loss at which each row's unit fails, by the failures of other tails before it: mean and sd. (n,) each"""
-    failed = _failures(rows, messages, maintenance, component)
-    tails, at = rows["tail"].to_numpy(), rows["departed_at"].dt.epoch("s").to_numpy()
-    mean, sd = (np.empty(rows.height) for _ in range(2))
-    for tail in np.unique(tails):
-        own = np.flatnonzero(tails == tail)
-        told = failed.filter(pl.col("tail") != tail).sort("failed_at")
-        moments, levels = told["failed_at"].dt.epoch("s").to_numpy(), told["loss"].to_numpy()
-        known = np.searchsorted(moments, at[own])
-        for count in np.unique(known):
-            limit = learn_limit(levels[:count], component.limit)
-            mean[own[known == count]], sd[own[known == count]] = limit.mean, _spread(limit)
-    return mean, sd
+def _limits(rows: pl.DataFrame, failed: pl.DataFrame, component: Component) -> tuple[Array, Array]:
+    """Loss at which each row's unit fails, by the failures of other tails: mean and sd. (n,) each"""
+    limits = {
+        tail: learn_limit(failed.filter(pl.col("tail") != tail)["loss"].to_numpy(), component.limit)
+        for tail in rows["tail"].unique()
+    }
+    own = [limits[tail] for tail in rows["tail"]]
+    # the spread of one unit about what is believed of the fleet
+    return np.array([x.mean for x in own]), np.array([np.hypot(x.sd, x.unit_sd) for x in own])
 
 
-def _spread(limit: Limit) -> float:
-    """Of one unit about what is believed of the fleet."""
-    return float(np.hypot(limit.sd, limit.unit_sd))
-
-
-def _failures(
-    rows: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> pl.DataFrame:
-    """Loss just before each failure: tail, failed_at, loss."""
-    none = pl.DataFrame(schema={"tail": pl.String, "failed_at": pl.Datetime("us", "UTC"), "loss": pl.Float64})
+def _failures(past: FleetRecord, component: Component) -> pl.DataFrame:
+    """Loss just before each failure: tail, loss."""
+    rows = past.features.sort(*PACK, "departed_at", "flight_id")
     if component.message_code is None or rows.is_empty():
-        return none
-    lives = component_lives(rows, messages, maintenance, Failure(component.code, component.message_code))
+        return pl.DataFrame(schema={"tail": pl.String, "loss": pl.Float64})
+    lives = component_lives(rows, past.messages, past.maintenance, Failure(component.code, component.message_code))
     ended = lives.filter("failed").select(*PACK, row=pl.col("end_row"))
     numbered = rows.with_columns(row=pl.int_range(pl.len()).over(PACK).cast(pl.Int64))
     last = pl.col("loss").forward_fill().over(PACK)
-    told = numbered.with_columns(last.alias("loss")).join(ended, on=[*PACK, "row"], validate="m:1")
-    return told.select("tail", pl.col("departed_at").alias("failed_at"), "loss").drop_nulls()
+    with_loss = numbered.with_columns(last.alias("loss")).join(ended, on=[*PACK, "row"], validate="1:1")
+    return with_loss.select("tail", "loss").drop_nulls()

@@ -1,6 +1,7 @@
 """From frames to the learner's arrays: one row a flight and pack."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from datetime import datetime
 
 import numpy as np
 import polars as pl
@@ -12,7 +13,7 @@ from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.component_limits import PRIORS, learn_limit
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
-from hdt_core.prognosis.message_rule import learn_rules
+from hdt_core.prognosis.message_rule import first_met, learn_rules
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
 from hdt_core.simulate.episodes import Episodes
@@ -46,8 +47,6 @@ class FeatureRows:
         Flights until the message, or until the life was cut short. [flight]
     failed : ndarray of bool, shape (n,)
         Whether the life ended in the message.
-    group : ndarray of str, shape (n,)
-        What is held out together: the tail.
     life : ndarray of int, shape (n,)
         Which life the row belongs to, numbered over the whole frame.
     """
@@ -55,12 +54,11 @@ class FeatureRows:
     features: Array
     left: Array
     failed: NDArray[np.bool_]
-    group: NDArray[np.str_]
     life: NDArray[np.int_]
 
     def take(self, keep: NDArray[np.bool_]) -> "FeatureRows":
         """The rows where `keep` holds."""
-        return FeatureRows(self.features[keep], self.left[keep], self.failed[keep], self.group[keep], self.life[keep])
+        return FeatureRows(self.features[keep], self.left[keep], self.failed[keep], self.life[keep])
 
 
 def simulated_rows(
@@ -78,7 +76,7 @@ def simulated_rows(
         found = feature_rows(record, repeated(lives.asked), (unit, LEAD + flight))
         table = np.column_stack([found, np.full(unit.size, doubt)])
         life = number * left.shape[0] + unit
-        parts.append(FeatureRows(table, left[keep], failed[keep], np.full(unit.size, f"{number}"), life))
+        parts.append(FeatureRows(table, left[keep], failed[keep], life))
     return FeatureRows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FeatureRows)))
 
 
@@ -111,7 +109,12 @@ class Tracks:
     left, failed : ndarray, shape (n,)
         As in `FeatureRows`.
     mute : ndarray of bool, shape (n,)
-        Rows of an operator that has given no message of any kind: its lives end unheard.
+        Rows that teach nothing: of an operator that has given no message of any kind, whose lives end unheard, or of
+        flights after the moment up to which the lives are given (`tracks_before`).
+    operator : ndarray of str, shape (packs,)
+        Whose pack it is, as `curves` counts them.
+    met : ndarray of int, shape (lives, rules)
+        First flight of each life on which each rule of a message is met, from `message_rule.first_met`.
     """
 
     panel: Panel
@@ -123,6 +126,8 @@ class Tracks:
     left: Array
     failed: NDArray[np.bool_]
     mute: NDArray[np.bool_]
+    operator: NDArray[np.object_]
+    met: NDArray[np.int_]
 
 
 def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Tracks:
@@ -156,7 +161,30 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         left=rows["left"].to_numpy(),
         failed=rows["failed"].to_numpy(),
         mute=rows["mute"].to_numpy(),
+        operator=rows.unique("pack_id").sort("pack_id")["operator"].to_numpy(),
+        met=first_met((panel.overheat_k, panel.overheat_half_k)),
     )
+
+
+def tracks_before(track: Tracks, moment: datetime, lives: pl.DataFrame, component: str) -> Tracks:
+    """`track` as it teaches at a moment: later flights teach nothing, and lives end as was on record by then.
+
+    Features of a flight follow from that flight and those before it, so they are those of the whole record.
+
+    Parameters
+    ----------
+    track : Tracks
+        Of the whole record.
+    lives : DataFrame
+        From `unit_lives.episodes` of the record before the moment.
+    """
+    flown = (track.keys["departed_at"] < moment).to_numpy()
+    rows = track.keys.select(PACK).with_columns(row=pl.Series(track.where[:, 1])).filter(flown)
+    ends = with_lives(rows, lives, component)
+    left, failed, mute = np.full(flown.size, np.nan), np.zeros(flown.size, bool), np.ones(flown.size, bool)
+    for values, name in ((left, "left"), (failed, "failed"), (mute, "mute")):
+        values[flown] = ends[name].to_numpy()
+    return replace(track, left=left, failed=failed, mute=mute)
 
 
 def _panel(seen: pl.DataFrame, lives: int) -> Panel:
@@ -191,29 +219,32 @@ def fleet_rows(track: Tracks, rule: FailureRule, asked: NDArray[np.bool_] | None
         Which rows; all by default.
     """
     asked = np.ones(len(track.at), bool) if asked is None else asked
-    critical, doubt = _critical(track, rule)
-    (life, column), (pack, flight) = track.at[asked].T, track.where[asked].T
-    found = feature_rows(track.record[asked], critical, (pack, flight))
-    features = np.where((column < 0)[:, None], np.nan, np.column_stack([found, doubt[asked]]))
-    tail = track.keys["tail"].to_numpy().astype(str)
-    return FeatureRows(features, track.left[asked], track.failed[asked], tail[asked], life)
+    life, column = track.at[asked].T
+    critical, doubt, where = _critical(track, rule, track.where[asked])
+    found = np.column_stack([feature_rows(track.record[asked], critical, where), doubt])
+    features = np.where((column < 0)[:, None], np.nan, found)
+    return FeatureRows(features, track.left[asked], track.failed[asked], life)
 
 
-def _critical(track: Tracks, rule: FailureRule) -> tuple[Array, Array]:
-    """What two hot flights asked, (packs, flights), and the doubt about the message in ln of conductance, (n,)."""
+def _critical(
+    track: Tracks, rule: FailureRule, where: NDArray[np.int_]
+) -> tuple[Array, Array, tuple[NDArray[np.int_], NDArray[np.int_]]]:
+    """What two hot flights asked of the packs in `where`, up to the last flight in it: (packs, flights); the doubt
+    about the message in ln of conductance, (n,); and which of these packs and flights each row of `where` is."""
+    packs, pack = np.unique(where[:, 0], return_inverse=True)
+    at = (pack, where[:, 1])
+    critical = np.full((packs.size, int(where[:, 1].max(initial=-1)) + 1), np.nan)
     if isinstance(rule, Limit):
-        critical = np.full(track.curves.shape[:2], np.log1p(-rule.mean))
-        return critical, np.full(len(track.at), rule.sd / (1.0 - rule.mean))
-    critical, doubt = np.full(track.curves.shape[:2], np.nan), np.zeros(track.curves.shape[:2])
-    operator = np.empty(track.curves.shape[0], dtype=object)
-    operator[track.where[:, 0]] = track.keys["operator"].to_numpy()
-    for name in track.keys["operator"].unique().sort():
-        packs, own = operator == name, rule.get(name, rule[""])
-        curve = track.curves[packs][:, :, SHARES.index(own.share)]
-        critical[packs] = repeated(at_excess(curve, own.excess_k), own.of)
+        critical[:] = np.log1p(-rule.mean)
+        return critical, np.full(len(where), rule.sd / (1.0 - rule.mean)), at
+    doubt = np.zeros(critical.shape)
+    for name in np.unique(track.operator[packs]):
+        some, own = track.operator[packs] == name, rule.get(name, rule[""])
+        curve = track.curves[packs[some], : critical.shape[1], SHARES.index(own.share)]
+        critical[some] = repeated(at_excess(curve, own.excess_k), own.of)
         per_k = np.abs(at_excess(curve, own.excess_k + 1.0) - at_excess(curve, own.excess_k - 1.0)) / 2.0
-        doubt[packs] = own.excess_sd_k * _usual(per_k)
-    return critical, doubt[tuple(track.where.T)]
+        doubt[some] = own.excess_sd_k * _usual(per_k)
+    return critical, doubt[at], at
 
 
 def _usual(per_k: Array) -> Array:
@@ -225,27 +256,20 @@ def _usual(per_k: Array) -> Array:
 
 def learn_rule(track: Tracks, component: str, use: NDArray[np.bool_]) -> FailureRule:
     """By which rule the message comes, from the rows in `use`."""
-    if component != "HX":
-        levels, tails = _message_levels(track)
-        seen = np.unique(track.keys["tail"].to_numpy().astype(str)[use])
-        return learn_limit(levels[np.isin(tails, seen)], PRIORS[component])
-    lives = np.unique(track.at[use, 0])
-    column = np.full(len(track.panel.level), -1)
-    told = track.failed & (track.left == 0) & (track.at[:, 1] >= 0)
-    column[track.at[told, 0]] = track.at[told, 1]
-    operator = np.empty(column.size, dtype=object)
-    operator[track.at[:, 0]] = track.keys["operator"].to_numpy()
+    life, column = track.at.T
+    if component != "HX":  # the loss seen on the flight before each message
+        last = use & track.failed & (track.left == 1) & (column >= 0)
+        return learn_limit(track.panel.level[life[last], column[last]], PRIORS[component])
+    lives, message, flown = np.unique(life[use]), *(np.full(len(track.panel.level), -1) for _ in range(2))
+    ended = use & track.failed & (track.left == 0) & (column >= 0)
+    message[life[ended]] = column[ended]
+    np.maximum.at(flown, life[use], column[use])
     # flights after the message still flew with the unit: they are no evidence that the rule was met without one
-    after = np.arange(track.panel.level.shape[1])[None, :] > np.where(column >= 0, column, 10**9)[:, None]
-    seen_k = (np.where(after, np.nan, v)[lives] for v in (track.panel.overheat_k, track.panel.overheat_half_k))
-    return learn_rules(dict(zip(SHARES, seen_k, strict=True)), column[lives], operator[lives].astype(str))
-
-
-def _message_levels(track: Tracks) -> tuple[Array, NDArray[np.str_]]:
-    """Loss seen on the flight before each message, and the tail it belongs to."""
-    last = track.failed & (track.left == 1) & (track.at[:, 1] >= 0)
-    level = track.panel.level[track.at[last, 0], track.at[last, 1]]
-    return level, track.keys["tail"].to_numpy().astype(str)[last]
+    end = np.where(message >= 0, message, flown)[lives, None]
+    met = np.where(track.met[lives] > end, -1, track.met[lives])
+    operator = np.empty(message.size, dtype=object)
+    operator[life] = track.operator[track.where[:, 0]]
+    return learn_rules(met, message[lives], operator[lives].astype(str))
 
 
 def _spread(shape: tuple[int, int], place: tuple[NDArray[np.int_], NDArray[np.int_]], values: Array) -> Array:

@@ -1,21 +1,20 @@
-"""What a fleet has on record, as it stood at any time, and which flights have their prognosis already."""
+"""What is on record of a fleet, and which of its flights have a prognosis already."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from hdt_core.prognosis.feature_rows import PRIOR_RULES, Tracks, tracks
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.keys import PACK
 
-BLOCK = 100
-"""Flights that share a digest: prognoses of the blocks before a late flight stand."""
-ScoredFlights = dict[str, tuple[int, list[str]]]
-"""Of each pack, `operator|tail|pack`: how many flights, and of every block of them a digest of their health."""
+ScoredFlights = dict[str, tuple[int, str]]
+"""Of each pack, `component|operator|tail|pack`: its flights of a month, and a digest of what a prognosis is made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +34,16 @@ class FleetRecord:
     maintenance: pl.DataFrame
 
     def before(self, moment: datetime) -> "FleetRecord":
-        """What was known then: nothing that was flown, raised or signed later."""
+        """What was on record then: nothing that was flown, raised or signed later."""
         return FleetRecord(
             self.features.filter(pl.col("departed_at") < moment),
             self.messages.filter(pl.col("message_time") < moment),
             self.maintenance.filter(pl.col("done_on") < moment.date()),
         )
 
-    def month(self) -> datetime:
-        """First moment of the month of the last flight, UTC; of the year 1 where none has flown."""
-        last = self.features["departed_at"].max()
-        newest = last if isinstance(last, datetime) else datetime(1, 1, 1, tzinfo=UTC)
-        return datetime(newest.year, newest.month, 1, tzinfo=UTC)
+    def months(self) -> list[date]:
+        """First days of the months in which flights departed, UTC."""
+        return month_of(self.features["departed_at"]).unique().sort().to_list()
 
     def lives(self) -> pl.DataFrame:
         """Lives of all units."""
@@ -55,6 +52,16 @@ class FleetRecord:
     def tracks(self) -> "FleetTracks":
         """Health tracks by component."""
         return FleetTracks(self.features, self.lives())
+
+
+def month_of(departed_at: pl.Series) -> pl.Series:
+    """First day of each flight's month, UTC."""
+    return departed_at.dt.month_start().dt.date()
+
+
+def start_of(month: date) -> datetime:
+    """First moment of a month, UTC."""
+    return datetime(month.year, month.month, month.day, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,28 +81,28 @@ class FleetTracks(Mapping[str, Tracks]):
         return len(PRIOR_RULES)
 
 
-def scored(track: Tracks, earlier: ScoredFlights | None = None) -> tuple[ScoredFlights, np.ndarray]:
-    """Digests of each pack's track, and which flights are not, or not as they now are, in `earlier`. (n,) bool
+def score_months(
+    track: Tracks, component: str, earlier: Mapping[date, ScoredFlights]
+) -> tuple[dict[date, ScoredFlights], NDArray[np.bool_]]:
+    """Digests of each pack's flights by month, and which flights are not, or not as they now are, in `earlier`. (n,)
 
     The prognosis of a flight follows from it and those before it, so all after one that changed are as new.
     """
-    told: ScoredFlights = {}
-    new, start = np.ones(len(track.at), dtype=bool), 0
-    for *pack, flights in track.keys.group_by(PACK, maintain_order=True).len().rows():
-        name = "|".join(str(part) for part in pack)
-        numbers, names = _told(track, start, start + flights)
-        told[name] = (flights, [_digest(numbers, names, k, k + BLOCK) for k in range(0, flights, BLOCK)])
-        n, digests = (earlier or {}).get(name, (0, []))
-        for block, digest in enumerate(digests):
-            first, end = block * BLOCK, min(n, (block + 1) * BLOCK)
-            if end > flights or _digest(numbers, names, first, end) != digest:
-                break
-            new[start + first : start + end] = False
-        start += flights
-    return told, new
+    scored: dict[date, ScoredFlights] = {}
+    new, start, stands = np.ones(len(track.at), dtype=bool), 0, True
+    last: list[object] = []
+    months = track.keys.select(*PACK, month_of(track.keys["departed_at"]).alias("month"))
+    for *pack, month, flights in months.group_by(*PACK, "month", maintain_order=True).len().rows():
+        name, numbers = "|".join(str(part) for part in (component, *pack)), _inputs(track, start, start + flights)
+        scored.setdefault(month, {})[name] = (flights, _digest(*numbers, flights))
+        n, digest = earlier.get(month, {}).get(name, (0, ""))
+        stands = (stands or pack != last) and 0 < n <= flights and _digest(*numbers, n) == digest
+        new[start : start + n] = not stands
+        stands, last, start = stands and n == flights, pack, start + flights
+    return scored, new
 
 
-def _told(track: Tracks, start: int, end: int) -> tuple[np.ndarray, list[str]]:
+def _inputs(track: Tracks, start: int, end: int) -> tuple[NDArray[np.float64], list[str]]:
     """What a prognosis is made of, flight by flight: health, margin, age, and the flight's name."""
     life, column = track.at[start:end].T
     pack, flight = track.where[start:end].T
@@ -104,6 +111,6 @@ def _told(track: Tracks, start: int, end: int) -> tuple[np.ndarray, list[str]]:
     return np.column_stack([*known, column, curves]).astype(float), track.keys["flight_id"][start:end].to_list()
 
 
-def _digest(numbers: np.ndarray, names: list[str], first: int, end: int) -> str:
-    told = numbers[first:end].tobytes() + "|".join(names[first:end]).encode()
-    return hashlib.blake2b(told, digest_size=8).hexdigest()
+def _digest(numbers: NDArray[np.float64], names: list[str], flights: int) -> str:
+    content = numbers[:flights].tobytes() + "|".join(names[:flights]).encode()
+    return hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -5,11 +5,12 @@ cut short leaves the risk set when it was cut, which is all that is known of it,
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from hdt_core.prognosis.trees import probabilities
 
@@ -90,14 +91,23 @@ def fit_hazard(
         random_state=seed,
         monotonic_cst=None if rises is None else [*rises, 0],
     )
-    with threadpool_limits(1, "openmp"):  # on a busy machine its threads spin: ten times the processor for nothing
+    with _threads().limit(limits=1, user_api="openmp"):
         return model.fit(with_span(features[row], span), hit, sample_weight=exposure)
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    """What holds boosting to one thread: on a busy machine its threads spin, ten times the processor for nothing.
+
+    To look for the libraries takes 7 ms.
+    """
+    return ThreadpoolController()
 
 
 def hazards(models: Sequence[HistGradientBoostingClassifier], features: Array) -> Array:
     """P(event in span | alive at its start), the mean over the models, shape (n, SPANS)."""
     told = np.empty((features.shape[0], SPANS))
-    with threadpool_limits(1, "openmp"):
+    with _threads().limit(limits=1, user_api="openmp"):
         for first in range(0, len(told), ROWS_AT_ONCE):
             some = features[first : first + ROWS_AT_ONCE]
             told[first : first + ROWS_AT_ONCE] = sum(probabilities(m, some, EDGES[1:]) for m in models) / len(models)

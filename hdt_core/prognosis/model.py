@@ -7,7 +7,7 @@ hazard and the interval. What lies beyond the horizon of 300 flights is told as 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,12 +33,12 @@ from hdt_core.records.keys import IN_ORDER
 Array = NDArray[np.float64]
 
 HORIZON = float(EDGES[-1])
-_LEVEL, _RESERVE = INPUTS.index("level"), INPUTS.index("reserve_95")
+_RESERVE = INPUTS.index("reserve_95")
 AHEAD = (25, 50, 100, 200, 300)
 """Flights for which the probability of a message is told."""
 MEMBERS = 3
 """Models in the base."""
-LEARN_EVERY, LEARN_ROWS = 4, 15_000
+LEARN_EVERY, LEARN_ROWS = 4, 1_500
 """Of a life's flights one in so many corrects the base: neighbours say the same. Of a large fleet fewer still: what is
 learned are a few numbers, and so many rows tell them."""
 FOLDS = 5
@@ -118,19 +118,28 @@ def fit_tracks(base: Prognosis, lived: Mapping[str, Tracks], groups: Sequence[st
 
     Groups of which nothing is known yet have their fold too. Of `lived` one component is held at a time.
     """
-    held = [tuple(sorted(groups)[k::FOLDS]) for k in range(min(FOLDS, len(groups)))]
+    held = split_groups(groups)
+    # no name for a track: it would be held while the next is cut
+    return assemble(base, held, {c: fit_component(base, lived[c], c, held, by) for c in lived})
 
-    def taught(component: str, track: Tracks) -> list[ComponentFit]:
-        own = track.keys[by].to_numpy().astype(str)
-        kept = [None, *(~np.isin(own, names) for names in held)]
-        return [_learn(base, track, component, use) for use in kept]
 
-    fits, by_fold = Fits(), [Fits() for _ in held]
-    for component in lived:  # no name for its track: it would be held while the next is cut
-        fits[component], *others = taught(component, lived[component])
-        for fold, fit in zip(by_fold, others, strict=True):
-            fold[component] = fit
-    return replace(named(base, fits), folds=tuple(Fold(*fold) for fold in zip(held, by_fold, strict=True)))
+def split_groups(groups: Sequence[str]) -> list[tuple[str, ...]]:
+    """Which groups are held out together."""
+    return [tuple(sorted(groups)[k::FOLDS]) for k in range(min(FOLDS, len(groups)))]
+
+
+def fit_component(
+    base: Prognosis, track: Tracks, component: str, held: Sequence[tuple[str, ...]], by: str = "tail"
+) -> list[ComponentFit]:
+    """What all tracks teach, then for each fold what all but those `held` do."""
+    kept = (~track.keys[by].is_in(names).to_numpy() for names in held)
+    return [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *kept)]
+
+
+def assemble(base: Prognosis, held: Sequence[tuple[str, ...]], fits: Mapping[str, Sequence[ComponentFit]]) -> Prognosis:
+    """A model from what `fit_component` gave of each component."""
+    own, *others = ({component: parts[k] for component, parts in fits.items()} for k in range(len(held) + 1))
+    return named(base, own, tuple(Fold(*fold) for fold in zip(held, others, strict=True)))
 
 
 def predict_prognosis(
@@ -169,11 +178,10 @@ def predict_by_fold(
 ) -> pl.DataFrame:
     """A component's prognoses of all flights, or of those asked about, each group by the fold that never saw it."""
     asked = np.ones(len(track.at), bool) if asked is None else asked
-    own = track.keys[by].to_numpy().astype(str)
-    parts = [_predict(model, track, ComponentFit(PRIOR_RULES[component]), component, HELD, np.zeros(len(own), bool))]
+    parts = [_predict(model, track, ComponentFit(PRIOR_RULES[component]), component, HELD, asked & False)]
     for fold in model.folds:
-        rows, taught = asked & np.isin(own, fold.held), named(model, {component: fold.fits[component]})
-        parts.append(_predict(taught, track, fold.fits[component], component, HELD, rows))
+        rows = asked & track.keys[by].is_in(fold.held).to_numpy()
+        parts.append(_predict(model, track, fold.fits[component], component, HELD, rows))
     return pl.concat(parts)
 
 
@@ -199,16 +207,16 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
     return fit_hazard(rows.features, rows.left, rows.failed, seed, (*RISES, 0))
 
 
-def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_] | None = None) -> ComponentFit:
+def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_]) -> ComponentFit:
     """The message's rule, then the correction, then the levels, from the rows in `use`."""
-    use = ~track.mute if use is None else use & ~track.mute
     rule = learn_rule(track, component, use)
-    every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
-    rows = fleet_rows(track, rule, use & (track.at[:, 1] % every == 0))
-    rows = rows.take((rows.left >= 1) & np.isfinite(rows.features[:, _LEVEL]))
-    failures, lives = int(np.unique(rows.life[rows.failed]).size), int(np.unique(rows.life).size)
+    life, column = track.at.T
+    use = use & (track.left >= 1) & (column >= 0)
+    failures, lives = (int(np.unique(life[rows]).size) for rows in (use & track.failed, use))
     if not failures:
         return ComponentFit(rule, levels=base.base_levels, lives=lives)
+    every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
+    rows = fleet_rows(track, rule, use & (column % every == 0))
     raw, reserve = hazards(base.hazard, rows.features), rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
@@ -227,7 +235,7 @@ def _predict(
     asked = np.ones(len(track.at), bool) if asked is None else asked
     rows = fleet_rows(track, fit.rule, asked)
     by = event_by(fit.correction(hazards(model.hazard, rows.features), rows.features[:, _RESERVE]))
-    known = np.isfinite(rows.features[:, _LEVEL])
+    known = track.at[asked, 1] >= 0
     low, middle, high = (quantile(by, level) for level in fit.levels)
     numbers = {"rul_flights": middle, "rul_low": np.minimum(low, middle), "rul_high": np.maximum(high, middle)}
     numbers |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
@@ -239,13 +247,13 @@ def _predict(
     )  # fmt: skip
 
 
-def named(base: Prognosis, fits: Fits | None = None) -> Prognosis:
-    """`base` with these fits, and the digest of both for a version."""
+def named(base: Prognosis, fits: Fits | None = None, folds: tuple[Fold, ...] = ()) -> Prognosis:
+    """`base` with these fits and folds, and the digest of all for a version."""
     fits = fits or {}
-    told: dict[str, Any] = {c: [repr(f.rule), f.correction.weights, f.levels] for c, f in fits.items()}
-    told["base"] = [
-        base.base_levels,
-        [float(np.sum(m.train_score_)) if len(m.train_score_) else m.n_iter_ for m in base.hazard],
-    ]
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:12]
-    return Prognosis(base.hazard, base.base_levels, fits, digest)
+    parts = [("", fits), *((" ".join(fold.held), fold.fits) for fold in folds)]
+    learned: dict[str, Any] = {
+        name: {c: [repr(f.rule), f.correction.weights, f.levels] for c, f in part.items()} for name, part in parts
+    }
+    trees = [float(np.sum(m.train_score_)) if len(m.train_score_) else m.n_iter_ for m in base.hazard]
+    digest = hashlib.sha256(json.dumps([learned, base.base_levels, trees], sort_keys=True).encode()).hexdigest()[:12]
+    return Prognosis(base.hazard, base.base_levels, fits, digest, folds)

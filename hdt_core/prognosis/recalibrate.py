@@ -82,7 +82,11 @@ def learn_correction(
         loss = weight @ (np.logaddexp(0.0, log_odds) - hit * log_odds) + 0.5 * np.sum((w / _PRIOR_SD) ** 2)
         return float(loss), terms.T @ (weight * (expit(log_odds) - hit)) + w / _PRIOR_SD**2
 
-    found = minimize(cost, np.zeros(len(TERMS)), jac=True, method="L-BFGS-B")
+    def curvature(w: Array) -> Array:
+        chance = expit(offset + terms @ w)
+        return np.asarray((terms.T * (weight * chance * (1.0 - chance))) @ terms + np.diag(_PRIOR_SD**-2))
+
+    found = minimize(cost, np.zeros(len(TERMS)), jac=True, hess=curvature, method="trust-exact")
     return HazardCorrection(tuple(float(w) for w in found.x))
 
 

@@ -1,138 +1,197 @@
-"""Which model goes into service, when it learns, and its prognoses of tonight.
+"""The model of each month, and the prognoses of its flights.
 
-A model learns once a month, from what was known when the month of the fleet's last flight began; until the next one it
-only scores flights, and a prognosis stands while its flight's record does. Flights of earlier months that come late are
-scored at once and learned from when the next month begins, or when they are so many that they matter
-(`training_digest`). Whatever the order in which data came, from the next learning on the same record has the same
-prognoses.
+Flights of a month are scored by the model that learned from what was on record when the month began, in a backfill as
+in a nightly run, so what a row holds is what was foretold, or would have been, on that night. Later learning does not
+rewrite it. A month's model learns again where what it learned from is materially another (`training_digest`): where the
+aircraft's models or the base are, or where many flights of the months before it came late. Few late flights are scored
+at once, by their own month's model, and count from the next month on.
 
 A newly learned base and the one in service are asked about the same flights, each tail judged by what the others
 taught, so neither can have learned its own answers. The fleet's own lives are taken up by either; only what was learned
-before any fleet was seen competes.
+before any fleet was seen competes. Which base serves depends on which served before: the one thing here that does not
+follow from the record.
 """
 
-import hashlib
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from hdt_core.prognosis.feature_rows import Tracks
-from hdt_core.prognosis.fleet_record import FleetRecord, ScoredFlights, scored
+from hdt_core.prognosis.feature_rows import Tracks, tracks_before
+from hdt_core.prognosis.fleet_record import FleetRecord, ScoredFlights, month_of, score_months, start_of
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import Prognosis, fit_tracks, named, predict_by_fold
+from hdt_core.prognosis.model import (
+    ComponentFit,
+    Prognosis,
+    assemble,
+    fit_component,
+    named,
+    predict_by_fold,
+    split_groups,
+)
 from hdt_core.prognosis.model_card import Card, Verdict, model_card, promote
-from hdt_core.prognosis.recalibrate import TERMS
-from hdt_core.prognosis.training_digest import flights_not_learned, read_digest, training_digest, why_learn
+from hdt_core.prognosis.training_digest import TrainingDigest, flights_not_learned, training_digests, why_learn
 from hdt_core.records.keys import IN_ORDER, PACK
 
 
 @dataclass(frozen=True, slots=True)
-class ModelUpdate:
-    """The model in service, its out-of-fold prognoses, its card with the reason.
+class MonthModel:
+    """The model of a month.
 
-    `digest` is what it learned from (`TrainingDigest.to_json`), `scored` which flights have a prognosis, by component.
+    Attributes
+    ----------
+    model : Prognosis
+        The base, and what was on record when the month began taught it.
+    card : dict
+        What a reader must know of it; of the newest month's with the scores of all flights before.
+    digest : TrainingDigest
+        What it learned from.
+    scored : dict
+        Which flights of the month it has scored.
+    service : dict
+        Why it learned and why its base serves: what happened in this home, and follows from no record.
     """
 
     model: Prognosis
-    prognoses: pl.DataFrame
     card: Card
-    digest: str
-    scored: dict[str, ScoredFlights]
+    digest: TrainingDigest
+    scored: ScoredFlights
+    service: dict[str, Any]
 
 
-def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord) -> ModelUpdate:
-    """Put a base into service, corrected by the fleet's lives, unless the one in service does better.
+@dataclass(frozen=True, slots=True)
+class ModelUpdate:
+    """The model of each month that has flights, and the out-of-fold prognoses of all of them."""
+
+    months: dict[date, MonthModel]
+    prognoses: pl.DataFrame
+
+    @property
+    def newest(self) -> MonthModel:
+        """The model of the newest month."""
+        return self.months[max(self.months)]
+
+
+def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord, design: str = "") -> ModelUpdate:
+    """Learn the models of new months from the record before each, and score the flights that have no prognosis yet.
 
     Parameters
     ----------
     candidate : Prognosis
-        Base as learned by the present code.
+        Base as learned by the present code. The one in service stays where it does better.
     last : ModelUpdate, optional
         What served until now; None on the first night.
     record : FleetRecord
         All that is on record.
+    design : str
+        Digest of what features follow from beside the record.
     """
-    tails = record.features["tail"].unique().sort().to_list()
-    digest = training_digest(record, _learner(candidate, tails))
-    learned = read_digest(last.digest) if last is not None else None
-    why = why_learn(digest, learned)
-    if last is not None and learned is not None and not why:
-        return _score_new(last, record, flights_not_learned(digest, learned))
-    past = record.before(record.month()).tracks()
+    last = last if last is not None and last.months else None
+    served = last.months if last is not None else {}
+    digests = training_digests(record, named(candidate).version, design)
+    reasons = {m: why_learn(now, served[m].digest if m in served else None) for m, now in digests.items()}
+    tails = {month: digests[month].tails for month, why in reasons.items() if why}
+    if last is None or any(served[m].digest.base != digests[m].base for m in served.keys() & digests.keys()):
+        forecast, verdict = _choose(candidate, last, record, tails)
+    else:
+        verdict = Verdict(last.newest.service["promoted"], last.newest.service["promotion"])
+        forecast = _forecast(last.newest.model, record, tails, last)
+    scores = _scores(forecast.prognoses, record) if tails else last.newest.card["scores"] if last is not None else {}
+    months = {}
+    for month, now in digests.items():
+        digest = now if reasons[month] else served[month].digest
+        service = {
+            "promoted": verdict.promoted,
+            "promotion": verdict.reason,
+            "learned_because": reasons[month] or served[month].service["learned_because"],
+            "late_flights_not_learned_from": flights_not_learned(now, digest),
+        }
+        card = model_card(forecast.models[month], scores if month == max(digests) else None)
+        months[month] = MonthModel(forecast.models[month], card, digest, forecast.scored[month], service)
+    return ModelUpdate(months, forecast.prognoses)
 
-    def train(base: Prognosis) -> _Trained:
-        model = fit_tracks(base, past, tails)
-        said = _say(model, record, {})
-        return _Trained(model, said, score_prognoses(judge(said.prognoses, record.features, record.lives())))
 
-    chosen, verdict = _chosen(train, candidate, last)
-    card = model_card(chosen.model, chosen.scores) | {"promoted": verdict.promoted, "promotion": verdict.reason}
-    card |= {"learned_because": why, "late_flights_not_learned_from": 0}
-    return ModelUpdate(chosen.model, chosen.said.prognoses, card, digest.to_json(), chosen.said.scored)
+class _Forecast(NamedTuple):
+    """Models by month, the flights that they scored, and the prognoses of all flights."""
 
-
-class _Said(NamedTuple):
-    """Prognoses of flights that had none, which flights have one now, and the keys of those that had one."""
-
+    models: dict[date, Prognosis]
+    scored: dict[date, ScoredFlights]
     prognoses: pl.DataFrame
-    scored: dict[str, ScoredFlights]
-    stand: pl.DataFrame
 
 
-def _say(model: Prognosis, record: FleetRecord, before: Mapping[str, ScoredFlights]) -> _Said:
-    """What the folds of a model say about flights that are not, or not as they now are, among those scored before."""
+def _forecast(
+    base: Prognosis, record: FleetRecord, tails: Mapping[date, list[str]], last: ModelUpdate | None = None
+) -> _Forecast:
+    """Learn a base's models of the months in `tails`, by fold of these aircraft; score what has no prognosis."""
+    served = last.months if last is not None else {}
+    lives = {month: record.before(start_of(month)).lives() for month in tails}
+    held = {month: split_groups(tails[month]) for month in tails}
+    models = {month: served[month].model for month in record.months() if month not in tails}
+    fits: dict[date, dict[str, list[ComponentFit]]] = {month: {} for month in tails}
+    scored: dict[date, ScoredFlights] = {month: {} for month in record.months()}
 
-    def say(component: str, track: Tracks) -> tuple[pl.DataFrame, ScoredFlights, pl.DataFrame]:
-        told, new = scored(track, before.get(component))
+    def foretell(component: str, track: Tracks) -> tuple[pl.DataFrame, pl.DataFrame]:
+        flights, new = score_months(track, component, {m: served[m].scored for m in served})
+        month_at = month_of(track.keys["departed_at"])
+        new |= month_at.is_in(list(tails)).to_numpy()
+        parts = [predict_by_fold(base, component, track, new & False)]
+        for month in scored:
+            scored[month] |= flights.get(month, {})
+            if month in tails:
+                known = tracks_before(track, start_of(month), lives[month], component)
+                fits[month][component] = fit_component(base, known, component, held[month])
+            asked = new & (month_at == month).to_numpy()
+            if asked.any():
+                model = models.get(month) or assemble(base, held[month], {component: fits[month][component]})
+                parts.append(predict_by_fold(model, component, track, asked))
         stand = track.keys.filter(~new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
-        return predict_by_fold(model, component, track, new), told, stand
+        return pl.concat(parts), stand
 
     lived = record.tracks()
-    said, told, stand = zip(*(say(c, lived[c]) for c in lived), strict=True)
-    return _Said(pl.concat(said).sort("component", *IN_ORDER), dict(zip(lived, told, strict=True)), pl.concat(stand))
+    made, stand = zip(*(foretell(c, lived[c]) for c in lived), strict=True)
+    models |= {month: assemble(base, held[month], fits[month]) for month in tails}
+    said = pl.concat(made).with_columns(_version_of(models))
+    kept = (
+        said.clear()
+        if last is None
+        else last.prognoses.join(pl.concat(stand), on=["component", *PACK, "flight_id"], how="semi")
+    )
+    return _Forecast(models, scored, pl.concat([kept, said]).sort("component", *IN_ORDER))
 
 
-class _Trained(NamedTuple):
-    """A base with what a fleet taught it, what its folds say, and how well."""
+def _version_of(models: Mapping[date, Prognosis]) -> pl.Expr:
+    """The version of the model of a flight's month."""
+    month = pl.col("departed_at").dt.month_start().dt.date()
+    versions = [models[m].version for m in models]
+    return month.replace_strict(list(models), versions, return_dtype=pl.String).alias("model_version")
 
-    model: Prognosis
-    said: _Said
-    scores: dict[str, float]
+
+def _scores(prognoses: pl.DataFrame, record: FleetRecord) -> dict[str, float]:
+    """How well the flights before the newest month were foretold, by what was on record when it began."""
+    moment = start_of(max(record.months()))
+    past = record.before(moment)
+    return score_prognoses(judge(prognoses.filter(pl.col("departed_at") < moment), past.features, past.lives()))
 
 
-def _chosen(
-    train: Callable[[Prognosis], _Trained], candidate: Prognosis, last: ModelUpdate | None
-) -> tuple[_Trained, Verdict]:
-    """The candidate, or what served until now where that says better."""
-    new = train(candidate)
+def _choose(
+    candidate: Prognosis, last: ModelUpdate | None, record: FleetRecord, tails: Mapping[date, list[str]]
+) -> tuple[_Forecast, Verdict]:
+    """Forecast by the candidate, or by the base in service where that does better; all months learn anew."""
+    new = _forecast(candidate, record, tails)
     if last is None:
         return new, Verdict(True, "no other model is in service")
-    if inputs(last.model) != inputs(candidate):
+    base = last.newest.model
+    if inputs(base) != inputs(candidate):
         return new, Verdict(True, "the model in service reads other inputs and can't be asked")
-    if same_base(candidate, last.model):
+    if same_base(candidate, base):
         return new, Verdict(True, "the base in service is the one the present code learns")
-    old = train(last.model)
-    verdict = promote(model_card(candidate, new.scores), model_card(last.model, old.scores))
+    old = _forecast(base, record, tails)
+    new_card, old_card = (model_card(f.models[max(tails)], _scores(f.prognoses, record)) for f in (new, old))
+    verdict = promote(new_card, old_card)
     return (new if verdict.promoted else old), verdict
-
-
-def _score_new(last: ModelUpdate, record: FleetRecord, late: int) -> ModelUpdate:
-    """Score flights that are new or whose record has changed; `late` flights are not learned from yet."""
-    said = _say(last.model, record, last.scored)
-    kept = last.prognoses.join(said.stand, on=["component", *PACK, "flight_id"], how="semi")
-    prognoses = pl.concat([kept, said.prognoses]).sort("component", *IN_ORDER)
-    card = last.card | {"late_flights_not_learned_from": late}
-    return replace(last, prognoses=prognoses, card=card, scored=said.scored)
-
-
-def _learner(candidate: Prognosis, tails: list[str]) -> str:
-    """Digest of what learns: the base, what is corrected of it, and whom the folds hold."""
-    told = json.dumps([named(candidate).version, TERMS, tails])
-    return hashlib.blake2b(told.encode(), digest_size=10).hexdigest()
 
 
 def same_base(one: Prognosis, other: Prognosis) -> bool:

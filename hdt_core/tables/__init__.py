@@ -101,8 +101,8 @@ TABLES: dict[str, StoredTable] = {
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
     "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
-    "prognosis_base": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
-    "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("model_version",), whole=True),
+    "prognosis_base": StoredTable(prognosis.PrognosisBase, "fleet", ("model_version",), whole=True),
+    "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("month",), whole=True),
     "prognoses": StoredTable(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),
     "prognosis_lives": StoredTable(
         prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")

@@ -5,20 +5,38 @@ import dataframely as dy
 from hdt_core.tables.base import LegTable, Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
 
 
-class PrognosisModel(Table):
-    """The prognostic model in service: its base in skops form, and what the fleet taught it."""
+class PrognosisBase(Table):
+    """What simulated lives teach, before any fleet was seen."""
 
-    model_version = text("hash of what it was trained on", nullable=False, primary_key=True)
+    model_version = text("digest of the base", nullable=False, primary_key=True)
     card = text("model card as JSON", nullable=False)
+    model = dy.Binary(nullable=False, metadata={"unit": "", "meaning": "the base as skops bytes"})
+
+
+class PrognosisModel(Table):
+    """The prognostic model of a month: the base, and what was on record when the month began taught it."""
+
+    month = dy.Date(
+        nullable=False,
+        primary_key=True,
+        metadata={"unit": "", "meaning": "first day of the month whose flights it scores"},
+    )
+    model_version = text("digest of the base and of what it was taught", nullable=False)
+    card = text("model card as JSON; of the newest month with the scores of all flights before it", nullable=False)
+    service = text("why it learned, and why its base serves, as JSON", nullable=False)
+    fits = text("what the fleet's lives taught, by component and fold, as JSON", nullable=False)
+    training_digest = text(
+        "what it learned from, as JSON: base, models of the aircraft, tails, ended lives, flights of each pack",
+        nullable=False,
+    )
+    scored_flights = text(
+        "by component and pack, the flights of the month that have a prognosis, and a hash of their health, as JSON",
+        nullable=False,
+    )
     model = dy.Binary(
-        nullable=False, metadata={"unit": "", "meaning": "the base, learned from simulated lives, as skops bytes"}
+        nullable=True,
+        metadata={"unit": "", "meaning": "the base of all months as skops bytes, in the newest month's row"},
     )
-    fits = text("what the fleet's lives taught, by component and fold, as JSON; null in a base")
-    lesson = text(
-        "what was known of the fleet when the model learned: month, lives that had ended, flights and means of each "
-        "pack, as JSON; null in a base"
-    )
-    heard = text("by component and pack, how many flights were spoken about, and hashes of their health, as JSON")
 
 
 class Prognoses(LegTable):

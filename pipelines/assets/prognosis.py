@@ -1,5 +1,6 @@
 """How long is left, and how sure."""
 
+import hashlib
 import json
 
 import polars as pl
@@ -8,11 +9,13 @@ from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.prognosis.feature_rows import ASKS, LOSSES
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.model_card import fits_to_json, model_card, with_fits
-from hdt_core.prognosis.service import ModelUpdate, update_model
+from hdt_core.prognosis.service import ModelUpdate, MonthModel, update_model
+from hdt_core.prognosis.training_digest import read_digest
 from hdt_core.prognosis.unit_lives import told_lives
 from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import loaded, shipped_base, shipped_bytes
+from pipelines.lineage import FOLLOWED, LINEAGE
 from pipelines.report.pictures import DRAWN, night_pictures
 from pipelines.resources import Home
 from pipelines.storage.store import Store
@@ -23,14 +26,19 @@ def prognosis_base() -> pl.DataFrame:
     """What simulated lives teach, before any fleet has been seen: learned once and shipped."""
     base = shipped_base()
     row = {"model_version": base.version, "card": json.dumps(model_card(base)), "model": shipped_bytes()}
-    return pl.DataFrame([row | dict.fromkeys(("fits", "lesson", "heard"))])
+    return pl.DataFrame([row])
 
 
 @stage
 def prognosis(
-    prognosis_base: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+    prognosis_base: pl.DataFrame,
+    raw_messages: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    calibration_dsm: pl.DataFrame,
+    calibration_laws: pl.DataFrame,
+    home: Home,
 ) -> StageResult:
-    """Time to the failure message: the base corrected by the fleet's own lives, each tail judged by the others'.
+    """Time to the failure message: the base corrected by the lives of the months before, each tail judged by others'.
 
     A base that does worse than the one in service is not promoted.
     """
@@ -38,31 +46,54 @@ def prognosis(
     asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
     # what a flight asked is kept beside the features, of which it would be a fifth
     features = described.join(asks, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
-    stored = home.store.read("prognosis_model")
+    stored = home.store.read("prognosis_model").sort("month")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
-    served = update_model(candidate, last, record)
-    pictures = night_pictures(features, served.prognoses, raw_maintenance)
-    base = prognosis_base if served.model.hazard is candidate.hazard else stored
+    update = update_model(candidate, last, record, _design(calibration_dsm, calibration_laws))
+    pictures = night_pictures(features, update.prognoses, raw_maintenance)
+    base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = told_lives(features, record.lives())
-    return StageResult((served.prognoses, _kept(served, base["model"][0]), lives), pictures)
+    return StageResult((update.prognoses, _rows(update, base["model"][-1]), lives), pictures)
 
 
 READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))
 """Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
 
 
+def _design(calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame) -> str:
+    """Digest of what features and prognoses follow from beside the record: models, laws and the code of each stage."""
+    codes = [(table, LINEAGE[table].code) for table in sorted({*FOLLOWED["prognosis"], "prognoses"})]
+    content = [calibration_dsm["dsm_version"].to_list(), calibration_laws.sort("name")["laws"].to_list(), codes]
+    return hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
+
+
 def _served(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
-    """What served until now; None where there is none, or none that says what it has spoken about."""
-    if not stored.height or stored["heard"][0] is None or stored["fits"][0] is None:
+    """What served until now; None where there is none, or one that had no months."""
+    if not stored.height or stored["month"].has_nulls():
         return None
-    row = stored.row(0, named=True)
-    model = with_fits(loaded(row["model"]), json.loads(row["fits"]))
-    return ModelUpdate(model, store.read("prognoses"), json.loads(row["card"]), row["lesson"], json.loads(row["heard"]))
+    base = loaded(stored["model"][-1])
+    months = {
+        row["month"]: MonthModel(
+            with_fits(base, json.loads(row["fits"])),
+            json.loads(row["card"]),
+            read_digest(row["training_digest"]),
+            json.loads(row["scored_flights"]),
+            json.loads(row["service"]),
+        )
+        for row in stored.iter_rows(named=True)
+    }
+    return ModelUpdate(months, store.read("prognoses"))
 
 
-def _kept(served: ModelUpdate, base: bytes) -> pl.DataFrame:
-    """The model in service as a row: its base as it came, what the fleet taught beside it."""
-    row = {"model_version": served.model.version, "card": json.dumps(served.card), "model": base}
-    row |= {"fits": json.dumps(fits_to_json(served.model)), "lesson": served.digest, "heard": json.dumps(served.scored)}
-    return pl.DataFrame([row])
+def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:
+    """The models as rows: what each month's record taught, and with the newest the base as it came."""
+    rows = [
+        {
+            "month": month, "model_version": own.model.version, "card": json.dumps(own.card),
+            "service": json.dumps(own.service), "fits": json.dumps(fits_to_json(own.model)),
+            "training_digest": own.digest.to_json(), "scored_flights": json.dumps(own.scored),
+            "model": base if own is update.newest else None,
+        }
+        for month, own in sorted(update.months.items())
+    ]  # fmt: skip
+    return pl.DataFrame(rows, infer_schema_length=None)

@@ -85,7 +85,7 @@ def read_facts(home: Path) -> Facts:
     """Everything the page shows."""
     with connect(home) as con:
         frames = {name: _frame(con, sql) for name, sql in _FRAMES.items()}
-        cards = con.execute("select card from tables.prognosis_model limit 1").fetchall()
+        cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}
         segment = _segment(con)

@@ -82,7 +82,7 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
     with connect(home) as con:
         told = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
         checks = [(name, _rows_of(con, sql)) for name, sql in _checks()]
-        cards = con.execute("select card from tables.prognosis_model limit 1").fetchall()
+        cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         configuration = frozen(con, list(accepted_terms(home)))
     return document(
         f"Dossier of a prognostic system, {datetime.now(UTC):%Y-%m-%d}",

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.message_rule import PRIOR, learn_rules
+from hdt_core.prognosis import message_rule
+from hdt_core.prognosis.message_rule import PRIOR
 
 
 def lives(n: int, excess_k: float, of: int, seed: int = 0) -> tuple[dict[float, np.ndarray], np.ndarray]:
@@ -20,6 +21,10 @@ def first_met(overheat: np.ndarray, excess_k: float, of: int) -> int:
     """The second hot flight of `of`, the first where it is one."""
     hot = overheat > excess_k
     return next((k for k in range(len(hot)) if hot[k] and (of == 1 or hot[max(k - of + 1, 0) : k].any())), -1)
+
+
+def learn_rules(overheat, message, operator):
+    return message_rule.learn_rules(message_rule.first_met(list(overheat.values())), message, operator)
 
 
 def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
@@ -142,111 +141,18 @@ def test_service_keeps_the_model_that_does_better(fleet, fitted):
     blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
     first = update_model(model, None, record)
-    assert first.card["promoted"]
-    assert first.card["scores"]["failures"] > 5
+    assert first.newest.service["promoted"]
+    assert first.newest.card["scores"]["failures"] > 5
     again = update_model(blind, first, record)
-    assert not again.card["promoted"]
-    assert "worse" in again.card["promotion"]
-    assert again.model.version == first.model.version
+    assert not again.newest.service["promoted"]
+    assert "worse" in again.newest.service["promotion"]
+    assert again.newest.model.version == first.newest.model.version
     assert again.prognoses.equals(first.prognoses)
-    better = update_model(model, replace(first, model=blind, digest="another"), record)
-    assert better.card["promoted"]
-    assert better.model.version == first.model.version
-
-
-def test_what_was_served_night_by_night_is_what_one_night_serves(fleet, base):
-    """Within a month and over its end."""
-    whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
-    last, learned = None, set()
-    for record in (whole.before(at), whole.before(at + timedelta(days=1)), whole.before(at + timedelta(days=3))):
-        last = update_model(base, last, record)
-        learned.add(last.model.version)
-        alone = update_model(base, None, record)
-        assert last.prognoses.equals(alone.prognoses)
-        assert last.scored == alone.scored
-    assert len(learned) == 2
-
-
-def without(record, share):
-    """The record, and the same less a share of the flights of months past, from all over the fleet."""
-    past = record.features.filter(pl.col("departed_at") < record.month())["flight_id"].unique().sort()
-    late = past.gather_every(round(1 / share))
-    return replace(record, features=record.features.filter(~pl.col("flight_id").is_in(late.implode()))), late
-
-
-def test_few_late_flights_are_spoken_about_at_once_and_learned_from_next_month(fleet, base):
-    whole, at = FleetRecord(*fleet), datetime(2024, 3, 30, tzinfo=UTC)
-    one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
-    missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))
-    first = update_model(base, None, missed.before(at))
-    marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = update_model(base, marked, whole.before(at))
-    assert after.model.version == first.model.version
-    assert after.digest == first.digest  # it stays on record what was learned from
-    assert after.card["late_flights_not_learned_from"] == 2  # of two packs
-    flight = after.prognoses.filter(flight_id=one)
-    assert flight.height == 4
-    assert not (flight["p_event_50"] == 0.123).any()
-    tail, moment = flight.row(0, named=True)["tail"], flight["departed_at"][0]
-    others = after.prognoses.filter((pl.col("tail") != tail) | (pl.col("departed_at") < moment - timedelta(days=60)))
-    assert others.height
-    assert (others["p_event_50"] == 0.123).all(), "what was said of a flight stands while what it follows from does"
-    alone = update_model(base, None, whole.before(at)).prognoses
-    told, clean = (p.filter(component="HX").sort("tail", "departed_at", "pack") for p in (after.prognoses, alone))
-    moved = (told.filter(flight_id=one)["p_event_50"] - clean.filter(flight_id=one)["p_event_50"]).abs()
-    assert moved.max() < 0.01
-    month_on = at + timedelta(days=3)
-    assert update_model(base, after, whole.before(month_on)).prognoses.equals(
-        update_model(base, None, whole.before(month_on)).prognoses
-    )
-
-
-@pytest.mark.parametrize("share", [0.5, 0.05])
-def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
-    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = update_model(base, None, without(record, share)[0])
-    after = update_model(base, first, record)
-    assert after.card["learned_because"]
-    assert after.prognoses.equals(update_model(base, None, record).prognoses)
-
-
-def test_a_late_message_is_learned_from_at_once(fleet, base):
-    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    failed = record.before(record.month()).lives().filter("failed").row(0, named=True)
-    own = (pl.col("tail") == failed["tail"]) & (pl.col("pack") == failed["pack"])
-    unheard = replace(record, messages=record.messages.filter(~own))
-    after = update_model(base, update_model(base, None, unheard), record)
-    assert after.card["learned_because"].startswith("lives that had ended are told otherwise")
-    assert after.prognoses.equals(update_model(base, None, record).prognoses)
-
-
-def test_health_that_moved_is_learned_from_at_once(fleet, base):
-    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = update_model(base, None, record)
-    moved = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
-    after = update_model(base, first, moved)
-    assert after.card["learned_because"] == "hx_fouling of earlier flights moved"
-    assert after.prognoses.equals(update_model(base, None, moved).prognoses)
-
-
-def test_what_was_learned_before_there_were_lessons_is_learned_anew(fleet, base):
-    record = FleetRecord(*fleet).before(datetime(2024, 3, 30, tzinfo=UTC))
-    first = update_model(base, None, record)
-    after = update_model(base, replace(first, digest="0123456789abcdef0123"), record)
-    assert after.card["learned_because"] == "no model is in service of which it is known what it learned from"
-    assert after.prognoses.equals(first.prognoses)
-
-
-def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
-    at = datetime(2024, 3, 10, tzinfo=UTC)
-    first = update_model(base, None, FleetRecord(*fleet).before(at))
-    marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = update_model(base, marked, FleetRecord(*fleet).before(at + timedelta(days=1)))
-    kept = after.prognoses.filter(pl.col("departed_at") < at)
-    assert (kept["p_event_50"] == 0.123).all()
-    new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")
-    assert new.height == 8 * 2 * 3
-    assert not (new["p_event_50"] == 0.123).any()
+    kept = update_model(blind, again, record)
+    assert kept.newest.service == again.newest.service
+    better = update_model(model, update_model(blind, None, record), record)
+    assert better.newest.service["promoted"]
+    assert better.newest.model.version == first.newest.model.version
 
 
 def _contrary(seed: int) -> HistGradientBoostingClassifier:
