@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hdt_core.tables import TABLES
+from hdt_core.tables import TABLES, hindsight
+from hdt_core.tables.hindsight import DESIGN, REVISIONS
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import declared, meaning, read_header
 from pipelines.storage.publication import ordered, publish, views
@@ -25,7 +26,15 @@ those of a component declared later: `describe tables.features` lists what a cat
 
 def dictionary() -> str:
     """The page."""
-    parts = [_TITLE, "## Views\n", *_views(), "## Tables\n", *_tables()]
+    parts = [
+        _TITLE,
+        "## Views\n",
+        *_views(),
+        "## Tables\n",
+        *_tables(),
+        "## What a later night may change\n",
+        *_revised(),
+    ]
     return "\n".join(parts).rstrip() + "\n"
 
 
@@ -66,6 +75,12 @@ def _tables() -> list[str]:
         ]
         parts.append(_table(("column", "type", "span", "null", "meaning"), rows))
     return parts
+
+
+def _revised() -> list[str]:
+    """What does not stand as the night of its flight left it."""
+    rows = [(", ".join(f"`{t}`" for t in r.tables), ", ".join(f"`{n}`" for n in r.names), r.why) for r in REVISIONS]
+    return [f"{hindsight.__doc__}\n{DESIGN}\n", _table(("table or view", "column or parameter", "why"), rows)]
 
 
 def _span(column: Any) -> str:
