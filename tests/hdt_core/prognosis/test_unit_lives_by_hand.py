@@ -32,8 +32,9 @@ def flown(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
 
 def told(*rows: tuple[int, str], tail: str = "T-1") -> pl.DataFrame:
     """Messages: on which flight, which code."""
-    schema = {"flight_id": pl.String, "code": pl.String}
-    frame = pl.DataFrame([(f"{tail}_{k:03d}", code) for k, code in rows], schema=schema, orient="row")
+    schema = {"flight_id": pl.String, "code": pl.String, "message_time": pl.Datetime("us", "UTC")}
+    sent = [(f"{tail}_{k:03d}", code, START + timedelta(k)) for k, code in rows]
+    frame = pl.DataFrame(sent, schema=schema, orient="row")
     return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
 
 
@@ -134,7 +135,7 @@ def described(n: int, tail: str, loss: float) -> pl.DataFrame:
 
 
 def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
-    """Three tails: one fails at 0.15 in February, one at 0.30 in March; the third is judged by what had come."""
+    """Three tails: one fails at 0.15 in February, one at 0.30 in March; a flight knows those of the months before."""
     rows = pl.concat([described(100, "T-1", 0.15), described(100, "T-2", 0.30), described(100, "T-3", 0.12)])
     messages = pl.concat([told((0, HX_CODE), (40, CC_CODE)), told((70, CC_CODE), tail="T-2")])
     entries = pl.concat([log((44, "CC", "REPLACED", "")), log((74, "CC", "REPLACED", ""), tail="T-2")])
@@ -153,7 +154,8 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
         return found.filter(tail=tail, flight_id=f"{tail}_{flight:03d}").row(0, named=True)
 
     for tail, flight, levels, loss in (
-        ("T-3", 40, [], 0.12), ("T-3", 61, [0.15], 0.12), ("T-3", 70, [0.15], 0.12), ("T-3", 99, [0.15, 0.30], 0.12),
+        ("T-3", 40, [], 0.12), ("T-3", 59, [], 0.12), ("T-3", 60, [0.15], 0.12), ("T-3", 90, [0.15], 0.12),
+        ("T-3", 91, [0.15, 0.30], 0.12), ("T-3", 99, [0.15, 0.30], 0.12),
         ("T-1", 99, [0.30], 0.15), ("T-2", 99, [0.15], 0.30),
     ):  # fmt: skip
         by, row = want(levels, loss), said(tail, flight)
@@ -161,6 +163,9 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
         assert row["rul_flights"] == pytest.approx(quantile(by, 0.5)[0])
         assert (row["rul_low"], row["rul_high"]) == pytest.approx((quantile(by, 0.05)[0], quantile(by, 0.95)[0]))
         assert row["beyond_horizon"] == (row["rul_flights"] >= 300.0)
+    versions = found.filter(tail="T-3").group_by(pl.col("departed_at").dt.month()).agg(pl.col("model_version").unique())
+    assert versions["model_version"].list.len().to_list() == [1] * 4
+    assert versions["model_version"].explode().n_unique() == 4
 
 
 def test_where_nobody_would_tell_a_unit_may_have_failed_already():
