@@ -22,8 +22,8 @@ from hdt_core.health.sensor_checks import witnesses as testify
 from hdt_core.margin.control_schedules import learn_schedules
 from hdt_core.margin.exchanger_demand import CRITICAL, exchanger_demand
 from hdt_core.prognosis.feature_rows import ASKS
-from hdt_core.prognosis.model import out_of_fold
-from hdt_core.prognosis.unit_lives import episodes
+from hdt_core.prognosis.fleet_record import FleetRecord
+from hdt_core.prognosis.service import update_model
 from hdt_core.records.keys import PACK
 from hdt_core.tracking.track import track
 from pipelines.baseline import told_by_then
@@ -97,9 +97,9 @@ def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFram
 
 
 def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Made:
-    """Prognoses of each tail by what the others taught."""
-    lives = episodes(features, messages, maintenance)
-    return {"lives": lives, "prognoses": out_of_fold(features, lives, base=shipped_base())}
+    """Prognoses of each tail by what the others had taught when the month began."""
+    record = FleetRecord(features, messages, maintenance)
+    return {"lives": record.lives(), "prognoses": update_model(shipped_base(), None, record).prognoses}
 
 
 STEPS: tuple[Callable[..., Made], ...] = (
