@@ -13,11 +13,13 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES, SEEN, Panel, feature_rows, record_rows
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
-from hdt_core.prognosis.recalibrate import learn_levels
+from hdt_core.prognosis.recalibrate import NOMINAL, Levels, learn_levels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
+WIDE = (0.025, 0.5, 0.975)
+"""Levels of a 95 % interval, which some publish."""
 SAMPLES, CUTS = 200_000, 20
 """Of (row, span) a model is fitted to; cuts of each life that levels are learned from."""
 
@@ -39,11 +41,12 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Foretold:
-    """What was said of some rows: P(end within `EDGES` cycles), and the interval."""
+    """Forecasts of some rows: P(end within `EDGES` cycles), the 90 % interval and the 95 % interval."""
 
     by: Array
     low: Array
     high: Array
+    wide: tuple[Array, Array]
 
 
 def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Array:
@@ -77,18 +80,22 @@ def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0
     seed : int
         Draws samples and cuts.
     """
-    held, told = np.empty((teach.left.size, EDGES.size)), []
+    held, forecasts = np.empty((teach.left.size, EDGES.size)), []
     for fold in np.unique(teach.fold):
         inside = teach.fold == fold
         model = _fitted(teach.of(~inside), seed)
         held[inside] = event_by(hazards([model], teach.x[inside]))
-        told.append(event_by(hazards([model], asked)))
+        forecasts.append(event_by(hazards([model], asked)))
     chosen = np.arange(teach.left.size) if seen is None else seen
     cut = _cuts(teach.unit[chosen], chosen, seed)
-    ended = np.ones(cut.size, dtype=bool)
-    levels = learn_levels(held[cut], teach.left[cut], ended, teach.unit[cut], prior_lives=0.0)
+    rows = held[cut], teach.left[cut], np.ones(cut.size, dtype=bool), teach.unit[cut]
     whole = event_by(hazards([_fitted(teach, seed)], asked))
-    return Foretold(np.mean([*told, whole], axis=0), quantile(whole, levels[0]), quantile(whole, levels[2]))
+
+    def interval(nominal: Levels) -> tuple[Array, Array]:
+        levels = learn_levels(*rows, prior_lives=0.0, nominal=nominal)
+        return quantile(whole, levels[0]), quantile(whole, levels[2])
+
+    return Foretold(np.mean([*forecasts, whole], axis=0), *interval(NOMINAL), interval(WIDE))
 
 
 def _fitted(teach: Rows, seed: int) -> HistGradientBoostingClassifier:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import ge, gt, le, lt
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ class Score:
             low, high = map(float, words[0].split("-"))
             return low <= self.value <= high
         bound = float(words[1])
-        return {"<": self.value < bound, "<=": self.value <= bound, ">=": self.value >= bound}[words[0]]
+        return bool({"<": lt, "<=": le, ">": gt, ">=": ge}[words[0]](self.value, bound))
 
 
 @dataclass(frozen=True, slots=True)

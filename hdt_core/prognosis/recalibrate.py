@@ -97,6 +97,7 @@ def learn_levels(
     life: NDArray[np.int_],
     prior: Levels = NOMINAL,
     prior_lives: float = 20.0,
+    nominal: Levels = NOMINAL,
 ) -> Levels:
     """Quantile levels at which the distribution is told: distributional conformal prediction with censored lives.
 
@@ -110,6 +111,8 @@ def learn_levels(
         Levels from simulated lives.
     prior_lives : float
         Weight of the prior, in failed lives.
+    nominal : tuple of float
+        Levels that are wanted: lower, middle and upper point.
 
     Notes
     -----
@@ -129,7 +132,7 @@ def learn_levels(
     lives = np.unique(life[within]).size
     share = lives / (lives + prior_lives)
     reached = np.append(1.0 - alive.probabilities, 1.0)
-    own = [float(np.append(alive.quantiles, 1.0)[np.searchsorted(reached, level)]) for level in NOMINAL]
+    own = [float(np.append(alive.quantiles, 1.0)[np.searchsorted(reached, level)]) for level in nominal]
     low, middle, high = ((1.0 - share) * p + share * o for p, o in zip(prior, own, strict=True))
     return low, middle, high
 

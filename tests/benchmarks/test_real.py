@@ -56,6 +56,16 @@ def test_a_valve_that_shuts_is_found_while_it_is_shut(rig):
     assert skab.RECIPE.found(rig.parent) == rig
 
 
+def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
+    """A fault's label among the rows that teach would be a miss that no detector can help."""
+    folder = tmp_path / "skab"
+    for file in skab.files(rig):
+        rows = pl.read_csv(file, separator=";").with_row_index("row")
+        label = pl.when(pl.col("row") < 100).then(1.0).otherwise("anomaly").alias("anomaly")
+        write_csv(rows.with_columns(label).drop("row"), folder / f"{file.parent.name}_{file.name}")
+    assert [score.value for score in skab.run(folder).scores] == [score.value for score in skab.run(rig).scores]
+
+
 @pytest.fixture(scope="module")
 def turbines(tmp_path_factory):
     """CARE's layout: two normal stretches, two faults that grow for a week."""
@@ -149,6 +159,26 @@ def test_bounds_say_what_a_short_record_can_not_tell():
     assert (told.low, told.high) == (50.0, np.inf)
 
 
+def test_the_challenge_s_penalty_is_the_published_one():
+    """exp(-d / 13) - 1 for early, exp(d / 10) - 1 for late forecasts, summed; d is forecast less truth."""
+    assert cmapss.phm_score(np.array([-13.0, 10.0, 0.0])) == pytest.approx(2.0 * (np.e - 1.0))
+
+
+def test_capped_and_uncapped_lives_are_scored_apart():
+    """Two engines with 50 and 200 cycles left; ends between 50 and 65, and between 125 and 150, are forecast: 57.5, 137.5."""
+    by = np.stack([np.where(cmapss.EDGES >= end, 1.0, 0.0) for end in (65.0, 150.0)])
+    low, high = np.array([40.0, 100.0]), np.array([70.0, 160.0])
+    forecast = cmapss.Foretold(by, low, high, (low, high))
+    scores = {s.name: s.value for s in cmapss.scores("FD001", forecast, np.array([50.0, 200.0]))}
+    rmse = {"lives capped at 125": (7.5, 0.0), "lives uncapped, forecast capped": (7.5, 75.0)}
+    rmse |= {"lives and forecast uncapped": (7.5, 62.5)}
+    for name, errors in rmse.items():
+        assert scores[f"FD001: RMSE, {name} [cycles]"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
+    assert scores["FD001: 95 % interval, lives capped at 125, coverage"] == 1.0
+    assert scores["FD001: 90 % interval, lives uncapped, coverage"] == 0.5
+    assert scores["FD001: 95 % interval, lives capped at 125, width [cycles]"] == pytest.approx((30.0 + 25.0) / 2.0)
+
+
 def test_a_flight_condition_that_differs_costs_the_turbofans_nothing(tmp_path):
     """FD002's six conditions laid over FD001's own sensors: the health track stays, for regimes are told apart."""
     folder = cmapss.Path(__file__).parents[1] / "data" / "cmapss"
@@ -188,7 +218,16 @@ def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("goal", "value", "held"), [("< 16.2", 16.2, False), ("0.88-0.92", 0.9, True), ("", 1.0, None)]
+    ("goal", "value", "held"),
+    [
+        ("< 16.2", 16.2, False),
+        ("<= 0.1", 0.1, True),
+        ("> 0.78", 0.78, False),
+        (">= 0.8", 0.8, True),
+        ("0.88-0.92", 0.9, True),
+        ("0.88-0.92", 0.93, False),
+        ("", 1.0, None),
+    ],
 )
 def test_a_goal_is_held_or_not(goal, value, held):
     assert Score("", value, 0.0, 1.0, goal).held is held
