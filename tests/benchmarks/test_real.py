@@ -165,8 +165,8 @@ def test_the_challenge_s_penalty_is_the_published_one():
 
 
 def test_capped_and_uncapped_lives_are_scored_apart():
-    """Two engines with 50 and 200 cycles left; ends between 50 and 65, and between 125 and 150, are forecast: 57.5, 137.5."""
-    by = np.stack([np.where(cmapss.EDGES >= end, 1.0, 0.0) for end in (65.0, 150.0)])
+    """Two engines with 50 and 200 cycles left; the forecast ends lie between 50 and 65, and between 125 and 150."""
+    by = np.stack([np.where(end <= cmapss.EDGES, 1.0, 0.0) for end in (65.0, 150.0)])
     low, high = np.array([40.0, 100.0]), np.array([70.0, 160.0])
     forecast = cmapss.Foretold(by, low, high, (low, high))
     scores = {s.name: s.value for s in cmapss.scores("FD001", forecast, np.array([50.0, 200.0]))}
