@@ -1,4 +1,12 @@
-"""Alerts on fleets whose truth is known: lead, false alarms, and whether the diagnosis named the cause."""
+"""Alerts by component on fleets whose truth is recorded: precision, recall, rate, lead, and cause at hand.
+
+An alert is right where a message, a confirmed finding or the true fault of its own component follows within `FOLLOWED`
+flights. A failure is alerted where an alert of its own component and unit was raised or open in the `BEFORE` flights
+before it.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -6,148 +14,233 @@ import polars as pl
 from benchmarks.detection import GROUP
 from benchmarks.fleets import Frames
 from benchmarks.harness import markdown
+from hdt_core.alerts.threshold_study import trials
 
 PACK = ["tail", "pack"]
-SOON = 300
-"""Flights within which an alert of low margin foretells the message."""
+FOLLOWED, BEFORE = 200, 300
+COMPONENTS = {"HX": "exchanger", "CC": "compressor", "RAM_DOOR": "ram door", "SENSOR": "sensors"}
+CONFIRMED = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED")
+WORN = {"HX": 0.15, "CC": 0.05}
+"""True loss that counts as the fault of a part that wears: that at which its rule alerts. [-]"""
+AT_HAND = {"HX": 0.05, "CC": 0.05}
+"""True loss at which an alert has its own cause at hand. [-]"""
+
+
+class Tally(NamedTuple):
+    """Alerts and failures of some fleets, one row each, with what they are judged by."""
+
+    alerts: pl.DataFrame
+    failures: pl.DataFrame
+    flights: int
+
+
+def tally(fleet: Frames, alerts: pl.DataFrame | None = None) -> Tally:
+    """Judge a fleet's alerts, or others raised on the same record."""
+    truth = causes(fleet["truth"])
+    placed = place_alerts(fleet["alerts"] if alerts is None else alerts, fleet["truth"])
+    failures = _failures(fleet["events"])
+    packs = dict(truth.group_by(*PACK))
+    findings = _findings(fleet["maintenance"], fleet["truth"])
+    judged = [_judge_alert(a, packs[a["tail"], a["pack"]], failures, findings) for a in placed.iter_rows(named=True)]
+    marks = pl.DataFrame(judged, schema=dict.fromkeys(Marks._fields, pl.Boolean), orient="row")
+    raised = [_alerted(f, placed) for f in failures.iter_rows(named=True)]
+    failures = failures.with_columns(lead=pl.Series(raised, dtype=pl.Float64))
+    flights = fleet["truth"].filter("arrived")["flight_id"].n_unique()
+    return Tally(pl.concat([placed, marks], how="horizontal"), failures.select("tail", "component", "lead"), flights)
+
+
+def together(parts: list[Tally]) -> Tally:
+    """Some fleets as one."""
+    alerts, failures, flights = zip(*parts, strict=True)
+    return Tally(pl.concat(alerts), pl.concat(failures), sum(flights))
 
 
 def causes(truth: pl.DataFrame) -> pl.DataFrame:
-    """What was wrong on or near each flight: one flag a cause, by flight and pack."""
+    """True faults by flight and pack: `at` hand on or near the flight, and `fault` on it, of each component."""
 
     def near(flag: pl.Expr, before: int, after: int) -> pl.Expr:
-        seen = flag.cast(pl.Int8).rolling_max(before + after + 1, min_samples=1).shift(-after)
-        return seen.fill_null(strategy="forward").over(*PACK) > 0
+        window = flag.cast(pl.Int8).rolling_max(before + after + 1, min_samples=1).shift(-after)
+        return window.fill_null(strategy="forward").over(*PACK) > 0
 
-    loss = 1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
+    losses = {"HX": 1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio"), "CC": pl.col("cc_eff_loss")}
+    flags = {"RAM_DOOR": pl.col("door_fault"), "SENSOR": pl.col("sensor_fault") != ""}
     jump = (pl.col("blockage") - pl.col("blockage").shift(3).over(*PACK)).fill_null(0.0) > 0.08
-    rows = truth.sort(*PACK, "index").with_columns(loss=loss, jump=jump)
+    rows = truth.sort(*PACK, "index").with_columns(jump=jump)
     return rows.select(
         *PACK,
-        "flight_id",
         "index",
-        "loss",
-        HX=pl.col("loss") >= 0.05,
-        CC=pl.col("cc_eff_loss") >= 0.05,
-        RAM_DOOR=near(pl.col("door_fault"), 8, 2),
-        SENSOR=near(pl.col("sensor_fault") != "", 8, 2),
+        loss=losses["HX"],
         ice=near(pl.col("icing"), 3, 0),
         clog=near(pl.col("jump"), 40, 0),
+        **{f"at_{c}": loss >= AT_HAND[c] for c, loss in losses.items()},
+        **{f"at_{c}": near(flag, 8, 2) for c, flag in flags.items()},
+        **{f"fault_{c}": loss >= WORN[c] for c, loss in losses.items()},
+        **{f"fault_{c}": flag for c, flag in flags.items()},
     )
 
 
-def tally(fleet: Frames) -> pl.DataFrame:
-    """Everything the alerts are judged by, long: tail, what, value."""
-    about = causes(fleet["truth"])
-    alerts = (
-        fleet["alerts"]
-        .join(about, left_on=[*PACK, "raised_flight_id"], right_on=[*PACK, "flight_id"])
-        .with_columns(pl.col("diagnosis").replace_strict(GROUP).alias("group"))
+def place_alerts(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
+    """Alerts with the component they name and the pack's flights between which they were open."""
+    flights = truth.sort("departed_at").select(*PACK, "flight_id", "index", "departed_at")
+    at = flights.rename({"flight_id": "raised_flight_id", "index": "raised"}).drop("departed_at")
+    ends = flights.select(*PACK, closed_at="departed_at", closed="index")
+    placed = alerts.join(at, on=[*PACK, "raised_flight_id"], validate="m:1")
+    placed = placed.sort("closed_at").join_asof(
+        ends.sort("closed_at"), on="closed_at", by=PACK, strategy="forward", check_sortedness=False
     )
-    alerts = alerts.with_columns(low_margin=low_margin_rightly(alerts, fleet["events"]))
-    own = pl.any_horizontal([(pl.col("group") == g) & pl.col(g) for g in ("HX", "CC", "RAM_DOOR", "SENSOR")])
-    own |= pl.col("low_margin")
-    fault = pl.any_horizontal("HX", "CC", "RAM_DOOR", "SENSOR", "ice", "low_margin")
-    hx = pl.col("group") == "HX"
-    told = alerts.select(
-        "tail",
-        false=(~fault).cast(pl.Float64),
-        false_hx=(~fault & hx).cast(pl.Float64),
-        early=(hx & (pl.col("loss") < 0.15) & ~pl.col("low_margin")).cast(pl.Float64),
-        not_own=(~own).cast(pl.Float64),
-        right=pl.when(fault).then(own.cast(pl.Float64)),
+    group = pl.col("diagnosis").replace_strict(GROUP).alias("component")
+    return placed.select(*PACK, "diagnosis", group, "raised", "closed").sort(*PACK, "raised")
+
+
+class Marks(NamedTuple):
+    """What an alert is judged by."""
+
+    by_message: bool
+    """The message of its component followed within `FOLLOWED` flights."""
+    right: bool
+    """So did that, a confirmed finding or the true fault."""
+    own: bool
+    """Its own cause was at hand; for `HX_LOW_MARGIN`, which is about reserve, or a message within `BEFORE` flights."""
+    any_cause: bool
+    """Something was wrong with the pack."""
+    early: bool
+    """Raised for wear of an exchanger that had lost less than 15 %."""
+
+
+def _judge_alert(alert: dict, truth: pl.DataFrame, failures: pl.DataFrame, findings: pl.DataFrame) -> Marks:
+    component, first = alert["component"], alert["raised"]
+    own_failures = _own(failures, alert).filter(pl.col("wears"))["at"].to_numpy()
+    message = bool(((own_failures >= first) & (own_failures <= first + FOLLOWED)).any())
+    ahead = truth.filter(pl.col("index").is_between(first, first + FOLLOWED))
+    finding = bool(_own(findings, alert)["at"].is_between(first, first + FOLLOWED).any())
+    now = truth.row(by_predicate=pl.col("index") == first, named=True)
+    low = alert["diagnosis"] == "HX_LOW_MARGIN"
+    soon = low and bool(((own_failures > first) & (own_failures <= first + BEFORE)).any())
+    own = now[f"at_{component}"] or soon
+    cause = own or now["ice"] or any(now[f"at_{c}"] for c in COMPONENTS)
+    early = component == "HX" and now["loss"] < WORN["HX"] and not soon
+    return Marks(message, message or finding or bool(ahead[f"fault_{component}"].any()), own, cause, early)
+
+
+def _own(rows: pl.DataFrame, alert: dict) -> pl.DataFrame:
+    """Those of an alert's pack and component."""
+    return rows.filter(tail=alert["tail"], pack=alert["pack"], component=alert["component"])
+
+
+def _failures(events: pl.DataFrame) -> pl.DataFrame:
+    """Messages of parts that wear and faults of doors and sensors: when the alert may begin, and must have come."""
+    wears = pl.col("component").is_in(["HX", "CC"])
+    ends = pl.when(wears).then("message_index").otherwise(pl.col("removal_index").fill_null(10**9) + 3)
+    begins = pl.when(wears).then(pl.col("installed_index").fill_null(0)).otherwise("onset_index")
+    rows = events.select(*PACK, "component", wears=wears, begins=begins, at=ends)
+    return rows.filter(pl.col("component").is_in(list(COMPONENTS))).drop_nulls(["begins", "at"])
+
+
+def _alerted(failure: dict, alerts: pl.DataFrame) -> float | None:
+    """Flights from the first alert that counts to the failure, of a door or sensor from its onset; None if missed."""
+    begins, at = failure["begins"], failure["at"]
+    last_look = at - BEFORE if failure["wears"] else begins
+    still_open = pl.col("closed").is_null() | (pl.col("closed") > last_look)
+    own = _own(alerts, failure).filter(pl.col("raised").is_between(begins, at, closed="left") & still_open)
+    raised = own["raised"].min()
+    return None if raised is None else float(at - raised if failure["wears"] else raised - begins)
+
+
+def _findings(maintenance: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
+    """Confirmed findings with the pack's first flight on or after their day."""
+    flights = truth.select(*PACK, "index", day=pl.col("departed_at").dt.date()).sort("day")
+    confirmed = maintenance.filter(pl.col("finding").is_in(CONFIRMED)).sort("done_on")
+    placed = confirmed.join_asof(
+        flights, left_on="done_on", right_on="day", by=PACK, strategy="forward", check_sortedness=False
     )
-    flights = fleet["truth"].filter("arrived").select("tail", "flight_id").unique().group_by("tail").len("flights")
-    parts = [
-        told.unpivot(index="tail", variable_name="what").drop_nulls(),
-        flights.unpivot(index="tail", variable_name="what").cast({"value": pl.Float64}),
-        _found(fleet["events"], alerts),
-    ]
-    return pl.concat(parts)
+    return placed.select(*PACK, "component", at="index").drop_nulls()
 
 
-def low_margin_rightly(alerts: pl.DataFrame, events: pl.DataFrame) -> pl.Series:
-    """Whether a message followed an alert of low margin within `SOON` flights: it speaks of reserve, not of wear."""
-    ended = events.filter((pl.col("component") == "HX") & pl.col("message_index").is_not_null())
-    ends = {key: own["message_index"].to_numpy() for key, own in ended.group_by(*PACK)}
-    said = alerts.select(*PACK, "index", "diagnosis").iter_rows()
-    right = [d == "HX_LOW_MARGIN" and any(0 < e - at <= SOON for e in ends.get((t, p), ())) for t, p, at, d in said]
-    return pl.Series(right, dtype=pl.Boolean)
+def figures_of(judged: Tally, component: str) -> dict[str, float]:
+    """Figures of one component's alerts; NaN where there is none to judge."""
+    own = judged.alerts.filter(component=component)
+    failures = judged.failures.filter(component=component)
+    lead = failures["lead"].drop_nulls().to_numpy()
+    per = 1000.0 / judged.flights
+    return {
+        "failures": failures.height,
+        "alerted": lead.size / failures.height if failures.height else np.nan,
+        "lead or delay, median": float(np.median(lead)) if lead.size else np.nan,
+        "alerts": own.height,
+        "in 1,000 flights": own.height * per,
+        "a failure": own.height / failures.height if failures.height else np.nan,
+        "right within 200": _mean(own["right"]),
+        "message within 200": _mean(own["by_message"]) if component in WORN else np.nan,
+        "without own cause in 1,000": float((~own["own"]).sum()) * per,
+        "without any cause in 1,000": float((~own["any_cause"]).sum()) * per,
+    }
 
 
-def _found(events: pl.DataFrame, alerts: pl.DataFrame) -> pl.DataFrame:
-    """Lead of each failure [flight, 0 when missed] and whether each fault was found."""
-    rows = []
-    for e in events.iter_rows(named=True):
-        component, wear = e["component"], e["component"] in ("HX", "CC")
-        if e["message_index" if wear else "onset_index"] is None:
-            continue
-        low = max(e["onset_index"] or 0, e["installed_index"] or 0)
-        high = e["message_index"] if wear else (e["removal_index"] or 10**9) + 3
-        # little margin may be seen before wear has set in
-        since = pl.when(pl.col("diagnosis") == "HX_LOW_MARGIN").then(e["installed_index"] or 0).otherwise(low)
-        at = alerts.filter(
-            pl.col("tail") == e["tail"], pl.col("pack") == e["pack"], pl.col("group") == component,
-            pl.col("index") >= since, pl.col("index") < high,
-        )["index"].min()  # fmt: skip
-        rows.append((e["tail"], f"found_{component}", float(at is not None)))
-        if wear:
-            rows.append((e["tail"], f"lead_{component}", 0.0 if at is None else float(high - at)))
-    return pl.DataFrame(rows, schema={"tail": pl.String, "what": pl.String, "value": pl.Float64}, orient="row")
+def overall(judged: Tally) -> dict[str, float]:
+    """Figures over all components, and of the exchanger's failures."""
+    exchanger, per = figures_of(judged, "HX"), 1000.0 / judged.flights
+    explained = judged.alerts.filter("any_cause")
+    return {
+        "alerted": exchanger["alerted"],
+        "lead": exchanger["lead or delay, median"],
+        "early": float(judged.alerts["early"].sum()) * per,
+        "false": float((~judged.alerts["any_cause"]).sum()) * per,
+        "diagnosis": _mean(explained["own"]),
+    }
 
 
-ALERT_GOALS = {
-    "exchanger failures alerted before the message": "1.00",
-    "lead, median [flights]": "180",
-    "lead, 10th percentile [flights]": "50",
-    "alerts below 15 % loss in 1,000 flights": "2",
-    "false alarms in 1,000 flights": "1",
-    "false exchanger alarms in 1,000 flights": "0.3",
-    "alerts without their own cause in 1,000 flights": "2",
-    "compressor failures alerted": "0.95",
-    "door faults alerted": "0.80",
-    "sensor faults alerted": "0.90",
-    "diagnosis right": "0.90",
-}
+def _mean(flags: pl.Series) -> float:
+    return float(flags.cast(pl.Float64).mean() or 0.0) if len(flags) else np.nan
 
 
-def alert_figures(counted: pl.DataFrame) -> list[float]:
-    """Figures in the order of `ALERT_GOALS` over a tally."""
-    of = {str(k): v.to_numpy() for (k,), v in ((k, f["value"]) for k, f in counted.group_by("what"))}
-    none = np.empty(0)
+def by_component(judged: Tally) -> str:
+    """A row a component."""
+    rows = {words: figures_of(judged, component) for component, words in COMPONENTS.items()}
+    lines = [["component", *next(iter(rows.values()))]]
+    return markdown([*lines, *([words, *map(_cell, row.values())] for words, row in rows.items())])
 
-    def rate(what: str) -> float:
-        return 1000.0 * float(of.get(what, none).sum() / of["flights"].sum())
 
-    def mean(what: str) -> float:
-        return float(of[what].mean()) if what in of else np.nan
+def curves(fleets: list[Frames]) -> str:
+    """Precision and recall of a component's alerts with one limit of its rules moved; the limit in service in bold."""
+    lines = [["diagnosis", "limit", "at", "right within 200", "alerted", "in 1,000 flights"]]
+    for settings in zip(*map(_at_limits, fleets), strict=True):
+        diagnosis, limit, value, in_service, _ = settings[0]
+        figures = figures_of(together([judged for *_, judged in settings]), GROUP[diagnosis])
+        at = f"**{value}**" if in_service else f"{value}"
+        names = ("right within 200", "alerted", "in 1,000 flights")
+        lines.append([diagnosis, limit, at, *(_cell(figures[name]) for name in names)])
+    return markdown(lines)
 
-    lead = of.get("lead_HX", np.array([np.nan]))
-    rates = [rate(w) for w in ("early", "false", "false_hx", "not_own")]
-    shares = [mean(w) for w in ("found_CC", "found_RAM_DOOR", "found_SENSOR", "right")]
-    return [mean("found_HX"), float(np.median(lead)), float(np.quantile(lead, 0.1)), *rates, *shares]
+
+def _at_limits(fleet: Frames) -> Iterator[tuple[str, str, float, bool, Tally]]:
+    for trial in trials(fleet["features"], pl.DataFrame(), fleet["maintenance"]):
+        yield trial.diagnosis, trial.limit, trial.value, trial.in_service, tally(fleet, trial.alerts)
+
+
+def _cell(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.3g}"
 
 
 def confusion(fleets: list[Frames]) -> str:
-    """What was said against what was there, alerts counted."""
+    """Alerts by diagnosis and true cause; a door or sensor fault counts before wear, a clog before fouling."""
     rows = []
     for fleet in fleets:
-        about = causes(fleet["truth"])
-        alerts = fleet["alerts"].join(about, left_on=[*PACK, "raised_flight_id"], right_on=[*PACK, "flight_id"])
+        placed = place_alerts(fleet["alerts"], fleet["truth"])
+        at = placed.join(causes(fleet["truth"]), left_on=[*PACK, "raised"], right_on=[*PACK, "index"], validate="m:1")
         there = (
-            pl.when(pl.col("RAM_DOOR")).then(pl.lit("door"))
-            .when(pl.col("SENSOR")).then(pl.lit("sensor"))
-            .when(pl.col("clog")).then(pl.lit("clog"))
-            .when(pl.col("HX") & (pl.col("diagnosis") != "CC_DEGRADED")).then(pl.lit("fouling"))
-            .when(pl.col("CC")).then(pl.lit("compressor"))
-            .when(pl.col("HX")).then(pl.lit("fouling"))
+            pl.when("at_RAM_DOOR").then(pl.lit("door"))
+            .when("at_SENSOR").then(pl.lit("sensor"))
+            .when("clog").then(pl.lit("clog"))
+            .when(pl.col("at_HX") & (pl.col("diagnosis") != "CC_DEGRADED")).then(pl.lit("fouling"))
+            .when("at_CC").then(pl.lit("compressor"))
+            .when("at_HX").then(pl.lit("fouling"))
             .otherwise(pl.lit("nothing"))
         )  # fmt: skip
-        rows.append(alerts.select("diagnosis", there=there))
+        rows.append(at.select("diagnosis", there=there))
     counted = pl.concat(rows).group_by("diagnosis", "there").len()
     columns = ("fouling", "clog", "compressor", "door", "sensor", "nothing")
-    lines = [["said \\ there", *columns]]
-    for said in GROUP:
-        own = dict(counted.filter(pl.col("diagnosis") == said).select("there", "len").iter_rows())
-        lines.append([said, *(str(own.get(c, 0)) for c in columns)])
+    lines = [["diagnosis \\ there", *columns]]
+    for diagnosis in GROUP:
+        own = dict(counted.filter(diagnosis=diagnosis).select("there", "len").iter_rows())
+        lines.append([diagnosis, *(str(own.get(c, 0)) for c in columns)])
     return markdown(lines)

@@ -32,7 +32,7 @@ import grimp
 import polars as pl
 
 from benchmarks import chain, samples
-from benchmarks.alerts import ALERT_GOALS, alert_figures, tally
+from benchmarks.alerts import overall, tally
 from benchmarks.changed_source import changed
 from benchmarks.harness import markdown, put
 from benchmarks.twin import fouling_numbers
@@ -73,16 +73,13 @@ def figures(made: chain.Made) -> dict[str, float]:
     """What a change is judged by, keys of `MOVES`."""
     lives = samples.true_lives(made["features"], made["truth"], made["events"])
     life = score_prognoses(judge(made["prognoses"], made["features"], lives))
-    alerts = dict(zip(ALERT_GOALS, alert_figures(tally(made)), strict=True))
     key = ["tail", "flight_id", "pack"]
     legs = made["truth"].filter("arrived").join(made["admitted"].select(*key, "admitted"), on=key)
     worn = made["health"].filter(parameter="hx_fouling").drop_nulls("value").join(made["truth"], on=key)
     worn = worn.with_columns(a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio"), seed=pl.lit(0))
     wear = fouling_numbers(worn)
     return {name: float(v) for name, v in {
-        "alerted": alerts["exchanger failures alerted before the message"],
-        "lead": alerts["lead, median [flights]"], "early": alerts["alerts below 15 % loss in 1,000 flights"],
-        "false": alerts["false alarms in 1,000 flights"], "diagnosis": alerts["diagnosis right"],
+        **overall(tally(made)),
         "fouling": wear["fouling, mean absolute error"], "fouling score": wear["interval score"],
         "yield": legs.filter("nominal")["admitted"].mean(),
         "contamination": legs.filter("admitted")["contaminant"].mean(),

@@ -1,17 +1,16 @@
 """The benchmark's own arithmetic, on cases whose answer is known."""
 
+from datetime import UTC, datetime, timedelta
+
 import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks.alerts import ALERT_GOALS, alert_figures, low_margin_rightly
-from benchmarks.augment import SHORTEST, augmented
+from benchmarks.alerts import figures_of, overall, tally
 from benchmarks.contestants import lead_at_budget
 from benchmarks.federated import averaged_rule
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
-from hdt_core.margin.exchanger_demand import EXCESS_K, SHARES, critical_name
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule
-from hdt_core.prognosis.history import FEATURES
 from hdt_core.simulate.design import draw_design
 
 
@@ -40,15 +39,83 @@ def test_a_risk_that_knows_nothing_gives_no_lead_within_the_budget():
     assert lead_at_budget(said)[0] < 0.7 * lead_at_budget(informed)[0]
 
 
-def test_figures_of_a_tally_by_hand():
-    rows = [("a", "flights", 500.0), ("b", "flights", 500.0), ("a", "early", 1.0), ("b", "early", 1.0)]
-    rows += [("a", "lead_HX", 100.0), ("b", "lead_HX", 0.0), ("a", "found_HX", 1.0), ("b", "found_HX", 0.0)]
-    counted = pl.DataFrame(rows, schema=["tail", "what", "value"], orient="row")
-    found = dict(zip(ALERT_GOALS, alert_figures(counted), strict=True))
-    assert found["exchanger failures alerted before the message"] == 0.5
-    assert found["lead, median [flights]"] == 50.0
-    assert found["alerts below 15 % loss in 1,000 flights"] == 2.0
-    assert found["false alarms in 1,000 flights"] == 0.0
+FLIGHTS = 600
+START = datetime(2024, 1, 1, tzinfo=UTC)
+
+
+def fleet(alerts: list[tuple], events: list[dict], **truth: pl.Expr) -> dict[str, pl.DataFrame]:
+    """One pack with two flights a day; `alerts` are diagnosis, flight raised, flight closed."""
+    at = pl.int_range(FLIGHTS, eager=True)
+    sound = {"ua_ratio": 1.0, "apparent_ua_ratio": 1.0, "cc_eff_loss": 0.0, "blockage": 0.0, "sensor_fault": ""}
+    flags = dict.fromkeys(("door_fault", "icing"), False) | {"arrived": True}
+    key = {"tail": "T", "pack": pl.Series([1] * FLIGHTS, dtype=pl.Int32), "index": at}
+    when = {"departed_at": [START + timedelta(hours=12 * k) for k in range(FLIGHTS)]}
+    rows = pl.DataFrame(key | {"flight_id": [f"T_{k}" for k in range(FLIGHTS)]} | when)
+    rows = rows.with_columns(**{n: pl.lit(v) for n, v in (sound | flags).items()}).with_columns(**truth)
+    time = dict(zip(at, rows["departed_at"], strict=True)) | {None: None}
+    raised = [("T", 1, d, f"T_{first}", time[last]) for d, first, last in alerts]
+    columns = {"tail": pl.String, "pack": pl.Int32, "diagnosis": pl.String, "raised_flight_id": pl.String}
+    columns |= {"closed_at": rows.schema["departed_at"]}
+    index = dict.fromkeys(("installed_index", "onset_index", "message_index", "removal_index"), pl.Int64)
+    schema = {"tail": pl.String, "pack": pl.Int32, "component": pl.String} | index
+    found = {"tail": pl.String, "pack": pl.Int32, "component": pl.String, "done_on": pl.Date, "finding": pl.String}
+    return {
+        "truth": rows,
+        "alerts": pl.DataFrame(raised, schema=columns, orient="row"),
+        "events": pl.DataFrame([{"tail": "T", "pack": 1} | e for e in events], schema=schema),
+        "maintenance": pl.DataFrame(schema=found),
+    }
+
+
+MESSAGE = {"component": "HX", "installed_index": 0, "message_index": 500}
+
+
+@pytest.mark.parametrize(
+    ("alert", "alerted", "right"),
+    [
+        (("HX_FOULING", 300, None), 1.0, 1.0),  # 200 flights before the message: the last that is right
+        (("HX_FOULING", 299, None), 1.0, 0.0),
+        (("HX_FOULING", 100, 201), 1.0, 0.0),  # still open 299 flights before
+        (("HX_FOULING", 100, 200), 0.0, 0.0),  # closed 300 flights before
+        (("HX_FOULING", 500, None), 0.0, 1.0),  # with the message, not before it
+        (("CC_DEGRADED", 400, None), 0.0, np.nan),  # names the wrong component
+    ],
+)
+def test_a_failure_is_alerted_by_its_own_component_in_the_300_flights_before(alert, alerted, right):
+    figures = figures_of(tally(fleet([alert], [MESSAGE])), "HX")
+    assert figures["alerted"] == alerted
+    np.testing.assert_equal(figures["right within 200"], right)
+
+
+def test_the_true_fault_of_its_component_makes_an_alert_right_and_another_does_not():
+    worn = (pl.col("index") >= 300).cast(pl.Float64) * 0.16
+    truth = {"apparent_ua_ratio": 1.0 - worn}
+    judged = tally(
+        fleet([("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)], [], **truth)
+    )
+    assert judged.alerts["right"].to_list() == [False, True, False]
+    assert judged.alerts["own"].to_list() == [False, False, False]
+    assert judged.alerts["any_cause"].to_list() == [False, False, True]
+    assert judged.alerts["early"].to_list() == [True, True, False]
+
+
+def test_rates_count_flights_of_the_aircraft_once():
+    alerts = [("HX_FOULING", 450, None), ("HX_LOW_MARGIN", 201, None), ("CC_DEGRADED", 400, None)]
+    figures = overall(tally(fleet(alerts, [MESSAGE])))
+    assert (figures["alerted"], figures["lead"]) == (1.0, 299.0)
+    per_1000 = 1000.0 / FLIGHTS
+    assert figures["false"] == pytest.approx(2 * per_1000)  # fouling on a sound core, and the compressor
+    assert figures["early"] == pytest.approx(per_1000)  # not the alert of low margin, whose message came
+
+
+def test_a_door_fault_is_alerted_while_it_lasts():
+    fault = {"component": "RAM_DOOR", "onset_index": 100, "removal_index": 150}
+    there = {"door_fault": pl.col("index").is_between(100, 149)}
+    inside, after = (
+        figures_of(tally(fleet([("RAM_DOOR_FAULT", k, None)], [fault], **there)), "RAM_DOOR") for k in (110, 153)
+    )
+    assert (inside["alerted"], inside["lead or delay, median"], inside["right within 200"]) == (1.0, 10.0, 1.0)
+    assert (after["alerted"], after["right within 200"]) == (0.0, 0.0)
 
 
 def test_fleets_that_score_are_soundly_sized():
@@ -56,35 +123,6 @@ def test_fleets_that_score_are_soundly_sized():
         design = draw_design(np.random.default_rng(seed))
         assert loss_at_message(design, 0.0) > HELD_LOSS
         assert loss_at_message(design, 20.0) <= loss_at_message(design, 0.0)
-
-
-def test_a_fault_laid_over_a_nominal_stretch_keeps_its_noise_and_fails_where_flights_ask_for_more():
-    flights = SHORTEST + 20
-    when = pl.datetime_range(pl.datetime(2024, 1, 1), pl.datetime(2025, 1, 1), "12h", time_unit="us", eager=True)[
-        :flights
-    ]
-    key = {"operator": "X", "tail": "T1", "pack": pl.Series([1] * flights, dtype=pl.Int32), "departed_at": when}
-    noise = 0.01 * np.random.default_rng(0).standard_normal(flights)
-    features = pl.DataFrame(key | {"flight_id": [f"T1_{k}" for k in range(flights)], "hx_fouling": noise})
-    # every flight asks for a ln ratio of -0.4 at the 7 K of the rule before any message
-    asks = {critical_name(share, e): pl.lit(-0.4 - 0.02 * (e - 7.0)) for share in SHARES for e in EXCESS_K}
-    seen = {"overheat_p20_k": pl.lit(0.0), "overheat_p50_k": pl.lit(0.0), "full_open_share": pl.lit(0.0)}
-    features = features.with_columns(hx_fouling_sd=pl.lit(0.01), hx_ln_ua_ratio=-pl.col("hx_fouling"), **asks, **seen)
-    lives = pl.DataFrame(
-        {"operator": ["X"], "tail": ["T1"], "pack": pl.Series([1], dtype=pl.Int32), "component": ["HX"], "life": [0]}
-        | {"first_row": [0], "end_row": [flights], "failed": [False], "age_known": [False], "mute": [False]}
-    )
-    made = augmented(features, lives)
-    laid = made.frame["tail"].str.starts_with("laid over").to_numpy()
-    assert (~laid).sum() == flights
-    level, overheat_k = (made.inputs["health"][:, FEATURES.index(n)] for n in ("level", "overheat_most_40"))
-    last = laid & made.failed & (made.left == 1)
-    assert last.sum() >= 3
-    assert np.median(level[last]) == pytest.approx(1.0 - np.exp(-0.4), abs=0.03)
-    assert np.median(overheat_k[last]) == pytest.approx(7.0, abs=1.0)
-    young = laid & (made.inputs["health"][:, FEATURES.index("age_flights")] == 20.0)
-    assert np.median(overheat_k[young]) == 0.0
-    assert not made.failed[~laid].any()
 
 
 def test_rules_of_operators_average_by_precision_with_the_prior_counted_once():
@@ -103,10 +141,3 @@ def test_rules_of_operators_average_by_precision_with_the_prior_counted_once():
 def test_share_and_persistence_are_those_that_most_messages_speak_for():
     few, many = MessageRule(0.2, 5.0, 1.0, 3, 1), MessageRule(0.5, 9.0, 1.0, 1, 6)
     assert averaged_rule([few, many]) == MessageRule(0.5, pytest.approx(9.0), pytest.approx(1.0), 1, 7)
-
-
-def test_an_alert_of_low_margin_is_right_when_the_message_comes_soon():
-    at = {"tail": ["a", "a", "a", "b"], "pack": [1, 1, 1, 1], "index": [100, 500, 100, 100]}
-    alerts = pl.DataFrame(at | {"diagnosis": ["HX_LOW_MARGIN", "HX_LOW_MARGIN", "HX_FOULING", "HX_LOW_MARGIN"]})
-    ended = {"tail": ["a", "b"], "pack": [1, 1], "component": ["HX", "HX"], "message_index": [300, None]}
-    assert low_margin_rightly(alerts, pl.DataFrame(ended)).to_list() == [True, False, False, False]
