@@ -7,7 +7,7 @@ hazard and the interval. What lies beyond the horizon of 300 flights is told as 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from hdt_core.prognosis.feature_rows import (
 )
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import RISES
+from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.records.keys import IN_ORDER
 
@@ -42,6 +43,8 @@ LEARN_EVERY, LEARN_ROWS = 4, 1_500
 """Of a life's flights one in so many corrects the base: neighbours say the same. Of a large fleet fewer still: what is
 learned are a few numbers, and so many rows tell them."""
 FOLDS = 5
+LESSONS = ((False, False), (True, False), (False, True), (True, True))
+"""Hazard correction and interval levels of a fleet's own lives, taken up or not; the simplest first."""
 HELD = "out_of_fold"
 
 
@@ -131,9 +134,39 @@ def split_groups(groups: Sequence[str]) -> list[tuple[str, ...]]:
 def fit_component(
     base: Prognosis, track: Tracks, component: str, held: Sequence[tuple[str, ...]], by: str = "tail"
 ) -> list[ComponentFit]:
-    """What all tracks teach, then for each fold what all but those `held` do."""
-    kept = (~track.keys[by].is_in(names).to_numpy() for names in held)
-    return [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *kept)]
+    """What all tracks teach, then for each fold what all but those `held` do.
+
+    Of hazard correction and interval levels only what narrows the interval score of the held groups is kept.
+    """
+    outside = [~track.keys[by].is_in(names).to_numpy() for names in held]
+    fits = [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *outside)]
+    if not (held and fits[0].failures):
+        return fits
+    corrected, levelled = _choose_lessons(base, track, outside, fits[1:])
+    untaught = {} if corrected else {"correction": HazardCorrection()}
+    untaught |= {} if levelled else {"levels": base.base_levels}
+    return [replace(fit, **untaught) for fit in fits]
+
+
+def _choose_lessons(
+    base: Prognosis, track: Tracks, outside: Sequence[NDArray[np.bool_]], fits: Sequence[ComponentFit]
+) -> tuple[bool, bool]:
+    """Whether correction and levels are worth learning: the pair with the least interval score on held-out lives.
+
+    Lives count that ended in the message or outlived the horizon. The simpler pair is chosen where scores are equal.
+    """
+    column = track.at[:, 1]
+    judged = ~track.mute & (track.left >= 1) & (column >= 0) & (track.failed | (track.left >= HORIZON))
+    scores = dict.fromkeys(LESSONS, 0.0)
+    for use, fit in zip(outside, fits, strict=True):
+        rows = fleet_rows(track, fit.rule, judged & ~use & (column % LEARN_EVERY == 0))
+        raw, left = hazards(base.hazard, rows.features), np.minimum(rows.left, HORIZON)
+        corrected = fit.correction(raw, rows.features[:, _RESERVE])
+        for correction, levels in LESSONS:
+            by, at = event_by(corrected if correction else raw), fit.levels if levels else base.base_levels
+            score = interval_score(left, quantile(by, at[0]), quantile(by, at[2]))
+            scores[correction, levels] += float(score.sum())
+    return min(scores, key=scores.__getitem__)
 
 
 def assemble(base: Prognosis, held: Sequence[tuple[str, ...]], fits: Mapping[str, Sequence[ComponentFit]]) -> Prognosis:

@@ -1,6 +1,7 @@
 """The whole layer on a fleet of simulated lives it was not trained on."""
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,17 @@ from hdt_core.prognosis.feature_rows import INPUTS, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.hazard import fit_hazard
 from hdt_core.prognosis.metrics import judge, score_prognoses
-from hdt_core.prognosis.model import fit_member, fit_prognosis, out_of_fold, predict_prognosis
+from hdt_core.prognosis.model import (
+    ComponentFit,
+    _choose_lessons,
+    fit_component,
+    fit_member,
+    fit_prognosis,
+    out_of_fold,
+    predict_prognosis,
+)
 from hdt_core.prognosis.model_card import fits_to_json, from_parts, model_card, promote, to_parts, with_fits
+from hdt_core.prognosis.recalibrate import HazardCorrection
 from hdt_core.prognosis.service import update_model
 from hdt_core.prognosis.unit_lives import episodes
 from pipelines.learned import shipped_base
@@ -170,3 +180,37 @@ def test_held_out_by_operator_the_only_operator_is_judged_by_simulated_lives_alo
     held = out_of_fold(features, lives, base=base, by="operator")
     names = ["rul_flights", "rul_low", "rul_high", "p_event_50"]
     np.testing.assert_allclose(held[names].to_numpy(), alone[names].to_numpy(), equal_nan=True)
+
+
+@pytest.fixture(scope="module")
+def held_halves(fleet, base):
+    """Tracks of the fleet, and of each half of its tails which rows lie outside it."""
+    track = tracks(fleet[0], episodes(*fleet), "HX")
+    tails = track.keys["tail"].unique().sort().to_list()
+    return track, [tuple(tails[::2]), tuple(tails[1::2])]
+
+
+@pytest.mark.parametrize(
+    ("base_levels", "weights", "levels", "kept"),
+    [
+        ((0.05, 0.5, 0.95), (6.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, False)),  # every unit about to fail
+        ((0.05, 0.5, 0.95), (0.0, 0.0, 0.0, 0.0), (0.49, 0.5, 0.51), (False, False)),  # no interval at all
+        ((0.49, 0.5, 0.51), (0.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, True)),  # an interval for none
+    ],
+)
+def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
+    base, held_halves, base_levels, weights, levels, kept
+):
+    track, held = held_halves
+    outside = [~track.keys["tail"].is_in(names).to_numpy() for names in held]
+    fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
+    assert _choose_lessons(replace(base, base_levels=base_levels), track, outside, [fit, fit]) == kept
+
+
+def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
+    """Log odds 2 too high: what a fleet's lives say of it narrows the score, so it is kept in every fold."""
+    track, held = held_halves
+    high = deepcopy(base.hazard[0])
+    high._baseline_prediction = high._baseline_prediction + 2.0
+    fits = fit_component(replace(base, hazard=(high,)), track, "HX", held)
+    assert all(fit.correction.weights[0] < -0.2 for fit in fits)
