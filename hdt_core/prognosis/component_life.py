@@ -15,8 +15,8 @@ from hdt_core.components import Component
 from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.component_limits import learn_limit
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
-from hdt_core.prognosis.hazard import EDGES, quantile
-from hdt_core.prognosis.model import AHEAD, HELD, HORIZON
+from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
+from hdt_core.prognosis.model import HELD, HORIZON
 from hdt_core.prognosis.unit_lives import Failure, component_lives
 from hdt_core.records.keys import PACK
 
@@ -56,7 +56,7 @@ def _foretell(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl
     operators = past.messages["operator"].unique().to_list() if component.message_code else []
     by = _event_by(rows, _limits(rows, failed, component), component, rows["operator"].is_in(operators).to_numpy())
     values = {name: quantile(by, level) for name, level in TOLD_AT.items()}
-    values |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
+    values |= events_ahead(by)
     known = np.isfinite(by[:, -1])
     columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in values.items()]
     taught = repr((component.version, sorted(operators), failed.sort("tail", "loss").rows())).encode()

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 EDGES = np.array([0, 5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300], dtype=float)
 SPANS = EDGES.size - 1
+AHEAD = (25, 50, 100, 200, 300)
+"""Flights for which the probability of a message is reported."""
 ROWS_AT_ONCE = 8_192
 """Rows asked together, so that memory does not grow with the fleet."""
 
@@ -136,3 +138,15 @@ def position(by: Array, left: Array) -> Array:
     rows = np.arange(by.shape[0])
     share = np.clip((left - EDGES[j - 1]) / (EDGES[j] - EDGES[j - 1]), 0.0, 1.0)
     return np.asarray(by[rows, j - 1] + share * (by[rows, j] - by[rows, j - 1]))
+
+
+def events_ahead(by: Array) -> dict[str, Array]:
+    """P(event) within each of `AHEAD` flights, linear between edges, by column of `prognoses`.
+
+    Examples
+    --------
+    >>> by = np.concatenate([[0.0, 0.1, 0.2, 0.3, 0.4, 0.6], np.full(11, 0.6)])[None, :]
+    >>> float(events_ahead(by)["p_event_25"][0])  # half way between 20 and 30 flights
+    0.5
+    """
+    return {f"p_event_{k}": position(by, np.full(len(by), float(k))) for k in AHEAD}

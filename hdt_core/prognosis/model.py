@@ -25,7 +25,7 @@ from hdt_core.prognosis.feature_rows import (
     simulated_rows,
     tracks,
 )
-from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards, quantile
+from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import RISES
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
@@ -35,8 +35,6 @@ Array = NDArray[np.float64]
 
 HORIZON = float(EDGES[-1])
 _RESERVE = INPUTS.index("reserve_95")
-AHEAD = (25, 50, 100, 200, 300)
-"""Flights for which the probability of a message is told."""
 MEMBERS = 3
 """Models in the base."""
 LEARN_EVERY, LEARN_ROWS = 4, 1_500
@@ -271,7 +269,7 @@ def _predict(
     known = track.at[asked, 1] >= 0
     low, middle, high = (quantile(by, level) for level in fit.levels)
     numbers = {"rul_flights": middle, "rul_low": np.minimum(low, middle), "rul_high": np.maximum(high, middle)}
-    numbers |= {f"p_event_{k}": by[:, int(np.searchsorted(EDGES, k))] for k in AHEAD}
+    numbers |= events_ahead(by)
     columns = [pl.Series(name, np.where(known, v, np.nan)).fill_nan(None) for name, v in numbers.items()]
     return track.keys.filter(asked).select(
         "operator", "tail", "flight_id", "pack", pl.lit(component).alias("component"), "departed_at", *columns,
