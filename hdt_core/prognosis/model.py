@@ -141,9 +141,15 @@ def fit_component(
     if not (held and fits[0].failures):
         return fits
     corrected, levelled = _choose_lessons(base, track, outside, fits[1:])
-    untaught = {} if corrected else {"correction": HazardCorrection()}
-    untaught |= {} if levelled else {"levels": base.base_levels}
-    return [replace(fit, **untaught) for fit in fits]
+    untaught = HazardCorrection()
+    return [
+        replace(
+            fit,
+            correction=fit.correction if corrected else untaught,
+            levels=fit.levels if levelled else base.base_levels,
+        )
+        for fit in fits
+    ]
 
 
 def _choose_lessons(
