@@ -32,7 +32,8 @@ unobserved as (
     where counts_to is null
 ),
 
-estimates as ( -- of a unit that nothing was seen of it is the prior
+-- of a unit that nothing was seen of the estimate is the prior
+estimates as (
     select
         h.operator,
         h.tail,
