@@ -32,7 +32,6 @@ unobserved as (
     where counts_to is null
 ),
 
--- of a unit that nothing was seen of the estimate is the prior
 estimates as (
     select
         h.operator,
