@@ -13,10 +13,10 @@ def fingerprint(home: Path, *url: str) -> dict[str, str]:
     """Hash of every table's rows, sorted; of the home's store, or of that at `url`.
 
     Of a fitted model its `model_version`, which is a hash of what it knows: the archive holds the hour it was packed,
-    the card what was in service before.
+    card and service what was in service before.
     """
     store = Store(home, *url)
-    return {table: _hash(store.read(table).drop("card", strict=False)) for table in TABLES}
+    return {table: _hash(store.read(table).drop("card", "service", strict=False)) for table in TABLES}
 
 
 def _hash(frame: pl.DataFrame) -> str:

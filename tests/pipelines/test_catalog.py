@@ -41,7 +41,7 @@ def con(sample_home):
 def test_contract_columns_are_there_and_filled(con, view):
     held = {c[0] for c in con.execute(f"describe {view}").fetchall()}
     assert set(contract()[view]) <= held
-    if view not in {"alerts", "quarantine"}:
+    if view not in {"alerts", "quarantine", "silent_columns"}:  # a sound fleet has none of the last two
         assert con.execute(f"select count(*) from {view}").fetchone()[0] > 0
 
 
