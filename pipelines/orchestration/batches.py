@@ -79,8 +79,13 @@ class BatchResult:
 
 
 def made_apart(label: str, batch: PartitionBatch, why: str) -> tuple[str, ...]:
-    """The line about a run of several aircraft that failed: that each is made alone must not hide it."""
-    return (f"{label}: a run of {len(batch.aircraft)} aircraft stopped, so each was made alone; report it: {why}",)
+    """The line about a run that failed and whose parts did not: that they are made must not hide it."""
+    whole = (
+        f"{len(batch.aircraft)} aircraft stopped, so each"
+        if len(batch.aircraft) > 1
+        else "1 aircraft stopped, so each part"
+    )
+    return (f"{label}: a run of {whole} was made alone; report it: {why}",)
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,7 +89,8 @@ class Runner:
             return BatchResult(batch.size, 1)
         if len(batch.aircraft) < 2:
             runs, told = self._pinned_down(tables, batch, why, label)
-            return BatchResult(batch.size, 1 + runs, {f"{label}: {batch.label}": told})
+            failed, mended = ({f"{label}: {batch.label}": told}, ()) if told else ({}, made_apart(label, batch, why))
+            return BatchResult(batch.size, 1 + runs, failed, mended)
         alone = [self.make(tables, one, label) for one in batch.parts()]
         failed = {where: why for one in alone for where, why in one.failed.items()}
         mended = sum((one.mended for one in alone), () if failed else made_apart(label, batch, why))

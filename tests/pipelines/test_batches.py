@@ -132,6 +132,20 @@ def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch)
     assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())
 
 
+class Apart(Runner):
+    """A runner whose whole batch fails and whose parts do not."""
+
+    def _run(self, tables, batch, label):
+        return "disk full" if len(batch.cells) == 4 else None
+
+
+def test_a_batch_of_one_aircraft_whose_halves_are_made_is_mended_and_not_failed():
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
+    done = Apart(None, None, None, {}).make([], batch, "twins")
+    line = "twins: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
+    assert (done.runs, done.failed, done.mended) == (3, {}, (line,))
+
+
 class Halved(Runner):
     """A runner whose two bad flights fail for one reason, and a third for its own."""
 
