@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
-PACKAGES := hdt_core pipelines dagster_batched sql benchmarks
+PACKAGES := hdt_core pipelines dagster_batched sql extensions benchmarks
 
 .PHONY: run test mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
@@ -61,10 +61,10 @@ ui: $(READY)
 
 setup: $(READY)
 
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock pyproject.toml extensions/pyproject.toml
 	python3 -m venv $(VENV)
 	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
-	$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation -e . -e extensions
 	$(BIN)/python -m compileall -q $(PACKAGES)  # a second of every process where Python is told to write no bytecode
 	touch $@
 

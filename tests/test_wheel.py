@@ -1,4 +1,4 @@
-"""The wheel alone, on a base install without numba and away from the repository: its demo runs."""
+"""The wheel alone, on a base install without numba and extensions and away from the repository: its demo runs."""
 
 import ast
 import os
@@ -15,8 +15,13 @@ from nights import keep_base
 
 ROOT = Path(__file__).parents[1]
 DEMO = """
-import sys
+import importlib.metadata, pathlib, sys
 sys.modules["numba"] = None  # importing it fails, as where it is not installed
+extensions = [p.name for p in pathlib.Path(sys.argv[2]).glob("hdt_*")]
+assert extensions
+sys.modules.update(dict.fromkeys(extensions))
+every = importlib.metadata.entry_points
+importlib.metadata.entry_points = lambda **group: [p for p in every(**group) if p.value.split(".")[0] not in extensions]
 import dagster_batched, hdt_core, pipelines, sql
 assert all(m.__file__.startswith(sys.argv[1]) for m in (hdt_core, pipelines, dagster_batched, sql))
 from pipelines.cli import app
@@ -87,7 +92,7 @@ def test_its_demo_runs_outside_the_repository(wheel, sample_home, tmp_path):
     zipfile.ZipFile(wheel).extractall(site)
     out.mkdir()
     keep_base(sample_home, out / "home")
-    command = [sys.executable, "-c", DEMO, str(site)]
+    command = [sys.executable, "-c", DEMO, str(site), str(ROOT / "extensions")]
     env = os.environ | {"PYTHONPATH": str(site)}
     done = subprocess.run(command, cwd=out, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -3,6 +3,7 @@
 import logging
 import sqlite3
 import sys
+from importlib.metadata import entry_points
 
 from pipelines.cli import cases, digest, look, make, night, recorder, serve, share, trial
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
@@ -17,6 +18,7 @@ def main() -> None:
     logging.captureWarnings(True)  # a library's warnings are no words for whoever reads the terminal
     _load_schemas()
     try:
+        load_extensions()
         with ends_in_order():
             sys.exit(app(standalone_mode=False))
     except StopError as error:
@@ -35,6 +37,21 @@ def main() -> None:
         said = _of_a_night(error)
     say_error(said)
     sys.exit(code)
+
+
+def load_extensions() -> None:
+    """Import the module of every entry point of the group `hdt.commands`: it adds its commands to `base.app`.
+
+    Raises
+    ------
+    StopError
+        A package's module can't be imported.
+    """
+    for point in sorted(entry_points(group="hdt.commands"), key=lambda p: p.name):
+        try:
+            point.load()
+        except Exception as error:
+            raise StopError(f"the commands {point.name} ({point.value}) can't be loaded: {error}") from error
 
 
 def _load_schemas() -> None:

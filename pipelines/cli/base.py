@@ -43,8 +43,8 @@ class ByUse(TyperGroup):
     """Lists the commands in the order in which they are met."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names as `--help` and completion show them."""
-        return sorted(self.commands, key=ORDER.index)
+        """Names as `--help` and completion show them; those of an extension that `ORDER` does not list come last."""
+        return sorted(self.commands, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name))
 
 
 app = typer.Typer(

@@ -12,11 +12,11 @@ from pages import walk
 
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.fmu import fmu_model
-from hdt_core.physics.fmu_events import fmu_over_time
 from hdt_core.physics.model import Param, Signal
+from hdt_fmi.fmu import fmu_model
+from hdt_fmi.fmu_events import fmu_over_time
 
-SOURCE = Path(__file__).parents[2] / "data" / "fmu"
+SOURCE = Path(__file__).with_name("data")
 INPUTS = (Signal("oil_flow_w_k", "W/K"), Signal("oil_in_k", "K"), Signal("air_in_k", "K"))
 OUTPUTS = (Signal("return_k", "K", sigma=0.1),)
 UA = Param("hc_ua_w_k", "W/K", 170.0, (20.0, 600.0), "design")

@@ -10,11 +10,11 @@ import pytest
 
 from hdt_core.estimation import NonlinearLeastSquares, unknown
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.fmu import fmu_model
-from hdt_core.physics.fmu_events import fmu_over_time
 from hdt_core.physics.model import Param, Signal
+from hdt_fmi.fmu import fmu_model
+from hdt_fmi.fmu_events import fmu_over_time
 
-SOURCE = Path(__file__).parents[2] / "data" / "fmu" / "free_models.c"
+SOURCE = Path(__file__).with_name("data") / "free_models.c"
 CONTINUOUS = {
     "van_der_pol": (1, ("x0", "x1"), Param("mu", "-", 1.0, (0.1, 5.0), "design")),
     "dahlquist": (2, ("x",), Param("k", "-", 1.0, (0.1, 5.0), "design")),

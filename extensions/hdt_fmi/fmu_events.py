@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.physics.fmu_unit import FATAL, FmuUnit, check_losses, lossless
 from hdt_core.physics.integrators import RTOL
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, taking
+from hdt_fmi.fmu_unit import FATAL, FmuUnit, check_losses, lossless
 
 TIME = Signal("time_s", "s")
 MOST_EVENTS = 10_000

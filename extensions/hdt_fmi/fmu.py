@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hdt_core.physics.fmu_unit import FATAL, FmuUnit, check_losses, lossless
 from hdt_core.physics.integrators import Solver
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, taking
+from hdt_fmi.fmu_unit import FATAL, FmuUnit, check_losses, lossless
 
 
 def fmu_model(
