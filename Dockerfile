@@ -9,8 +9,9 @@ COPY hdt_core hdt_core
 COPY pipelines pipelines
 COPY dagster_batched dagster_batched
 COPY sql sql
+COPY extensions extensions
 RUN /venv/bin/uv pip install --python /venv/bin/python --no-cache \
-      --constraint requirements.lock --build-constraint requirements.lock '.[speed,ui,postgres,celery,serve,s3]'
+      --constraint requirements.lock --build-constraint requirements.lock '.[speed,ui,postgres,celery,serve,s3]' ./extensions
 
 FROM python:3.11-slim
 COPY --from=build /venv /venv

@@ -15,10 +15,11 @@ import polars as pl
 from scipy.special import logit
 
 from benchmarks.fleets import fly, sound_seeds
-from hdt_core.estimation import Belief, Problem, StrongTracking
-from hdt_core.estimation.strong_tracking import classify
+from hdt_core.estimation import Belief, Problem
 from hdt_core.health.detection import Array, Cusum, watch
 from hdt_core.simulate.design import FleetSettings
+from hdt_estimators import StrongTracking
+from hdt_estimators.strong_tracking import classify
 
 GROUP = {
     "HX_FOULING": "HX",

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.harness import arguments, put
 from benchmarks.random_problems import drawn
-from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, Problem
+from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
 from hdt_core.estimation.fit import noise_variance
 from hdt_core.estimation.swarm import search_box
@@ -57,12 +57,12 @@ def unpolished(estimator: Estimator) -> Estimator:
     return replace(estimator, polish=False) if hasattr(estimator, "polish") else estimator  # type: ignore[type-var]
 
 
-def main(n: int, estimators: Sequence[Estimator] = ESTIMATORS, seed: int = 0, starts: int = STARTS) -> list[Tally]:
+def main(n: int, methods: Sequence[Estimator], seed: int = 0, starts: int = STARTS) -> list[Tally]:
     """Every estimator on `n` problems."""
-    tallies = [Tally(e.name) for e in estimators]
+    tallies = [Tally(e.name) for e in methods]
     for i, (family, problem, truth) in enumerate(drawn(n, seed)):
         found: list[tuple[Tally, Estimate]] = []
-        for estimator, tally in zip(estimators, tallies, strict=True):
+        for estimator, tally in zip(methods, tallies, strict=True):
             started = time.process_time()
             try:
                 with warnings.catch_warnings():
@@ -108,7 +108,7 @@ if __name__ == "__main__":
     parser.add_argument("--only", nargs="*", default=None, help="names of methods")
     parser.add_argument("--no-polish", action="store_true", help="methods as they are")
     given = parser.parse_args()
-    chosen = [e for e in ESTIMATORS if given.only is None or e.name in given.only]
+    chosen = [e for e in estimators().values() if given.only is None or e.name in given.only]
     chosen = [unpolished(e) for e in chosen] if given.no_polish else chosen
     result = main(given.problems, chosen, given.seed)
     report = table(result, given.problems)

@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.harness import arguments, show
-from hdt_core.estimation import ESTIMATORS, Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman
+from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
 from hdt_core.estimation.identifiability import fisher
 from hdt_core.estimation.oscillator import TRUTH, oscillator_problem, true_position_m
 
@@ -61,7 +61,7 @@ def contestants() -> tuple[Estimator, ...]:
         ExtendedKalman(name="ekf, no smoother", smoother_passes=0),
         UnscentedKalman(name="ukf, no smoother", smoother_passes=0),
     )
-    return tuple(ParticleSwarm(polish=False) if e.name == "pso" else e for e in ESTIMATORS) + plain
+    return tuple(ParticleSwarm(polish=False) if e.name == "pso" else e for e in estimators().values()) + plain
 
 
 def main(

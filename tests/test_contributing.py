@@ -11,9 +11,10 @@ from pathlib import Path
 
 import duckdb
 import pytest
+from packages import install
 
 ROOT = Path(__file__).parents[1]
-CODE = ("hdt_core", "pipelines", "dagster_batched", "sql", "tests", "docs", "benchmarks")
+CODE = ("hdt_core", "pipelines", "dagster_batched", "sql", "tests", "docs", "benchmarks", "extensions")
 ESTIMATOR = '''"""Least squares that takes more steps."""
 
 from dataclasses import dataclass
@@ -72,11 +73,7 @@ def tree(tmp_path_factory) -> Path:
     for file in ("pyproject.toml", "README.md", "CONTRIBUTING.md"):
         shutil.copy(ROOT / file, top / file)
     (top / "data_samples").symlink_to(ROOT / "data_samples")
-    (top / "hdt_core/estimation/patient.py").write_text(ESTIMATOR)
-    methods = top / "hdt_core/estimation/__init__.py"
-    replaced(methods, "    SwarmKalman(),\n)", "    SwarmKalman(),\n    PatientLeastSquares(),\n)")
-    replaced(methods, "from hdt_core.estimation.pinn", "from hdt_core.estimation.patient import PatientLeastSquares\n"
-             "from hdt_core.estimation.pinn")  # fmt: skip
+    install(top, "patient", ESTIMATOR, "patient = patient:PatientLeastSquares", "hdt.estimators")
     replaced(top / "hdt_core/health/features.py", '    if "flight_hours" in given:\n', (
         '    more.append((pl.col("hx_fouling") ** 2).alias("hx_fouling_squared"))\n    if "flight_hours" in given:\n'
     ))  # fmt: skip

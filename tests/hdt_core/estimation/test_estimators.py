@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import ESTIMATORS, Belief, Problem, unknown
+from hdt_core.estimation import Belief, Problem, estimators, unknown
 from hdt_core.estimation.oscillator import TRUTH, oscillator_problem
 
-EVERY = pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: e.name)
+EVERY = pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)
 TIME_S = np.linspace(0.0, 4.0, 60)
 LEVEL, RATE = 2.0, 0.8
 
@@ -145,7 +145,7 @@ def test_a_held_parameter_stays(estimator):
 
 
 def test_those_that_find_the_optimum_agree_on_it():
-    found = {e.name: e.estimate(decay()).belief for e in ESTIMATORS}
+    found = {e.name: e.estimate(decay()).belief for e in estimators().values()}
     for name in ("pso", "genetic", "gradient_descent", "pinn"):
         away = np.abs(found[name].mean - found["nls"].mean) / found["nls"].sd
         assert (away < 2e-3).all(), name

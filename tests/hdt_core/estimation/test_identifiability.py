@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import ESTIMATORS, Belief, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, estimators, unknown
 from hdt_core.estimation.experiment import Candidate, profile, rank_sensors
 from hdt_core.estimation.identifiability import fisher
 
@@ -103,7 +103,7 @@ def test_information_adds_over_samples():
     np.testing.assert_allclose(parts[0] + parts[1], fisher(problem, at).information, rtol=1e-9)
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: e.name)
+@pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)
 def test_every_estimator_reports_the_unidentifiable_product(estimator):
     if estimator.name == "particle":
         estimator = replace(estimator, n_particles=100)

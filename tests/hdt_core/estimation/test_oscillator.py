@@ -5,16 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import (
-    ExtendedKalman,
-    GradientDescent,
-    NonlinearLeastSquares,
-    ParticleSwarm,
-    UnscentedKalman,
-    unknown,
-)
+from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman, unknown
 from hdt_core.estimation.identifiability import fisher
 from hdt_core.estimation.oscillator import SIGMA_M, TRUTH, oscillator_problem, true_position_m
+from hdt_estimators import GradientDescent
 
 SEEDS = range(300)
 RNG = np.random.default_rng(0)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, ParticleFilter, Problem, unknown
+from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
+from hdt_estimators import ParticleFilter
 
 SLOPE = np.random.default_rng(5).uniform(0.5, 2.0, 40)
 

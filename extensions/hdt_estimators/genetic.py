@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hdt_core.estimation.conclude import conclude, settle
-from hdt_core.estimation.differential_evolution import NO_ANSWER, DifferentialEvolution, fitness
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
 from hdt_core.estimation.swarm import search_box
+from hdt_estimators.differential_evolution import NO_ANSWER, DifferentialEvolution, fitness
 
 CROWDING = 15.0  # of crossover and mutation: larger keeps children closer to their parents
 

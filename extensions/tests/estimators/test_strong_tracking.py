@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import Belief, ExtendedKalman, Problem, RecursiveLeastSquares, StrongTracking
-from hdt_core.estimation.strong_tracking import classify
+from hdt_core.estimation import Belief, ExtendedKalman, Problem
+from hdt_estimators import RecursiveLeastSquares, StrongTracking
+from hdt_estimators.strong_tracking import classify
 
 JUMP_AT, N = 120, 240
 

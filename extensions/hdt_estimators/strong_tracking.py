@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import expit
 
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.fading import Factor, fading_estimate, windowed_change
 from hdt_core.estimation.kalman_step import Correction
 from hdt_core.estimation.problem import Array, Belief, Problem
+from hdt_estimators.fading import Factor, fading_estimate, windowed_change
 
 
 @dataclass(frozen=True, slots=True)

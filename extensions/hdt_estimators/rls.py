@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.fading import Factor, fading_estimate
 from hdt_core.estimation.problem import Problem
+from hdt_estimators.fading import Factor, fading_estimate
 
 
 @dataclass(frozen=True, slots=True)
