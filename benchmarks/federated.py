@@ -21,7 +21,15 @@ from hdt_core.margin.margin import PRIOR_RULE, MessageRule
 from hdt_core.prognosis.component_limits import PRIORS, Limit
 from hdt_core.prognosis.feature_rows import PRIOR_RULES, FailureRule
 from hdt_core.prognosis.metrics import bootstrap, judge, score_prognoses
-from hdt_core.prognosis.model import ComponentFit, Fits, Prognosis, fit_prognosis, named, predict_prognosis
+from hdt_core.prognosis.model import (
+    ComponentFit,
+    Fits,
+    Prognosis,
+    fit_prognosis,
+    named,
+    predict_prognosis,
+    untaught_levels,
+)
 from hdt_core.prognosis.recalibrate import HazardCorrection
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings
@@ -107,7 +115,7 @@ def taught(base: Prognosis, parts: dict[str, list[str]], fleet: Frames) -> dict[
 def corrected(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """Judged prognoses of every tail by what others taught the simulated base, by way of learning."""
     fleets, said = tails_of(fleet), {}
-    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=base.base_levels) for c in PRIOR_RULES})
+    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=untaught_levels(base, c)) for c in PRIOR_RULES})
     for k in range(SIZE.tails):
         teach = {o: tails[:k] + tails[k + 1 :] for o, tails in fleets.items()}
         models = taught(base, teach, fleet)
@@ -131,7 +139,7 @@ def newcomer(fleet: Frames, base: Prognosis) -> dict[str, list[pl.DataFrame]]:
     """The same for an operator of which no life was seen."""
     fleets, said = tails_of(fleet), {}
     models = taught(base, fleets, fleet)
-    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=base.base_levels) for c in PRIOR_RULES})
+    unmoved = named(base, {c: ComponentFit(PRIOR_RULES[c], levels=untaught_levels(base, c)) for c in PRIOR_RULES})
     for operator, tails in fleets.items():
         others = [m for o, m in models.items() if o != operator]
         every = [t for o, own in fleets.items() if o != operator for t in own]

@@ -16,10 +16,10 @@ from sklearn.preprocessing import StandardScaler
 from benchmarks.fleets import Frames
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, simulated_rows, tracks_before
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
-from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, quantile
-from hdt_core.prognosis.history import AHEAD, PASSAGE
+from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, passage_hazards, quantile
+from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD
 from hdt_core.prognosis.metrics import judge
-from hdt_core.prognosis.model import ComponentFit, Prognosis, predict_prognosis
+from hdt_core.prognosis.model import ComponentFit, Prognosis, predict_prognosis, untaught_levels
 from hdt_core.prognosis.recalibrate import NOMINAL
 from hdt_core.prognosis.service import update_model
 from pipelines.learned import shipped_base
@@ -36,7 +36,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
     record = FleetRecord(fleet["features"], fleet["messages"], fleet["maintenance"])
     lives, base = record.lives(), shipped_base()
     product = update_model(base, None, record).prognoses
-    alone = {c: ComponentFit(rule, levels=base.base_levels) for c, rule in PRIOR_RULES.items()}
+    alone = {c: ComponentFit(rule, levels=untaught_levels(base, c)) for c, rule in PRIOR_RULES.items()}
     by_base = predict_prognosis(Prognosis(base.hazard, base.base_levels, alone, "base"), record.features, lives)
     track = record.tracks()[component]
     rows = fleet_rows(track, PRIOR_RULES[component]).features
@@ -63,9 +63,7 @@ def _failures(record: FleetRecord, month, component: str) -> int:
 def _physics(track: Tracks, rows: Array, component: str) -> pl.DataFrame:
     """The first passage as it stands: its distribution at four horizons, linear between them."""
     by = np.stack([rows[:, INPUTS.index(name)] for name in PASSAGE[:-1]], axis=1)
-    at = np.array([0.0, *AHEAD])
-    whole = np.stack([np.interp(EDGES, at, [0.0, *row]) for row in np.maximum.accumulate(by, axis=1)])
-    return _prognoses(track, whole, component)
+    return _prognoses(track, event_by(passage_hazards(by, PASSAGE_AHEAD)), component)
 
 
 def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str) -> pl.DataFrame:

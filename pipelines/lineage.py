@@ -278,7 +278,7 @@ STAGES = (
             "prognosis_model",
             "prognosis_lives",
             parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-            code="8",
+            code="9",
         ),
         fresh="prognoses",
     ),

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from long_tests import pytest_addoption, pytest_configure  # noqa: F401 - hooks
 from nights import run
 
 from benchmarks import object_server

@@ -12,9 +12,9 @@ import numpy as np
 import polars as pl
 from scipy.stats import CensoredData, ecdf, weibull_min
 
+from benchmarks.real.censored import LifeBounds, life_bounds
 from benchmarks.real.normal_behaviour import Array, Flags
 from benchmarks.real.recipe import Recipe, Result, Score, scored
-from hdt_core.prognosis.censored import LifeBounds, life_bounds
 from hdt_core.simulate.training import draw_fleets
 
 SPLITS, TABLES = 10, 100

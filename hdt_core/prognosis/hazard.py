@@ -20,6 +20,7 @@ EDGES = np.array([0, 5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200,
 SPANS = EDGES.size - 1
 AHEAD = (25, 50, 100, 200, 300)
 """Flights for which the probability of a message is reported."""
+_LEAST_ALIVE = 1e-9
 ROWS_AT_ONCE = 8_192
 """Rows asked together, so that memory does not grow with the fleet."""
 
@@ -120,6 +121,23 @@ def event_by(hazard: Array) -> Array:
     """P(event within EDGES flights), shape (n, SPANS + 1), from 0 at no flights."""
     alive = np.cumprod(1.0 - hazard, axis=1)
     return np.concatenate([np.zeros((hazard.shape[0], 1)), 1.0 - alive], axis=1)
+
+
+def passage_hazards(by: Array, ahead: Sequence[float]) -> Array:
+    """Hazards of a first passage of which P(event) within each of `ahead` flights is known. (n, SPANS)
+
+    Linear between those horizons. NaN where one is not known.
+
+    Examples
+    --------
+    >>> hazard = passage_hazards(np.array([[0.5, 0.5, 0.75, 1.0]]), (50.0, 100.0, 200.0, 300.0))
+    >>> float(event_by(hazard)[0, EDGES.tolist().index(150.0)])
+    0.625
+    """
+    at, rising = np.array([0.0, *ahead]), np.maximum.accumulate(by, axis=1)
+    whole = np.stack([np.interp(EDGES, at, [0.0, *row]) for row in rising]) if len(by) else np.zeros((0, EDGES.size))
+    alive = np.clip(1.0 - whole, _LEAST_ALIVE, 1.0)
+    return np.asarray(1.0 - alive[:, 1:] / alive[:, :-1])
 
 
 def quantile(by: Array, level: float) -> Array:

@@ -40,8 +40,8 @@ RESERVE = (
     "left_linear_100",
     "left_linear_segment",
 )
-AHEAD = (50.0, 100.0, 200.0, 300.0)
-PASSAGE = (*(f"passage_{round(k)}" for k in AHEAD), "passage_median")
+PASSAGE_AHEAD = (50.0, 100.0, 200.0, 300.0)
+PASSAGE = (*(f"passage_{round(k)}" for k in PASSAGE_AHEAD), "passage_median")
 SEEN = (
     "overheat_10",
     "overheat_40",
@@ -188,7 +188,7 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
 def _passages(ratio: Array, asks: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
     """The physical forecast at each flight, before any learner: see `first_passage`."""
     by = passage(ratio, np.full(rate.size, LEFT_RATIO_SD), asks, rate, rate_sd, _EDGES)
-    at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], AHEAD, strict=True)}
+    at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], PASSAGE_AHEAD, strict=True)}
     return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
 
 

@@ -25,8 +25,16 @@ from hdt_core.prognosis.feature_rows import (
     simulated_rows,
     tracks,
 )
-from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, fit_hazard, hazards, quantile
-from hdt_core.prognosis.history import RISES
+from hdt_core.prognosis.hazard import (
+    EDGES,
+    event_by,
+    events_ahead,
+    fit_hazard,
+    hazards,
+    passage_hazards,
+    quantile,
+)  # fmt: skip
+from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD, RISES
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.records.keys import IN_ORDER
@@ -35,15 +43,19 @@ Array = NDArray[np.float64]
 
 HORIZON = float(EDGES[-1])
 _RESERVE = INPUTS.index("reserve_95")
+_PASSAGE = [INPUTS.index(name) for name in PASSAGE[:-1]]
 MEMBERS = 3
 """Models in the base."""
-LEARN_EVERY, LEARN_ROWS = 4, 1_500
+LEARN_EVERY, LEARN_ROWS = 4, 1_000
 """Of a life's flights one in so many corrects the base: neighbours say the same. Of a large fleet fewer still: what is
 learned are a few numbers, and so many rows tell them."""
 FOLDS = 5
 LESSONS = ((False, False), (True, False), (False, True), (True, True))
 """Hazard correction and interval levels of a fleet's own lives, taken up or not; the simplest first."""
 HELD = "out_of_fold"
+PHYSICS_ALONE = frozenset({"CC"})
+"""Components whose hazard is that of their first passage: the base learned lives of exchangers, and on compressors it
+scores worse than the physics it was given (docs/prognosis.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,43 +146,68 @@ def fit_component(
 ) -> list[ComponentFit]:
     """What all tracks teach, then for each fold what all but those `held` do.
 
-    Of hazard correction and interval levels only what narrows the interval score of the held groups is kept.
+    Of hazard correction and interval levels only what lessens the interval score of held-out groups is kept: all of
+    them for live use, those of the other folds for a fold.
     """
     outside = [~track.keys[by].is_in(names).to_numpy() for names in held]
     fits = [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *outside)]
     if not (held and fits[0].failures):
         return fits
-    corrected, levelled = _choose_lessons(base, track, outside, fits[1:])
-    untaught = HazardCorrection()
-    return [
-        replace(
-            fit,
-            correction=fit.correction if corrected else untaught,
-            levels=fit.levels if levelled else base.base_levels,
-        )
-        for fit in fits
-    ]
+    scores = _lesson_scores(base, track, component, outside, fits[1:])
+    left_out = [scores.sum(axis=0), *(scores.sum(axis=0) - own for own in scores)]
+    kept = [LESSONS[int(np.argmin(s))] for s in left_out]
+    untaught = untaught_levels(base, component)
+    return [_keep_lessons(fit, untaught, *lessons) for fit, lessons in zip(fits, kept, strict=True)]
 
 
-def _choose_lessons(
-    base: Prognosis, track: Tracks, outside: Sequence[NDArray[np.bool_]], fits: Sequence[ComponentFit]
-) -> tuple[bool, bool]:
-    """Whether correction and levels are worth learning: the pair with the least interval score on held-out lives.
+def _keep_lessons(fit: ComponentFit, untaught: Levels, corrected: bool, levelled: bool) -> ComponentFit:
+    correction = fit.correction if corrected else HazardCorrection()
+    return replace(fit, correction=correction, levels=fit.levels if levelled else untaught)
 
-    Lives count that ended in the message or outlived the horizon. The simpler pair is chosen where scores are equal.
+
+def untaught_levels(base: Prognosis, component: str) -> Levels:
+    """Levels at which a component's distribution is reported before a fleet has taught any."""
+    return NOMINAL if component in PHYSICS_ALONE else base.base_levels
+
+
+def _hazards(base: Prognosis, component: str, features: Array) -> Array:
+    """Hazard by the base, or by first passage; where no passage is known, by the base. (n, SPANS)"""
+    if component not in PHYSICS_ALONE:
+        return hazards(base.hazard, features)
+    passage = passage_hazards(features[:, _PASSAGE], PASSAGE_AHEAD)
+    unknown = np.isnan(passage).any(axis=1)
+    passage[unknown] = hazards(base.hazard, features[unknown])
+    return passage
+
+
+def _lesson_scores(
+    base: Prognosis,
+    track: Tracks,
+    component: str,
+    outside: Sequence[NDArray[np.bool_]],
+    fits: Sequence[ComponentFit],
+) -> Array:
+    """Interval score of each fold's held-out lives with each of `LESSONS`, summed over rows: fold by lesson.
+
+    Lives count that ended in the message or outlived the horizon. A fold's own row decides nothing about that fold.
     """
     column = track.at[:, 1]
     judged = ~track.mute & (track.left >= 1) & (column >= 0) & (track.failed | (track.left >= HORIZON))
-    scores = dict.fromkeys(LESSONS, 0.0)
-    for use, fit in zip(outside, fits, strict=True):
-        rows = fleet_rows(track, fit.rule, judged & ~use & (column % LEARN_EVERY == 0))
-        raw, left = hazards(base.hazard, rows.features), np.minimum(rows.left, HORIZON)
-        corrected = fit.correction(raw, rows.features[:, _RESERVE])
-        for correction, levels in LESSONS:
-            by, at = event_by(corrected if correction else raw), fit.levels if levels else base.base_levels
-            score = interval_score(left, quantile(by, at[0]), quantile(by, at[2]))
-            scores[correction, levels] += float(score.sum())
-    return min(scores, key=scores.__getitem__)
+    every = _stride(judged)
+    scores = np.zeros((len(fits), len(LESSONS)))
+    for k, (use, fit) in enumerate(zip(outside, fits, strict=True)):
+        rows = fleet_rows(track, fit.rule, judged & ~use & (column % every == 0))
+        raw, left = _hazards(base, component, rows.features), np.minimum(rows.left, HORIZON)
+        by = {False: event_by(raw), True: event_by(fit.correction(raw, rows.features[:, _RESERVE]))}
+        for m, (corrected, levelled) in enumerate(LESSONS):
+            low, _, high = fit.levels if levelled else untaught_levels(base, component)
+            scores[k, m] = interval_score(left, quantile(by[corrected], low), quantile(by[corrected], high)).sum()
+    return scores
+
+
+def _stride(use: NDArray[np.bool_]) -> int:
+    """Every how many flights of a life a row is taken, so that about `LEARN_ROWS` are."""
+    return max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
 
 
 def assemble(base: Prognosis, held: Sequence[tuple[str, ...]], fits: Mapping[str, Sequence[ComponentFit]]) -> Prognosis:
@@ -251,13 +288,12 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
     use = use & (track.left >= 1) & (column >= 0)
     failures, lives = (int(np.unique(life[rows]).size) for rows in (use & track.failed, use))
     if not failures:
-        return ComponentFit(rule, levels=base.base_levels, lives=lives)
-    every = max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
-    rows = fleet_rows(track, rule, use & (column % every == 0))
-    raw, reserve = hazards(base.hazard, rows.features), rows.features[:, _RESERVE]
+        return ComponentFit(rule, levels=untaught_levels(base, component), lives=lives)
+    rows = fleet_rows(track, rule, use & (column % _stride(use) == 0))
+    raw, reserve = _hazards(base, component, rows.features), rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
-    levels = learn_levels(by, rows.left, rows.failed, rows.life, base.base_levels)
+    levels = learn_levels(by, rows.left, rows.failed, rows.life, untaught_levels(base, component))
     return ComponentFit(rule, correction, levels, failures, lives)
 
 
@@ -271,7 +307,7 @@ def _predict(
 ) -> pl.DataFrame:
     asked = np.ones(len(track.at), bool) if asked is None else asked
     rows = fleet_rows(track, fit.rule, asked)
-    by = event_by(fit.correction(hazards(model.hazard, rows.features), rows.features[:, _RESERVE]))
+    by = event_by(fit.correction(_hazards(model, component, rows.features), rows.features[:, _RESERVE]))
     known = track.at[asked, 1] >= 0
     low, middle, high = (quantile(by, level) for level in fit.levels)
     numbers = {"rul_flights": middle, "rul_low": np.minimum(low, middle), "rul_high": np.maximum(high, middle)}

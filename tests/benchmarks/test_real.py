@@ -8,9 +8,9 @@ import pytest
 
 from benchmarks.real import cmapss, events, filters, lives, skab
 from benchmarks.real.__main__ import RECIPES
+from benchmarks.real.censored import life_bounds
 from benchmarks.real.page import described
 from benchmarks.real.recipe import Score
-from hdt_core.prognosis.censored import life_bounds
 
 RNG = np.random.default_rng
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from benchmarks.real.censored import life_bounds
 from hdt_core.components import Limit
-from hdt_core.prognosis.censored import life_bounds
 from hdt_core.prognosis.component_life import first_passage
 from hdt_core.prognosis.component_limits import PRIORS, learn_limit
 from hdt_core.prognosis.hazard import (

@@ -12,11 +12,13 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from hdt_core.margin.margin import PRIOR_RULE
 from hdt_core.prognosis.feature_rows import INPUTS, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
-from hdt_core.prognosis.hazard import fit_hazard
+from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards
 from hdt_core.prognosis.metrics import judge, score_prognoses
 from hdt_core.prognosis.model import (
+    LESSONS,
     ComponentFit,
-    _choose_lessons,
+    _hazards,
+    _lesson_scores,
     fit_component,
     fit_member,
     fit_prognosis,
@@ -204,7 +206,22 @@ def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
     track, held = held_halves
     outside = [~track.keys["tail"].is_in(names).to_numpy() for names in held]
     fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
-    assert _choose_lessons(replace(base, base_levels=base_levels), track, outside, [fit, fit]) == kept
+    scores = _lesson_scores(replace(base, base_levels=base_levels), track, "HX", outside, [fit, fit])
+    assert LESSONS[int(np.argmin(scores.sum(axis=0)))] == kept
+
+
+def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatch):
+    """Of three folds the first's lives want the correction most; the first alone is judged by the others."""
+    track, held = held_halves
+    track_folds = [held[0][:1], held[0][1:], held[1]]
+    scores = np.array([[9.0, 0.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0]])
+    monkeypatch.setattr("hdt_core.prognosis.model._lesson_scores", lambda *_: scores)
+    weights = (0.5, 0.0, 0.0, 0.0)
+    learned = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), (0.2, 0.5, 0.8), failures=5, lives=9)
+    monkeypatch.setattr("hdt_core.prognosis.model._learn", lambda *_: learned)
+    fits = fit_component(base, track, "HX", track_folds)
+    assert [fit.correction.weights == weights for fit in fits] == [True, False, True, True]
+    assert all(fit.levels == base.base_levels for fit in fits)
 
 
 def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
@@ -214,3 +231,18 @@ def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
     high._baseline_prediction = high._baseline_prediction + 2.0
     fits = fit_component(replace(base, hazard=(high,)), track, "HX", held)
     assert all(fit.correction.weights[0] < -0.2 for fit in fits)
+
+
+def test_a_compressors_hazard_is_its_first_passage_and_the_bases_where_none_is_known(base):
+    """Of 50, 100, 200 and 300 flights: by 75 flights half way between the first two."""
+    features = np.full((2, len(INPUTS)), np.nan)
+    features[0, [INPUTS.index(f"passage_{k}") for k in (50, 100, 200, 300)]] = 0.2, 0.6, 0.6, 1.0
+    by = event_by(_hazards(base, "CC", features))
+    at = dict(zip(EDGES, by[0], strict=True))
+    assert at[50.0] == pytest.approx(0.2)
+    assert at[80.0] == pytest.approx(0.2 + 0.4 * 30 / 50)
+    assert at[200.0] == pytest.approx(0.6)
+    assert at[300.0] == pytest.approx(1.0)
+    learned = event_by(hazards(base.hazard, features))
+    np.testing.assert_array_equal(by[1], learned[1])
+    np.testing.assert_array_equal(event_by(_hazards(base, "HX", features)), learned)
