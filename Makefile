@@ -6,7 +6,7 @@ LANDING ?= data_samples
 READY := $(VENV)/.ready
 PACKAGES := hdt_core pipelines dagster_batched sql extensions benchmarks
 
-.PHONY: run test mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
+.PHONY: run test test-long mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
 run: $(READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
@@ -14,6 +14,10 @@ run: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# tests of tests/long.toml, all or with CHANGED=1 those whose sources changed since they last passed (tests/passed.json)
+test-long: $(READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal --long $(if $(CHANGED),changed,all)
 
 # which small edits of a room (margin, health, ...) its tests notice: survivors and score; MODULE=name for one module
 mutate: $(READY)
