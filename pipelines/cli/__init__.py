@@ -5,11 +5,11 @@ import sqlite3
 import sys
 from importlib.metadata import entry_points
 
-from pipelines.cli import cases, digest, look, make, night, recorder, serve, share, trial
+from pipelines.cli import cases, digest, look, make, night, recorder, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.cli.stops import StoppedError, ends_in_order
 
-__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder", "serve", "share", "trial"]
+__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder", "serve", "share"]
 
 
 def main() -> None:

@@ -27,8 +27,6 @@ ORDER = (
     "query",
     "terms",
     "export",
-    "trial",
-    "dossier",
     "recorder",
     "ui",
     "simulate",

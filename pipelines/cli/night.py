@@ -171,15 +171,12 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
             night, fault = complete_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
-        sealed, unsealed = _sealed(home)
-        untold = _untold(home)
     seconds = time.monotonic() - began
     for line in night.mended:
         err.print(f"mended: {line}", markup=False, soft_wrap=True)
     if as_json:
-        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault, "trial_digest": sealed,
-                "untold": untold}  # fmt: skip
-        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__ if f != "came"}))
+        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.after
+        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__ if f not in ("came", "after")}))
     elif night.idle:
         said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
         mended = f" made anew, for {fault}" if fault else ""
@@ -188,37 +185,13 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         _say(home, night, seconds)
     for line in () if as_json else night.not_read:
         err.print(f"not read: {line}", markup=False, soft_wrap=True)
-    if sealed and not as_json:
-        out.print(f"Trial: sealed, {sealed}", soft_wrap=True)
-    for line in untold:
+    for name, value in () if as_json else night.after.items():
+        if value:
+            out.print(f"{name.replace('_', ' ')}: {value}", markup=False, soft_wrap=True)
+    for line in (*night.untold, *night.not_followed):
         say_error(line)
-    if unsealed:
-        say_error(f"the trial was not sealed: {unsealed}")
-    if night.failed or unsealed:
+    if night.failed or night.not_followed:
         raise typer.Exit(1)
-
-
-def _sealed(home: Path) -> tuple[str | None, str | None]:
-    """Digest of what a trial sealed tonight, and why it could not; None where there is no trial or no fault."""
-    from pipelines.trial.declaration import TrialError
-    from pipelines.trial.seal import seal_night
-
-    try:
-        entry = seal_night(home)
-    except TrialError as error:
-        return None, str(error)
-    return entry.digest if entry else None, None
-
-
-def _untold(home: Path) -> list[str]:
-    """A line for each receiver of the night's digest that could not be told; a home without receivers costs nothing."""
-    from pipelines.storage.settings import notify_file
-
-    if not notify_file(home).exists():
-        return []
-    from pipelines.digest import tell_night
-
-    return tell_night(home)
 
 
 def _say(home: Path, night: Any, seconds: float) -> None:

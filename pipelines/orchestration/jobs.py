@@ -6,11 +6,9 @@ from pathlib import Path
 
 import dagster as dg
 
-from pipelines.digest import tell_night
 from pipelines.intake.scan import unseen
 from pipelines.orchestration.nightly import complete_night, holding
 from pipelines.resources import Home
-from pipelines.trial.seal import seal_night
 from pipelines.versions import digest
 from pipelines.zone import fault_of
 
@@ -39,12 +37,12 @@ def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
         raise dg.Failure(fault)
     with holding(where):
         night, _ = complete_night(Path(home.landing), where, _Log(context.log), within=context)
-        seal_night(where)
-        for line in tell_night(where):
-            context.log.warning(line)
+    for line in night.untold:
+        context.log.warning(line)
     context.add_output_metadata({"new_files": night.new_files, "cells": night.cells, "runs": night.runs})
-    if night.failed:
-        raise dg.Failure("; ".join(f"{where}: {why}" for where, why in night.failed.items()))
+    if night.failed or night.not_followed:
+        failed = (f"{where}: {why}" for where, why in night.failed.items())
+        raise dg.Failure("; ".join((*failed, *night.not_followed)))
 
 
 @dg.job(description="One night: from what lies in the landing zone to a published catalog.")

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ import polars as pl
 from pipelines.intake.refusals import not_read
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
+from pipelines.orchestration.after_night import call_hooks, tell_receivers
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
@@ -66,6 +67,12 @@ class Night:
     """A line for each name in the landing zone that fits nothing."""
     came: frozenset[str] = frozenset()
     """Paths of the new files."""
+    after: dict[str, str | None] = field(default_factory=dict)
+    """What the hooks of `hdt.after_night` gave."""
+    not_followed: tuple[str, ...] = ()
+    """A line for each hook that failed."""
+    untold: tuple[str, ...] = ()
+    """A line for each receiver of the digest that could not be told."""
 
     @property
     def idle(self) -> bool:
@@ -128,7 +135,7 @@ def complete_night(
     *,
     before: Night | None = None,
 ) -> tuple[Night, str | None]:
-    """Run a night and publish the catalog; why the catalog was made anew though there was nothing to do.
+    """Run a night, publish the catalog and do what follows; why it was made anew though there was nothing to do.
 
     A night that meets a damaged file is begun again, once: all files are read then, and what is damaged is made again.
     `before` is what the night did until it met one; the other arguments are those of `run_night`.
@@ -137,7 +144,9 @@ def complete_night(
     try:
         done = done.then(run_night(landing, home, progress, only, within, jobs))
         if before or not (done.failed and Store(home).place.doubted):
-            return done, _publish(home, done, within)
+            fault = _publish(home, done, within)
+            given, failed = call_hooks(home)
+            return replace(done, after=given, not_followed=failed, untold=tell_receivers(home)), fault
     except DamageError:
         if before:
             raise

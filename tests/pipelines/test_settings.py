@@ -13,7 +13,6 @@ from pipelines.intake.costs import CostError, read_costs
 from pipelines.storage.files import narrow_umask, private
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import Retention, accepted_terms, retention
-from pipelines.trial.declaration import TrialError, read_declaration
 
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 ABSURD = ("99999999999", "9" * 5_000, "-1", "0", "nan", "inf", "1e400", "1.5", "true", "'x'", "[]", "{}", "2024-03-01")
@@ -48,8 +47,6 @@ def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
     for read, error in (*readers, (lambda home: read_type(home / "type.toml"), AircraftTypeError)):
         with pytest.raises(error, match=r"\.toml"):
             read(tmp_path)
-    with pytest.raises(TrialError, match=r"TOML|has no x"):
-        read_declaration(text)
 
 
 @pytest.mark.parametrize("value", ["-1", "0", "65536", "99999999999", "nan", "true", "'x'"])
@@ -84,13 +81,6 @@ def test_a_span_of_a_column_is_one(tmp_path, entry):
     (tmp_path / "type.toml").write_text(TYPE % entry)
     with pytest.raises(AircraftTypeError, match=r"type\.toml line 4: \[pack\] mach"):
         read_type(tmp_path / "type.toml")
-
-
-@pytest.mark.parametrize("entry", ["days = 99999999999", "days = -1", "[cost]\nfalse_alarm = inf", "rule = 3",
-                                   "[cost]\nfalse_alarm = nan"])  # fmt: skip
-def test_numbers_of_a_trial_are_of_this_world(entry):
-    with pytest.raises(TrialError):
-        read_declaration(entry)
 
 
 @pytest.mark.parametrize("content", [b"no_such_term\n", b"\xff\xfe"])

@@ -1,9 +1,9 @@
 """The one page that may leave: figures with intervals and n, definitions, costs, what was not judged; no raw row."""
 
-from pipelines.trial.document import Part, bullets, document, section, table, verbatim
-from pipelines.trial.evaluation import LATE_SEAL_DAYS, Evaluation
-from pipelines.trial.figures import Figure
-from pipelines.trial.seal import OURS
+from hdt_trial.document import Part, bullets, document, section, table, verbatim
+from hdt_trial.evaluation import LATE_SEAL_DAYS, Evaluation
+from hdt_trial.figures import Figure
+from hdt_trial.seal import OURS
 
 _VERDICTS = {
     "hit": "event in time",

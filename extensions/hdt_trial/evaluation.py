@@ -10,13 +10,13 @@ from typing import Any
 
 import polars as pl
 
+from hdt_trial.declaration import Declaration, Rule, TrialError
+from hdt_trial.figures import Figure, ScoredAlerts, Teller, judge_alerts, judge_prognoses, kept_back
+from hdt_trial.judgement import Judge, SealedAlert, sealed_span
+from hdt_trial.log import LogEntry, entries
+from hdt_trial.outcomes import Outcomes, read_outcomes
+from hdt_trial.seal import OURS, as_alerts, declaration_of, log_folder, place_of
 from pipelines.storage.catalog import connect
-from pipelines.trial.declaration import Declaration, Rule, TrialError
-from pipelines.trial.figures import Figure, ScoredAlerts, Teller, judge_alerts, judge_prognoses, kept_back
-from pipelines.trial.judgement import Judge, SealedAlert, sealed_span
-from pipelines.trial.log import LogEntry, entries
-from pipelines.trial.outcomes import Outcomes, read_outcomes
-from pipelines.trial.seal import OURS, as_alerts, declaration_of, log_folder, place_of
 
 _RULE = re.compile(r"^(\[rule\.[^\]\n]*\])\n.*?(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 LATE_SEAL_DAYS = 3.0

@@ -9,11 +9,11 @@ from typing import Any
 import duckdb
 import polars as pl
 
+from hdt_trial.declaration import Declaration, Rule, TrialError, read_declaration
+from hdt_trial.frozen import changes, frozen
+from hdt_trial.log import LogEntry, append, entries
 from pipelines.storage.catalog import ask, connect
 from pipelines.storage.settings import accepted_terms
-from pipelines.trial.declaration import Declaration, Rule, TrialError, read_declaration
-from pipelines.trial.frozen import changes, frozen
-from pipelines.trial.log import LogEntry, append, entries
 
 FOLDER = "trial"
 OURS = "hdt"
@@ -78,6 +78,21 @@ def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
         told = changes(_last_frozen(log), is_now := frozen(con, list(accepted_terms(home))))
         body = ({"changes": told, "frozen": is_now} if told else {}) | _said(con, declared, *_state(log))
     return append(folder, "night", body, now)
+
+
+def after_night(home: Path) -> dict[str, str | None]:
+    """Seal a night of the house: the digest of the entry, None where nothing was sealed.
+
+    Raises
+    ------
+    TrialError
+        As of `seal_night`.
+    """
+    try:
+        entry = seal_night(home)
+    except TrialError as error:
+        raise TrialError(f"the trial was not sealed: {error}") from None
+    return {"trial_digest": entry.digest if entry else None}
 
 
 def declaration_of(log: Sequence[LogEntry]) -> Declaration:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import polars as pl
 
-from pipelines.trial.declaration import DEFAULT, Declaration, read_declaration
-from pipelines.trial.log import LogEntry
-from pipelines.trial.outcomes import COLUMNS, Outcomes, outcomes_of
+from hdt_trial.declaration import DEFAULT, Declaration, read_declaration
+from hdt_trial.log import LogEntry
+from hdt_trial.outcomes import COLUMNS, Outcomes, outcomes_of
 
 START = dt.datetime(2025, 1, 1, tzinfo=dt.UTC)
 A_DAY = 3

@@ -7,14 +7,14 @@ from contextlib import contextmanager
 import pytest
 from made_catalog import START, alert, catalog, fill, flight, message, replaced
 
-from pipelines.cli.base import app
-from pipelines.trial import evaluation, frozen, seal
-from pipelines.trial.declaration import DEFAULT, TrialError, read_declaration
-from pipelines.trial.figures import judge_alerts
-from pipelines.trial.judgement import Judge
-from pipelines.trial.log import entries, faults
-from pipelines.trial.outcomes import read_outcomes, take_in
-from pipelines.trial.seal import declaration_of, seal_night, start
+from hdt_trial import evaluation, frozen, seal
+from hdt_trial.commands import app
+from hdt_trial.declaration import DEFAULT, TrialError, read_declaration
+from hdt_trial.figures import judge_alerts
+from hdt_trial.judgement import Judge
+from hdt_trial.log import entries, faults
+from hdt_trial.outcomes import read_outcomes, take_in
+from hdt_trial.seal import declaration_of, seal_night, start
 
 LAST = 200
 
@@ -208,6 +208,19 @@ def test_nights_are_sealed_for_as_long_as_was_declared(world):
 def test_a_declaration_that_can_not_be_is_told(text, says):
     with pytest.raises(TrialError, match=says):
         read_declaration(text)
+
+
+@pytest.mark.parametrize("text", [f"x = {'[' * 20_000}{']' * 20_000}", "x = \ud800", "=", f"x = {'9' * 5_000}"])
+def test_a_declaration_that_is_no_toml_is_told(text):
+    with pytest.raises(TrialError, match=r"TOML|has no x"):
+        read_declaration(text)
+
+
+@pytest.mark.parametrize("entry", ["days = 99999999999", "days = -1", "[cost]\nfalse_alarm = inf", "rule = 3",
+                                   "[cost]\nfalse_alarm = nan"])  # fmt: skip
+def test_numbers_of_a_trial_are_of_this_world(entry):
+    with pytest.raises(TrialError):
+        read_declaration(entry)
 
 
 @pytest.mark.parametrize("sql", ["select 1 as operator", "drop table x", "select * from no_such"])

@@ -9,9 +9,9 @@ from typing import Any
 import duckdb
 import polars as pl
 
-from pipelines.trial.declaration import Declaration, TrialError
-from pipelines.trial.log import LogEntry, append, entries
-from pipelines.trial.seal import PLACE, Place, declaration_of, log_folder
+from hdt_trial.declaration import Declaration, TrialError
+from hdt_trial.log import LogEntry, append, entries
+from hdt_trial.seal import PLACE, Place, declaration_of, log_folder
 
 COLUMNS = ("operator", "tail", "pack", "component", "at", "kind", "finding", "reference")
 KINDS = ("MESSAGE", "REPLACED", "INSPECTED")

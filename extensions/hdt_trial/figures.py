@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.trial import intervals
-from pipelines.trial.intervals import Interval
-from pipelines.trial.judgement import (
+from hdt_trial import intervals
+from hdt_trial.intervals import Interval
+from hdt_trial.judgement import (
     VERDICTS,
     Judge,
     JudgedAlert,
@@ -20,8 +20,8 @@ from pipelines.trial.judgement import (
     sealed_alerts,
     sealed_span,
 )
-from pipelines.trial.log import LogEntry
-from pipelines.trial.seal import OURS, place_of
+from hdt_trial.log import LogEntry
+from hdt_trial.seal import OURS, place_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from hdt_trial.declaration import TrialError
 from pipelines.storage.files import replacing
-from pipelines.trial.declaration import TrialError
 
 HEADS = "heads.txt"
 NOTHING = "0" * 64

@@ -26,8 +26,8 @@ def start_trial(
 
     From then on each night's alerts and prognoses are sealed by `hdt nightly`.
     """
-    from pipelines.trial.declaration import DEFAULT
-    from pipelines.trial.seal import start
+    from hdt_trial.declaration import DEFAULT
+    from hdt_trial.seal import start
 
     if show:
         out.print(DEFAULT, markup=False, soft_wrap=True, end="")
@@ -43,8 +43,8 @@ def seal_trial(home: HomeDir = None) -> None:
 
     `hdt nightly` does so by itself, at its end.
     """
-    from pipelines.trial.log import entries
-    from pipelines.trial.seal import declaration_of, log_folder, seal_night
+    from hdt_trial.log import entries
+    from hdt_trial.seal import declaration_of, log_folder, seal_night
 
     with _one_writer(home) as where:
         declaration_of(entries(log_folder(where)))
@@ -63,7 +63,7 @@ def take_outcomes(
 
     Kind is MESSAGE, REPLACED or INSPECTED.
     """
-    from pipelines.trial.outcomes import take_in
+    from hdt_trial.outcomes import take_in
 
     with _one_writer(home) as where:
         entry = take_in(where, file)
@@ -76,9 +76,9 @@ def stamp_trial(home: HomeDir = None) -> None:
 
     Its answer is laid beside it; `hdt trial verify --authority` checks it.
     """
-    from pipelines.trial.log import entries
-    from pipelines.trial.seal import log_folder
-    from pipelines.trial.stamp import request
+    from hdt_trial.log import entries
+    from hdt_trial.seal import log_folder
+    from hdt_trial.stamp import request
 
     with _one_line():
         folder = log_folder(home_folder(home))
@@ -104,10 +104,10 @@ def verify_trial(
 
     Exit code 1 if something was. Without a digest from outside a whole new log can't be told from the old one.
     """
-    from pipelines.trial.log import entries, faults
-    from pipelines.trial.seal import log_folder
-    from pipelines.trial.stamp import faults as faults_of_stamps
-    from pipelines.trial.stamp import stamps
+    from hdt_trial.log import entries, faults
+    from hdt_trial.seal import log_folder
+    from hdt_trial.stamp import faults as faults_of_stamps
+    from hdt_trial.stamp import stamps
 
     with _one_line():
         folder = log_folder(home_folder(home))
@@ -137,11 +137,11 @@ def write_page(
 
     With --json the same numbers are printed as well.
     """
+    from hdt_trial.evaluation import evaluate
+    from hdt_trial.log import faults
+    from hdt_trial.page import page
+    from hdt_trial.seal import log_folder
     from pipelines.storage.files import replacing
-    from pipelines.trial.evaluation import evaluate
-    from pipelines.trial.log import faults
-    from pipelines.trial.page import page
-    from pipelines.trial.seal import log_folder
 
     with _one_line():
         where = home_folder(home)
@@ -168,8 +168,8 @@ def dossier(
 
     Data lineage, limits, validation, configuration, changes and known failures, as one offline page. It names aircraft.
     """
+    from hdt_trial.dossier import write_dossier
     from pipelines.storage.files import replacing
-    from pipelines.trial.dossier import write_dossier
 
     with _one_line():
         told = write_dossier(home_folder(home), attach or ())
@@ -190,7 +190,7 @@ def _one_writer(home: Path | None) -> Iterator[Path]:
 
 @contextmanager
 def _one_line() -> Iterator[None]:
-    from pipelines.trial.declaration import TrialError
+    from hdt_trial.declaration import TrialError
 
     try:
         yield

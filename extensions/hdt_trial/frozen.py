@@ -12,7 +12,7 @@ from typing import Any
 
 import duckdb
 
-PACKAGES = ("hdt_core", "pipelines", "dagster_batched", "sql")
+PACKAGES = ("hdt_core", "pipelines", "dagster_batched", "sql", "hdt_trial")
 LIBRARIES = ("duckdb", "numpy", "polars", "scikit-learn", "scipy")
 
 

@@ -9,10 +9,10 @@ import subprocess
 
 import pytest
 
-from pipelines.trial.declaration import TrialError
-from pipelines.trial.log import HEADS, append, entries, faults
-from pipelines.trial.stamp import faults as faults_of_stamps
-from pipelines.trial.stamp import request
+from hdt_trial.declaration import TrialError
+from hdt_trial.log import HEADS, append, entries, faults
+from hdt_trial.stamp import faults as faults_of_stamps
+from hdt_trial.stamp import request
 
 NOW = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from pipelines.trial.declaration import Declaration
-from pipelines.trial.log import LogEntry
-from pipelines.trial.outcomes import Outcomes
-from pipelines.trial.seal import Place, place_of
+from hdt_trial.declaration import Declaration
+from hdt_trial.log import LogEntry
+from hdt_trial.outcomes import Outcomes
+from hdt_trial.seal import Place, place_of
 
 Tail = tuple[str, str]
 

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import duckdb
 
+from hdt_trial.document import Part, bullets, code, document, heading, section, table, verbatim
+from hdt_trial.frozen import frozen
+from hdt_trial.log import entries
+from hdt_trial.log import faults as faults_of_log
+from hdt_trial.seal import log_folder
 from pipelines.lineage import STAGES
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accepted_terms
-from pipelines.trial.document import Part, bullets, code, document, heading, section, table, verbatim
-from pipelines.trial.frozen import frozen
-from pipelines.trial.log import entries
-from pipelines.trial.log import faults as faults_of_log
-from pipelines.trial.seal import log_folder
 from pipelines.versions import digest
 
 _PURPOSE = (

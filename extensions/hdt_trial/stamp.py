@@ -7,8 +7,8 @@ is a file that is laid beside it.
 import subprocess
 from pathlib import Path
 
-from pipelines.trial.declaration import TrialError
-from pipelines.trial.log import LogEntry
+from hdt_trial.declaration import TrialError
+from hdt_trial.log import LogEntry
 
 
 def request(folder: Path, entry: LogEntry) -> Path:

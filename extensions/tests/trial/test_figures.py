@@ -7,9 +7,9 @@ from collections import Counter
 import pytest
 import trials
 
-from pipelines.trial import figures, intervals
-from pipelines.trial.evaluation import evaluated
-from pipelines.trial.page import page
+from hdt_trial import figures, intervals
+from hdt_trial.evaluation import evaluated
+from hdt_trial.page import page
 
 TRIALS = 50
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from hdt_core.toml_text import parse_toml
 
-DEFAULT = (resources.files("pipelines.trial") / "declaration.toml").read_text("utf-8")
+DEFAULT = (resources.files("hdt_trial") / "declaration.toml").read_text("utf-8")
 
 
 MOST, MOST_DAYS = 1e12, 36_525
