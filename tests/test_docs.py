@@ -16,7 +16,7 @@ import pytest
 import typer
 
 import hdt_core
-from pipelines.cli import app
+from pipelines.cli import app, load_extensions
 from pipelines.storage.catalog import connect
 
 ROOT = Path(__file__).parents[1]
@@ -47,6 +47,7 @@ def commands(page: Path) -> list[list[str]]:
     return found
 
 
+load_extensions()  # the pages name their commands, too
 SAID = [(page, words) for page in PAGES if page != CONTRACT for words in commands(page)]
 
 
