@@ -82,7 +82,7 @@ class Genetic:
         self, problem: Problem, free: npt.NDArray[np.bool_], lower: Array, upper: Array
     ) -> tuple[Array, float, int, bool]:
         """Fittest individual (free parameters,), its objective, passes over the record, whether all agree."""
-        from deap import algorithms, base, tools  # noqa: PLC0415 (an extra)
+        from deap import algorithms, base, tools
 
         class Fitness(base.Fitness):  # type: ignore[misc]
             weights = (-1.0,)

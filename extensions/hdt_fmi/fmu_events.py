@@ -82,7 +82,7 @@ class _Run:
     """Runs of one instance, anew for every set of parameters."""
 
     def __init__(self, unit: FmuUnit, params: list[int], outputs: list[str]) -> None:
-        from fmpy.sundials import CVodeSolver  # noqa: PLC0415  # with the extra `fmi` only
+        from fmpy.sundials import CVodeSolver  # with the extra `fmi` only
 
         self.unit, self._params, self._solver_of = unit, params, CVodeSolver
         self._outputs = [unit.variables[name] for name in outputs]

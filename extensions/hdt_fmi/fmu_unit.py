@@ -135,11 +135,11 @@ def check_losses(losses: Mapping[str, str], params: Sequence[Param]) -> None:
 
 def _fmpy() -> ModuleType:
     try:
-        import fmpy.fmi2  # noqa: PLC0415
-        import fmpy.model_description  # noqa: PLC0415
+        import fmpy.fmi2
+        import fmpy.model_description
     except ImportError as missing:
         raise ImportError(
-            "an FMU as a component needs fmpy: pip install 'hybrid-digital-twin[fmi]'", name="fmpy"
+            "an FMU as a component needs fmpy: pip install 'hybrid-digital-twin-extensions[fmi]'", name="fmpy"
         ) from missing
     module: ModuleType = fmpy
     return module

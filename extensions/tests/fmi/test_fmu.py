@@ -152,7 +152,7 @@ def test_a_run_over_time_takes_no_inputs(fmu):
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy.fmi2", None)
-    with pytest.raises(ImportError, match=r"pip install 'hybrid-digital-twin\[fmi\]'"):
+    with pytest.raises(ImportError, match=r"pip install 'hybrid-digital-twin-extensions\[fmi\]'"):
         fmu_model("any.fmu", inputs=INPUTS, outputs=OUTPUTS, params=(UA,))
 
 

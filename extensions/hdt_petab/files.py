@@ -15,8 +15,8 @@ import yaml
 
 from hdt_core.estimation import Belief, Problem
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.formula import formulas
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State, taking
+from hdt_petab.formula import formulas
 
 Array = np.ndarray
 NAMES = {"parameter": "parameters.tsv", "condition": "conditions.tsv", "observable": "observables.tsv"}
@@ -129,7 +129,7 @@ def _libsbml() -> Any:
         import libsbml
         import petab  # noqa: F401
     except ImportError as missing:
-        raise ImportError("PEtab needs the extra: pip install 'hybrid-digital-twin[petab]'") from missing
+        raise ImportError("PEtab needs the extra: pip install 'hybrid-digital-twin-extensions[petab]'") from missing
     return libsbml
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, unknown
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.formula import Formula, formulas
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
+from hdt_petab.formula import Formula, formulas
 
 # petab 0.8 uses what pandas 3 warns will go
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -59,7 +59,7 @@ def test_equations_are_written_as_formulas():
 
 def files(tmp_path, model, free, record, **more):
     pytest.importorskip("petab", reason="the extra `petab` is not installed")
-    from pipelines.sharing.petab import write_petab
+    from hdt_petab import write_petab
 
     return write_petab(tmp_path / model.name, model, free, *record, **more)
 
@@ -81,7 +81,7 @@ def test_there_and_back_is_the_same_question(tmp_path, model, free, record, more
     from petab.v1 import Problem as Petab
     from petab.v1.lint import lint_problem
 
-    from pipelines.sharing.petab import read_petab
+    from hdt_petab import read_petab
 
     assert not lint_problem(Petab.from_yaml(str(path)))
     ours, back = declared_problem(model, free, *record, **more), read_petab(path)
