@@ -87,20 +87,6 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
     assert all("postgres" in module for module in kept_in)
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "name"),
-    [
-        ("dagster_batched.sqlite", "dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
-        ("pipelines.eventlog", "dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
-        ("pipelines.eventlog_postgres", "dagster_batched.postgres", "BatchedPostgresEventLogStorage"),
-        ("pipelines.broker", "dagster_batched.celery", "WatchedCeleryRunLauncher"),
-    ],
-)
-def test_settings_of_before_find_their_class(before, now, name):
-    """A site's `dagster.yaml` is its own and names modules as they were."""
-    assert getattr(importlib.import_module(before), name) is getattr(importlib.import_module(now), name)
-
-
 def test_what_a_cluster_is_given_fits_together():
     """Names that one manifest makes and another uses; the settings in it are those of the other engines but for one."""
     found = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
