@@ -76,8 +76,8 @@ def query(
     """Ask the catalog of the last night or an earlier one, read only."""
     import duckdb
 
-    from pipelines.storage.as_of import connect_as_of
     from pipelines.storage.catalog import ask, connect
+    from pipelines.storage.publication import connect_as_of
 
     where = home_folder(home)
     with ends_at_once(lambda: say_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:

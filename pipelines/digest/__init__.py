@@ -1,8 +1,7 @@
 """After the night: what changed since the last one, told to who wants to know, and work orders."""
 
-from pipelines.digest.changes import Digest, compare
+from pipelines.digest.changes import Digest, changes_since, compare
 from pipelines.digest.declaration import NotifyError
-from pipelines.digest.nights import changes_since
 from pipelines.digest.orders import work_orders, write_orders
 from pipelines.digest.render import as_html, as_json, as_text, write_digest
 from pipelines.digest.state import EMPTY, read_state

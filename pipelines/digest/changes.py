@@ -2,10 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from hdt_core.prognosis.model import HORIZON
-from pipelines.digest.state import State
+from pipelines.digest.state import EMPTY, State, read_state
+from pipelines.storage.catalog import connect
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import connect_as_of
 
 Row = dict[str, Any]
 _URGENCY, _SEVERITY = ("none", "plan", "act"), ("low", "medium", "high")
@@ -41,6 +45,23 @@ class Digest:
             return self
         own = {k: [r for r in rows if r["operator"] == operator] for k, rows in self.changes.items()}
         return replace(self, changes={k: rows for k, rows in own.items() if rows})
+
+
+def changes_since(home: Path, night: str | None = None) -> Digest:
+    """What changed since the last night at or before `night`; since the last but one, where none is named.
+
+    Raises
+    ------
+    StoreError
+        There was no night by then, or it is not kept any more.
+    """
+    with connect(home) as con:
+        now = read_state(con)
+    nights = sorted(Ledger(home, looks=True).snapshots())
+    if night is None and len(nights) < 2:
+        return compare(EMPTY, now)
+    with connect_as_of(home, night or nights[-2]) as con:
+        return compare(read_state(con), now)
 
 
 def compare(before: State, now: State) -> Digest:

@@ -8,8 +8,7 @@ from markupsafe import Markup
 
 from pipelines.report import charts, words
 from pipelines.report.facts import Facts
-from pipelines.report.plots import outlet_residuals
-from pipelines.report.replacement import around_replacement
+from pipelines.report.plots import around_replacement, outlet_residuals
 from pipelines.report.templating import told
 from pipelines.report.units import both, estimate, quantity, to_us
 from pipelines.words import _, several

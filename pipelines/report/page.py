@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 from markupsafe import Markup
 
-from pipelines.report import charts, intake, tracks
+from pipelines.report import charts, tracks, words
 from pipelines.report.answers import answers
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.figures import figures
@@ -20,6 +20,7 @@ from pipelines.storage.files import replacing
 from pipelines.words import _
 
 CLOSED_DAYS = 180  # alerts closed longer ago are history: the catalog has them
+MONTHS = 12
 
 
 def write_report(home: Path, target: Path, units: str = "si", with_thresholds: bool = False) -> None:
@@ -56,10 +57,10 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
         components=facts["components"].to_dicts(),
         hit_rates={r["diagnosis"]: r for r in facts["hit_rates"].to_dicts()},
         thresholds=thresholds,
-        gaps=intake.gaps(facts),
+        gaps=_gaps(facts),
         quarantine=facts["quarantine"].to_dicts(),
         deliveries=facts["deliveries"].row(0, named=True),
-        filter_yield=intake.filter_yield(facts),
+        filter_yield=_filter_yield(facts),
         design=facts["design"].filter(pl.col("scope") != "tail").to_dicts(),
         figures=drawn,
         card=facts.card,
@@ -83,6 +84,42 @@ def _alerts(facts: Facts) -> dict[str, Any]:
         "closed": late.to_dicts(),
         "older": closed.height - late.height,
         "days": CLOSED_DAYS,
+    }
+
+
+def _gaps(facts: Facts) -> dict[str, list[dict[str, Any]]]:
+    """Aircraft that fell silent, and flights that never came, by aircraft."""
+    by = ["operator", "tail"]
+    missing = facts["gaps"].filter(gap="missing_leg").group_by(by, maintain_order=True)
+    legs = missing.agg(pl.col("n_flights").sum(), pl.col("after_flight_id").first())
+    return {
+        "silent": facts["gaps"].filter(pl.col("gap") != "missing_leg").to_dicts(),
+        "missing": legs.sort("n_flights", *by, descending=[True, False, False]).to_dicts(),
+    }
+
+
+def _filter_yield(facts: Facts) -> dict[str, Any]:
+    """Share of legs fit to calibrate from, by operator, and by aircraft and month; and why the others were not."""
+    rows = facts["filter_yield"]
+    total = rows.group_by("operator").agg(pl.col("n_admitted", "n_legs").sum()).sort("operator")
+    of = {(r["operator"], r["tail"], r["month"]): r for r in rows.to_dicts()}
+    return {
+        "whole": "; ".join(
+            _(
+                "{operator} {share} of {n} legs",
+                operator=r["operator"],
+                share=words.percent(r["n_admitted"] / r["n_legs"]),
+                n=words.count(r["n_legs"]),
+            )
+            for r in total.to_dicts()
+        ),
+        "months": rows["month"].unique().sort().to_list()[-MONTHS:],
+        "aircraft": rows.select("operator", "tail").unique().sort("operator", "tail").rows(),
+        "of": of,
+        "why": ", ".join(
+            f"{_(words.REASONS.get(r['reason'], r['reason']))} ({words.count(r['legs'])})"
+            for r in facts["reasons"].to_dicts()
+        ),
     }
 
 

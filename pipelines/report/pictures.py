@@ -10,8 +10,7 @@ import polars as pl
 
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Z_90
-from pipelines.report.plots import as_markdown
-from pipelines.report.replacement import around_replacement
+from pipelines.report.plots import around_replacement, as_markdown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,15 +14,17 @@ import duckdb
 
 from hdt_core.tables import TABLES
 from pipelines.storage import seal
-from pipelines.storage.catalog import CATALOG, open_catalog, quote
+from pipelines.storage.catalog import CATALOG, lock, open_catalog, quote
 from pipelines.storage.data_file import hash_of
+from pipelines.storage.delta import DamageError
 from pipelines.storage.files import replacing
 from pipelines.storage.headers import MEANINGS, meanings, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import keep_copy
+from pipelines.storage.objects import StoreError
 from pipelines.storage.panics import message_of
-from pipelines.storage.store import Store
-from pipelines.storage.upkeep import keep_house
+from pipelines.storage.store import EMPTY, Store
+from pipelines.storage.upkeep import keep_house, night_by
 
 HASH = ".catalog.hash"
 # DuckDB tells no expression where a database lies, but keeps its own temporary files beside the file it was opened
@@ -72,6 +74,34 @@ def publish(home: Path) -> Path:
     ledger.note_snapshot({table: version for table, (version, _) in held.items()})  # after the seal: it is missed then
     keep_copy(ledger)
     return path
+
+
+def connect_as_of(home: Path, night: str) -> duckdb.DuckDBPyConnection:
+    """The catalog as an earlier night published it: the views of today over the tables of then.
+
+    That is the last one that ended at or before `night`, a date or the beginning of a time in UTC. Every file that is
+    named is read once, and must be what was written.
+
+    Raises
+    ------
+    StoreError
+        There was no night by then, or its files are not kept any more.
+    """
+    store = Store(home.resolve())
+    name, versions = night_by(Ledger(store.home, looks=True).snapshots(), night)
+    try:
+        held = store.snapshot(versions)
+        held |= {t: (0, [f"{t}/{store.tables.shards(t)[EMPTY]}"]) for t in TABLES if t not in versions}
+        for _, files in held.values():
+            for file in files:
+                store.tables.sound(file)
+    except (DamageError, KeyError) as error:
+        raise StoreError(f"the night of {name} is not kept whole any more: {str(error).split(';')[0]}") from None
+    con = duckdb.connect(":memory:")
+    store.open_to(con)
+    fill(con, store, held)
+    lock(con, store, f"{store.root}/")
+    return con
 
 
 def _is_as_published(path: Path) -> bool:

@@ -8,11 +8,10 @@ import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.storage.as_of import connect_as_of
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import publish
+from pipelines.storage.publication import connect_as_of, publish
 from pipelines.storage.store import Store
 from pipelines.storage.upkeep import Retention, keep_house, night_by, retention
 

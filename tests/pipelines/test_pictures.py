@@ -9,7 +9,7 @@ import pytest
 
 from hdt_core.tables import TABLES
 from pipelines.report.pictures import night_figures, night_pictures
-from pipelines.report.replacement import around_replacement
+from pipelines.report.plots import around_replacement
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 REPLACED = 40

@@ -14,7 +14,7 @@ from hdt_core.records.renewals import REPLACED, log_flags
 from hdt_core.records.unit_index import date_entries, first_flights, number_units
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
-from pipelines.report.replacement import around_replacement
+from pipelines.report.plots import around_replacement
 
 START = dt.datetime(2024, 3, 1, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
