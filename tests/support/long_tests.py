@@ -99,9 +99,7 @@ class LongTests:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`--long all` or `--long changed`."""
-    parser.addoption(
-        "--long", choices=("all", "changed"), help="run the tests of tests/long.toml, not the others"
-    )
+    parser.addoption("--long", choices=("all", "changed"), help="run the tests of tests/long.toml, not the others")
 
 
 def pytest_configure(config: pytest.Config) -> None:
