@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks.spring_mass_damper import PAPER
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.effectiveness import counterflow_effectiveness, crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k

@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.harness import arguments, show
+from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
+from hdt_benchmark.peers import filter_claim, fit_claim, over
+from hdt_benchmark.timing import Claim, race, table
 from hdt_core.estimation import ParticleSwarm, Problem
-from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
-from pipelines.benchmark.peers import filter_claim, fit_claim, over
-from pipelines.benchmark.timing import Claim, race, table
 
 
 def main(rounds: int = 15, records: int = 8) -> list[Claim]:

@@ -16,12 +16,12 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from benchmarks.harness import arguments, show
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_lumped_resistance
-from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
+from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_resistance
+from hdt_benchmark.exchanger_log import fit_lumped_log
+from hdt_benchmark.peers import FLIGHTS, NUMPY, POINTS, SCIPY, conductance_claim, first, snapshots
+from hdt_benchmark.timing import Candidate, Claim, race, table
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lumped_exchanger, steady_outlets_k
-from pipelines.benchmark.peers import FLIGHTS, NUMPY, POINTS, SCIPY, conductance_claim, first, snapshots
-from pipelines.benchmark.timing import Candidate, Claim, race, table
 
 FEW_FLIGHTS, PEER_FLIGHTS, SECONDS, MASS_KG = 4000, 40, 3600, 8.0
 NOMINAL_H_W_K = 2500.0

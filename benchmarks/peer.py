@@ -17,6 +17,7 @@ import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
 from benchmarks.scale import Silent
+from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.dsm import Dsm
@@ -26,7 +27,6 @@ from hdt_core.physics.heat_exchanger import capacity_rates
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.simulate.design import FleetSettings
-from pipelines.benchmark.timing import Candidate, Claim, race
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
 from pipelines.storage.store import Store

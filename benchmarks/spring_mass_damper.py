@@ -20,9 +20,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.harness import arguments, show
+from hdt_benchmark.oscillator import TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
 from hdt_core.estimation.identifiability import fisher
-from hdt_core.estimation.oscillator import TRUTH, oscillator_problem, true_position_m
 
 DOCS = Path(__file__).parents[1] / "docs"
 SLOW = {"pinn", "particle", "rls", "strong_tracking", "ekf_pso"}

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from hdt_core.estimation.damped import judged
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum, linearised
 from hdt_core.estimation.doubts import Profile, better_optimum, is_bent, profiled
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.fit import noise_variance
 from hdt_core.estimation.identifiability import SAFE, Identifiability, covariance_of_free
-from hdt_core.estimation.kernels.damped import judged
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises

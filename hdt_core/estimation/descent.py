@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hdt_core.estimation.kernels.damped import (
+from hdt_core.estimation.damped import (
     FIRST_DAMPING,
     MOST_DAMPING,
     damped_step,

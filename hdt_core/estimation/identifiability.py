@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.kernels.damped import inverse_spd
+from hdt_core.estimation.damped import inverse_spd
 from hdt_core.estimation.problem import Array, Problem
 
 SAFE = 1e-10  # a scaled determinant from which a Cholesky factor is as good as an eigenvalue decomposition

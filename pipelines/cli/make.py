@@ -1,14 +1,13 @@
-"""Commands for who tries, checks or measures: simulate, doctor, benchmark."""
+"""Commands for who tries and checks: simulate, doctor, docs."""
 
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, out
 
@@ -85,34 +84,3 @@ def docs(page: Annotated[str, typer.Argument(help="Name of a page; none lists th
     if not re.fullmatch(r"[a-z0-9-]+", name) or not (pages / f"{name}.md").is_file():
         raise StopError(f"no page {page}; `hdt docs` lists them")
     out.print((pages / f"{name}.md").read_text(encoding="utf-8").rstrip(), markup=False, soft_wrap=True)
-
-
-@app.command()
-def benchmark(
-    rounds: Annotated[int, typer.Option(min=1, help="Every candidate has this many turns.")] = 5,
-    as_json: AsJson = False,
-) -> None:
-    """Race this installation against SciPy and filterpy.
-
-    The same work for all, in turns, on one core: about ten seconds.
-    """
-    from pipelines.benchmark.peers import PACKAGES, installed
-    from pipelines.benchmark.timing import clock, machine, times
-
-    claims = installed(rounds)
-    if as_json:
-        out.print_json(
-            json.dumps({"machine": machine(PACKAGES), "races": [asdict(c) | {"ratios": c.ratios} for c in claims]})
-        )
-        return
-    table = Table()
-    for name in ("work", "who", "time", "ours is faster", "answers apart"):
-        table.add_column(name, justify="left" if name in {"work", "who"} else "right")
-    for claim in claims:
-        for place, (who, taken) in enumerate(claim.seconds.items()):
-            beside = (times(claim.ratios[who]), f"{claim.apart[who]:.0e}") if place else ("", "")
-            table.add_row(
-                "" if place else claim.work, who, clock(taken), *beside, end_section=place + 1 == len(claim.seconds)
-            )
-    out.print(table)
-    out.print(machine(PACKAGES), soft_wrap=True)

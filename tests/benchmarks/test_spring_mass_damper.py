@@ -3,7 +3,7 @@
 from benchmarks.estimators import filter_claim, fit_claim
 from benchmarks.harness import put
 from benchmarks.spring_mass_damper import contestants, figures, main, tables
-from pipelines.benchmark.timing import table
+from hdt_benchmark.timing import table
 
 
 def test_tables_and_figures_follow_from_the_result(tmp_path):

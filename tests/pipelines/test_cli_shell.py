@@ -1,14 +1,12 @@
 """What the shell sees of the command: help to choose from, completion, and what this installation can do."""
 
 import importlib.metadata
-import json
 
 import pytest
 from typer.testing import CliRunner
 
-from pipelines.benchmark.peers import installed
 from pipelines.cli import load_extensions
-from pipelines.cli.base import ORDER, app, out
+from pipelines.cli.base import ORDER, app
 
 
 def hdt(*words: str, **env: str) -> str:
@@ -48,17 +46,3 @@ def test_the_shell_completes_commands_and_options(typed, offered):
 @pytest.mark.parametrize(("shell", "says"), [("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")])
 def test_the_shell_is_told_how_to_complete(shell, says):
     assert says in hdt(_HDT_COMPLETE=f"source_{shell}")
-
-
-def test_contestants_of_the_benchmark_give_the_same_answers():
-    claims = installed(rounds=1, records=1, n_flights=200)
-    assert [max(c.apart.values()) < 1e-5 for c in claims] == [True] * 3
-    assert all(len(c.seconds) > 1 and min(c.seconds.values()) > 0 for c in claims)
-
-
-def test_the_benchmark_prints_json(monkeypatch):
-    monkeypatch.setattr("pipelines.benchmark.peers.installed", lambda rounds: installed(rounds, 1, 200))
-    with out.capture() as printed:
-        hdt("benchmark", "--rounds", "1", "--json")
-    told = json.loads(printed.get())
-    assert all(set(race["ratios"]) == set(race["apart"]) for race in told["races"])

@@ -107,5 +107,6 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("file_or_dir"):
         return
     worker = hasattr(config, "workerinput")
-    whole = not worker and not config.getoption("keyword") and not config.getoption("markexpr")
+    part = any(config.getoption(name) for name in ("keyword", "markexpr", "collectonly", "lf", "maxfail"))
+    whole = not worker and not part
     config.pluginmanager.register(LongTests(config.getoption("--long"), whole), "long_tests")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hdt_benchmark.oscillator import TRUTH, oscillator_problem
 from hdt_core.estimation import Belief, Problem, estimators, unknown
-from hdt_core.estimation.oscillator import TRUTH, oscillator_problem
 
 EVERY = pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)
 TIME_S = np.linspace(0.0, 4.0, 60)

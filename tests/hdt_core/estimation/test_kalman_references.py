@@ -8,10 +8,10 @@ import pytest
 from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 from filterpy.kalman import UnscentedKalmanFilter as FilterpyUnscented
 
+from hdt_benchmark.oscillator import oscillator_problem
 from hdt_core.estimation import Belief, ExtendedKalman, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.kalman import forward, smoothed
 from hdt_core.estimation.kalman_step import tangent
-from hdt_core.estimation.oscillator import oscillator_problem
 from hdt_core.estimation.ukf import regression, upper_root
 
 FOLDER = Path(__file__).parents[2] / "data" / "kalman"

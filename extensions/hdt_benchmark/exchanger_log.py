@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hdt_core.estimation.kernels import exchanger_log_arrays, exchanger_log_compiled
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, FlightFits, Path, is_compiled
-from hdt_core.estimation.kernels.exchanger_arrays import AT_BOUND, NOT_IDENTIFIABLE, Columns, Integers
-from hdt_core.estimation.kernels.exchanger_log_arrays import LEAST_H_W_K, MOST_H_W_K
+from hdt_benchmark import exchanger_log_arrays, exchanger_log_compiled
+from hdt_benchmark.exchanger import ExchangerSamples, FlightFits, Path, is_compiled
+from hdt_benchmark.exchanger_arrays import AT_BOUND, NOT_IDENTIFIABLE, Columns, Integers
+from hdt_benchmark.exchanger_log_arrays import LEAST_H_W_K, MOST_H_W_K
 from hdt_core.estimation.problem import Array
 
 

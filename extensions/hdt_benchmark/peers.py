@@ -11,12 +11,12 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.optimize import least_squares
 
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale
+from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
+from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, Problem, unknown
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale
-from hdt_core.estimation.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
-from pipelines.benchmark.timing import Candidate, Claim, race
 
 Fit = Callable[[Problem], np.ndarray]
 PACKAGES = ("numpy", "numba", "scipy", "filterpy")

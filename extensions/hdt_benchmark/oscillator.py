@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hdt_benchmark.oscillator_kernels import oscillator_kernels
+from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.estimation.kernels.compiled import COMPILED
-from hdt_core.estimation.kernels.oscillator import oscillator_kernels
 from hdt_core.estimation.problem import Array, Belief, Problem
 from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
 

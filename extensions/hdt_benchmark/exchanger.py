@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hdt_benchmark import exchanger_arrays, exchanger_compiled
+from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.estimate import Status
-from hdt_core.estimation.kernels import exchanger_arrays, exchanger_compiled
-from hdt_core.estimation.kernels.compiled import COMPILED
 from hdt_core.estimation.problem import Array
 
 Path = Literal["compiled", "arrays"]

@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import compiled
-from hdt_core.estimation.kernels.damped import (
+from hdt_core.estimation.compiled import compiled
+from hdt_core.estimation.damped import (
     FIRST_DAMPING,
     MOST_DAMPING,
     damped_step,
@@ -175,7 +175,7 @@ def oscillator_kernels(force_n: Array, measured_m: Array, sigma_m: float, dt_s: 
     measured_m : array (k, 1) or (k,)
         Measured position [m], NaN where missing.
     """
-    from hdt_core.estimation.kernels.oscillator_kalman import kalman  # noqa: PLC0415
+    from hdt_benchmark.oscillator_kalman import kalman
 
     force, seen = np.ascontiguousarray(force_n, float), np.ascontiguousarray(np.ravel(measured_m), float)
     n_values = max(int(np.count_nonzero(~np.isnan(seen))), 1)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hdt_benchmark.oscillator import SIGMA_M, TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman, unknown
 from hdt_core.estimation.identifiability import fisher
-from hdt_core.estimation.oscillator import SIGMA_M, TRUTH, oscillator_problem, true_position_m
 from hdt_estimators import GradientDescent
 
 SEEDS = range(300)
@@ -26,8 +26,8 @@ def both(seed=3, with_holes=False):
     """The record as compiled and as declared."""
     if not with_holes:
         return oscillator_problem(seed), oscillator_problem(seed, compiled=False)
-    from hdt_core.estimation.kernels.oscillator import oscillator_kernels
-    from hdt_core.estimation.oscillator import DT_S, force_n
+    from hdt_benchmark.oscillator import DT_S, force_n
+    from hdt_benchmark.oscillator_kernels import oscillator_kernels
 
     declared = oscillator_problem(seed, compiled=False)
     declared = replace(declared, measured=holed(declared))
@@ -61,7 +61,7 @@ def test_compiled_estimators_equal_the_declared_path(estimator, with_holes):
 
 
 def test_without_numba_the_same_functions_run_interpreted():
-    from hdt_core.estimation.kernels import oscillator
+    from hdt_benchmark import oscillator_kernels as oscillator
 
     kernel = oscillator.linearised
     if not hasattr(kernel, "py_func"):

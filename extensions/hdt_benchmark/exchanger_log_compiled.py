@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.kernels.exchanger_arrays import (
+from hdt_benchmark.exchanger_arrays import (
     CONVERGED,
     MAX_STEPS,
     MOST_STEPS,
@@ -15,8 +15,8 @@ from hdt_core.estimation.kernels.exchanger_arrays import (
     Fit,
     Integers,
 )
-from hdt_core.estimation.kernels.exchanger_log_arrays import SETTLED, mean_start, moved, steady
-from hdt_core.estimation.kernels.exchanger_rows import vectorised
+from hdt_benchmark.exchanger_log_arrays import SETTLED, mean_start, moved, steady
+from hdt_benchmark.exchanger_rows import vectorised
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 

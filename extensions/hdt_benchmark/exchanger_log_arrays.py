@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdt_core.estimation.kernels.exchanger_arrays import (
+from hdt_benchmark.exchanger_arrays import (
     CONVERGED,
     LONGEST_STEP,
     MAX_STEPS,

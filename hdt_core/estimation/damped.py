@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import compiled
+from hdt_core.estimation.compiled import compiled
 from hdt_core.estimation.problem import Array
 
 FIRST_DAMPING = 1e-3

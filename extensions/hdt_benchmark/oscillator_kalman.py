@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import compiled
-from hdt_core.estimation.kernels.oscillator_smoother import J, smooth
+from hdt_benchmark.oscillator_smoother import J, smooth
+from hdt_core.estimation.compiled import compiled
 from hdt_core.estimation.problem import Array
 
 LIFTS = np.array([0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2])

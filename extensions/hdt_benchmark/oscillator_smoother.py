@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import compiled
+from hdt_core.estimation.compiled import compiled
 from hdt_core.estimation.problem import Array
 
 J = 4  # position, velocity, damping, stiffness

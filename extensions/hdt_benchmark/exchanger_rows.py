@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import COMPILED
+from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.effectiveness import MAX_TERMS, SERIES_TOLERANCE, SERIES_UNITS, contour_sums
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hdt_core.estimation.kernels.compiled import COMPILED
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
-from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from hdt_benchmark.exchanger_log import fit_lumped_log
+from hdt_core.estimation.compiled import COMPILED
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
 from hdt_core.physics.lumped_exchanger import lumped_exchanger, steady_outlets_k

@@ -7,17 +7,17 @@ import sys
 import numpy as np
 import pytest
 
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from hdt_benchmark.exchanger_log import fit_lumped_log
+from hdt_benchmark.oscillator import oscillator_problem
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
-from hdt_core.estimation.kernels.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
-from hdt_core.estimation.kernels.exchanger_log import fit_lumped_log
-from hdt_core.estimation.oscillator import oscillator_problem
 
 BLOCKED = """
 import json, sys
 sys.modules["numba"] = None  # importing it fails, as where it is not installed
 from test_without_numba import answers, fits_compiled
-from hdt_core.estimation.kernels.compiled import COMPILED
-from hdt_core.estimation.oscillator import oscillator_problem
+from hdt_core.estimation.compiled import COMPILED
+from hdt_benchmark.oscillator import oscillator_problem
 refused = ""
 try:
     fits_compiled()

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdt_core.estimation.kernels.compiled import linked
-from hdt_core.estimation.kernels.exchanger_arrays import (
+from hdt_benchmark.exchanger_arrays import (
     BOUND,
     CONVERGED,
     KILO,
@@ -25,7 +24,8 @@ from hdt_core.estimation.kernels.exchanger_arrays import (
     bounded_resistance,
     bounded_scale,
 )
-from hdt_core.estimation.kernels.exchanger_rows import FEW_UNITS, LANES, LARGER_UNITS, sums_of_step, vectorised
+from hdt_benchmark.exchanger_rows import FEW_UNITS, LANES, LARGER_UNITS, sums_of_step, vectorised
+from hdt_core.estimation.compiled import linked
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K

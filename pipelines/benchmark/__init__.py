@@ -1,1 +1,0 @@
-"""What `hdt benchmark` measures: this installation against named peers."""
