@@ -5,7 +5,7 @@ from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from pipelines.storage.cases import CaseEntry, CaseLog
+from pipelines.storage.cases import CaseLog
 
 FOUND = {
     "clean": "NO_FAULT_FOUND", "fouled": "FOULED", "clogged": "CLOGGED", "corroded": "CORRODED", "damaged": "DAMAGED",
@@ -54,7 +54,7 @@ def change_case(
     stood = {f"{c}_then": case[k] for c, k in _STOOD.items()}
     alert = {c: case[c] for c in _ALERT}
     told = {k: v for k, v in (body | stood).items() if v is not None}
-    CaseLog(home).append(CaseEntry(alert, kind, _name(person, "by"), told), seen)
+    CaseLog(home).append(alert, kind, _name(person, "by"), told, seen)
     return _SAYS[kind](case, body)
 
 

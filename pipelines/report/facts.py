@@ -98,8 +98,8 @@ def views_read() -> list[str]:
     return [view for view in views() if re.search(rf"\b{view}\b", asked)]
 
 
-def _frame(con: duckdb.DuckDBPyConnection, sql: str) -> pl.DataFrame:
-    frame = pl.from_arrow(con.sql(sql).to_arrow_table())
+def _frame(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> pl.DataFrame:
+    frame = pl.from_arrow(con.sql(sql, params=list(values) or None).to_arrow_table())
     assert isinstance(frame, pl.DataFrame)
     return frame
 
@@ -148,6 +148,4 @@ def _twin_flight(con: duckdb.DuckDBPyConnection, segment: pl.DataFrame) -> pl.Da
     """The estimate that belongs to the segment."""
     first = segment.select("operator", "flight_id", "pack").head(1).rows()
     sql = "select * from tables.twin_flights where operator = $1 and flight_id = $2 and pack = $3"
-    frame = pl.from_arrow(con.sql(sql, params=list(first[0]) if first else ["", "", 0]).to_arrow_table())
-    assert isinstance(frame, pl.DataFrame)
-    return frame
+    return _frame(con, sql, *(first[0] if first else ("", "", 0)))

@@ -44,28 +44,6 @@ class ConflictError(Exception):
     """Somebody else changed the case since it was looked at; says who, when and how."""
 
 
-@dataclass(frozen=True, slots=True)
-class CaseEntry:
-    """One thing that somebody did about an alert.
-
-    Attributes
-    ----------
-    alert : mapping
-        `alert_id, operator, tail, pack, component, diagnosis`.
-    kind : str
-        acknowledge, assign, mute, watch, unwatch, close or reopen.
-    person : str
-        Who.
-    body : mapping
-        What belongs to the kind, columns of `raw_cases`; text, numbers, days and times as text.
-    """
-
-    alert: Mapping[str, Any]
-    kind: str
-    person: str
-    body: Mapping[str, Any] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
 class CaseLog:
     """The log of one home."""
@@ -73,13 +51,22 @@ class CaseLog:
     home: Path
     url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
 
-    def append(self, entry: CaseEntry, seen: int | None = None) -> int:
-        """Add one line; its number.
+    def append(
+        self, alert: Mapping[str, Any], kind: str, person: str, body: Mapping[str, Any] | None = None,
+        seen: int | None = None,
+    ) -> int:  # fmt: skip
+        """Add one line, what somebody did about an alert; its number.
 
         Parameters
         ----------
-        entry : CaseEntry
-            What was done.
+        alert : mapping
+            `alert_id, operator, tail, pack, component, diagnosis`.
+        kind : str
+            acknowledge, assign, mute, watch, unwatch, close or reopen.
+        person : str
+            Who.
+        body : mapping, optional
+            What belongs to the kind, columns of `raw_cases`; text, numbers, days and times as text.
         seen : int, optional
             Number of the last line about this alert that its writer knew, 0 for none; None writes in any case.
 
@@ -88,7 +75,7 @@ class CaseLog:
         ConflictError
             Another line is the last about the alert.
         """
-        name = entry.alert["alert_id"]
+        name = alert["alert_id"]
         with self._writing() as con:
             last = con.execute(
                 "select line, person, kind, at from cases where alert_id = ? order by line desc limit 1", (name,)
@@ -101,9 +88,8 @@ class CaseLog:
                 )
             number = 1 + int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
             at = datetime.now(UTC).isoformat(timespec="microseconds")
-            own = (entry.alert[c] for c in _OWN[2:8])
-            body = json.dumps(dict(entry.body), ensure_ascii=False, sort_keys=True, default=str)
-            con.execute(_ADD, (number, at, *own, entry.kind, entry.person, body))
+            own = (alert[c] for c in _OWN[2:8])
+            con.execute(_ADD, (number, at, *own, kind, person, _text(body or {})))
         return number
 
     def last_line(self) -> int:
@@ -157,7 +143,7 @@ class CaseLog:
             for row in stored.sort("line").iter_rows(named=True):
                 body = {k: v for k, v in row.items() if k not in _OWN and v is not None}
                 own = [row["at"].isoformat(timespec="microseconds") if c == "at" else row[c] for c in _OWN]
-                con.execute(_ADD, (*own, json.dumps(body, ensure_ascii=False, sort_keys=True, default=str)))
+                con.execute(_ADD, (*own, _text(body)))
         what = f"{fault} ({FILE}.damaged)" if fault else "was gone"
         end = f"and {len(since)} since the last night" if since else "those since the last night are lost"
         return f"the log of cases {what}; {stored.height} lines are put back, {end}"
@@ -201,3 +187,7 @@ class CaseLog:
                 con.execute("rollback")
                 raise
             con.execute("commit")
+
+
+def _text(body: Mapping[str, Any]) -> str:
+    return json.dumps(dict(body), ensure_ascii=False, sort_keys=True, default=str)

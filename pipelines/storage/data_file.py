@@ -4,8 +4,6 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
@@ -39,11 +37,6 @@ def hash_in(path: str) -> str:
     """The hash that a data file's name holds."""
     named = NAMED.fullmatch(path)
     return named["hash"] if named else ""
-
-
-def hashes(root: Path, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Of each file the hash that its name holds, if any, and that of its content."""
-    return {name: (hash_in(name), hash_of((root / name).read_bytes())) for name in names}
 
 
 def _stats(frame: pl.DataFrame) -> dict[str, Any]:

@@ -157,7 +157,8 @@ class Folder:
     def newest_commit(self, table: str) -> tuple[str, int, int] | None:
         """Name, time and size of the newest commit of a table's log; None where there is none."""
         try:
-            newest = max((f for f in os.scandir(self.root / table / LOG) if f.name.endswith(".json")), key=_name)
+            log = os.scandir(self.root / table / LOG)
+            newest = max((f for f in log if f.name.endswith(".json")), key=lambda f: f.name)
             now = newest.stat()
         except (FileNotFoundError, ValueError):
             return None
@@ -183,10 +184,6 @@ class Folder:
         for left in self.root.glob(f"*/{LOG}/*#*"):
             left.unlink()
         return sweep(self.root)
-
-
-def _name(file: os.DirEntry[str]) -> str:
-    return file.name
 
 
 def sweep(folder: Path) -> int:

@@ -1,7 +1,6 @@
 """What views and columns mean: headers of the views, declarations of the tables."""
 
 import re
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import dataframely as dy
@@ -36,11 +35,6 @@ def read_header(sql: str) -> ViewHeader:
     text = {k: " ".join(v).strip() for k, v in said.items()}
     reads = tuple(r.strip() for r in text.pop("Reads", "").rstrip(".").split(",") if r.strip())
     return ViewHeader(question, text.pop(""), text.pop("Grain", "").rstrip("."), reads, text)
-
-
-def meanings(columns: Mapping[str, Iterable[str]], known: dict[str, ViewHeader]) -> dict[tuple[str, str], str]:
-    """`meaning` of each column of some views."""
-    return {(view, column): meaning(view, column, known) for view, own in columns.items() for column in own}
 
 
 def meaning(view: str, column: str, known: dict[str, ViewHeader]) -> str:

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 
 import polars as pl
 
-from pipelines.storage.ledger_tables import LedgerTables, has_table
+from pipelines.storage.ledger_tables import LedgerTables
 
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 _SET_FILE = (
@@ -44,11 +44,7 @@ class Ledger(LedgerTables):
 
     def touched(self) -> dict[str, int]:
         """When each file was last touched, by path, of those that were read long enough after that."""
-        asked = "select path, touched_ns from touched"
-        # a home of an earlier version that is only looked at has no such table
-        return dict(
-            self._ask(lambda con: con.execute(asked).fetchall() if self.url or has_table(con, "touched") else ())
-        )
+        return dict(self._ask(lambda con: con.execute("select path, touched_ns from touched").fetchall()))
 
     def register(
         self,

@@ -136,12 +136,7 @@ class LedgerTables:
 
 def _is_made(con: sqlite3.Connection) -> bool:
     """Whether the tables are there: who makes the file is not done at once."""
-    return has_table(con, NAMES[-1])
-
-
-def has_table(con: sqlite3.Connection, table: str) -> bool:
-    """Whether a SQLite file has a table."""
-    return bool(con.execute("select name from sqlite_master where name = ?", (table,)).fetchall())
+    return bool(con.execute("select name from sqlite_master where name = ?", (NAMES[-1],)).fetchall())
 
 
 def _as_frame(cursor: Any) -> pl.DataFrame:

@@ -18,7 +18,7 @@ from pipelines.storage.catalog import CATALOG, lock, open_catalog, quote
 from pipelines.storage.data_file import hash_of
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import replacing
-from pipelines.storage.headers import MEANINGS, meanings, read_header
+from pipelines.storage.headers import MEANINGS, meaning, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import keep_copy
 from pipelines.storage.objects import StoreError
@@ -172,11 +172,9 @@ def add_views(con: duckdb.DuckDBPyConnection) -> None:
     known = {name: read_header(sql) for name, sql in views().items()}
     for _, sql in ordered(views()):
         con.execute(sql)
-    columns: dict[str, list[str]] = {}
-    for view, column in con.execute(_COLUMNS).fetchall():
-        columns.setdefault(view, []).append(column)
     told = [f"comment on view {name} is {quote(header.question)}" for name, header in known.items()]
-    told += [f'comment on column {v}."{c}" is {quote(m)}' for (v, c), m in meanings(columns, known).items()]
+    columns = con.execute(_COLUMNS).fetchall()
+    told += [f'comment on column {v}."{c}" is {quote(meaning(v, c, known))}' for v, c in columns]
     con.execute("; ".join(told))  # at once: half the time
 
 

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from pipelines.storage.data_file import hash_in, hash_of, hashes
+from pipelines.storage.data_file import hash_in, hash_of
 from pipelines.storage.files import LOG, files_below, replacing
 from pipelines.storage.store import Store
 
@@ -47,8 +47,8 @@ def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
     known = before.files if before else {}
     there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
     files = {f.path.removeprefix(f"{root}/"): f.stat() for f in there}
-    new = hashes(root, [name for name, told in files.items() if not _as_before(told, known.get(name))])
-    entries = {n: _entry(told, known.get(n), *new[n]) if n in new else known[n] for n, told in files.items()}
+    new = {n: hash_of((root / n).read_bytes()) for n, told in files.items() if not _as_before(told, known.get(n))}
+    entries = {n: _entry(told, known.get(n), hash_in(n), new[n]) if n in new else known[n] for n, told in files.items()}
     _write(store.home, entries, {table: list(paths) for table, paths in held.items()})
 
 

@@ -7,19 +7,11 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 from urllib.parse import quote
 
 _TRIES = 20
 Answer = TypeVar("Answer")
-
-
-class _Stamp(NamedTuple):
-    """What changes with every commit, and whether a writer's log stands beside the file."""
-
-    size: int
-    mtime_ns: int
-    logged: bool
 
 
 def read(path: Path, ask: Callable[[sqlite3.Connection], Answer]) -> Answer:
@@ -30,7 +22,7 @@ def read(path: Path, ask: Callable[[sqlite3.Connection], Answer]) -> Answer:
     """
     for _ in range(_TRIES):
         before = _stamp(path)
-        if before.logged:
+        if before[2]:
             break
         try:
             answer = _asked(path, "immutable=1", ask)
@@ -56,10 +48,11 @@ def _asked(path: Path, how: str, ask: Callable[[sqlite3.Connection], Answer]) ->
         return ask(con)
 
 
-def _stamp(path: Path) -> _Stamp:
+def _stamp(path: Path) -> tuple[int, int, bool]:
+    """Size and time, which change with every commit, and whether a writer's log stands beside the file."""
     told, log = path.stat(), path.with_name(f"{path.name}-wal")
     try:
         logged = log.stat().st_size > 0
     except FileNotFoundError:  # none, or its writer took it away just now
         logged = False
-    return _Stamp(told.st_size, told.st_mtime_ns, logged)
+    return told.st_size, told.st_mtime_ns, logged

@@ -4,10 +4,11 @@ A viewer looks, an engineer changes cases. Who is given operators sees theirs al
 """
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from hdt_core.toml_text import parse_toml
 
 FILE = "roles.toml"
 ROLES = ("viewer", "engineer")
@@ -66,9 +67,9 @@ def _read(home: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise RolesError(f"{FILE} can't be read: {error}") from None
     try:
-        entries = {"local": "engineer", "people": {}} | tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RolesError(f"{FILE} is no TOML: {error}") from None
+        entries = {"local": "engineer", "people": {}} | parse_toml(text)
+    except ValueError as error:
+        raise RolesError(f"{FILE} is {error}") from None
     if unknown := sorted(set(entries) - {"local", "people"}):
         raise RolesError(f"{FILE}: unknown key {unknown[0]}; names stand below [people]")
     if not isinstance(entries["people"], dict):

@@ -6,7 +6,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -100,14 +99,6 @@ def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
         assert Ledger(home, looks=True).known_files()["new"] == (1, 1)
     finally:
         permit(home, writing=True)
-
-
-def test_a_ledger_of_an_earlier_version_is_looked_at_as_it_is(own_home):
-    _, home = own_home
-    with closing(sqlite3.connect(home / "ledger.sqlite")) as con, con:
-        con.execute("drop table touched")
-    assert Ledger(home, looks=True).touched() == {}
-    assert Ledger(home, looks=True).known_files()
 
 
 def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):

@@ -8,14 +8,14 @@ import polars as pl
 import pytest
 from databases import SERVER, new_database
 
-from pipelines.storage.cases import FILE, CaseEntry, CaseLog, ConflictError
+from pipelines.storage.cases import FILE, CaseLog, ConflictError
 
 ALERT = {"alert_id": "a1", "operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "diagnosis": "HX_FOULING"}
 
 
 def write(home: Path, person: str, n: int = 20) -> None:
     for k in range(n):
-        CaseLog(home, "").append(CaseEntry(ALERT | {"alert_id": f"a{k % 3}"}, "watch", person, {"note": f"{k} %s ? '"}))
+        CaseLog(home, "").append(ALERT | {"alert_id": f"a{k % 3}"}, "watch", person, {"note": f"{k} %s ? '"})
 
 
 def test_three_writers_at_once_lose_nothing(tmp_path):
@@ -35,11 +35,11 @@ def test_three_writers_at_once_lose_nothing(tmp_path):
 
 def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
     log = CaseLog(tmp_path, "")
-    seen = log.append(CaseEntry(ALERT, "acknowledge", "Ada"), seen=0)
-    log.append(CaseEntry(ALERT | {"alert_id": "other"}, "acknowledge", "Bo"), seen=0)
-    log.append(CaseEntry(ALERT, "assign", "Bo", {"assignee": "Cy"}), seen=seen)
+    seen = log.append(ALERT, "acknowledge", "Ada", seen=0)
+    log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", seen=0)
+    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, seen=seen)
     with pytest.raises(ConflictError, match="Bo changed this case in the meantime"):
-        log.append(CaseEntry(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}), seen=seen)
+        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, seen=seen)
     assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
 
 
@@ -47,16 +47,16 @@ def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
 def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, seen):
     log = CaseLog(tmp_path, "")
     with pytest.raises(ConflictError, match=f"line {seen} of the log is none about this case"):
-        log.append(CaseEntry(ALERT, "acknowledge", "Ada"), seen=seen)
+        log.append(ALERT, "acknowledge", "Ada", seen=seen)
     assert log.last_line() == 0
-    log.append(CaseEntry(ALERT, "acknowledge", "Ada"), seen=0)
+    log.append(ALERT, "acknowledge", "Ada", seen=0)
     with pytest.raises(ConflictError):
-        log.append(CaseEntry(ALERT, "acknowledge", "Bo"), seen=seen)
+        log.append(ALERT, "acknowledge", "Bo", seen=seen)
     assert log.last_line() == 1
 
 
 def test_no_line_is_ever_changed_or_taken_out(tmp_path):
-    CaseLog(tmp_path, "").append(CaseEntry(ALERT, "acknowledge", "Ada"))
+    CaseLog(tmp_path, "").append(ALERT, "acknowledge", "Ada")
     with sqlite3.connect(tmp_path / FILE) as con:
         for sql in ("update cases set person = 'Eve'", "delete from cases"):
             with pytest.raises(sqlite3.IntegrityError, match="only added to"):
@@ -73,8 +73,8 @@ def test_who_looks_writes_nothing(tmp_path):
 @pytest.mark.parametrize("damage", ["gone", "damaged"])
 def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damage):
     log = CaseLog(tmp_path, "")
-    log.append(CaseEntry(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2}))
-    log.append(CaseEntry(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"}))
+    log.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2})
+    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
     stored = log.entries()
     assert log.mend(stored) is None
     if damage == "gone":
@@ -83,15 +83,15 @@ def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damag
         (tmp_path / FILE).write_bytes((tmp_path / FILE).read_bytes()[:3000])
     assert "2 lines are put back" in log.mend(stored)
     assert log.entries().equals(stored)
-    assert log.append(CaseEntry(ALERT, "watch", "Cy")) == 3
+    assert log.append(ALERT, "watch", "Cy") == 3
     assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
 
 
 def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
     log = CaseLog(tmp_path, "")
-    log.append(CaseEntry(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"}))
+    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
     stored = log.entries()
-    log.append(CaseEntry(ALERT, "watch", "Cy"))
+    log.append(ALERT, "watch", "Cy")
     content = (tmp_path / FILE).read_bytes()
     (tmp_path / FILE).write_bytes(content.replace(b"2030-01-01", b"2034-01-01"))
     assert log.fault(stored) == "holds a line that is not what was written"
@@ -108,10 +108,10 @@ def test_a_database_keeps_it_for_several_machines():
 
 
 def _of_two_machines(one: CaseLog, two: CaseLog) -> None:
-    seen = one.append(CaseEntry(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"}))
+    seen = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
     with pytest.raises(ConflictError):
-        two.append(CaseEntry(ALERT, "acknowledge", "Bo"), seen=0)
-    two.append(CaseEntry(ALERT, "acknowledge", "Bo"), seen=seen)
+        two.append(ALERT, "acknowledge", "Bo", seen=0)
+    two.append(ALERT, "acknowledge", "Bo", seen=seen)
     told = two.entries()
     assert told.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
     assert told.schema["done_on"] == pl.Date
