@@ -35,10 +35,10 @@ def kept(landing: Path, home: Path) -> dict[str, object]:
 
 
 def _stored(store: Store) -> dict[str, object]:
-    if store.remote:
+    if store.place.remote:
         sizes = store.place.sizes("").values()
     else:
-        sizes = [f.stat().st_size for f in Path(store.root).rglob("*.parquet")]
+        sizes = [f.stat().st_size for f in Path(store.place.url).rglob("*.parquet")]
     return {"objects": len(sizes), "megabytes": sum(sizes) / 1e6}
 
 

@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import polars as pl
 
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import connect
+from pipelines.storage.catalog import connect, rows
 from pipelines.storage.publication import views
 
 _MADE = "create or replace view cases as"
@@ -35,7 +34,7 @@ def list_cases(home: Path, where: str = OPEN, arguments: dict[str, Any] | None =
             order by list_position(['act', 'plan', 'none'], c.urgency), c.raised_at, c.alert_id""",
             arguments or {},
         )
-        return _rows(found)
+        return rows(found)
 
 
 def find_case(home: Path, alert_id: str) -> dict[str, Any]:
@@ -55,15 +54,10 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
 def outlooks(home: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of `due_dates`, when messages are due, and of `next_stop`, the choices at it, the best first."""
     with connect(home) as con:
-        due = _rows(con.execute("select * from due_dates"))
-        return due, _rows(con.execute("select * from next_stop order by place nulls last, choice"))
+        due = rows(con.execute("select * from due_dates"))
+        return due, rows(con.execute("select * from next_stop order by place nulls last, choice"))
 
 
 def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:
     """What was said of an alert, oldest first: rows of `raw_cases`."""
     return CaseLog(home).entries().filter(pl.col("alert_id") == alert_id).sort("line").to_dicts()
-
-
-def _rows(found: duckdb.DuckDBPyConnection) -> list[dict[str, Any]]:
-    names = [c[0] for c in found.description or ()]
-    return [dict(zip(names, row, strict=True)) for row in found.fetchall()]

@@ -12,7 +12,7 @@ from hdt_core.physics.terms import TERMS
 from pipelines.baseline import baseline_cells
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import accepted_terms, terms_file
+from pipelines.storage.settings import terms_file
 from pipelines.storage.store import Store
 
 
@@ -35,6 +35,3 @@ def proposals(home: Path, dsm: Dsm) -> pl.DataFrame:
     flights = baseline_cells(Ledger(home))["flight_id"]
     samples = Store(home).scan("legs_samples").filter(pl.col("flight_id").is_in(flights.implode())).collect()
     return propose(estimate_flights(baseline_samples(samples), dsm), dsm)
-
-
-__all__ = ["accept", "accepted_terms", "proposals"]

@@ -154,7 +154,7 @@ def _stored(home: Path) -> Iterator[Check]:
         fault = history.fault_of(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
     store, held = Store(home.resolve()), read(home)
-    if not store.remote and (held or (home / CATALOG).exists()):
+    if not store.place.remote and (held or (home / CATALOG).exists()):
         lost = changed(store, held, held.files, whole=True) if held else [NAME]
         said = f"{named(lost)} missing or not what was written; {_mended(store)}" if lost else ""
         yield Check("tables", not lost, said or f"all {len(held.files) if held else 0} files are what was written")

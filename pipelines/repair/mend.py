@@ -58,7 +58,7 @@ def _make_again(store: Store, ledger: Ledger, table: str, aircraft: Aircraft) ->
 
 def _mend_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
     told = [fault] if (fault := ledger_copy.mend(ledger)) else []
-    if store.remote:
+    if store.place.remote:
         return told
     held = seal.read(store.home)
     if held is None and ledger.snapshots():
@@ -77,7 +77,7 @@ def _changed(store: Store, held: seal.Seal, ledger: Ledger) -> list[str]:
     read = seal.in_turn(held.files, ledger.nights().height)
     if store.place.doubted:
         read = set(held.files)
-        for hint in Path(store.root).glob(f"*/{LOG}/{seal.HINT}"):
+        for hint in Path(store.place.url).glob(f"*/{LOG}/{seal.HINT}"):
             hint.unlink()  # it is not sealed, and a wrong one keeps a log from being read
     rest = (path for path in held.files if path not in read)
     return [*seal.changed(store, held, rest), *seal.changed(store, held, sorted(read), whole=True)]
@@ -117,7 +117,7 @@ def _mend_table(
     store.tables.drop(table, [path.removeprefix(f"{table}/") for path in gone])
     for path in lost:  # of no use to anybody, and noticed again otherwise
         if not seal.is_log(path):
-            (Path(store.root) / path).unlink(missing_ok=True)
+            (Path(store.place.url) / path).unlink(missing_ok=True)
     for path in gone:
         absent |= _forget(landing, store, ledger, table, path.removeprefix(f"{table}/").rsplit(".", 2)[0])
     if gone:
@@ -177,10 +177,10 @@ def _write_log(store: Store, table: str, files: list[str] | None) -> bool:
 
     Whether the files of the last night are known and whole.
     """
-    root = Path(store.root) / table
+    root = Path(store.place.url) / table
     shutil.rmtree(root / LOG, ignore_errors=True)
     there = sorted(root.rglob("[!.]*.parquet"), key=lambda path: path.stat().st_mtime_ns)
-    wanted = [str(path.relative_to(store.root)) for path in there] if files is None else files
+    wanted = [str(path.relative_to(store.place.url)) for path in there] if files is None else files
     lost = seal.changed(store, None, wanted, whole=True)
     whole = [file.removeprefix(f"{table}/") for file in wanted if file not in lost]
     shards = {f.removesuffix(f".{hash_in(f)}.parquet"): f for f in whole if hash_in(f)}

@@ -7,7 +7,7 @@ from typing import Any
 import duckdb
 
 from pipelines.report import words
-from pipelines.storage.catalog import connect
+from pipelines.storage.catalog import connect, rows
 from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
@@ -42,9 +42,7 @@ def explain(home: Path, asked: str) -> str | None:
 
 
 def _rows(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> list[Row]:
-    found = con.execute(sql, list(values))
-    names = [c[0] for c in found.description or ()]
-    return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+    return rows(con.execute(sql, list(values)))
 
 
 def _ranked(con: duckdb.DuckDBPyConnection, asked: str, view: str) -> list[Row]:

@@ -1,1 +1,1 @@
-"""What leaves the home: views as files, catalogs for one reader, problems in formats of others."""
+"""What leaves the home: views as files, catalogs for one reader."""

@@ -28,24 +28,10 @@ _VERBATIM = ("detail", "content", "delivered_on", "origin", "destination", "pers
 """Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was
 delivered; from where to where it flew; who did something about an alert, and why."""
 _OUR_WORDS = (
-    *("operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase"),
-    *(
-        "phase_code",
-        "reason",
-        "severity",
-        "raised_severity",
-        "severity_then",
-        "urgency",
-        "diagnosis",
-        "action",
-        "finding",
-        "ended_by",
-        "closed_reason",
-        "split",
-        "dsm_version",
-        "model_version",
-    ),
-)
+    "operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase",
+    "phase_code", "reason", "severity", "raised_severity", "severity_then", "urgency", "diagnosis", "action", "finding",
+    "ended_by", "closed_reason", "split", "dsm_version", "model_version",
+)  # fmt: skip
 """Text columns that hold the project's own codes and no name of anything. All others are searched for tails."""
 _OF_NO_AIRCRAFT = {"components"}
 """Tables that hold declarations and no operator's rows. Any other without an operator is refused."""
@@ -84,12 +70,8 @@ class AccessScope:
             frame = frame.with_columns(pl.lit(None, frame.schema[c]).alias(c) for c in _VERBATIM if c in frame.columns)
             for columns, rename in ((_TAILS, self.pseudonym), (_FLIGHTS, self._flight), (_IDENTITIES, self._identity)):
                 frame = frame.with_columns(_renamed(frame[c], rename) for c in columns if c in frame.columns)
-        told = {
-            *_TAILS,
-            *_FLIGHTS,
-            *_OUR_WORDS,
-            *(_IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")),
-        }
+        hashed = _IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")
+        told = {*_TAILS, *_FLIGHTS, *_OUR_WORDS, *hashed}
         words = [c for c, t in frame.schema.items() if t == pl.String and c not in told and not c.endswith("_status")]
         return frame.with_columns(self._said(pl.col(c)) for c in words) if words else frame
 

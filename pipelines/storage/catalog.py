@@ -140,10 +140,10 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
     """Leave open the store's place and nothing else; that place."""
-    if store.remote != made.startswith("s3://") or (store.remote and made != f"{store.root}/"):
+    if store.place.remote != made.startswith("s3://") or (store.place.remote and made != f"{store.place.url}/"):
         con.close()
-        raise StoreError(f"the catalog in {store.home} reads another store than {store.root}; set {URL} as it was")
-    folder = f"{store.root}/" if store.url else made
+        raise StoreError(f"the catalog in {store.home} reads another store than {store.place.url}; set {URL} as it was")
+    folder = f"{store.place.url}/" if store.url else made
     store.open_to(con)
     con.execute(f"set allowed_directories = [{quote(folder)}]")
     con.execute(f"set temp_directory = {quote(_scratch())}")
@@ -189,6 +189,12 @@ def ask(con: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyRelation | N
     if kinds != ["SELECT"]:
         raise ValueError(f"a single select is answered, and this is {' and '.join(kinds) or 'nothing'}")
     return con.sql(sql)
+
+
+def rows(found: duckdb.DuckDBPyConnection) -> list[dict[str, Any]]:
+    """Rows of an answer, each by the names of its columns."""
+    names = [c[0] for c in found.description or ()]
+    return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
 
 def quote(value: Path | str) -> str:

@@ -100,7 +100,7 @@ def connect_as_of(home: Path, night: str) -> duckdb.DuckDBPyConnection:
     con = duckdb.connect(":memory:")
     store.open_to(con)
     fill(con, store, held)
-    lock(con, store, f"{store.root}/")
+    lock(con, store, f"{store.place.url}/")
     return con
 
 
@@ -163,8 +163,8 @@ def _made_as(store: Store) -> str:
 
 def _folder(store: Store) -> str:
     """Where the tables are, as an expression: objects stay, files are beside the catalog or where a variable says."""
-    made = quote(f"{store.root}/")
-    return made if store.remote else (_ELSEWHERE if store.url else _BESIDE).format(made=made)
+    made = quote(f"{store.place.url}/")
+    return made if store.place.remote else (_ELSEWHERE if store.url else _BESIDE).format(made=made)
 
 
 def add_views(con: duckdb.DuckDBPyConnection) -> None:

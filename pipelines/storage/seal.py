@@ -41,9 +41,9 @@ def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
 
     What was sealed before and is not the same now stays noted as it was.
     """
-    if store.remote:
+    if store.place.remote:
         return
-    root, before = Path(store.root), read(store.home)
+    root, before = Path(store.place.url), read(store.home)
     known = before.files if before else {}
     there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
     files = {f.path.removeprefix(f"{root}/"): f.stat() for f in there}
@@ -85,7 +85,7 @@ def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: boo
     A file whose size and time are those sealed is taken to be the same, unless all are to be read `whole`.
     """
     known = held.files if held else {}
-    return [path for path in paths if not _is_same(f"{store.root}/{path}", path, known.get(path), whole)]
+    return [path for path in paths if not _is_same(f"{store.place.url}/{path}", path, known.get(path), whole)]
 
 
 def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]]) -> None:

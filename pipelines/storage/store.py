@@ -55,16 +55,6 @@ class Store:
         """The tables as Delta Lake keeps them."""
         return Deltas(self.place)
 
-    @property
-    def root(self) -> str:
-        """What the place of every file begins with."""
-        return self.place.url
-
-    @property
-    def remote(self) -> bool:
-        """Whether objects keep the rows, which no other program changes, moves or copies."""
-        return self.place.remote
-
     def scan(
         self, table: str, aircraft: Iterable[Aircraft] | None = None, flights: Iterable[str] | None = None
     ) -> pl.LazyFrame:
@@ -147,7 +137,7 @@ class Store:
         return {(o, t): n for o, t, n in counted.group_by("o", "t").len("n").collect().rows()}
 
     def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
-        """Of every table its version, and the files below `root` that it is; now, or of some at other versions."""
+        """Of every table its version, and the files below its place that it is; now, or of some at other versions."""
         if versions is None:
             held = {t: self.declare(t) for t in TABLES}
         else:

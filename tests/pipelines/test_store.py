@@ -123,7 +123,7 @@ def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="HDT_STORE_URL is a folder or s3"):
         _ = Store(tmp_path).place
     monkeypatch.delenv("HDT_STORE_URL")
-    assert Store(tmp_path / "home").root == str(tmp_path / "home/tables")
+    assert Store(tmp_path / "home").place.url == str(tmp_path / "home/tables")
 
 
 def test_the_same_rows_make_the_same_file_and_no_commit(store):
