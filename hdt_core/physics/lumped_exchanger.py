@@ -11,11 +11,35 @@ from typing import Any, Literal
 import numpy as np
 
 from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, taking
-from hdt_core.physics.propagation import Factors, euler_factors, exact_factors, tustin_factors
 
+Factors = tuple[Array, Array, Array, Array]
+"""Entries of a 2 x 2 matrix, row by row: the state x, with x' = [[p, q], [r, s]] x, is multiplied by it each step."""
 Form = Literal["quasi_steady", "exact", "euler", "tustin"]
 CP_HOT_J_KG_K, CP_COLD_J_KG_K = 1009.0, 1005.0
 """Specific heat of air at the mean temperature of each side, 330 and 270 K. [J/kg/K]"""
+
+
+def exact_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factors:
+    """exp([[p, q], [r, s]] dt): the eigenvalues are real and below 0, so only decaying exponentials appear."""
+    half_spread = np.sqrt(0.25 * (p - s) ** 2 + q * r)
+    slow, fast = np.exp((0.5 * (p + s) + half_spread) * dt_s), np.exp((0.5 * (p + s) - half_spread) * dt_s)
+    mean = 0.5 * (slow + fast)
+    lean = np.where(
+        half_spread == 0.0, dt_s * mean, 0.5 * (slow - fast) / np.where(half_spread == 0.0, 1.0, half_spread)
+    )
+    return mean + 0.5 * (p - s) * lean, q * lean, r * lean, mean - 0.5 * (p - s) * lean
+
+
+def tustin_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factors:
+    """(I - A dt/2)^-1 (I + A dt/2): stable at any step, but it rings where the step exceeds the time constants."""
+    p, q, r, s = (0.5 * dt_s * x for x in (p, q, r, s))
+    det = (1.0 - p) * (1.0 - s) - q * r
+    return ((1.0 - s) * (1.0 + p) + q * r) / det, 2.0 * q / det, 2.0 * r / det, ((1.0 - p) * (1.0 + s) + q * r) / det
+
+
+def euler_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factors:
+    """I + A dt: stable only where the step is well below the fastest time constant."""
+    return 1.0 + p * dt_s, q * dt_s, r * dt_s, 1.0 + s * dt_s
 
 
 def effectiveness_ceiling(hot_rate_w_k: Array, cold_rate_w_k: Array) -> Array:

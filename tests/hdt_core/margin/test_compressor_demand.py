@@ -17,9 +17,9 @@ from hdt_core.margin.compressor_demand import (
     needed,
     share_left,
 )
+from hdt_core.margin.control_schedules import SpeedLimit
 from hdt_core.margin.curves import read_across
 from hdt_core.margin.reference_air import reference_air
-from hdt_core.margin.speed_limit import SpeedLimit
 from hdt_core.physics.compressor import HEAD, inlet_flow_kg_s, pressure_ratio
 
 LIMIT_RAD_S = 4500.0

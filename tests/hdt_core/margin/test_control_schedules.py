@@ -13,10 +13,10 @@ from hdt_core.margin.control_schedules import (
     TAT_KNOTS_K,
     ControlSchedule,
     ControlSchedules,
+    SpeedLimit,
     has_authority,
     learn_schedules,
 )
-from hdt_core.margin.speed_limit import SpeedLimit
 
 
 def test_knots_lie_eight_kelvin_and_eight_hundred_metres_apart():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hdt_core.margin.speed_limit import SpeedLimit, speed_limit
+from hdt_core.margin.control_schedules import SpeedLimit, speed_limit
 
 CALM = np.tile([0.01, -0.01], 500)
 """Exit pressure about its schedule; its spread is .014826."""

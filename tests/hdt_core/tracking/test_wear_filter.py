@@ -9,7 +9,7 @@ from scipy.stats import norm, truncnorm
 from hdt_core.tracking import hypotheses as hy
 from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.hypotheses import Hypotheses, join, normalise, prune
-from hdt_core.tracking.kim_smoother import smooth
+from hdt_core.tracking.segments import smooth
 from hdt_core.tracking.wear_model import Observation, Settings
 
 PACES = [(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5), (0.45, 1e-3, 8e-4, 6e-5, 6e-5), (0.10, 6e-3, 4e-3, 6e-5, 5e-4)]
