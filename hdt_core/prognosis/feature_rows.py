@@ -11,7 +11,7 @@ from hdt_core.components import Limit
 from hdt_core.margin.conditions import WINDOW, repeated
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
-from hdt_core.prognosis.component_limits import PRIORS, learn_limit
+from hdt_core.prognosis.component_limits import PRIORS
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.message_rule import first_met, learn_rules
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
@@ -255,11 +255,13 @@ def _usual(per_k: Array) -> Array:
 
 
 def learn_rule(track: Tracks, component: str, use: NDArray[np.bool_]) -> FailureRule:
-    """By which rule the message comes, from the rows in `use`."""
+    """By which rule the message comes, from the rows in `use`; the declared limit where it comes at a loss.
+
+    A limit learned from messages would be that of the units that failed first, which is too low for the others.
+    """
+    if component != "HX":
+        return PRIOR_RULES[component]
     life, column = track.at.T
-    if component != "HX":  # the loss seen on the flight before each message
-        last = use & track.failed & (track.left == 1) & (column >= 0)
-        return learn_limit(track.panel.level[life[last], column[last]], PRIORS[component])
     lives, message, flown = np.unique(life[use]), *(np.full(len(track.panel.level), -1) for _ in range(2))
     ended = use & track.failed & (track.left == 0) & (column >= 0)
     message[life[ended]] = column[ended]

@@ -49,13 +49,16 @@ MEMBERS = 3
 LEARN_EVERY, LEARN_ROWS = 4, 1_000
 """Of a life's flights one in so many corrects the base: neighbours say the same. Of a large fleet fewer still: what is
 learned are a few numbers, and so many rows tell them."""
+LEARN_FROM = 12
+"""Failures on a fleet's record from which on its lives may correct the base: what fewer taught took more than it gave
+on eight unseen fleets (docs/prognosis.md)."""
 FOLDS = 5
 LESSONS = ((False, False), (True, False), (False, True), (True, True))
 """Hazard correction and interval levels of a fleet's own lives, taken up or not; the simplest first."""
 HELD = "out_of_fold"
 PHYSICS_ALONE = frozenset({"CC"})
-"""Components whose hazard is that of their first passage: the base learned lives of exchangers, and on compressors it
-scores worse than the physics it was given (docs/prognosis.md)."""
+"""Components whose hazard is that of their first passage through the declared limit: the base learned lives of
+exchangers, and a limit learned from the few units that failed first lies too low (docs/prognosis.md shows both)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +153,9 @@ def fit_component(
     them for live use, those of the other folds for a fold.
     """
     outside = [~track.keys[by].is_in(names).to_numpy() for names in held]
-    fits = [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *outside)]
-    if not (held and fits[0].failures):
+    enough = component not in PHYSICS_ALONE and _failures(track, ~track.mute) >= LEARN_FROM
+    fits = [_learn(base, track, component, ~track.mute & use, enough) for use in (~track.mute, *outside)]
+    if not (held and enough):
         return fits
     scores = _lesson_scores(base, track, component, outside, fits[1:])
     left_out = [scores.sum(axis=0), *(scores.sum(axis=0) - own for own in scores)]
@@ -281,20 +285,25 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
     return fit_hazard(rows.features, rows.left, rows.failed, seed, (*RISES, 0))
 
 
-def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_]) -> ComponentFit:
-    """The message's rule, then the correction, then the levels, from the rows in `use`."""
+def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_], correct: bool) -> ComponentFit:
+    """The message's rule from the rows in `use`; to correct the base, then its correction and the levels."""
     rule = learn_rule(track, component, use)
     life, column = track.at.T
     use = use & (track.left >= 1) & (column >= 0)
-    failures, lives = (int(np.unique(life[rows]).size) for rows in (use & track.failed, use))
-    if not failures:
-        return ComponentFit(rule, levels=untaught_levels(base, component), lives=lives)
+    failures, lives = _failures(track, use), int(np.unique(life[use]).size)
+    if not (failures and correct):
+        return ComponentFit(rule, levels=untaught_levels(base, component), failures=failures, lives=lives)
     rows = fleet_rows(track, rule, use & (column % _stride(use) == 0))
     raw, reserve = _hazards(base, component, rows.features), rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.left, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
     levels = learn_levels(by, rows.left, rows.failed, rows.life, untaught_levels(base, component))
     return ComponentFit(rule, correction, levels, failures, lives)
+
+
+def _failures(track: Tracks, use: NDArray[np.bool_]) -> int:
+    """Lives among the rows in `use` that ended in the message."""
+    return int(np.unique(track.at[use & track.failed & (track.left >= 1) & (track.at[:, 1] >= 0), 0]).size)
 
 
 def _predict(

@@ -217,7 +217,7 @@ def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatc
     scores = np.array([[9.0, 0.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0]])
     monkeypatch.setattr("hdt_core.prognosis.model._lesson_scores", lambda *_: scores)
     weights = (0.5, 0.0, 0.0, 0.0)
-    learned = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), (0.2, 0.5, 0.8), failures=5, lives=9)
+    learned = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), (0.2, 0.5, 0.8), failures=12, lives=19)
     monkeypatch.setattr("hdt_core.prognosis.model._learn", lambda *_: learned)
     fits = fit_component(base, track, "HX", track_folds)
     assert [fit.correction.weights == weights for fit in fits] == [True, False, True, True]
@@ -231,6 +231,22 @@ def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
     high._baseline_prediction = high._baseline_prediction + 2.0
     fits = fit_component(replace(base, hazard=(high,)), track, "HX", held)
     assert all(fit.correction.weights[0] < -0.2 for fit in fits)
+
+
+def test_few_failures_correct_nothing(base, held_halves, monkeypatch):
+    """At the limit they do, below it the base stands; of a compressor never."""
+    track, held = held_halves
+    high = deepcopy(base.hazard[0])
+    high._baseline_prediction = high._baseline_prediction + 2.0
+    wrong = replace(base, hazard=(high,))
+    failures = fit_component(wrong, track, "HX", held)[0].failures
+    for limit, corrected in ((failures, True), (failures + 1, False)):
+        monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", limit)
+        whole = fit_component(wrong, track, "HX", held)[0]
+        assert any(whole.correction.weights) == corrected
+        assert whole.failures == failures
+    monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
+    assert not any(fit_component(wrong, track, "CC", held)[0].correction.weights)
 
 
 def test_a_compressors_hazard_is_its_first_passage_and_the_bases_where_none_is_known(base):
