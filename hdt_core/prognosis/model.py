@@ -153,9 +153,8 @@ def fit_component(
     them for live use, those of the other folds for a fold.
     """
     outside = [~track.keys[by].is_in(names).to_numpy() for names in held]
-    enough = component not in PHYSICS_ALONE and _failures(track, ~track.mute) >= LEARN_FROM
-    fits = [_learn(base, track, component, ~track.mute & use, enough) for use in (~track.mute, *outside)]
-    if not (held and enough):
+    fits = [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *outside)]
+    if not held or component in PHYSICS_ALONE or fits[0].failures < LEARN_FROM:
         return fits
     scores = _lesson_scores(base, track, component, outside, fits[1:])
     left_out = [scores.sum(axis=0), *(scores.sum(axis=0) - own for own in scores)]
@@ -285,13 +284,13 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
     return fit_hazard(rows.features, rows.left, rows.failed, seed, (*RISES, 0))
 
 
-def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_], correct: bool) -> ComponentFit:
-    """The message's rule from the rows in `use`; to correct the base, then its correction and the levels."""
+def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_]) -> ComponentFit:
+    """The message's rule from the rows in `use`; where enough failed, the correction of the base and the levels."""
     rule = learn_rule(track, component, use)
     life, column = track.at.T
     use = use & (track.left >= 1) & (column >= 0)
-    failures, lives = _failures(track, use), int(np.unique(life[use]).size)
-    if not (failures and correct):
+    failures, lives = (int(np.unique(life[rows]).size) for rows in (use & track.failed, use))
+    if component in PHYSICS_ALONE or failures < LEARN_FROM:
         return ComponentFit(rule, levels=untaught_levels(base, component), failures=failures, lives=lives)
     rows = fleet_rows(track, rule, use & (column % _stride(use) == 0))
     raw, reserve = _hazards(base, component, rows.features), rows.features[:, _RESERVE]
@@ -299,11 +298,6 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
     by = event_by(correction(raw, reserve))
     levels = learn_levels(by, rows.left, rows.failed, rows.life, untaught_levels(base, component))
     return ComponentFit(rule, correction, levels, failures, lives)
-
-
-def _failures(track: Tracks, use: NDArray[np.bool_]) -> int:
-    """Lives among the rows in `use` that ended in the message."""
-    return int(np.unique(track.at[use & track.failed & (track.left >= 1) & (track.at[:, 1] >= 0), 0]).size)
 
 
 def _predict(

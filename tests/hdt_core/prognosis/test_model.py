@@ -224,8 +224,9 @@ def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatc
     assert all(fit.levels == base.base_levels for fit in fits)
 
 
-def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
+def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves, monkeypatch):
     """Log odds 2 too high: what a fleet's lives say of it narrows the score, so it is kept in every fold."""
+    monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
     track, held = held_halves
     high = deepcopy(base.hazard[0])
     high._baseline_prediction = high._baseline_prediction + 2.0
@@ -234,19 +235,27 @@ def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves):
 
 
 def test_few_failures_correct_nothing(base, held_halves, monkeypatch):
-    """At the limit they do, below it the base stands; of a compressor never."""
+    """Below the limit the base stands; of a compressor always."""
     track, held = held_halves
     high = deepcopy(base.hazard[0])
     high._baseline_prediction = high._baseline_prediction + 2.0
     wrong = replace(base, hazard=(high,))
     failures = fit_component(wrong, track, "HX", held)[0].failures
-    for limit, corrected in ((failures, True), (failures + 1, False)):
+    for limit, corrected in ((1, True), (failures + 1, False)):
         monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", limit)
         whole = fit_component(wrong, track, "HX", held)[0]
         assert any(whole.correction.weights) == corrected
         assert whole.failures == failures
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
     assert not any(fit_component(wrong, track, "CC", held)[0].correction.weights)
+
+
+@pytest.mark.parametrize(("limit", "corrected"), [(0, True), (1, False)])
+def test_at_the_limit_a_component_learns(base, held_halves, monkeypatch, limit, corrected):
+    track, _ = held_halves
+    failures = fit_component(base, track, "HX", [])[0].failures
+    monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", failures + limit)
+    assert any(fit_component(base, track, "HX", [])[0].correction.weights) == corrected
 
 
 def test_a_compressors_hazard_is_its_first_passage_and_the_bases_where_none_is_known(base):
