@@ -20,18 +20,22 @@ _TITLE = """# Data dictionary
 Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
 headers of the views (`sql/views`); change those, not this page. All times are UTC, all units SI unless the unit says
 otherwise; what is missing is NULL, never NaN. A table marked *open* keeps further columns that its stage adds, such as
-those of a component declared later: `describe tables.features` lists what a catalog holds.
+those of a component declared later: `describe tables.features` lists what a catalog holds. A column is explained where
+it first stands; later sections name it under "As above". The catalog has the same words as comments of its columns.
 """
+
+_TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
 
 
 def dictionary() -> str:
     """The page."""
+    explained: set[tuple[str, str]] = set()
     parts = [
         _TITLE,
         "## Views\n",
-        *_views(),
+        *_views(explained),
         "## Tables\n",
-        *_tables(),
+        *_tables(explained),
         "## What a later night may change\n",
         *_revised(),
     ]
@@ -51,7 +55,7 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def _views() -> list[str]:
+def _views(explained: set[tuple[str, str]]) -> list[str]:
     columns = view_columns()
     parts = []
     for name, sql in sorted(views().items()):
@@ -59,22 +63,39 @@ def _views() -> list[str]:
         notes = f" {header.notes}" if header.notes else ""
         parts.append(f"### {name}\n\n{header.question}{notes}\n")
         parts.append(f"Grain: {header.grain}. Reads: {', '.join(f'`{r}`' for r in header.reads)}.\n")
-        rows = [(f"`{column}`", kind, meaning) for column, kind, meaning in columns[name]]
-        parts.append(_table(("column", "type", "meaning"), rows))
+        parts.append(_columns(columns[name], explained))
     return parts
 
 
-def _tables() -> list[str]:
+def _tables(explained: set[tuple[str, str]]) -> list[str]:
     parts = []
     for name, entry in TABLES.items():
         grain = {"flight": "a flight of an aircraft", "aircraft": "an aircraft", "fleet": "the fleet"}[entry.grain]
         parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()} Computed by {grain}.\n")
         rows = [
-            (f"`{column}`", str(c.dtype).lower(), _span(c), "yes" if c.nullable else "no", declared(c))
+            (
+                column,
+                ", ".join(filter(None, (_type(str(c.dtype)), _span(c), "null" if c.nullable else ""))),
+                declared(c),
+            )
             for column, c in entry.schema.columns().items()
         ]
-        parts.append(_table(("column", "type", "span", "null", "meaning"), rows))
+        parts.append(_columns(rows, explained))
     return parts
+
+
+def _columns(rows: Sequence[tuple[str, str, str]], explained: set[tuple[str, str]]) -> str:
+    """A line for each column that no section above has explained in the same words, and the names of the others."""
+    above = [f"`{name}`" for name, _, meaning in rows if (name, meaning) in explained]
+    lines = [
+        f"- `{name}` ({_type(kind)}): {meaning}" for name, kind, meaning in rows if (name, meaning) not in explained
+    ]
+    explained.update((name, meaning) for name, _, meaning in rows)
+    return "\n".join([*lines, *([f"- As above: {', '.join(above)}"] if above else [])]) + "\n"
+
+
+def _type(kind: str) -> str:
+    return _TYPES.get(kind.lower(), kind.lower())
 
 
 def _revised() -> list[str]:
