@@ -4,7 +4,7 @@ Claims: a backfill on two workers gives the tables of one process, by hash; its 
 one worker where two cores are free; a worker killed in the middle (SIGKILL, its whole process group) or a broker that
 restarts loses nothing; of two schedulers one works, and one that is killed is followed without doubling a run. Twenty
 aircraft of the project's simulator as history files; Celery on RabbitMQ, PostgreSQL, machines as benchmarks/site.py
-plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the table into docs/distributed.md.
+plays them. Needs HDT_TEST_POSTGRES and HDT_TEST_BROKER. `--write` puts the table into docs/storage.md.
 """
 
 import os
@@ -23,7 +23,7 @@ from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.partitions import NIGHT
 
-PAGE = Path(__file__).parents[1] / "docs" / "distributed.md"
+PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
 SHARED = {"raw_flights", "twin_flights", "features"}
 """A table of each step whose blocks are made side by side."""
 MADE = "select count(distinct tail) from done where asset = 'raw_flights'"

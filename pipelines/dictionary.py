@@ -29,7 +29,7 @@ _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', t
 
 def dictionary() -> str:
     """The page."""
-    explained: set[tuple[str, str]] = set()
+    explained: dict[str, set[tuple[str, str]]] = {}
     parts = [
         _TITLE,
         "## Views\n",
@@ -55,7 +55,7 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def _views(explained: set[tuple[str, str]]) -> list[str]:
+def _views(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
     columns = view_columns()
     parts = []
     for name, sql in sorted(views().items()):
@@ -63,11 +63,11 @@ def _views(explained: set[tuple[str, str]]) -> list[str]:
         notes = f" {header.notes}" if header.notes else ""
         parts.append(f"### {name}\n\n{header.question}{notes}\n")
         parts.append(f"Grain: {header.grain}. Reads: {', '.join(f'`{r}`' for r in header.reads)}.\n")
-        parts.append(_columns(columns[name], explained))
+        parts.append(_columns(name, columns[name], explained))
     return parts
 
 
-def _tables(explained: set[tuple[str, str]]) -> list[str]:
+def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
     parts = []
     for name, entry in TABLES.items():
         grain = {"flight": "a flight of an aircraft", "aircraft": "an aircraft", "fleet": "the fleet"}[entry.grain]
@@ -80,17 +80,19 @@ def _tables(explained: set[tuple[str, str]]) -> list[str]:
             )
             for column, c in entry.schema.columns().items()
         ]
-        parts.append(_columns(rows, explained))
+        parts.append(_columns(f"tables.{name}", rows, explained))
     return parts
 
 
-def _columns(rows: Sequence[tuple[str, str, str]], explained: set[tuple[str, str]]) -> str:
+def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict[str, set[tuple[str, str]]]) -> str:
     """A line for each column that no section above has explained in the same words, and the names of the others."""
-    above = [f"`{name}`" for name, _, meaning in rows if (name, meaning) in explained]
-    lines = [
-        f"- `{name}` ({_type(kind)}): {meaning}" for name, kind, meaning in rows if (name, meaning) not in explained
-    ]
-    explained.update((name, meaning) for name, _, meaning in rows)
+    here = {(name, meaning) for name, _, meaning in rows}
+    known = set().union(*explained.values())
+    whole = max((s for s in explained if explained[s] <= here), key=lambda s: len(explained[s]), default="")
+    lines = [f"- `{name}` ({_type(kind)}): {meaning}" for name, kind, meaning in rows if (name, meaning) not in known]
+    named = known - explained.get(whole, set())
+    above = [f"all of `{whole}`"] * bool(whole) + [f"`{name}`" for name, _, said in rows if (name, said) in named]
+    explained[section] = here
     return "\n".join([*lines, *([f"- As above: {', '.join(above)}"] if above else [])]) + "\n"
 
 

@@ -1,6 +1,6 @@
 """Batches made on other machines: each is a Dagster run that the instance's own launcher sends out.
 
-Which engine that is, `<home>/dagster/dagster.yaml` says (docs/distributed.md). Dagster's daemon hands the runs out,
+Which engine that is, `<home>/dagster/dagster.yaml` says (docs/storage.md). Dagster's daemon hands the runs out,
 finds the lost ones and starts them again; here they are submitted and waited for and, where a run of several aircraft
 failed, its aircraft are sent out again one by one.
 """

@@ -1,7 +1,7 @@
 -- What was known of each pack on the night of each flight, and what came of it?
 -- For models of your own: features are of that flight and those before it; columns that begin with label_ tell what
 -- came later and are no features. Leave out or censor what has no label; hold out whole groups of one of the split
--- columns. See docs/training-set.md for how this is tested.
+-- columns. See docs/catalog.md for how this is tested.
 -- split_tail: aircraft, to be held out together
 -- split_unit: heat exchanger, to be held out together; another one flies after each replacement
 -- as_stated: no flight that the models were calibrated from departed later, so that night stated just this row; before,

@@ -116,7 +116,7 @@ def test_the_image_copies_what_it_needs_and_is_let_see_it():
 def test_the_image_brings_what_its_commands_and_several_machines_need():
     """Every extra that a command or the storage asks for by name, and those of a fleet on several machines."""
     files = [*(ROOT / "pipelines/cli").glob("*.py"), *(ROOT / "pipelines/storage").glob("*.py"),
-             ROOT / "docs/distributed.md"]  # fmt: skip
+             ROOT / "docs/storage.md"]  # fmt: skip
     named = re.findall(r"hybrid-digital-twin\[([\w,]+)\]", "".join(f.read_text() for f in files))
     (installed,) = re.findall(r"'\.\[([\w,]+)\]'", (ROOT / "Dockerfile").read_text())
     assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))

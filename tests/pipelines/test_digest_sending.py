@@ -244,7 +244,7 @@ def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, says)
 
 
 def test_every_key_is_documented():
-    said = (Path(__file__).parents[2] / "docs/digest.md").read_text()
+    said = (Path(__file__).parents[2] / "docs/howto-cases.md").read_text()
     keys = {key for kind in declaration.KINDS.values() for key in kind} | set(declaration.KINDS)
     assert [key for key in keys if f"`{key}`" not in said and f"{key} = " not in said] == []
 
