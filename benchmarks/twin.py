@@ -1,4 +1,4 @@
-"""Health per flight against known truth: `python -m benchmarks.twin [--seeds 101-124] [--write docs/twin.md]`.
+"""Health per flight against known truth: `python -m benchmarks.twin [--seeds 101-124] [--write docs/calibration.md]`.
 
 Claims: fouling within 0.015 of what an observer of the clean duct's ram flow would call the loss; noise, order, and an
 honest standard deviation; effective diameter and efficiency loss of the compressor; seconds for 100,000 flights. Peers

@@ -6,7 +6,7 @@ of that day (24:00 UTC), so that the flights of the day itself still belong to t
 
 A log is never early but may be some flights late. Counted from its end, the day never gives a flight of the old part to
 the new one, whose clean level, trend and age would be wrong for all of its life; the price is a few flights of the new
-part at the end of a life that is over. See `docs/twin.md` for how often either happens.
+part at the end of a life that is over. See `docs/calibration.md` for how often either happens.
 """
 
 from collections.abc import Sequence
