@@ -2,7 +2,7 @@
 
 The recordings are not ours to ship: `HDT_REFERENCE` names the folder that holds `recorder_787_a330`. Compared is how
 signals are recorded (last digit, noise from second to second, repeated values) and how the exchanger behaves, never
-a parameter's values. Run: `python -m benchmarks.recordings`; with `--write` the tables go to docs/recordings.md.
+a parameter's values. Run: `python -m benchmarks.recordings`; with `--write` the tables go to docs/real.md.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from pipelines.intake.simulated_recordings import FULL_COUNTS
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
-PAGE = ROOT / "docs/recordings.md"
+PAGE = ROOT / "docs/real.md"
 FILES = {"787": ("b787_767.zip", "b787_767"), "A330": ("a330_717.wgl.zip", "a330_717")}
 SHOWN = {
     "hot_in_degc": "hot inlet [K]", "hot_out_degc": "hot outlet [K]", "tat_degc": "TAT [K]",
@@ -197,7 +197,7 @@ def lags() -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.recordings")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/recordings.md")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/real.md")
     wanted = parser.parse_args().write
     if not REFERENCE.is_dir():
         raise SystemExit(f"no recordings in {REFERENCE}: set HDT_REFERENCE")
