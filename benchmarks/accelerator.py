@@ -2,7 +2,7 @@
 
 One first night in one process, Dagster and all; processor seconds of what could go to a device because it works on all
 flights at once as arrays, and Amdahl's bound on the whole if it took no time there. `--write` puts the table into
-docs/beyond.md.
+docs/scale.md.
 """
 
 import importlib
@@ -17,7 +17,7 @@ from benchmarks.harness import arguments, machine, show
 from benchmarks.scale import SIZES, night
 from pipelines.intake.simulated import write_fleet
 
-PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 PARTS = {
     "estimation of all flights at once": [("pipelines.assets.twin", "estimate_flights")],
     "the exchanger's equations over arrays, whoever asks": [("hdt_core.calibration.exchanger", "ln_conductance_ratio")],

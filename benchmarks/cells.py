@@ -3,7 +3,7 @@
 One empty asset over aircraft x flight, ten years of flight keys, 10,000 cells an aircraft: no data, no table. The event
 log is filled run by run of 1,000 cells through the project's own storage classes, SQLite and, where a server is named,
 PostgreSQL. At each size some runs are real ones, executed and timed, and what the partitions page asks Dagster for is
-asked. `--write` puts the table into docs/beyond.md.
+asked. `--write` puts the table into docs/scale.md.
 """
 
 import os
@@ -32,7 +32,7 @@ from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.storage.ledger import Ledger
 
-PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 FLIGHTS = [
     f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}_{leg:02}" for day in range(3334) for leg in (1, 2, 3)
 ]

@@ -5,7 +5,7 @@ aircraft speaks, the correction of the simulated base, the levels told: ten numb
 compressor) is compared when it is taught by an operator's own lives, by everybody's in one place, and by everybody's at
 home with only the numbers, or only the prognoses, put together. The same without the simulated base, where each
 operator fits a hazard of its own. Every tail is judged by what other tails taught; then an operator by what the other
-operators taught. `--write` puts the tables into docs/federated.md.
+operators taught. `--write` puts the tables into docs/prognosis.md.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings
 from pipelines.learned import shipped_base
 
-PAGE = Path(__file__).parents[1] / "docs" / "federated.md"
+PAGE = Path(__file__).parents[1] / "docs" / "prognosis.md"
 FIRST_SEED = 9500
 SIZE = FleetSettings(operators=5, tails=3, flights=800, cpl_share=0.0)
 SAID = ("rul_flights", "rul_low", "rul_high", "p_event_50")

@@ -2,7 +2,7 @@
 
 A real night over fleet S of benchmarks/scale.py (250 flights an aircraft); its aircraft are then stored again and again
 under other tails, every table of them, through the store itself. At each size: files, bytes, the time to publish the
-catalog, and of some questions, each the median of several askings. `--write` puts the table into docs/beyond.md.
+catalog, and of some questions, each the median of several askings. `--write` puts the table into docs/scale.md.
 """
 
 import tempfile
@@ -20,7 +20,7 @@ from pipelines.storage.catalog import connect
 from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
-PAGE = Path(__file__).parents[1] / "docs" / "beyond.md"
+PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 QUESTIONS = {
     "fleet's ranking": "select * from fleet_ranking order by place",
     "one pack's fouling": "select * from health_parameters where tail = (select min(tail) from fleet_ranking)"

@@ -5,7 +5,7 @@ next in turn, a CSV file each. Every one is a whole night in one process: intake
 aircraft's flights of its history are flown again under later dates, so a thousand nights spread over 33 months. Upkeep
 is due every night, and what thirty days do to replaced files and to logs is done every thirty nights. A row tells
 medians of the ten nights up to its own, so that a month that begins, in which prognosis learns anew, decides none.
-`--write` puts the table into docs/beyond.md. A thousand nights take two to three hours of one core.
+`--write` puts the table into docs/scale.md. A thousand nights take two to three hours of one core.
 """
 
 import os
