@@ -18,10 +18,9 @@ from pipelines.storage.publication import ordered, publish, views
 _TITLE = """# Data dictionary
 
 Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
-headers of the views (`sql/views`); change those, not this page. All times are UTC, all units SI unless the unit says
-otherwise; what is missing is NULL, never NaN. A table marked *open* keeps further columns that its stage adds, such as
-those of a component declared later: `describe tables.features` lists what a catalog holds. A column is explained where
-it first stands; later sections name it under "As above". The catalog has the same words as comments of its columns.
+headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
+is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". The catalog
+has the same words as comments of its columns; `describe tables.features` also lists those of components of your own.
 """
 
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
@@ -62,7 +61,7 @@ def _views(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
         header = read_header(sql)
         notes = f" {header.notes}" if header.notes else ""
         parts.append(f"### {name}\n\n{header.question}{notes}\n")
-        parts.append(f"Grain: {header.grain}. Reads: {', '.join(f'`{r}`' for r in header.reads)}.\n")
+        parts.append(f"Grain: {header.grain}.\n")
         parts.append(_columns(name, columns[name], explained))
     return parts
 
@@ -70,8 +69,7 @@ def _views(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
 def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
     parts = []
     for name, entry in TABLES.items():
-        grain = {"flight": "a flight of an aircraft", "aircraft": "an aircraft", "fleet": "the fleet"}[entry.grain]
-        parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()} Computed by {grain}.\n")
+        parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()}\n")
         rows = [
             (
                 column,
@@ -89,7 +87,11 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict
     here = {(name, meaning) for name, _, meaning in rows}
     known = set().union(*explained.values())
     whole = max((s for s in explained if explained[s] <= here), key=lambda s: len(explained[s]), default="")
-    lines = [f"- `{name}` ({_type(kind)}): {meaning}" for name, kind, meaning in rows if (name, meaning) not in known]
+    lines = [
+        f"- `{name}` ({_type(kind)}): {meaning.removesuffix(' [-]')}"
+        for name, kind, meaning in rows
+        if (name, meaning) not in known
+    ]
     named = known - explained.get(whole, set())
     above = [f"all of `{whole}`"] * bool(whole) + [f"`{name}`" for name, _, said in rows if (name, said) in named]
     explained[section] = here
