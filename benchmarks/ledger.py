@@ -6,14 +6,15 @@
 Claim: no figure hangs on a number that somebody chose. `constants.toml` holds every constant with its source. `run`
 changes one in a copy of the sources, makes again what follows from it (`benchmarks.chain`) on fleets that another
 simulator flew, and scores it against their truth; a line of the results file a run, so that it goes on where it
-stopped. `write` puts the table into docs/constants.md; a cell that the results file does not hold stays as the page has
-it. The shipped base of the prognosis is not learned again.
+stopped. `write` puts the list into docs/constants.md; a change that the results file does not hold stays as the page
+has it. The shipped base of the prognosis is not learned again.
 """
 
 import argparse
 import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -34,7 +35,7 @@ import polars as pl
 from benchmarks import chain, samples
 from benchmarks.alerts import overall, tally
 from benchmarks.changed_source import changed
-from benchmarks.harness import markdown, put
+from benchmarks.harness import put
 from benchmarks.twin import fouling_numbers
 from hdt_core.prognosis.metrics import judge, score_prognoses
 
@@ -172,32 +173,32 @@ def _held(results: Path) -> Iterator[dict[str, Any]]:
 
 
 def table(results: Path) -> str:
-    """The ledger with what was measured: of each change what moved by more than `MOVES`."""
+    """The ledger, a line a constant: its source, and behind the arrow what a change moved by more than `MOVES`."""
     rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _held(results)}
     fleets = sorted({fleet for fleet, _, _ in rows})
-    head = ["constant", "source", *(f"{f}, {w}" for f in fleets for w in WAYS)]
-    lines, stood = [head], told()
+    lines, stood = [], told()
     for constant in ledger():
         at = f"{constant.module}:{constant.path}"
         name = f"`{at.removeprefix('hdt_core.')}`"
-        cells = [
-            _moved(rows[f, at, k], rows[f, "", 1.0])
+        standing = stood.get(name)
+        cells = {
+            f"{f} {w}": _moved(rows[f, at, k], rows[f, "", 1.0])
             if (f, at, k) in rows
-            else stood.get((name, f"{f}, {w}"), "not run")
+            else "not run"
+            if standing is None
+            else standing.get(f"{f} {w}", "-")
             for f in fleets
             for k, w in zip(FACTORS, WAYS, strict=True)
-        ]
-        lines.append([name, constant.source, *cells])
-    return markdown(lines)
+        }
+        moved = "; ".join(f"{way}: {cell}" for way, cell in cells.items() if cell != "-")
+        lines.append(f"- {name}: {constant.source}" + f" -> {moved}" * bool(moved))
+    return "\n".join(lines)
 
 
-def told() -> dict[tuple[str, str], str]:
-    """Cells of the page's table, by constant and column."""
-    lines = [line.strip("| ").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")]
-    if not lines:
-        return {}
-    head, _, *rows = lines
-    return {(cells[0], column): cell for cells in rows for column, cell in zip(head, cells, strict=True)}
+def told() -> dict[str, dict[str, str]]:
+    """What the page's list says was moved, by constant and change."""
+    lines = [line.removeprefix("- ").partition(" -> ") for line in PAGE.read_text().splitlines() if line[:3] == "- `"]
+    return {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", moved)) for left, _, moved in lines}
 
 
 def _moved(now: dict[str, Any], before: dict[str, float]) -> str:
