@@ -3,9 +3,11 @@
 `python -m pipelines.dictionary docs/data-dictionary.md` writes it; a test holds the file to it.
 """
 
+import re
 import sys
 import tempfile
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,9 @@ _TITLE = """# Data dictionary
 
 Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
 headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
-is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". The catalog
-has the same words as comments of its columns; `describe tables.features` also lists those of components of your own.
+is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". Columns
+that differ by a number are explained once. The catalog has every column's words as its comment; `describe
+tables.features` also lists those of components of your own.
 """
 
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
@@ -83,19 +86,30 @@ def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
 
 
 def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict[str, set[tuple[str, str]]]) -> str:
-    """A line for each column that no section above has explained in the same words, and the names of the others."""
+    """A line for what no section above has explained in the same words, and the names of the others.
+
+    Columns beside each other that differ by a number stand in one line, with the words of the first.
+    """
     here = {(name, meaning) for name, _, meaning in rows}
     known = set().union(*explained.values())
     whole = max((s for s in explained if explained[s] <= here), key=lambda s: len(explained[s]), default="")
+    fresh = [row for row in rows if (row[0], row[2]) not in known]
+    alike = [list(group) for _, group in groupby(fresh, key=_family)]
     lines = [
-        f"- `{name}` ({_type(kind)}): {meaning.removesuffix(' [-]')}"
-        for name, kind, meaning in rows
-        if (name, meaning) not in known
+        f"- {', '.join(f'`{name}`' for name, _, _ in group)} ({_type(group[0][1])}): {group[0][2].removesuffix(' [-]')}"
+        for group in alike
     ]
     named = known - explained.get(whole, set())
     above = [f"all of `{whole}`"] * bool(whole) + [f"`{name}`" for name, _, said in rows if (name, said) in named]
     explained[section] = here
     return "\n".join([*lines, *([f"- As above: {', '.join(above)}"] if above else [])]) + "\n"
+
+
+def _family(row: tuple[str, str, str]) -> tuple[str, ...]:
+    """What columns share that say the same, or differ by a number in their names."""
+    name, kind, meaning = row
+    bare = re.sub(r"\d+", "", meaning)
+    return (kind, meaning) if bare == meaning else (kind, bare, re.sub(r"\d+", "", name))
 
 
 def _type(kind: str) -> str:

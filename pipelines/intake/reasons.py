@@ -130,7 +130,7 @@ REASONS: dict[str, Reason] = {
         "Deliver the file whole.",
     ),
     "bad_code": Reason("row", "A code is missing or not one of those agreed.", "Use the codes of the data contract."),
-    "bad_cost": Reason("file", "The cost table can't be used, so no cost is told.", "Correct the key that is named."),
+    "bad_cost": Reason("file", "The cost table can't be used, so no cost is given.", "Correct the key that is named."),
     "bad_key": Reason("row", "The operator or tail is missing, malformed or listed twice.", "Correct the list."),
     "report_without_head": Reason(
         "row",
