@@ -26,7 +26,8 @@ from benchmarks.harness import arguments, machine, markdown, show
 from benchmarks.scale import Silent, fly_again, ranking_ms
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.orchestration.nightly import holding, run_night
+from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.nightly import run_night
 from pipelines.orchestration.runs import publish_night
 from pipelines.storage import delta, upkeep
 

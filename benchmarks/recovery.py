@@ -33,7 +33,7 @@ from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.intake.simulated import write_fleet
 from pipelines.lineage import LINEAGE
-from pipelines.orchestration import nightly, runs
+from pipelines.orchestration import around_night, nightly, runs
 from pipelines.storage.ledger import Ledger
 from pipelines.versions import expected
 
@@ -142,7 +142,7 @@ def reopen(landing: Path, home: Path) -> Spent:
     for part, owner, name in places:
         setattr(owner, name, _timed(getattr(owner, name), part, spent))
     try:
-        with nightly.holding(home):
+        with around_night.holding(home):
             _timed(nightly.run_night, "all", spent)(landing, home, Until())
     except BegunError as step:
         if str(step) != "flights and legs":

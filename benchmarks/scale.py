@@ -31,7 +31,7 @@ from hdt_core.simulate.design import FleetSettings
 from pipelines import partitions
 from pipelines.intake.simulated import write_fleet
 from pipelines.io_manager import FrameIO
-from pipelines.orchestration import nightly, runs
+from pipelines.orchestration import around_night, nightly, runs
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft
 from pipelines.orchestration.local_executor import cores
 from pipelines.partitions import PartitionScope
@@ -95,7 +95,7 @@ class Bare:
 
 def night(landing: Path, home: Path, shared: bool = True) -> None:
     """What `hdt nightly` does, side by side where that is worth it."""
-    with nightly.holding(home):
+    with around_night.holding(home):
         done = nightly.run_night(landing, home, Silent(), jobs=cores() if shared else 1)
         assert not done.failed, done.failed
         if not done.idle:

@@ -181,7 +181,7 @@ def dossier(
 @contextmanager
 def _one_writer(home: Path | None) -> Iterator[Path]:
     """The home, held: no night seals meanwhile."""
-    from pipelines.orchestration.nightly import holding
+    from pipelines.orchestration.around_night import holding
 
     where = home_folder(home)
     with _one_line(), holding(where):

@@ -73,8 +73,8 @@ def _of_a_night(error: Exception) -> str:
     if isinstance(error, ComponentError):
         return f"{error}; mend or uninstall it"
     from pipelines.digest import NotifyError
+    from pipelines.orchestration.around_night import BusyError
     from pipelines.orchestration.local_executor import EngineError
-    from pipelines.orchestration.nightly import BusyError
     from pipelines.storage.postgres import DatabaseError
 
     return (

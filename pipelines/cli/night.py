@@ -131,7 +131,7 @@ def tidy(
     materialized on Dagster's page.
     """
     from dagster_batched.history import forget
-    from pipelines.orchestration.nightly import holding
+    from pipelines.orchestration.around_night import holding
     from pipelines.orchestration.runs import open_instance
     from pipelines.storage.history import set_aside
 
@@ -158,7 +158,8 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.orchestration.nightly import complete_night, holding
+    from pipelines.orchestration.around_night import holding
+    from pipelines.orchestration.nightly import complete_night
 
     began, bars = time.monotonic(), Bars(quiet=as_json)
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import dagster as dg
 
 from pipelines.intake.scan import unseen
-from pipelines.orchestration.nightly import complete_night, holding
+from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.versions import digest
 from pipelines.zone import fault_of

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -18,13 +15,12 @@ import polars as pl
 from pipelines.intake.refusals import not_read
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
-from pipelines.orchestration.after_night import call_hooks, tell_receivers
+from pipelines.orchestration.around_night import call_hooks, tell_receivers
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair.mend import mend
-from pipelines.storage import history, ledger_copy, postgres
+from pipelines.storage import history, ledger_copy
 from pipelines.storage.delta import DamageError
-from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import fault_of, publish
 from pipelines.storage.settings import accepted_terms, notify_file, retention
@@ -37,10 +33,6 @@ if TYPE_CHECKING:
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
     from pipelines.orchestration.remote_executor import RemoteExecutor
     from pipelines.orchestration.runs import Runner
-
-
-class BusyError(Exception):
-    """Another run holds this home."""
 
 
 class Progress(Protocol):
@@ -84,45 +76,6 @@ class Night:
         runs, cells = self.runs + again.runs, self.cells + again.cells
         mended = (*self.mended, *again.mended)
         return Night(again.files, self.new_files + again.new_files, runs, cells, again.failed, mended)
-
-
-@contextmanager
-def holding(home: Path) -> Iterator[None]:
-    """Be the only writer of `home` and, where the fleet's ledger is a database, of the fleet.
-
-    The lock goes with the process, however it ends.
-    """
-    home.mkdir(parents=True, exist_ok=True)
-    with _closed_to_others(home), open(home / ".lock", "a+") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.seek(0)
-            raise BusyError(_busy(f"process {lock.read().strip() or 'unknown'}", str(home))) from None
-        lock.truncate(0)
-        lock.write(str(os.getpid()))
-        lock.flush()
-        url = Ledger(home).url
-        with postgres.locked(url) if url else nullcontext() as other:
-            if other:
-                raise BusyError(_busy(other, "this fleet"))
-            yield
-
-
-@contextmanager
-def _closed_to_others(home: Path) -> Iterator[None]:
-    """Keep from others than the group what lies in the home, and what is made in it."""
-    before = narrow_umask()
-    try:
-        with suppress(PermissionError):  # a volume that is another's
-            home.chmod(home.stat().st_mode & ~0o007)
-        yield
-    finally:
-        os.umask(before)
-
-
-def _busy(who: str, what: str) -> str:
-    return f"another run ({who}) is writing {what}; wait for it to end"
 
 
 def complete_night(

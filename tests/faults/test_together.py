@@ -5,7 +5,7 @@ import threading
 import duckdb
 import pytest
 
-from pipelines.orchestration.nightly import BusyError, holding
+from pipelines.orchestration.around_night import BusyError, holding
 from pipelines.storage.catalog import connect
 
 

@@ -26,7 +26,7 @@ from powercut import Disk  # noqa: E402
 import pipelines.definitions  # noqa: E402
 import pipelines.orchestration.runs  # noqa: E402, F401
 from benchmarks import fault_points  # noqa: E402
-from pipelines.orchestration import nightly  # noqa: E402
+from pipelines.orchestration import around_night, nightly  # noqa: E402
 from pipelines.storage import files  # noqa: E402
 from pipelines.storage.publication import publish  # noqa: E402
 
@@ -48,7 +48,7 @@ def work(asked: dict) -> None:
     # the empty flight_id of cells above flights comes before all others
     only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
     nightly.STAGES = stages_of(0, asked.get("steps"))
-    with nightly.holding(home):
+    with around_night.holding(home):
         night, _ = nightly.complete_night(landing, home, Silent(), only)
     os.write(2, "\n".join(night.mended).encode())
     if night.failed:

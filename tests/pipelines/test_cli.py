@@ -144,7 +144,7 @@ def test_an_idle_night_mends_the_catalog(own_home):
 
 
 def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
-    from pipelines.orchestration.nightly import holding
+    from pipelines.orchestration.around_night import holding
 
     landing, home = own_home
     with holding(home):

@@ -16,7 +16,7 @@ import polars as pl
 import pytest
 from databases import SERVER, new_database
 
-from pipelines.orchestration import nightly
+from pipelines.orchestration import around_night
 from pipelines.storage import postgres
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_tables import NAMES
@@ -104,7 +104,7 @@ def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
 
 
 def _hold(home: Path, held, over) -> None:
-    with nightly.holding(home):
+    with around_night.holding(home):
         held.set()
         over.wait()
 
@@ -117,15 +117,18 @@ def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_proc
     first.start()
     assert held.wait(30)
     other = tmp_path / ("two" if ledger.url else "one")
-    with pytest.raises(nightly.BusyError, match=rf"process {first.pid}\b.*wait for it to end"), nightly.holding(other):
+    with (
+        pytest.raises(around_night.BusyError, match=rf"process {first.pid}\b.*wait for it to end"),
+        around_night.holding(other),
+    ):
         pass
     first.kill()
     first.join()
     for _ in range(100):  # the server notices the broken connection
         try:
-            with nightly.holding(other):
+            with around_night.holding(other):
                 return
-        except nightly.BusyError:
+        except around_night.BusyError:
             time.sleep(0.05)
     pytest.fail("the lock outlived its process")
 
@@ -147,7 +150,7 @@ def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, s
     ledger = Ledger(tmp_path)
     with pytest.raises(postgres.DatabaseError, match=says) as told:
         ledger.known_files()
-    with pytest.raises(postgres.DatabaseError), nightly.holding(tmp_path):
+    with pytest.raises(postgres.DatabaseError), around_night.holding(tmp_path):
         pass
     assert SECRET not in f"{told.value!r} {ledger!r}"
     assert "\n" not in str(told.value)

@@ -12,7 +12,7 @@ from nights import Silent, stages_of, unfolded
 from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.orchestration import batches, local_executor, nightly
+from pipelines.orchestration import around_night, batches, local_executor, nightly
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +35,13 @@ def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_pat
     """To the last digit: no flight's numbers hang on those it shares a run with."""
     told = {}
     for jobs in (1, 2):
-        with nightly.holding(tmp_path / f"{jobs}"):
+        with around_night.holding(tmp_path / f"{jobs}"):
             night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
         told[jobs] = (night.runs, night.cells, night.failed)
     assert told[2] == told[1]
     assert not told[1][2]
     monkeypatch.setattr(batches, "CELLS_A_RUN", 5)
-    with nightly.holding(tmp_path / "cut"):
+    with around_night.holding(tmp_path / "cut"):
         assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > told[1][0]
     assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
@@ -54,10 +54,10 @@ def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path
             for child in multiprocessing.active_children():
                 child.kill()
 
-    with nightly.holding(tmp_path):
+    with around_night.holding(tmp_path):
         night = nightly.run_night(landing, tmp_path, Killer(), jobs=2)
     assert "a worker process died" in next(iter(night.failed.values()))
-    with nightly.holding(tmp_path):
+    with around_night.holding(tmp_path):
         assert not nightly.run_night(landing, tmp_path, Silent()).failed
 
 
@@ -77,7 +77,7 @@ def _night(landing: Path, home: Path) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
     local_executor.FLIGHTS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 1, 12, unfolded(nightly.STAGES)
-    with nightly.holding(home):
+    with around_night.holding(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 
 

@@ -17,7 +17,7 @@ from nights import Silent, stages_of, unfolded
 from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.orchestration import batches, nightly
+from pipelines.orchestration import around_night, batches, nightly
 from pipelines.orchestration.local_executor import EngineError
 
 BROKER = os.environ.get("HDT_TEST_BROKER", "")
@@ -93,7 +93,7 @@ class AtFirstBlock(Silent):
 
 def night_over(fleet, progress=None) -> nightly.Night:
     home = fleet.home("night")
-    with nightly.holding(home):
+    with around_night.holding(home):
         return nightly.run_night(fleet.landing, home, progress or Silent())
 
 
@@ -140,7 +140,7 @@ def _night(landing: Path, home: Path) -> None:
     """A night in a process that will be killed."""
     with pytest.MonkeyPatch.context() as patch:
         small(patch)
-        with nightly.holding(home):
+        with around_night.holding(home):
             nightly.run_night(landing, home, Silent())
 
 
@@ -152,7 +152,7 @@ def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_no
     first.start()
     made = "select count(distinct tail) from done where asset = 'raw_flights'"
     wait(lambda: fleet.rows(made) >= [(1,)] or not first.is_alive(), 60, "the first night does not begin")
-    with pytest.raises(nightly.BusyError, match=rf"process {first.pid}\b"):
+    with pytest.raises(around_night.BusyError, match=rf"process {first.pid}\b"):
         night_over(fleet)
     first.kill()
     first.join()

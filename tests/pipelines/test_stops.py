@@ -17,8 +17,8 @@ from nights import run
 from pipelines.assets import features
 from pipelines.cli.stops import StoppedError, ends_in_order
 from pipelines.definitions import build_defs
+from pipelines.orchestration.around_night import holding
 from pipelines.orchestration.local_executor import deaf
-from pipelines.orchestration.nightly import holding
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger

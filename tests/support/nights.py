@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipelines.lineage import STAGES, Stage
-from pipelines.orchestration.nightly import Night, holding, run_night
+from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.nightly import Night, run_night
 from pipelines.orchestration.order import steps
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish

@@ -2,15 +2,15 @@
 
 from importlib.metadata import EntryPoint
 
-from pipelines.orchestration import after_night
+from pipelines.orchestration import around_night
 
 
 def test_a_hook_that_fails_or_is_not_there_keeps_none_of_the_others(monkeypatch, tmp_path):
     values = {"c": "posixpath:exists_not", "b": "posixpath:islink", "a": "no_such_module:f", "d": f"{__name__}:given"}
     points = [EntryPoint(name, value, "hdt.after_night") for name, value in values.items()]
-    monkeypatch.setattr(after_night, "entry_points", lambda group: points)
+    monkeypatch.setattr(around_night, "entry_points", lambda group: points)
     monkeypatch.setattr(EntryPoint, "load", lambda p: given if p.name == "d" else _load(p))
-    told, failed = after_night.call_hooks(tmp_path)
+    told, failed = around_night.call_hooks(tmp_path)
     assert told == {"home": tmp_path.name}
     assert [line[:2] for line in failed] == ["a:", "b:", "c:"]
     assert "no_such_module" in failed[0]
