@@ -21,9 +21,10 @@ _TITLE = """# Data dictionary
 
 Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
 headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
-is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". Columns
-that differ by a number are explained once. The catalog has every column's words as its comment; `describe
-tables.features` also lists those of components of your own.
+is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". Columns that
+differ by a number are explained once. Behind a type of a table, `?` says that it may be NULL, `0..1` its least and
+greatest value. The catalog has every column's words as its comment; `describe tables.features` also lists those of
+components of your own.
 """
 
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
@@ -76,7 +77,7 @@ def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
         rows = [
             (
                 column,
-                ", ".join(filter(None, (_type(str(c.dtype)), _span(c), "null" if c.nullable else ""))),
+                f"{_type(str(c.dtype))}{'?' * c.nullable} {_span(c)}".strip(),
                 declared(c),
             )
             for column, c in entry.schema.columns().items()
@@ -129,7 +130,7 @@ def _span(column: Any) -> str:
         return f"`{pattern}`"
     if low is None and high is None:
         return ""
-    return f"{'' if low is None else f'{low:g}'} to {'' if high is None else f'{high:g}'}".strip()
+    return f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}"
 
 
 def _table(names: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
