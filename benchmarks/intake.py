@@ -18,7 +18,8 @@ from pathlib import Path
 
 import polars as pl
 
-from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.merge import merge_deliveries
 from pipelines.intake.snapshots import read_snapshots
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hdt_core.recorder.coding import Coding, Polynomial
-from hdt_core.recorder.fit import decode, recognise
-from hdt_core.recorder.layout import SYNC_WORDS, Counter, Map717, Parameter, Piece, Sample
+from hdt_recorder.decoding.coding import Coding, Polynomial
+from hdt_recorder.decoding.fit import decode, recognise
+from hdt_recorder.decoding.layout import SYNC_WORDS, Counter, Map717, Parameter, Piece, Sample
 
 HOURS, WORDS, ROUNDS = 10, 1024, 3
 

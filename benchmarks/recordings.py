@@ -16,15 +16,15 @@ import polars as pl
 
 from benchmarks.harness import put
 from hdt_core.components import components
-from hdt_core.recorder.decode import Series
-from hdt_core.recorder.fit import decode
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.tracking.component import calibrate_component
-from pipelines.aircraft_types import shipped
-from pipelines.intake.aircraft_types import AircraftType, read_type
-from pipelines.intake.recordings import open_recording
-from pipelines.intake.simulated_recordings import FULL_COUNTS
+from hdt_recorder.aircraft_types import AircraftType, read_type
+from hdt_recorder.decoding.decode import Series
+from hdt_recorder.decoding.fit import decode
+from hdt_recorder.recordings import open_recording
+from hdt_recorder.simulated_recordings import FULL_COUNTS
+from hdt_recorder.types_of_zone import shipped
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"

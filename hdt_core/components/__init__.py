@@ -4,13 +4,13 @@ A package brings one by an entry point of the group `hdt.components` that names 
 """
 
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 
 from hdt_core.components.cabin_air_compressor import CAC
 from hdt_core.components.compressor import CC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.components.unmetered_exchanger import HXT
+from hdt_core.packages import brought
 
 __all__ = [
     "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record", "component_rows", "components",
@@ -30,30 +30,17 @@ def components() -> dict[str, Component]:
         A package can't be loaded, names something else than a `Component`, or one of a code that is taken.
     """
     known = {c.code: c for c in (HX, CC, HXT, CAC)}
-    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
-        found = _loaded(point)
+    for named, found in brought(GROUP, "component", ComponentError):
+        if not isinstance(found, Component):
+            raise ComponentError(f"{named} is no Component")
         if found.code in known:
-            raise ComponentError(f"{_named(point)}: there is a component {found.code} already")
+            raise ComponentError(f"{named}: there is a component {found.code} already")
         known[found.code] = found
     return known
 
 
 class ComponentError(Exception):
     """What a package brings is no component."""
-
-
-def _loaded(point: EntryPoint) -> Component:
-    try:
-        found = point.load()
-    except Exception as error:
-        raise ComponentError(f"{_named(point)} can't be loaded: {type(error).__name__}: {error}") from error
-    if not isinstance(found, Component):
-        raise ComponentError(f"{_named(point)} is no Component")
-    return found
-
-
-def _named(point: EntryPoint) -> str:
-    return f"the component {point.name} ({point.value}, of the package {point.dist.name if point.dist else '?'})"
 
 
 def component_rows() -> list[dict[str, object]]:

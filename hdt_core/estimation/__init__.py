@@ -4,7 +4,6 @@
 """
 
 from functools import cache
-from importlib.metadata import entry_points
 
 from hdt_core.estimation.ekf import ExtendedKalman
 from hdt_core.estimation.estimate import Estimate, Estimator, Status
@@ -15,32 +14,17 @@ from hdt_core.estimation.pinn import PhysicsInformedNet
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.estimation.pso import ParticleSwarm
 from hdt_core.estimation.ukf import UnscentedKalman
+from hdt_core.packages import brought
 
 OWN: tuple[Estimator, ...] = (
-    NonlinearLeastSquares(),
-    ParticleSwarm(),
-    ExtendedKalman(),
-    UnscentedKalman(),
-    PhysicsInformedNet(),
-)
+    NonlinearLeastSquares(), ParticleSwarm(), ExtendedKalman(), UnscentedKalman(), PhysicsInformedNet(),
+)  # fmt: skip
 """The methods of the paper."""
 
 __all__ = [
-    "Belief",
-    "Estimate",
-    "Estimator",
-    "ExtendedKalman",
-    "Fit",
-    "Identifiability",
-    "NonlinearLeastSquares",
-    "ParticleSwarm",
-    "PhysicsInformedNet",
-    "Problem",
-    "Status",
-    "UnscentedKalman",
-    "estimators",
-    "unknown",
-]
+    "Belief", "Estimate", "Estimator", "ExtendedKalman", "Fit", "Identifiability", "NonlinearLeastSquares",
+    "ParticleSwarm", "PhysicsInformedNet", "Problem", "Status", "UnscentedKalman", "estimators", "unknown",
+]  # fmt: skip
 
 
 @cache
@@ -55,10 +39,9 @@ def estimators() -> dict[str, Estimator]:
         A package brings a method of a name that is taken.
     """
     methods = {e.name: e for e in OWN}
-    for point in sorted(entry_points(group="hdt.estimators"), key=lambda p: p.name):
-        loaded = point.load()
-        method = loaded() if isinstance(loaded, type) else loaded
+    for named, found in brought("hdt.estimators", "estimator", ValueError):
+        method = found() if isinstance(found, type) else found
         if method.name in methods:
-            raise ValueError(f"the estimator {point.name} ({point.value}): there is a method {method.name} already")
+            raise ValueError(f"{named}: there is a method {method.name} already")
         methods[method.name] = method
     return methods

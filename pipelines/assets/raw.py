@@ -12,16 +12,16 @@ from pipelines.assets.stage import stage
 from pipelines.intake.components import ComponentIntake
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.costs import costs_or_fault
-from pipelines.intake.coverage import coverage
 from pipelines.intake.findings import CASE, with_findings
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
-from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.ledger import quarantine
-from pipelines.intake.logs import Log, read_checks, read_fleet, read_maintenance, read_messages
-from pipelines.intake.printed_reports import read_printed
+from pipelines.intake.log_lines import Log
+from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.readers import REPORTS, TYPES, readers
 from pipelines.intake.scan import REJECTED
 from pipelines.intake.snapshots import read_snapshots
-from pipelines.intake.types_of_zone import REPORTS, types_of
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
@@ -44,7 +44,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
         fleet if fleet.height else home.store.read("raw_fleet"),  # a list that is gone or broken takes nothing away
         pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
-        coverage(types_of(landing.resolve())),
+        readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read("raw_coverage"),
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
         costs,
     )
@@ -103,7 +103,8 @@ def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tu
     unread = listed.filter(pl.col("kind") == REPORTS).with_columns(version)
     unread = unread.join(known, on=["path", "version"], how="anti")
     versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
-    return [(f, read_printed(f, now, versions[f.path])) for f in landing_files(Path(home.landing), unread)]
+    files = landing_files(Path(home.landing), unread) if REPORTS in readers() else []
+    return [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files]
 
 
 def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
@@ -134,13 +135,10 @@ def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
 
 def account(file: LandingFile, read: Log | ComponentIntake) -> pl.DataFrame:
     """Where the rows of one file went."""
-    quarantined = int(read.quarantine["n_rows"].sum())
     counts = {
-        "delivered": read.n_delivered,
-        "loaded": read.n_loaded,
-        "quarantined": quarantined,
-        "duplicate": read.n_duplicate,
-    }
+        "delivered": read.n_delivered, "loaded": read.n_loaded,
+        "quarantined": int(read.quarantine["n_rows"].sum()), "duplicate": read.n_duplicate,
+    }  # fmt: skip
     return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
 
 

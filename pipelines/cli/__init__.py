@@ -3,13 +3,13 @@
 import logging
 import sqlite3
 import sys
-from importlib.metadata import entry_points
 
-from pipelines.cli import cases, digest, look, make, night, recorder, serve, share
+from hdt_core.packages import brought
+from pipelines.cli import cases, digest, look, make, night, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, say_error
 from pipelines.cli.stops import StoppedError, ends_in_order
 
-__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "recorder", "serve", "share"]
+__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "serve", "share"]
 
 
 def main() -> None:
@@ -40,18 +40,8 @@ def main() -> None:
 
 
 def load_extensions() -> None:
-    """Import the module of every entry point of the group `hdt.commands`: it adds its commands to `base.app`.
-
-    Raises
-    ------
-    StopError
-        A package's module can't be imported.
-    """
-    for point in sorted(entry_points(group="hdt.commands"), key=lambda p: p.name):
-        try:
-            point.load()
-        except Exception as error:
-            raise StopError(f"the commands {point.name} ({point.value}) can't be loaded: {error}") from error
+    """Import the module of every entry point of the group `hdt.commands`, which adds its commands to `base.app`."""
+    list(brought("hdt.commands", "commands", StopError))
 
 
 def _load_schemas() -> None:
@@ -73,13 +63,13 @@ def _of_a_night(error: Exception) -> str:
     if isinstance(error, ComponentError):
         return f"{error}; mend or uninstall it"
     from pipelines.digest import NotifyError
+    from pipelines.intake.readers import ReaderError
     from pipelines.orchestration.around_night import BusyError
     from pipelines.orchestration.local_executor import EngineError
     from pipelines.storage.postgres import DatabaseError
 
-    return (
-        str(error) if isinstance(error, BusyError | DatabaseError | EngineError | NotifyError) else _of_the_disk(error)
-    )
+    ours = BusyError | DatabaseError | EngineError | NotifyError | ReaderError
+    return str(error) if isinstance(error, ours) else _of_the_disk(error)
 
 
 def _of_the_disk(error: Exception) -> str:

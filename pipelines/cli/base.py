@@ -14,27 +14,9 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 ORDER = (
-    "nightly",
-    "backfill",
-    "status",
-    "explain",
-    "close",
-    "case",
-    "serve",
-    "report",
-    "digest",
-    "orders",
-    "query",
-    "terms",
-    "export",
-    "recorder",
-    "ui",
-    "simulate",
-    "doctor",
-    "docs",
-    "tidy",
-    "benchmark",
-)
+    "nightly", "backfill", "status", "explain", "close", "case", "serve", "report", "digest", "orders", "query",
+    "terms", "export", "trial", "dossier", "recorder", "ui", "simulate", "doctor", "docs", "tidy", "benchmark",
+)  # fmt: skip
 
 
 class ByUse(TyperGroup):
@@ -45,13 +27,7 @@ class ByUse(TyperGroup):
         return sorted(self.commands, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name))
 
 
-app = typer.Typer(
-    name="hdt",
-    cls=ByUse,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+app = typer.Typer(name="hdt", cls=ByUse, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 out, err = Console(highlight=False), Console(stderr=True, highlight=False)
 
 

@@ -14,11 +14,10 @@ from hdt_core.tables import TABLES
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
-from pipelines.intake.coverage import coverage_of, faults_of, in_use
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_sample import silent_in_landing
+from pipelines.intake.readers import TYPES, readers
 from pipelines.intake.refusals import not_read, silent_columns, silent_lines
-from pipelines.intake.types_of_zone import types_of
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
@@ -50,7 +49,8 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
     yield from _packages()
     if landing is not None:
         yield from _landing(landing)
-        yield from _types(landing)
+        if TYPES in readers():
+            yield from (Check(*said) for said in readers()[TYPES].checks(landing.resolve()))
     if home is not None:
         yield from _home(home)
 
@@ -64,11 +64,8 @@ def _packages() -> Iterator[Check]:
     try:
         yield Check("numba (optional)", True, importlib.metadata.version("numba"))
     except importlib.metadata.PackageNotFoundError:
-        yield Check(
-            "numba (optional)",
-            True,
-            "absent, so fits take the slower NumPy path; pip install 'hybrid-digital-twin[speed]'",
-        )
+        said = "absent, so fits take the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
+        yield Check("numba (optional)", True, said)
 
 
 def _landing(landing: Path) -> Iterator[Check]:
@@ -86,29 +83,10 @@ def _landing(landing: Path) -> Iterator[Check]:
     yield Check("contents", not silent, "; ".join(silent) or f"{read} files looked into, as agreed")
 
 
-def _types(landing: Path) -> Iterator[Check]:
-    """Types of aircraft: whether description and map agree, and what can't be estimated."""
-    types = types_of(landing.resolve())
-    for file, fault in types.faults.items():
-        yield Check(f"type {file}", False, fault)
-    for name, aircraft in in_use(types).items():
-        kind = types.known.get(name)
-        if kind is None:
-            known = ", ".join(sorted(types.known)) or "none"
-            yield Check(f"type {name}", False, f"fleet.csv names it, nothing describes it; there are {known}")
-            continue
-        wrong = faults_of(kind)
-        lacks = [f"{row[1]} (no {row[3]})" for row in coverage_of(kind) if row[3]]
-        can = ", ".join(row[1] for row in coverage_of(kind) if not row[3])
-        said = f"{aircraft} aircraft; estimates {can or 'nothing'}; can't estimate {', '.join(lacks) or 'nothing else'}"
-        yield Check(f"type {name}", not wrong, "; ".join(wrong) or said)
-
-
 def _home(home: Path) -> Iterator[Check]:
     near = next(p for p in (home, *home.resolve().parents) if p.exists())
-    yield Check(
-        "home", os.access(near, os.W_OK), f"{home} can{'' if os.access(near, os.W_OK) else 'not'} be written to"
-    )
+    open_to_us = os.access(near, os.W_OK)
+    yield Check("home", open_to_us, f"{home} can{'' if open_to_us else 'not'} be written to")
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
     yield _costs(home)
@@ -138,9 +116,8 @@ def _costs(home: Path) -> Check:
         own = read_costs(home).filter(source=NAME_OF_COSTS).height
     except CostError as error:
         return Check("costs", False, str(error))
-    return Check(
-        "costs", True, f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
-    )
+    said = f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
+    return Check("costs", True, said)
 
 
 def _stored(home: Path) -> Iterator[Check]:
@@ -162,11 +139,8 @@ def _stored(home: Path) -> Iterator[Check]:
             return
     twice = {table: sum(n.values()) for table in TABLES if (n := store.doubled(table))}
     said = ", ".join(f"{n} of {table}" for table, n in twice.items())
-    yield Check(
-        "keys",
-        not twice,
-        f"stored more than once: {said}; {_NIGHT} makes them again" if twice else "each is stored once",
-    )
+    told = f"stored more than once: {said}; {_NIGHT} makes them again" if twice else "each is stored once"
+    yield Check("keys", not twice, told)
 
 
 def _cases(home: Path) -> Iterator[Check]:

@@ -33,14 +33,16 @@ def simulate(
     from rich.progress import track
 
     from hdt_core.simulate.design import FleetSettings
+    from pipelines.intake.landing_file import RECORDER
+    from pipelines.intake.readers import readers
     from pipelines.intake.simulated import write_fleet
-    from pipelines.intake.simulated_recordings import FORMATS, TYPES
 
     if (target / "landing").exists():
         raise StopError(f"{target / 'landing'} exists; give --out a new folder")
-    form = form or {"787": "767", "A330": "717"}.get(kind, "")
-    if kind not in ("contract", *TYPES) or form not in ("", *FORMATS) or (kind == "contract" and form):
-        raise StopError(f"--type {kind} --format {form or 'none'}; types are {', '.join(TYPES)}, formats 717 and 767")
+    formats = {"contract": [""]} if kind == "contract" and not form else readers()[RECORDER].FORMATS
+    form = form or next(iter(formats.get(kind, [""])))
+    if form not in formats.get(kind, ()):
+        raise StopError(f"--type {kind} --format {form or 'none'}; types are {', '.join(formats)}, formats 717 and 767")
     size = FleetSettings(operators=operators, tails=tails, flights=flights)
     if kind != "contract":
         size = replace(size, suite=kind, cpl_share=1.0)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import polars as pl
 
@@ -11,15 +10,14 @@ from hdt_core.components import Channel, Component, recorded_components
 from hdt_core.tables.components import COMPONENT_FLIGHT_ID
 from pipelines.intake.columns import Contract
 from pipelines.intake.header import judge_header
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing_file import RECORDER, LandingFile
 from pipelines.intake.ledger import Fault, quarantine, shortened
 from pipelines.intake.names import EARLIEST, MAX_PACKS
 from pipelines.intake.parquet import open_parquet
-from pipelines.intake.recorder_rows import recorder_rows
+from pipelines.intake.readers import readers
 from pipelines.intake.text import Text, open_text
 from pipelines.intake.text_columns import to_columns
 from pipelines.intake.times import to_utc, zone_note
-from pipelines.intake.types_of_zone import types_of
 from pipelines.storage.panics import first_line, panics_as_errors
 
 REQUIRED = ("flight_id", "report_time")
@@ -89,8 +87,7 @@ def _components_in(file: LandingFile) -> tuple[str, ...]:
     """Folders of the components that a file describes: its own folder's, or those of its aircraft's type."""
     if not file.is_recording:
         return (file.folder,)
-    kind = types_of(Path(file.landing)).of(file.operator, file.tail)
-    return tuple(code.lower() for code in kind.components) if kind else ()
+    return readers()[RECORDER].components_in(file) if RECORDER in readers() else ()
 
 
 def _one_file(file: LandingFile, folder: str, now: datetime) -> _Read:
@@ -98,7 +95,7 @@ def _one_file(file: LandingFile, folder: str, now: datetime) -> _Read:
     try:
         with panics_as_errors():
             if file.is_recording:
-                frame, n_rows, faults = recorder_rows(file, component.code)
+                frame, n_rows, faults = readers()[RECORDER].rows(file, component.code)
                 return _judged(frame, _Read(pl.DataFrame(), faults, n_rows), None, component, now, MAX_PACKS)
             frame, text, found = _opened(file, component)
             return _judged(frame, found, text, component, now, file.packs)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from datetime import date, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,10 @@ class FleetLine:
     type: str = ""
 
 
+FleetLines = dict[tuple[str, str], FleetLine]
+"""By operator and tail."""
+
+
 def judge_fleet(content: bytes) -> Lines:
     """Lines of the list in the order of `FLEET`, and what is wrong with the others."""
     return judge_lines(content, COLUMNS, _judge)
@@ -47,10 +52,16 @@ def _judge(words: Words, _: datetime | None) -> Row | Fault:
     return (words["operator"], words["tail"], words["msn"] or None, day, int(packs), words["type"] or None)
 
 
-def fleet_lines(path: Path) -> dict[tuple[str, str], FleetLine]:
+def fleet_lines(landing: Path) -> FleetLines:
     """Line of each aircraft by operator and tail; none where the list can't be read, which its intake reports."""
+    path = landing / "fleet.csv"
+    return _lines(path, path.stat().st_ctime_ns) if path.is_file() else {}
+
+
+@lru_cache(maxsize=8)
+def _lines(path: Path, _changed_ns: int) -> FleetLines:
     try:
-        rows: list[Any] = judge_fleet(path.read_bytes()).rows if path.is_file() else []
+        rows: list[Any] = judge_fleet(path.read_bytes()).rows
     except OSError:
         return {}
     return {(operator, tail): FleetLine(day, packs, kind or "") for operator, tail, _, day, packs, kind in rows}

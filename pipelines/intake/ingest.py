@@ -14,7 +14,7 @@ import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines.intake.columns import AIRPORTS
-from pipelines.intake.landing import LandingFile, received
+from pipelines.intake.landing_file import LandingFile, received
 from pipelines.intake.merge import MergeResult, merge_deliveries
 from pipelines.intake.redelivered import ACCOUNT, redelivered
 from pipelines.intake.set_aside import BROKEN

@@ -3,124 +3,22 @@
 import os
 import stat
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import polars as pl
 
 from hdt_core.components import recorded_components
-from pipelines.intake.fleet_list import PACKS
+from pipelines.intake.fleet_list import PACKS, FleetLines, fleet_lines
+from pipelines.intake.landing_file import RECORDER, Kind, LandingFile, received
 from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.names import is_operator, is_tail
-from pipelines.intake.types_of_zone import FOLDER, MAINTENANCE, MESSAGES, RECORDER, REPORTS, Types, types_of
+from pipelines.intake.readers import ABSENT, REPORTS, TYPES, Zone, readers
 
-Kind = Literal[
-    "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
-]
 PART = ".part"
-MAX_TEXT_BYTES = 64 << 20
-MAX_PARQUET_BYTES = 256 << 20
-"""A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; more is refused before it is read."""
-
-
-@dataclass(frozen=True, slots=True)
-class LandingFile:
-    """One file of the landing zone, as it was when the zone was listed."""
-
-    landing: str
-    path: str
-    """Path below the landing zone, with forward slashes: how ledger and quarantine name the file."""
-    operator: str
-    tail: str
-    kind: Kind
-    size: int
-    mtime_ns: int
-    touched_ns: int = 0
-    """When content or modification time were last set, by the file system's own clock, which no program sets back."""
-    judged_by: str = ""
-    """What it is judged by beside itself, see `Types.judged_by`."""
-    listed: bool = True
-    """Whether the fleet list has a line of its aircraft; else what is on record of a file goes on to count."""
-    packs_stored: int = 0
-    """Packs that are stored of it, which no line of the fleet list takes away."""
-
-    @property
-    def packs(self) -> int:
-        """Packs of its aircraft."""
-        return max(self.packs_listed, self.packs_stored)
-
-    @property
-    def packs_listed(self) -> int:
-        """Packs by the fleet list; two where it says nothing."""
-        return int(self._word("packs") or PACKS)
-
-    @property
-    def delivered_on(self) -> date | None:
-        """Day on which its aircraft was delivered, of a maintenance log."""
-        day = self._word("delivered_on")
-        return date.fromisoformat(day) if day else None
-
-    @property
-    def unlisted(self) -> str | None:
-        """None where the fleet list has the aircraft; else operators under which it has the tail."""
-        return self._word("unlisted")
-
-    def _word(self, name: str) -> str | None:
-        return dict(word.split("=", 1) for word in self.judged_by.split()).get(name)
-
-    @property
-    def name(self) -> str:
-        """Last part of the path."""
-        return self.path.rpartition("/")[2]
-
-    @property
-    def is_text(self) -> bool:
-        """Whether it is read as text and not as Parquet: its name says so, whatever became of its kind."""
-        return self.path.lower().endswith(".csv")
-
-    @property
-    def source(self) -> str:
-        """Where its rows come from: snapshot reports or a continuous log."""
-        return "cpl" if "/cpl/" in self.path or self.is_recording else "acms"
-
-    @property
-    def is_recording(self) -> bool:
-        """Whether it is a flight recorder's own file, which the type of its aircraft describes."""
-        return self.folder == RECORDER
-
-    @property
-    def folder(self) -> str:
-        """Folder that holds it."""
-        return self.path.rpartition("/")[0].rpartition("/")[2]
-
-    @property
-    def full_path(self) -> str:
-        """Where to open it."""
-        return f"{self.landing}/{self.path}"
-
-    def read(self) -> tuple[bytes | None, list[Fault]]:
-        """Content, or None and the fault that kept it out."""
-        limit = MAX_TEXT_BYTES if self.is_text else MAX_PARQUET_BYTES
-        try:
-            with open(self.full_path, "rb") as source:
-                content = source.read(limit + 1)  # the size listed is that of another moment
-        except OSError as error:
-            return None, [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
-        if len(content) > limit:
-            return None, [Fault("too_large", detail=f"It has more than {limit >> 20} MiB.")]
-        return content, []
-
-    @property
-    def received_at(self) -> datetime:
-        """When it was last written."""
-        return received(self.mtime_ns)
-
-
-def received(mtime_ns: int) -> datetime:
-    """Modification time of a file, to the second."""
-    return datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
+MESSAGES, MAINTENANCE = "messages.csv", "maintenance.csv"
 
 
 class Landing(NamedTuple):
@@ -137,7 +35,9 @@ class _Listing:
         self.root = str(landing.resolve())
         self.files: list[LandingFile] = []
         self.faults: list[tuple[str, Fault, datetime]] = []
-        self.types: Types = types_of(landing.resolve())
+        self.lines = fleet_lines(landing.resolve())
+        self.own = {*_KINDS, *recorded_components()}
+        self.zones: dict[str, Zone] = {}
 
     def refuse(self, path: str, reason: str, detail: str, mtime_ns: int = 0) -> None:
         at = received(mtime_ns)
@@ -151,12 +51,11 @@ class _Listing:
             self.refuse(below, "cannot_open", error.strerror or type(error).__name__)
             return
         for entry in found:
-            if PART in entry.name or entry.name.startswith(".") or (not below and entry.name == FOLDER):
+            if PART in entry.name or entry.name.startswith(".") or (not below and entry.name == TYPES in readers()):
                 continue
             if entry.is_symlink() and not self._stays_inside(entry.path):
-                self.refuse(
-                    _join(below, entry.name), "outside_landing", "a link that leaves the landing zone or leads nowhere"
-                )
+                told = "a link that leaves the landing zone or leads nowhere"
+                self.refuse(_join(below, entry.name), "outside_landing", told)
                 continue
             yield entry
 
@@ -167,7 +66,8 @@ class _Listing:
             if entry.is_dir() and fits(entry.name):
                 yield entry.name
             elif not self._log_file(entry, path):
-                self.refuse(path, "unexpected_name", f"not {what}")
+                no_reader = entry.name in (RECORDER, REPORTS, TYPES)
+                self.refuse(path, "unexpected_name", ABSENT if no_reader else f"not {what}")
 
     def take(self, entry: os.DirEntry[str], path: str, kind: Kind, judged_by: str = "") -> None:
         """Add a regular file; refuse pipes and devices, which would hang whoever opens them."""
@@ -182,11 +82,9 @@ class _Listing:
         operator, _, rest = path.partition("/")
         tail = rest.partition("/")[0]
         keys = ("", "") if kind in ("fleet", "type", "checks") else (operator, tail)
-        written, touched = status.st_mtime_ns, max(status.st_ctime_ns, status.st_mtime_ns)
-        listed = keys == ("", "") or keys in self.types.lines
-        self.files.append(
-            LandingFile(self.root, path, *keys, kind, status.st_size, written, touched, judged_by, listed)
-        )
+        times = status.st_mtime_ns, max(status.st_ctime_ns, status.st_mtime_ns)
+        listed = keys == ("", "") or keys in self.lines
+        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, *times, judged_by, listed))
 
     def _log_file(self, entry: os.DirEntry[str], path: str) -> bool:
         """Take fleet.csv at the top and the logs of a tail, where they belong."""
@@ -194,8 +92,18 @@ class _Listing:
         if kind is None or entry.is_dir():
             return False
         place = path.split("/")
-        self.take(entry, path, kind, self.types.judged_by(*place) if len(place) == 3 else "")
+        self.take(entry, path, kind, judged_by(self.lines, *place) if len(place) == 3 else "")
         return True
+
+    def is_known(self, folder: str) -> bool:
+        """Whether files of a folder of an aircraft are read."""
+        return folder in self.own or (folder != TYPES and folder in readers())
+
+    def zone(self, folder: str) -> Zone:
+        """The zone as the reader of a folder has it."""
+        if folder not in self.zones:
+            self.zones[folder] = readers()[folder].open_zone(Path(self.root))
+        return self.zones[folder]
 
     def _stays_inside(self, path: str) -> bool:
         target = os.path.realpath(path)
@@ -203,12 +111,9 @@ class _Listing:
 
 
 _LOGS: dict[tuple[int, str], Kind] = {
-    (0, "fleet.csv"): "fleet",
-    (0, "checks.csv"): "checks",
-    (0, "checks.parquet"): "checks",
-    (2, MESSAGES): "messages",
-    (2, MAINTENANCE): "maintenance",
-}
+    (0, "fleet.csv"): "fleet", (0, "checks.csv"): "checks", (0, "checks.parquet"): "checks",
+    (2, MESSAGES): "messages", (2, MAINTENANCE): "maintenance",
+}  # fmt: skip
 
 
 def list_landing(landing: Path) -> Landing:
@@ -222,8 +127,7 @@ def list_landing(landing: Path) -> Landing:
     for operator in walk.folders("", is_operator, _OPERATOR):
         for tail in walk.folders(operator, is_tail, _TAIL):
             aircraft = f"{operator}/{tail}"
-            known = {"acms", "cpl", RECORDER, REPORTS, *recorded_components()}
-            for folder in walk.folders(aircraft, known.__contains__, "a file or folder of the contract"):
+            for folder in walk.folders(aircraft, walk.is_known, "a file or folder of the contract"):
                 _flights(walk, f"{aircraft}/{folder}", folder)
     frames = [quarantine(path, at, [fault]) for path, fault, at in walk.faults]
     return Landing(walk.files, pl.concat([quarantine("", None, []), *frames]))
@@ -231,55 +135,57 @@ def list_landing(landing: Path) -> Landing:
 
 def _descriptions(walk: _Listing) -> None:
     """Type descriptions of the zone; what else lies beside them are maps."""
-    for name, fault in walk.types.faults.items():
-        walk.refuse(f"{FOLDER}/{name}", "bad_type", fault)
-    if not os.path.isdir(f"{walk.root}/{FOLDER}"):
+    if not os.path.isdir(f"{walk.root}/{TYPES}") or TYPES not in readers():
         return
-    for entry in walk.entries(FOLDER):
-        if entry.name.endswith(".toml") and entry.name not in walk.types.faults:
-            walk.take(entry, f"{FOLDER}/{entry.name}", "type")
+    faults = walk.zone(TYPES).faults
+    for name, fault in faults.items():
+        walk.refuse(f"{TYPES}/{name}", "bad_type", fault)
+    for entry in walk.entries(TYPES):
+        if entry.name.endswith(".toml") and entry.name not in faults:
+            walk.take(entry, f"{TYPES}/{entry.name}", "type")
 
 
 def _flights(walk: _Listing, below: str, folder: str) -> None:
     operator, tail, _ = below.split("/")
-    judged_by = walk.types.judged_by(operator, tail, folder)
-    if folder == RECORDER:
-        _recordings(walk, below, operator, tail, judged_by)
-        return
+    own = "", partial(_judge, folder)
+    by, judge = own if folder in walk.own else walk.zone(folder).judge(operator, tail, folder)
+    told = judged_by(walk.lines, operator, tail, folder, by)
     for entry in walk.entries(below):
         path = f"{below}/{entry.name}"
-        kind = _kind(entry.name, folder)
-        if kind is None or _printable(entry.name) != entry.name or entry.is_dir():
-            walk.refuse(path, "unexpected_name", _EXPECTED.get(folder, _OTHERWISE))
+        kind = judge(entry.name if entry.name.isprintable() and not entry.is_dir() else "")
+        if isinstance(kind, Fault):
+            walk.refuse(path, kind.reason, kind.detail)
         else:
-            walk.take(entry, path, kind, judged_by)
+            walk.take(entry, path, kind, told)
 
 
-def _recordings(walk: _Listing, below: str, operator: str, tail: str, judged_by: str) -> None:
-    """Recordings of an aircraft whose type says how to read them."""
-    kind, fault = walk.types.of(operator, tail), walk.types.fault_of(operator, tail)
-    for entry in walk.entries(below):
-        path = f"{below}/{entry.name}"
-        if entry.is_dir() or _printable(entry.name) != entry.name:
-            walk.refuse(path, "unexpected_name", "not a recording")
-        elif kind is None or fault:
-            walk.refuse(path, "unknown_type", f"{fault}.")
-        else:
-            walk.take(entry, path, "recorder" if kind.has_packs else "component", judged_by)
+def judged_by(lines: FleetLines, operator: str, tail: str, place: str, by: str = "") -> str:
+    """What the files of a folder of an aircraft, or its log, are judged by beside themselves, as `name=value ...`.
+
+    It stands on record with the hash of each file, so a file is read again when this changes, and only then. What is
+    as usual (two packs, listed, the default record) is not written. `by` is what the folder's reader goes by.
+    """
+    line, words = lines.get((operator, tail)), list[str]()
+    if line and line.packs != PACKS and place != REPORTS:
+        words.append(f"packs={line.packs}")
+    if line and line.delivered_on and place == MAINTENANCE:
+        words.append(f"delivered_on={line.delivered_on}")
+    if lines and not line and place not in (MESSAGES, MAINTENANCE, REPORTS):
+        words.append(f"unlisted={','.join(sorted(o for o, t in lines if t == tail))}")
+    return " ".join([*words, f"by={by}"] if by else words)
 
 
 _OPERATOR = "fleet.csv, checks.csv or an operator's folder: 2 to 8 capitals and digits, first a letter"
 _TAIL = "an aircraft's folder: its registration, 2 to 10 capitals, digits and hyphens"
 _OTHERWISE = "neither .csv nor .parquet"
 _NAMED = "neither <TAIL>_<YYYYMMDD>_<LEG> nor history_<YYYY-MM>, .csv or .parquet"
-_EXPECTED = {"acms": _NAMED, "cpl": _NAMED, REPORTS: "neither .dat, .txt nor .zip"}
-_KINDS: dict[str, dict[str, Kind]] = {"acms": {"csv": "acms", "parquet": "history"}, "cpl": {"parquet": "cpl"},
-                                       REPORTS: dict.fromkeys(("dat", "txt", "zip"), "reports")}  # fmt: skip
+_KINDS: dict[str, dict[str, Kind]] = {"acms": {"csv": "acms", "parquet": "history"}, "cpl": {"parquet": "cpl"}}
 _COMPONENT: dict[str, Kind] = {"csv": "component", "parquet": "component"}
 
 
-def _kind(name: str, folder: str) -> Kind | None:
-    return _KINDS.get(folder, _COMPONENT).get(name.rpartition(".")[2].lower())
+def _judge(folder: str, name: str) -> Kind | Fault:
+    kind = _KINDS.get(folder, _COMPONENT).get(name.rpartition(".")[2].lower())
+    return kind or Fault("unexpected_name", detail=_NAMED if folder in _KINDS else _OTHERWISE)
 
 
 def _join(below: str, name: str) -> str:

@@ -7,7 +7,8 @@ from pathlib import Path
 import duckdb
 import polars as pl
 
-from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.refusals import silent_columns, silent_lines
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import FLIGHT_FILES

@@ -9,17 +9,10 @@ import polars as pl
 from pipelines.intake.reasons import REASONS
 
 QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
-    "file": pl.String(),
-    "row": pl.Int64(),
-    "column_name": pl.String(),
-    "reason": pl.String(),
-    "detail": pl.String(),
-    "scope": pl.String(),
-    "flight_id": pl.String(),
-    "n_rows": pl.Int64(),
-    "content": pl.String(),
+    "file": pl.String(), "row": pl.Int64(), "column_name": pl.String(), "reason": pl.String(), "detail": pl.String(),
+    "scope": pl.String(), "flight_id": pl.String(), "n_rows": pl.Int64(), "content": pl.String(),
     "received_at": pl.Datetime("us", "UTC"),
-}
+}  # fmt: skip
 """`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
 `n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
 `content` is the rejected row as it came, cut at 500 characters."""

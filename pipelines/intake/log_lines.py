@@ -31,6 +31,21 @@ class Columns:
 
 
 @dataclass(frozen=True, slots=True)
+class Log:
+    """Rows of a log, each once; what is wrong with it; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
+
+    rows: pl.DataFrame
+    quarantine: pl.DataFrame
+    n_delivered: int
+    n_duplicate: int
+
+    @property
+    def n_loaded(self) -> int:
+        """Rows stored."""
+        return self.rows.height
+
+
+@dataclass(frozen=True, slots=True)
 class Lines:
     """Good lines, each once; what is wrong with the others; lines delivered, and those that repeat another."""
 

@@ -2,16 +2,16 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date, datetime, timedelta
 
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
 from pipelines.intake.fleet_list import FLEET, judge_fleet
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.ledger import Fault, quarantine
-from pipelines.intake.log_lines import Columns, Lines, Row, Words, judge_lines
+from pipelines.intake.log_lines import Columns, Lines, Log, Row, Words, judge_lines
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.times import to_day
@@ -23,34 +23,13 @@ FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 _UTC = pl.Datetime("us", "UTC")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
 _KEYS: Schema = {"operator": pl.String, "tail": pl.String}
-MESSAGES: Schema = {
-    **_KEYS,
-    "message_time": _UTC,
-    "flight_id": pl.String,
-    "pack": pl.Int32,
-    "code": pl.String,
-    "text": pl.String,
-}
+MESSAGES: Schema = {**_KEYS, "message_time": _UTC, "flight_id": pl.String, "pack": pl.Int32, "code": pl.String,
+                    "text": pl.String}  # fmt: skip
 MAINTENANCE: Schema = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
                "finding": pl.String, "reference": pl.String, "done_at": _UTC, "serial_off": pl.String,
                "serial_on": pl.String}  # fmt: skip
 CHECKS: Schema = {**_KEYS, "planned_on": pl.Date, "name": pl.String}
 FARTHEST = timedelta(days=3660)
-
-
-@dataclass(frozen=True, slots=True)
-class Log:
-    """Rows of a log, each once; what is wrong with it; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
-
-    rows: pl.DataFrame
-    quarantine: pl.DataFrame
-    n_delivered: int
-    n_duplicate: int
-
-    @property
-    def n_loaded(self) -> int:
-        """Rows stored."""
-        return self.rows.height
 
 
 def read_messages(file: LandingFile, now: datetime) -> Log:
@@ -64,15 +43,8 @@ def read_messages(file: LandingFile, now: datetime) -> Log:
             return Fault("bad_pack", column_name="pack")
         if not re.fullmatch(r"[A-Z0-9][A-Z0-9-]{1,31}", words["code"], re.ASCII):
             return Fault("bad_code", column_name="code")
-        return (
-            file.operator,
-            file.tail,
-            moment,
-            words["flight_id"] or None,
-            pack,
-            words["code"],
-            words["text"] or None,
-        )
+        flight, text = words["flight_id"] or None, words["text"] or None
+        return file.operator, file.tail, moment, flight, pack, words["code"], text
 
     columns = Columns(("message_time", "flight_id", "pack", "code"), ("text",), timed="message_time")
     return _read(file, MESSAGES, lambda content: judge_lines(content, columns, judge))
@@ -97,20 +69,10 @@ def read_maintenance(file: LandingFile, now: datetime) -> Log:
         agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
         if odd := [c for c, code in codes.items() if code not in agreed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
-        finding = codes["finding"] or None
-        return (
-            file.operator,
-            file.tail,
-            day,
-            pack,
-            codes["component"],
-            codes["action"],
-            finding,
-            words["reference"] or None,
-            moment,
-            words["serial_off"] or None,
-            words["serial_on"] or None,
-        )
+        finding, reference = codes["finding"] or None, words["reference"] or None
+        serials = (words[name] or None for name in SERIALS)
+        return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
+                *serials)  # fmt: skip
 
     columns = Columns(("done_on", "pack", "component", "action"), ("finding", "reference"), SERIALS, timed="done_on")
     log = _read(file, MAINTENANCE, lambda content: judge_lines(content, columns, judge))

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, time, timedelta
 import polars as pl
 
 from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.laws import over_atmosphere
 from pipelines.intake.ledger import MAX_ROWS_LISTED, Fault, first_and_rest
 from pipelines.intake.names import EARLIEST, flight_day, flight_of_file, flight_tail, is_history
@@ -24,15 +24,10 @@ NO_FLIGHT = ("repeated_header", "bad_flight_id", "flight_id_contradicts_path")
 """Reasons that leave a row without a flight it could belong to."""
 
 _COLUMN_OF = {
-    "repeated_header": "",
-    "bad_flight_id": "flight_id",
-    "flight_id_contradicts_path": "flight_id",
-    "too_early": "flight_id",
-    "unreadable_time": "report_time",
-    "future_time": "report_time",
-    "time_contradicts_flight_id": "report_time",
-    "bad_pack": "pack",
-}
+    "repeated_header": "", "bad_pack": "pack",
+    **dict.fromkeys(("bad_flight_id", "flight_id_contradicts_path", "too_early"), "flight_id"),
+    **dict.fromkeys(("unreadable_time", "future_time", "time_contradicts_flight_id"), "report_time"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ import polars as pl
 from pipelines.intake.costs import COSTS
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.findings import case_files
-from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.ledger import Ledger

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.intake.landing import received
+from pipelines.intake.landing_file import received
 from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine
 from pipelines.intake.merge import as_text
 from pipelines.partitions import PartitionScope

@@ -7,7 +7,8 @@ import polars as pl
 
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import Aircraft, by_month, design_truth, simulate_fleet
-from pipelines.intake.simulated_recordings import Recorder, folder_of, install
+from pipelines.intake.landing_file import RECORDER
+from pipelines.intake.readers import Writer, readers
 from pipelines.storage.files import replacing
 
 _TIME = "%Y-%m-%dT%H:%M:%SZ"
@@ -22,10 +23,12 @@ def write_fleet(folder: Path, seed: int, size: FleetSettings, form: str = "") ->
     """
     landing, truth = folder / "landing", folder / "truth"
     _parquet(design_truth(seed), truth / "design.parquet")
-    made, recorder = [], install(landing, size.suite, form) if form else None
+    made, named, write = [], {}, None
+    if form:
+        name, write = readers()[RECORDER].install(landing, size.suite, form)
+        named = {"type": pl.lit(name)}
     for aircraft in simulate_fleet(seed, size):
-        _deliver(aircraft, landing / aircraft.operator / aircraft.tail, recorder)
-        named = {"type": pl.lit(recorder.kind.name)} if recorder else {}
+        _deliver(aircraft, landing / aircraft.operator / aircraft.tail, write)
         made.append((aircraft.fleet.with_columns(**named), aircraft.health, aircraft.events))
         yield f"{aircraft.operator} {aircraft.tail}"
     fleets, healths, events = zip(*made, strict=True)
@@ -34,12 +37,12 @@ def write_fleet(folder: Path, seed: int, size: FleetSettings, form: str = "") ->
     _parquet(pl.concat(events), truth / "events.parquet")
 
 
-def _deliver(aircraft: Aircraft, folder: Path, recorder: Recorder | None) -> None:
+def _deliver(aircraft: Aircraft, folder: Path, write: Writer | None) -> None:
     _csv(aircraft.messages, folder / "messages.csv")
     _csv(aircraft.maintenance, folder / "maintenance.csv")
-    if recorder:
+    if write:
         for flight, rows in aircraft.cpl.items():
-            recorder.write(rows, folder_of(folder) / f"{flight}.dat")
+            write(rows, folder / RECORDER / f"{flight}.dat")
         return
     for month, rows in by_month(aircraft.snapshots).items():
         _parquet(rows, folder / "acms" / f"history_{month}.parquet")

@@ -7,15 +7,14 @@ from functools import lru_cache
 
 import polars as pl
 
-from pipelines.intake.aircraft_types import PACK
 from pipelines.intake.columns import CORE_NAMES, KEYS, SI_NAMES, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.header import Header, judge_header
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.ledger import QUARANTINE_SCHEMA, Fault, quarantine, shortened
 from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.parquet import open_parquet
+from pipelines.intake.readers import readers
 from pipelines.intake.reasons import REASONS
-from pipelines.intake.recorder_rows import recorder_rows
 from pipelines.intake.row_validation import ValidatedRows, about_files, judge
 from pipelines.intake.text import Text, open_text
 from pipelines.intake.text_columns import PLACE, to_columns
@@ -134,7 +133,7 @@ def _open_all(
     frames = []
     for i, file in enumerate(files):
         if file.is_recording:
-            frame, n_rows, faults = recorder_rows(file, PACK)
+            frame, n_rows, faults = readers()[file.folder].rows(file, "pack")
             opened[i] = _OpenFile(faults, n_rows)
             frames.append(frame.with_columns(pl.lit(i, pl.Int32).alias("file_index")))
             continue

@@ -8,7 +8,6 @@ from typer.testing import CliRunner
 
 from pipelines.cli import app, main
 from pipelines.digest import NotifyError, receivers_of
-from pipelines.intake.aircraft_types import AircraftTypeError, read_type
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.storage.files import narrow_umask, private
 from pipelines.storage.objects import StoreError
@@ -17,7 +16,6 @@ from pipelines.storage.settings import Retention, accepted_terms, retention
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 ABSURD = ("99999999999", "9" * 5_000, "-1", "0", "nan", "inf", "1e400", "1.5", "true", "'x'", "[]", "{}", "2024-03-01")
 MAIL = "[[receiver]]\nname = 'm'\nkind = 'mail'\nhost = 'h'\nfrom = 'a@b'\nto = ['c@d']\n"
-TYPE = "type = 'T'\nmap = 'm.toml'\n[pack]\nmach = { parameter = 'MACH', %s }\n"
 
 
 @pytest.mark.parametrize("value", ABSURD)
@@ -41,10 +39,9 @@ def test_a_night_may_be_a_date_of_toml(tmp_path):
 
 @pytest.mark.parametrize("text", [DEEP, "x = \ud800", "=", f"x = {'9' * 5_000}"])
 def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
-    for name in ("retention.toml", "notify.toml", "costs.toml", "type.toml"):
+    for name in ("retention.toml", "notify.toml", "costs.toml"):
         (tmp_path / name).write_bytes(text.encode("utf-8", "surrogatepass"))
-    readers = (retention, StoreError), (receivers_of, NotifyError), (read_costs, CostError)
-    for read, error in (*readers, (lambda home: read_type(home / "type.toml"), AircraftTypeError)):
+    for read, error in ((retention, StoreError), (receivers_of, NotifyError), (read_costs, CostError)):
         with pytest.raises(error, match=r"\.toml"):
             read(tmp_path)
 
@@ -71,16 +68,6 @@ def test_a_cost_is_an_amount_of_money(tmp_path, value):
     (tmp_path / "costs.toml").write_text(f"[HX]\nwash = {value}")
     with pytest.raises(CostError, match=r"HX\.wash"):
         read_costs(tmp_path)
-
-
-@pytest.mark.parametrize("entry", [
-    "lowest = nan", "highest = inf", "highest = 1" + "0" * 400, "lowest = true", "lowest = 'x'", "rate_hz = 0",
-    "rate_hz = -1", "lowest = 1, highest = 0",
-])  # fmt: skip
-def test_a_span_of_a_column_is_one(tmp_path, entry):
-    (tmp_path / "type.toml").write_text(TYPE % entry)
-    with pytest.raises(AircraftTypeError, match=r"type\.toml line 4: \[pack\] mach"):
-        read_type(tmp_path / "type.toml")
 
 
 @pytest.mark.parametrize("content", [b"no_such_term\n", b"\xff\xfe"])

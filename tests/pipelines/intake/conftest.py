@@ -7,7 +7,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.intake.landing import LandingFile, list_landing
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.snapshots import Intake, read_snapshots
 
 DIRTY = Path(__file__).parents[2] / "data" / "dirty" / "landing"

@@ -10,7 +10,7 @@ from hdt_core.components import Channel, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from pipelines.intake import components as intake
-from pipelines.intake.landing import LandingFile
+from pipelines.intake.landing_file import LandingFile
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 CHANNELS = tuple(

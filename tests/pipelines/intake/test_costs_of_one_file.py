@@ -27,7 +27,7 @@ def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, del
 
 
 def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
-    monkeypatch.setattr("pipelines.intake.landing.MAX_TEXT_BYTES", 1000)
+    monkeypatch.setattr("pipelines.intake.landing_file.MAX_TEXT_BYTES", 1000)
     assert read(deliver({CSV: good_flight})).quarantine["reason"].to_list() == ["too_large"]
 
 

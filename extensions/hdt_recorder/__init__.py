@@ -1,0 +1,1 @@
+"""Flight recorders' own files: described by types of aircraft, decoded, taken in like files of the contract."""

@@ -1,0 +1,95 @@
+"""Printed ACMS reports of an aircraft: of each its head, which says what fed the packs."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+
+import polars as pl
+
+from hdt_core.tables.raw import RawReports
+from hdt_recorder.decoding.layout import MapError
+from hdt_recorder.decoding.printed import Layout, LayoutError, ReportLine, read_layouts, read_reports
+from hdt_recorder.decoding.report_heads import ReportHead, report_heads
+from hdt_recorder.decoding.report_layouts import A330
+from hdt_recorder.recordings import MOST_BYTES, read_recording, unpacked_bytes
+from hdt_recorder.types_of_zone import types_of
+from pipelines.intake.columns import SIGNAL_COLUMNS
+from pipelines.intake.landing_file import LandingFile
+from pipelines.intake.ledger import Fault, quarantine
+from pipelines.intake.log_lines import Log, printable
+from pipelines.intake.logs import bad_moment
+
+MESSAGE_FILE = "message.dat"
+"""What an archive of a recorder calls them."""
+(_FOOT_M,) = (c.scale for c in SIGNAL_COLUMNS if c.name == "altitude_ft")
+
+
+def read_printed(file: LandingFile, now: datetime, version: str) -> Log:
+    """Heads of a file's reports in the columns of `raw_reports`, each once.
+
+    A row of the account is a report. What is damaged below its head is told and keeps nothing out.
+
+    Parameters
+    ----------
+    now : datetime
+        Times after it lie in the future. UTC.
+    version : str
+        Of the file, to be kept beside the rows.
+    """
+    path = Path(file.full_path)
+    if unpacked_bytes(path) > MOST_BYTES:
+        return _log(file, [], [Fault("too_large")])
+    try:
+        content = read_recording(path, MESSAGE_FILE).tobytes()
+        found = read_reports(content, _layouts(file))
+    except (OSError, MapError, LayoutError) as error:
+        reason = "bad_type" if isinstance(error, LayoutError) else "cannot_open"
+        return _log(file, [], [Fault(reason, detail=f"{error}.")])
+    faults = [
+        Fault("damaged_line", r.line, None, f"{printable(r.reason)}.", content=printable(r.text))
+        for r in found.rejected
+    ]
+    faults += [Fault("unknown_report", detail=f"{printable(title)}.") for title in dict.fromkeys(found.undeclared)]
+    heads = list(report_heads(found))
+    judged = [_judge(head, file, now) for head in heads]
+    accepted = [j for j in judged if not isinstance(j, Fault)]
+    kept = list(dict.fromkeys(accepted))
+    rejected = [j for j in judged if isinstance(j, Fault)]
+    if not heads:
+        faults.append(Fault("no_report"))
+    rows = [(*row, file.path, version) for row in kept]
+    return _log(file, rows, faults + rejected, len(heads), len(accepted) - len(kept))
+
+
+def _layouts(file: LandingFile) -> Mapping[str, Layout]:
+    """Those that the aircraft's type names; else those of the A330."""
+    kind = types_of(Path(file.landing)).of(file.operator, file.tail)
+    own = kind.reports_file if kind else None
+    if own is None:
+        return A330
+    try:
+        return read_layouts(own.read_text("utf-8"))
+    except (LayoutError, UnicodeDecodeError) as error:
+        raise LayoutError(f"{own.name}: {error}") from None
+
+
+def _judge(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> tuple[object, ...] | Fault:
+    """A row without file and version, or why the report is none."""
+    if isinstance(head, ReportLine):
+        return Fault("report_without_head", head.line, detail=f"Report <{head.number}>.", n_rows=1)
+    said = f"<{head.number}> of {head.printed_at:%Y-%m-%d %H:%M:%S}"
+    if head.aircraft != file.tail:
+        said += f" is of {printable(head.aircraft) or 'no aircraft'}."
+        return Fault("other_aircraft", head.line, "acid", said, 1)
+    if fault := bad_moment(head.printed_at, now, "date, utc"):
+        return Fault(fault.reason, head.line, fault.column_name, f"{said}.", 1)
+    altitude_m = None if head.altitude_ft is None else head.altitude_ft * _FOOT_M
+    return (file.operator, file.tail, head.printed_at, head.number, altitude_m, head.mach, *head.pack_flow_kg_s,
+            *head.bleed_open, head.crossfeed_open)  # fmt: skip
+
+
+def _log(
+    file: LandingFile, rows: list[tuple[object, ...]], faults: list[Fault], n_delivered: int = 0, n_duplicate: int = 0
+) -> Log:
+    frame = pl.DataFrame(rows, schema=dict(RawReports.create_empty().schema), orient="row")
+    return Log(frame, quarantine(file.path, file.received_at, faults), n_delivered, n_duplicate)

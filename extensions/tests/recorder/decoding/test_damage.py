@@ -1,0 +1,192 @@
+"""Cut, flipped and spliced recordings: no crash, and nothing is told that the recorder did not record at that time."""
+
+import os
+
+import numpy as np
+import pytest
+from recordings import DATA, frames_717, frames_767, pack, random_raw
+
+from hdt_recorder.decoding.bitstream import PACKINGS, Packing
+from hdt_recorder.decoding.fit import decode
+from hdt_recorder.decoding.frames_717 import find_packing
+from hdt_recorder.decoding.frames_767 import arrange_767, find_frames
+from hdt_recorder.decoding.plain_map import read_toml
+from hdt_recorder.decoding.timeline_717 import Recording717, arrange
+
+DEMO_717 = read_toml((DATA / "demo_717.toml").read_text())
+DEMO_767 = read_toml((DATA / "demo_767.toml").read_text())
+FILES = int(os.environ.get("HDT_DAMAGED_FILES", "60"))
+SYNCS = np.array([s * 64 for s in range(4)])
+COUNTER = DEMO_717.counter.piece.word
+
+
+def recording(seed: int, frames: int = 40) -> np.ndarray:
+    return frames_717(
+        DEMO_717, random_raw(DEMO_717, np.random.default_rng(seed), frames), first_count=100, filling=seed
+    )
+
+
+def arranged(data: bytes) -> Recording717:
+    held = np.frombuffer(data, np.uint8)
+    return arrange(held, find_packing(held, 64) or PACKINGS[0], DEMO_717)
+
+
+def assert_true(found: Recording717, words: np.ndarray) -> None:
+    """Every whole subframe holds, word for word, what the frame with its count holds."""
+    for i in np.flatnonzero(found.whole.any(axis=0)):
+        frame = int(found.count[i]) % 4096 - 100
+        assert 0 <= frame < len(words), frame
+        for subframe in np.flatnonzero(found.whole[:, i]):
+            part = slice(64 * subframe, 64 * (subframe + 1))
+            assert np.array_equal(found.words[part, i], words[frame, part]), (frame, subframe)
+    assert np.all(np.diff(found.t_s) > 0)
+
+
+def damage(words: np.ndarray, packing: Packing, rng: np.random.Generator) -> tuple[bytes, np.ndarray]:
+    """Damaged bytes, and the words as they then stand: a flip within a subframe is a word like any other."""
+    flipped = words.copy()
+    for _ in range(rng.integers(0, 6)):
+        frame, word = rng.integers(len(words)), rng.choice([*SYNCS, COUNTER, *range(words.shape[1])])
+        flipped[frame, word] ^= 1 << rng.integers(12)
+    data = bytearray(pack(flipped, packing, int(rng.integers(0, 3)) * 8))
+    for _ in range(rng.integers(0, 4)):
+        at, size = int(rng.integers(len(data))), int(rng.integers(1, 900))
+        kind = rng.integers(4)
+        if kind == 0:  # lost
+            del data[at : at + size]
+        elif kind == 1:  # of another file
+            data[at:at] = rng.bytes(size)
+        elif kind == 2:  # overwritten, a sync word too: other words within a subframe are words like any other
+            size = max(size, 200)
+            data[at : at + size] = rng.bytes(len(data[at : at + size]))
+        else:  # an earlier part again
+            begin = int(rng.integers(len(data)))
+            data[at:at] = data[begin : begin + size]
+        if not data:
+            break
+    return bytes(data[: int(rng.integers(len(data) // 2, len(data) + 1))]), flipped
+
+
+@pytest.mark.parametrize("packing", PACKINGS, ids=lambda p: f"{'aligned' if p.aligned else 'stream'} {p.order}")
+def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
+    kept = 0
+    for seed in range(FILES // len(PACKINGS)):
+        rng = np.random.default_rng([seed, PACKINGS.index(packing)])
+        words = recording(seed)
+        data, flipped = damage(words, packing, rng)
+        flipped[:, COUNTER] = words[:, COUNTER]  # a frame whose counter was flipped may not be told at all
+        found = arranged(data)
+        assert_true(found, flipped)
+        for series in decode(found, DEMO_717.parameters.values()):
+            assert series.value is None or np.isfinite(series.value[series.known]).all()
+        kept += int(found.whole.sum()) / (4 * 40)
+    assert kept / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
+
+
+def test_a_flipped_sync_word_costs_the_subframes_on_both_its_sides():
+    words = recording(0)
+    words[10, SYNCS[2]] ^= 4
+    found = arranged(pack(words, PACKINGS[0]))
+    assert np.argwhere(~found.whole).tolist() == [[1, 10], [2, 10]]
+    assert found.damage.damaged == 2
+    (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
+    assert np.flatnonzero(~series.known).tolist() == [41, 42]
+
+
+def test_frames_that_are_missing_are_null_at_their_time():
+    words = recording(1)
+    found = arranged(pack(np.delete(words, np.s_[12:17], axis=0), PACKINGS[0]))
+    assert found.damage.missing == 20
+    np.testing.assert_allclose(found.t_s, 4.0 * np.arange(40))
+    # the subframes between the two counters may be spliced
+    assert np.flatnonzero(~found.whole.any(axis=0)).tolist() == list(range(11, 17))
+    (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
+    lost = np.flatnonzero(~series.known)
+    assert (lost.min(), lost.max()) == (44, 68)
+
+
+def test_a_word_lost_within_a_subframe_costs_that_subframe():
+    data = pack(recording(2), PACKINGS[2])
+    cut = 64 * 12 // 8 * 30 + 21
+    found = arranged(data[:cut] + data[cut + 3 :])
+    assert np.argwhere(~found.whole).tolist() == [[2, 7]]
+
+
+def test_a_recorder_that_stood_still_leaves_a_gap_and_no_rows():
+    words = recording(3)
+    words[20:, COUNTER] += 1000
+    found = arranged(pack(words, PACKINGS[0]))
+    assert len(found.t_s) == 40
+    assert found.t_s[20] - found.t_s[19] == 4004.0
+
+
+def test_a_superframe_with_a_frame_missing_has_no_value():
+    words = recording(4, frames=64)
+    begins = 12  # 100 + 12 is a multiple of 16
+    whole = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
+    assert whole["CITY"].known.all()
+    words[begins + 1, SYNCS[2]] ^= 1  # CITY has a letter in subframe 3 of each of its first four frames
+    cut = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
+    assert cut["CITY"].known.tolist() == [False, True, True, True]
+    assert cut["WEIGHT"].known.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
+
+
+def raw_767(seed: int) -> dict[str, np.ndarray]:
+    raw = random_raw(DEMO_767, np.random.default_rng(seed), 200)
+    return {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()}
+
+
+def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():
+    """Bytes within a frame's data can't be told from good ones: all else is damaged here."""
+    kept = 0.0
+    for seed in range(FILES):
+        rng = np.random.default_rng([seed, 767])
+        data = bytearray(frames_767(DEMO_767, raw_767(seed)))
+        truth = {n: dict(zip(f.t_s, map(bytes, f.data), strict=True)) for n, f in arranged_767(data).frames.items()}
+        heads = np.concatenate([p + np.arange(10) for p in find_frames(np.frombuffer(data, np.uint8)).place])
+        for at in rng.choice(heads, rng.integers(0, 6)):
+            data[at] ^= 1 << rng.integers(8)
+        for _ in range(rng.integers(0, 4)):
+            at, size = int(rng.integers(len(data))), int(rng.integers(1, 300))
+            data[at : at + size] = b"" if rng.integers(2) else rng.bytes(size) + data[at : at + size]
+        found = arranged_767(data[: int(rng.integers(len(data) // 2, len(data) + 1))])
+        for number, frames in found.frames.items():
+            for t_s, body in zip(frames.t_s[frames.whole], frames.data[frames.whole], strict=True):
+                assert truth[number][t_s] == bytes(body)
+            kept += frames.whole.sum() / sum(map(len, truth.values()))
+        list(decode(found, DEMO_767.parameters.values()))
+    assert kept / FILES > 0.5
+
+
+def arranged_767(data: bytes):
+    held = np.frombuffer(bytes(data), np.uint8)
+    return arrange_767(held, find_frames(held), DEMO_767.frames)
+
+
+def test_a_lost_arinc_767_frame_is_null_at_its_time():
+    data = frames_767(DEMO_767, raw_767(0))
+    found = find_frames(np.frombuffer(data, np.uint8))
+    third = np.flatnonzero(found.number == 3)[20]
+    cut = data[: found.place[third]] + data[found.place[third] + found.size[third] :]
+    recorded = arranged_767(cut)
+    assert recorded.damage.missing == 1
+    (series,) = decode(recorded, [DEMO_767.parameters["SPEED"]])
+    # the frame before it may be the beginning of the one and the end of the other
+    assert np.flatnonzero(~series.known).tolist() == [19, 20]
+    np.testing.assert_allclose(np.diff(series.t_s), 1.0)
+
+
+def test_a_recorder_whose_times_jitter_loses_nothing():
+    rng = np.random.default_rng(9)
+    data = bytearray(frames_767(DEMO_767, raw_767(9)))
+    found = find_frames(np.frombuffer(data, np.uint8))
+    for place, number, time_ms in zip(found.place, found.number, found.time_ms, strict=True):
+        if number == 4:
+            data[place + 4 : place + 8] = int(time_ms + rng.integers(3)).to_bytes(4, "big")
+    assert arranged_767(data).frames[4].whole.all()
+
+
+@pytest.mark.parametrize("data", [b"", b"\x47", b"\xeb\x90", bytes(5000), b"\xeb\x90" * 3000], ids=range(5))
+def test_no_recording_at_all_has_no_frames(data):
+    assert find_packing(np.frombuffer(data, np.uint8), 64) is None
+    assert not arranged_767(data).frames[3].whole.any()

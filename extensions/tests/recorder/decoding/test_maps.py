@@ -1,0 +1,276 @@
+"""The same frame in every format of a parameter map gives the same values; a map that can't be read says where."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from recordings import DATA, frames_717, frames_767, pack, random_raw, vec
+
+from hdt_recorder.decoding.bitstream import PACKINGS
+from hdt_recorder.decoding.coding import LookupTable, Polynomial, Segments
+from hdt_recorder.decoding.fit import decode, recognise
+from hdt_recorder.decoding.layout import MapError
+from hdt_recorder.decoding.plain_map import read_csv, read_toml
+from hdt_recorder.decoding.vec_map import read_vec
+from hdt_recorder.decoding.xml_map import read_xml
+
+TOML = (DATA / "demo_717.toml").read_text()
+DEMO_717, DEMO_767 = read_toml(TOML), read_toml((DATA / "demo_767.toml").read_text())
+XML = (DATA / "demo_717.xml").read_bytes()
+
+
+def row(name: str, kind: str, msb: int, bits: int, **more: str) -> str:
+    """Line 1 of a `.par`, and the lines below it."""
+    said = {"sign": "", "offset": "", "computation": "", "format": "6.0", "unit": "", "below": "", **more}
+    head = [name, f"what {name} is", kind, "A/1/00", "//", "0", said["sign"], str(msb), str(bits), "2", "N"]
+    head += [
+        said["offset"],
+        said["computation"],
+        "0",
+        "1",
+        "-90000",
+        "90000",
+        "DECIMAL",
+        "",
+        "",
+        said["format"],
+        said["unit"],
+    ]
+    return "\n".join(
+        [
+            "1|" + "\t".join([*head, "ABC", "2009-01-01", "1", "Float", ""]),
+            *said["below"].split(";"),
+            "12|-1",
+            "13|" + name,
+        ]
+    )
+
+
+PAR = "\n".join([
+    "// 1|Parameter Name",
+    row("ALTITUDE", "BNR LINEAR (A*X)", 28, 17, sign="29", computation="Resol=1", unit="ft"),
+    row("PITCH", "BNR LINEAR (A*X)", 28, 9, sign="29", computation="Resol=.17578125"),
+    row("FLOW", "BNR SEGMENTS", 28, 12, below="2|1\t0\t.001\t0;2|2\t1000\t.002\t-1"),
+    row("MODE", "PACKED BITS", 3, 3, below="6|0\tOFF;6|1\tLOW;6|2\tNORMAL;6|5\tHIGH"),
+    row("FREQUENCY", "BCD", 29, 15, offset="100", format="6.2", below="5|1\t29\t3;5|2\t26\t4;5|3\t22\t4;5|4\t18\t4"),
+    row("UTC", "UTC", 28, 17),
+    row("CITY", "CHARACTER", 32, 32, below="5|1\t32\t8;5|2\t24\t8;5|3\t16\t8;5|4\t8\t8"),
+    row("ODD", "SOMETHING NEW", 12, 12),
+    row("SMALL", "BNR LINEAR (A*X)", 28, 12, sign="29", computation="Resol=.5"),
+    row("ON_GROUND", "COMPUTED ON GROUND", 32, 32),
+])  # fmt: skip
+FRA = "\n".join([
+    "// 1|Frame Type",
+    "1|S\t64\t12\t247\t5B8\tA47\tDB8\t1\t2\t12\t12\t0\t\t\t\t\t\t",
+    *(f"3|{i + 1}\t3\t13\t8\t8" for i in range(1)),
+    "2|ALTITUDE\t1\t4\t1\t4\t6\t6\t29\tImposed\t\t\t\t",
+    "2|ALTITUDE\t2\t4\t1\t3\t12\t12\t23\tImposed\t\t\t\t",
+    "2|PITCH\t1\t16\t1\t6\t12\t10\t29\tImposed\t\t\t\t",
+    "2|FLOW\t1\t2\t2\t7\t12\t12\t28\tImposed\t\t\t\t",
+    "2|MODE\t1\t4\t1\t8\t4\t3\t3\tImposed\t\t\t\t",
+    "2|FREQUENCY\t1\t1\t2\t10\t3\t3\t29\tImposed\t\t\t\t",
+    "2|FREQUENCY\t2\t1\t2\t9\t12\t12\t26\tImposed\t\t\t\t",
+    "2|UTC\t1\t1\t4\t12\t5\t5\t28\tImposed\t\t\t\t",
+    "2|UTC\t2\t1\t4\t11\t12\t12\t23\tImposed\t\t\t\t",
+    *(f"4|CITY\t{p}\t16\t1\t{f}\t8\t8\t{b}\t\t\t" for p, f, b in ((1, 1, 32), (2, 2, 24), (3, 3, 16), (1, 4, 8))),
+    "2|ODD\t1\t4\t1\t30\t12\t12\t12\tImposed\t\t\t\t",
+    "2|SMALL\t1\t4\t1\t31\t12\t1\t29\tImposed\t\t\t\t",
+    "2|SMALL\t2\t4\t1\t31\t11\t8\t24\tImposed\t\t\t\t",
+])  # fmt: skip
+
+
+def archive(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as held:
+        return {name: held.read(name) for name in held.namelist()}
+
+
+VEC = read_vec(archive(vec(par=PAR, fra=FRA)))
+RAW = random_raw(DEMO_717, np.random.default_rng(11), 64)
+RECORDING = pack(frames_717(DEMO_717, RAW, first_count=0), PACKINGS[0])
+
+
+def read(layout, data: bytes = RECORDING) -> dict:
+    recording = recognise(np.frombuffer(data, np.uint8), layout)
+    return {s.parameter.name: s for s in decode(recording, layout.parameters.values())}
+
+
+def texts(series) -> list:
+    return [series.text.names[c] for c in series.text.codes]
+
+
+@pytest.mark.parametrize(
+    ("layout", "names", "more"),
+    [
+        (VEC, "ALTITUDE PITCH FLOW MODE UTC", "ODD SMALL SMALL.whole CITY CITY.whole FREQUENCY FREQUENCY.whole"),
+        (read_xml(XML), "ALTITUDE PACK_TEMP MODE WEIGHT", "TWICE RUDDER Frame_Counter"),
+        (read_csv((DATA / "demo_717.csv").read_text()), " ".join(set(DEMO_717.parameters) - {"FLOW"}), ""),
+    ],
+    ids=["vec", "xml", "csv"],
+)
+def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
+    ours, theirs = read(DEMO_717), read(layout)
+    assert {n.replace(" ", "_") for n in layout.parameters} == {*names.split(), *more.split()}
+    for name in names.split():
+        assert theirs[name].known.all(), name
+        if ours[name].value is not None:
+            np.testing.assert_allclose(theirs[name].value, ours[name].value, err_msg=name)
+        if ours[name].text is not None:
+            assert texts(theirs[name]) == texts(ours[name])
+        assert theirs[name].parameter.rate_hz == ours[name].parameter.rate_hz
+
+
+def test_a_vec_has_a_number_as_its_digits_and_as_it_is_written():
+    series, ours = read(VEC), read(DEMO_717)["FREQUENCY"]
+    np.testing.assert_allclose(series["FREQUENCY"].value, 100 * (ours.value - 100))
+    np.testing.assert_allclose(series["FREQUENCY.whole"].value, ours.value)
+    assert texts(series["FREQUENCY"]) == texts(ours)
+
+
+def test_a_vec_has_text_as_listed_and_whole():
+    """The export numbers parts 1 to 3, so that the fourth letter is listed as a sample of its own."""
+    series, ours = read(VEC), texts(read(DEMO_717)["CITY"])
+    assert texts(series["CITY.whole"]) == ours
+    assert texts(series["CITY"]) == [x for c in ours for x in (c[:3] + "\0", "\0\0\0" + c[3])]
+
+
+def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
+    """Recorded are the sign and bits 24 to 17 of 28 to 17: the four between are the sign again."""
+    series = read(VEC)
+    raw = frames_717(DEMO_717, RAW, first_count=0).reshape(-1, 64)[:, 30] >> 3
+    small = np.where(raw >= 256, raw - 512.0, raw)
+    np.testing.assert_allclose(series["SMALL.whole"].value, 0.5 * small)
+    np.testing.assert_allclose(series["SMALL"].value, 0.5 * np.where(raw >= 256, (raw - 256.0) - 4096.0, raw))
+
+
+def test_a_garbled_map_is_read_or_told_of():
+    """Characters lost, doubled or changed: the map is refused with a reason, or decodes into numbers."""
+    xml, csv = XML.decode(), (DATA / "demo_717.csv").read_text()
+    readers = {
+        TOML: read_toml,
+        csv: read_csv,
+        xml: lambda t: read_xml(t.encode()),
+        FRA: lambda t: read_vec({"a.par": PAR.encode("utf-16"), "a.fra": t.encode("utf-16")}),
+        PAR: lambda t: read_vec({"a.par": t.encode("utf-16"), "a.fra": FRA.encode("utf-16")}),
+    }
+    refused = 0
+    for n, (text, reader) in enumerate(readers.items()):
+        for seed in range(60):
+            try:
+                series = read(reader(garble(text, np.random.default_rng([seed, n]))))
+            except MapError:
+                refused += 1
+            else:
+                assert all(s.value is None or np.isfinite(s.value[s.known]).all() for s in series.values())
+    assert 60 < refused < 300
+
+
+def garble(text: str, rng: np.random.Generator) -> str:
+    held = list(text)
+    for _ in range(rng.integers(1, 5)):
+        at, size = int(rng.integers(len(held))), int(rng.integers(1, 8))
+        match rng.integers(5):
+            case 0:
+                del held[at : at + size]
+            case 1:
+                held[at] = chr(rng.integers(32, 127))
+            case 2:
+                held[at:at] = str(rng.integers(-5, 99999))
+            case 3:
+                held[at:at] = held[: 40 * size][-40:]
+            case _:
+                held[int(rng.choice([i for i, c in enumerate(held) if c.isdigit()]))] = str(rng.integers(10))
+    return "".join(held)
+
+
+def test_what_only_a_person_can_convert_is_listed_with_the_reason():
+    assert "Teledyne Synchro" in read_xml(XML).parameters["RUDDER"].unreadable
+    assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
+    assert {"RUDDER", "ODD"}.isdisjoint({*read(VEC), *read(read_xml(XML))})
+
+
+def test_a_vec_of_arinc_767_reads_the_same_values():
+    def meaning(p) -> str:
+        kind = {"float": "COMPUTED ON BOARD", "binary": "BNR LINEAR (A*X)", "discrete": "DISCRETE"}.get(
+            p.coding.kind, "BCD"
+        )
+        scale = p.coding.steps[0].coefficients[1] if p.coding.steps else 1.0
+        below = ";".join(f"5|{i}\t{low + n}\t{n}" for i, (low, n) in enumerate(p.coding.digits))
+        sign = str(p.coding.sign + 1) if p.coding.sign else ""
+        return row(p.name[:9], kind, p.coding.bits, p.coding.bits, sign=sign, computation=f"Resol={scale}", below=below)
+
+    own = [p for p in DEMO_767.parameters.values() if p.frame_id in (3, 4)]
+    orders = [f"3|{p.frame_id}\t{i}\tLong {p.name}\tX" for i, p in enumerate(own, 1)]
+    short = [f"4|Long {p.name}\t{p.name[:9]}" for p in own]
+    frd = "\n".join(
+        ["1|647A-1\tDEMO_MAP_7", "2|3\t1 Hz\t1\t\t4\t0", "2|4\t5 Hz\t5\t1\t2\t0", *reversed(orders), *short]
+    )
+    layout = read_vec(archive(vec(par="\n".join(map(meaning, own)), frd=frd)))
+    raw = random_raw(DEMO_767, np.random.default_rng(5), 200)
+    data = frames_767(DEMO_767, {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()})
+    ours, theirs = read(DEMO_767, data), read(layout, data)
+    assert {f.size for f in layout.frames.values()} == {DEMO_767.frames[n].size for n in (3, 4)}
+    for p in own:
+        np.testing.assert_allclose(theirs[p.name[:9]].value, ours[p.name].value)
+
+
+def test_conversions_are_what_they_say():
+    x = np.array([-1.0, 0.0, 0.5, 2.0, 3.0])
+    np.testing.assert_allclose(Polynomial((1.0, 0.0, 2.0))(x), 1.0 + 2.0 * x**2)
+    np.testing.assert_allclose(Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0))(x), [np.nan, 0.0, 0.5, 2.0, 5.0])
+    np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("words_per_second = 64\n", ""), "no words_per_second in the head"),
+        (('"ARINC 717"', '"ARINC 573"'), "'ARINC 717' or 'ARINC 767'"),
+        (("word = 5\n", "word = 65\n"), "parameter PACK_TEMP: subframe 1 word 65 bits 1-12 is outside the frame"),
+        (('kind = "utc"', 'kind = "clock"'), "parameter UTC: no kind clock"),
+        (('unit = "kg/s"', 'units = "kg/s"'), "parameter FLOW: no key units"),
+        (('bits = ["1-12", "1-12", "1-8"]', 'bits = ["1-12", "1-12", "1-9"]'), "parameter COMPUTED: 33 bits"),
+        (('name = "MODE"', 'name = "VALVE"'), "parameter VALVE: defined twice"),
+        (('name = "MODE"\n', ""), "parameter without a name: no name"),
+        (("[[4], [3], [2], [1]]", "[[4], [3], [2], [17]]"), "parameter CITY: a superframe needs"),
+        (("[[parameter]]", "[[parameter"), "no TOML"),
+    ],
+)
+def test_a_toml_that_cannot_be_read_says_where(change, says):
+    assert change[0] in TOML
+    with pytest.raises(MapError, match=says.replace("[", r"\[")):
+        read_toml(TOML.replace(*change, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ((b"<Words_Per_Subframe>64</Words_Per_Subframe>", b""), "no Words_Per_Subframe"),
+        ((b"Signed Binary", b"Signed Ternary"), "parameter ALTITUDE"),
+        ((b"<Word_Num>5<", b"<Word_Num>65<"), "parameter PACK_TEMP: subframe 1 word 65"),
+        ((b"<Bits_Per_Word>12", b"<Bits_Per_Word>16"), "16 bits a word"),
+        ((b"</FREDFile>", b""), "no XML"),
+        ((b"<FREDFile", b"<!DOCTYPE x [<!ENTITY y 'z'>]><FREDFile"), "no entities"),
+    ],
+)
+def test_an_xml_that_cannot_be_read_says_where(change, says):
+    assert change[0] in XML
+    with pytest.raises(MapError, match=says):
+        read_xml(XML.replace(*change, 1))
+
+
+@pytest.mark.parametrize(
+    ("files", "says"),
+    [
+        ({}, "no .par"),
+        ({"par": PAR}, "neither .fra nor .frd"),
+        ({"par": PAR, "fra": FRA.replace("\t4\t6\t6\t29", "\tx\t6\t6\t29")}, r"\.fra: line 4: invalid literal"),
+        ({"par": PAR, "fra": FRA.replace("1|S\t64", "1|S\t8")}, r"\.fra: line 5|\.fra: line \d+: word"),
+        ({"par": PAR.replace("\t28\t17\t", "\t28\t\t", 1), "fra": FRA}, r"\.par: line 2: ALTITUDE"),
+        ({"par": PAR, "frd": "2|3\tx\tfast"}, r"\.frd: line 1"),
+        ({"par": PAR, "frd": "2|3\tx\t1\t1\n3|3\t1\tNOWHERE\tX"}, "does not define NOWHERE"),
+    ],
+)
+def test_a_vec_that_cannot_be_read_says_where(files, says):
+    with pytest.raises(MapError, match=says):
+        read_vec(archive(vec(**files)))

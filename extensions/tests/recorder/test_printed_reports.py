@@ -1,0 +1,114 @@
+"""Printed reports in the landing zone: heads become rows, damage is told by line, nothing is read twice."""
+
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from nights import run
+from recordings import message_file, printed_report
+
+import hdt_recorder.reader
+from hdt_recorder.printed_reports import read_printed
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import LandingFile
+from pipelines.intake.log_lines import Log
+from pipelines.storage.catalog import connect
+
+AT = datetime(2026, 3, 5, 12, 30, 5, tzinfo=UTC)
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+GOOD = printed_report("X-1", AT, 31_000)
+
+
+def delivered(folder: Path, content: bytes, name: str = "message.dat") -> LandingFile:
+    """The file as the landing zone lists it."""
+    file = folder / "AAA/X-1/reports" / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+    return next(f for f in list_landing(folder).files if f.path.endswith(name))
+
+
+def balances(log: Log) -> bool:
+    return log.n_delivered == log.rows.height + log.n_duplicate + int(log.quarantine["n_rows"].sum())
+
+
+def test_a_head_becomes_a_row_and_a_repeated_one_is_counted(tmp_path):
+    other = printed_report("X-1", AT.replace(hour=13), 5_000, "-.-- 111 -- X 01 111 0.00")
+    log = read_printed(delivered(tmp_path, message_file(GOOD, other, GOOD)), NOW, "v")
+    first, second = log.rows.rows(named=True)
+    assert (first["reported_at"], first["altitude_m"], first["mach"]) == (AT, pytest.approx(9448.8), 0.801)
+    assert (first["pack_1_flow_kg_s"], first["bleed_1_open"], first["crossfeed_open"]) == (1.2, True, False)
+    assert (second["pack_1_flow_kg_s"], second["bleed_1_open"], second["crossfeed_open"]) == (None, None, None)
+    assert (second["pack_2_flow_kg_s"], second["bleed_2_open"]) == (0.0, True)
+    assert (log.n_delivered, log.n_duplicate) == (3, 1)
+    assert balances(log)
+    assert log.quarantine.is_empty()
+
+
+DAMAGE = {
+    "other_aircraft": ("C1 .X-1", "C1 .X-2"),
+    "report_without_head": ("05MAR26 12.30.05", "05MAR26 12.61.05"),
+    "future_time": ("05MAR26", "05JUL26"),
+    "damaged_line": ("0.801 11-", "0.8x1 11-"),
+    "no_report": ("REPORT <08>", "SURVEY"),
+}
+
+
+@pytest.mark.parametrize("reason", DAMAGE)
+def test_damage_is_told_by_line_and_costs_no_other_report(tmp_path, reason):
+    assert DAMAGE[reason][0] in GOOD
+    bad = GOOD.replace(*DAMAGE[reason])
+    texts = (bad,) if reason == "no_report" else (bad, GOOD.replace("12.30", "14.30"))
+    log = read_printed(delivered(tmp_path, message_file(*texts)), NOW, "v")
+    told = {r["reason"]: r for r in log.quarantine.rows(named=True)}
+    assert reason in told
+    assert balances(log)
+    assert AT.replace(hour=14) in log.rows["reported_at"].to_list() or reason == "no_report"
+    if reason != "no_report":
+        assert "\n".join(texts).splitlines()[told[reason]["row"] - 1][:2] in {"C1", "C3"}
+
+
+def test_an_archive_is_read_by_its_message_file(tmp_path):
+    file = delivered(tmp_path, b"", "LX_1.zip")
+    with zipfile.ZipFile(file.full_path, "w") as archive:
+        archive.writestr("raw.dat", bytes(200_000))
+        archive.writestr("message.dat", message_file(GOOD))
+    assert read_printed(file, NOW, "v").rows.height == 1
+
+
+def test_a_type_may_bring_its_own_layouts(tmp_path):
+    (tmp_path / "types").mkdir()
+    (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,X-1,2,MINE\n")
+    told = 'type = "MINE"\nmap = "m.toml"\nreports = "mine.reports"\n[component.HXT]\ntat_degc = "TAT"\n'
+    (tmp_path / "types/mine.toml").write_text(told)
+    layouts = "<**>\nC1 {acid:s} {date:7s} {utc:8s} {alt:5} {bleed_1:1}\n<91> PACK SURVEY\nN1 {flow:4}\n"
+    (tmp_path / "types/mine.reports").write_text(layouts)
+    text = "  A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nC1 .X-1 05MAR26 12.30.05 31000 0\n"
+    file = delivered(tmp_path, text.encode(), "survey.txt")
+    (row,) = read_printed(file, NOW, "v").rows.rows(named=True)
+    assert (row["report"], row["bleed_1_open"], row["bleed_2_open"]) == ("91", False, None)
+    (tmp_path / "types/mine.reports").write_text("C1 {acid:s}\n")
+    log = read_printed(file, NOW, "v")
+    assert "mine.reports: line 1: a report begins with" in log.quarantine["detail"][0]
+
+
+def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_path, monkeypatch):
+    landing, read = tmp_path / "landing", []
+
+    def watched(file: LandingFile, now: datetime, version: str) -> Log:
+        read.append(file.name)
+        return read_printed(file, now, version)
+
+    monkeypatch.setattr(hdt_recorder.reader, "read_printed", watched)
+    first = delivered(landing, message_file(GOOD), "one.dat")
+    (landing / "fleet.csv").write_text("operator,tail,packs\nAAA,X-1,2\n")
+    run(landing, tmp_path / "home")
+    delivered(landing, message_file(GOOD.replace("12.30", "14.30")), "two.dat")
+    run(landing, tmp_path / "home")
+    assert read == ["one.dat", "two.dat"]
+    Path(first.full_path).unlink()
+    delivered(landing, message_file(GOOD.replace("12.30", "15.30")), "two.dat")
+    run(landing, tmp_path / "home")
+    assert read == ["one.dat", "two.dat", "two.dat"]
+    with connect(tmp_path / "home") as con:
+        assert con.sql("select reported_at from reports order by 1").fetchall() == [(AT,), (AT.replace(hour=15),)]

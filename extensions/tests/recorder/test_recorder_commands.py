@@ -1,0 +1,194 @@
+"""`hdt recorder`: from a recording's file and a map's to a table, and to one line where they do not go together."""
+
+import json
+import zipfile
+
+import numpy as np
+import polars as pl
+import pytest
+from recordings import DATA, frames_717, frames_767, message_file, pack, random_raw
+
+from hdt_recorder.decoding.bitstream import PACKINGS
+from hdt_recorder.decoding.plain_map import read_toml
+from pipelines.cli import main
+
+DEMO_717 = read_toml((DATA / "demo_717.toml").read_text())
+DEMO_767 = read_toml((DATA / "demo_767.toml").read_text())
+
+
+def hdt(monkeypatch, capsys, *words: object) -> tuple[int, str, str]:
+    """Exit code, what was printed, and what was said on standard error."""
+    monkeypatch.setattr("sys.argv", ["hdt", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr()
+    return int(ended.value.code or 0), told.out, told.err
+
+
+@pytest.fixture
+def recording(tmp_path):
+    raw = random_raw(DEMO_717, np.random.default_rng(1), 48)
+    for name in ("ALTITUDE", "PACK_TEMP"):
+        raw[name] %= 400
+    words = frames_717(DEMO_717, raw, first_count=0)
+    words[7, 64] ^= 1  # the second sync word of the eighth frame
+    path = tmp_path / "flight.dat"
+    path.write_bytes(pack(words, PACKINGS[2]))
+    return path, raw
+
+
+def test_a_recording_is_decoded_into_a_table(recording, tmp_path, monkeypatch, capsys):
+    path, raw = recording
+    target = tmp_path / "flight.parquet"
+    code, told, _ = hdt(
+        monkeypatch, capsys, "recorder", "decode", path, "--map", DATA / "demo_717.toml", "--out", target
+    )
+    assert code == 0
+    assert "11 parameters" in told
+    assert "Subframes: 190 whole, 2 damaged, 0 missing" in told
+    rows = pl.read_parquet(target)
+    assert rows.schema == {"parameter": pl.String, "t_s": pl.Float64, "value": pl.Float64, "text": pl.String}
+    assert rows["value"].is_finite().all()  # null is null, not NaN
+    temperature = rows.filter(parameter="PACK_TEMP")
+    expected = pl.Series(0.25 * raw["PACK_TEMP"] + 1.5).scatter([28, 29], None)
+    assert temperature["value"].to_list() == expected.to_list()
+    valve = rows.filter(parameter="VALVE")
+    assert valve["text"].to_list()[:2] == [("CLOSED", "OPEN")[int(r)] for r in raw["VALVE"][:2]]
+    assert rows.filter(parameter="CITY")["value"].null_count() == 3
+
+
+def test_only_the_parameters_that_are_named_are_decoded(recording, tmp_path, monkeypatch, capsys):
+    target = tmp_path / "two.parquet"
+    words = ("--parameter", "PITCH", "--parameter", "MODE", "--out", target)
+    code, *_ = hdt(monkeypatch, capsys, "recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
+    assert code == 0
+    assert pl.read_parquet(target)["parameter"].unique(maintain_order=True).to_list() == ["PITCH", "MODE"]
+
+
+def test_an_archive_is_read_by_its_largest_file(recording, tmp_path, monkeypatch, capsys):
+    archive = tmp_path / "flight.zip"
+    with zipfile.ZipFile(archive, "w") as held:
+        held.writestr("log.txt", "short")
+        held.write(recording[0], "raw.dat")
+    code, told, _ = hdt(monkeypatch, capsys, "recorder", "list", archive, "--map", DATA / "demo_717.xml")
+    assert code == 0
+    assert "no value: its conversion is told in words: Teledyne Synchro" in told
+    assert "ALTITUDE" in told
+
+
+def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
+    raw = random_raw(DEMO_767, np.random.default_rng(5), 200)
+    path = tmp_path / "flight.767"
+    path.write_bytes(frames_767(DEMO_767, {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()}))
+    code, told, _ = hdt(monkeypatch, capsys, "recorder", "list", path, "--map", DATA / "demo_767.toml", "--json")
+    assert code == 0
+    said = json.loads(told)
+    assert said["damage"] | {"unit": "frames", "damaged": 0, "missing": 0} == said["damage"]
+    rates = {p["parameter"]: (p["unit"], p["rate_hz"], p["kind"]) for p in said["parameters"]}
+    assert rates["OUTLET_TEMP"] == ("degC", 1.0, "binary")
+    assert rates["RATE"] == ("deg/s", 5.0, "binary")
+    assert rates["DIGIT"] == ("", 0.25, "bcd")
+
+
+def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypatch, capsys):
+    text = "\n   A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nN1 1.31 OFF\nN2 -.-- ON\nN1 1.3 OFF\n"
+    (tmp_path / "message.dat").write_bytes(message_file(text))
+    (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
+    words = ("--layouts", tmp_path / "own.txt", "--out", tmp_path / "r.parquet")
+    code, told, _ = hdt(monkeypatch, capsys, "recorder", "reports", tmp_path / "message.dat", *words)
+    assert code == 0
+    assert "<91> PACK SURVEY: 1 reports, 2 lines" in told
+    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in told
+    rows = pl.read_parquet(tmp_path / "r.parquet")
+    assert rows.filter(name="flow")["value"].to_list() == [1.31, None]
+    assert rows.filter(name="state")["text"].to_list() == ["OFF", "ON"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("list", "{rec}", "--map", "{tmp}/none.toml"), "No such file"),
+        (("list", "{tmp}/none.dat", "--map", DATA / "demo_717.toml"), "No such file"),
+        (("list", "{rec}"), "--map"),
+        (("list", "{rec}", "--map", "{rec}"), "flight.dat: "),
+        (
+            ("list", "{rec}", "--map", DATA / "demo_767.toml"),
+            "demo_767.toml does not fit flight.dat: no ARINC 767 frame",
+        ),
+        (("list", "{rec}", "--map", "{tmp}/wide.toml"), "the recording has 64 words a second, the map 128"),
+        (("list", "{tmp}/empty.dat", "--map", DATA / "demo_717.toml"), "no ARINC 717 frame in 0 bytes"),
+        (("list", "{tmp}/broken.zip", "--map", DATA / "demo_717.toml"), "broken.zip"),
+        (("reports", "{rec}", "--layouts", DATA / "demo_717.toml"), "line 1: a report begins with <nn>"),
+        (("decode", "{rec}", "--map", DATA / "demo_717.toml"), "--out"),
+        (
+            ("decode", "{rec}", "--map", DATA / "demo_717.toml", "--parameter", "PTICH", "--out", "{tmp}/x"),
+            "near are PITCH",
+        ),
+        (
+            ("decode", "{rec}", "--map", DATA / "demo_717.xml", "--parameter", "RUDDER", "--out", "{tmp}/x"),
+            "has no value",
+        ),
+        (("decode", "{rec}", "--map", DATA / "demo_717.toml", "--out", "{tmp}"), "is not overwritten"),
+    ],
+)
+def test_what_does_not_go_together_is_told_in_one_line(words, says, recording, tmp_path, monkeypatch, capsys):
+    (tmp_path / "wide.toml").write_text('format = "ARINC 717"\nwords_per_second = 128\n')
+    (tmp_path / "empty.dat").touch()
+    with zipfile.ZipFile(tmp_path / "broken.zip", "w") as held:
+        held.writestr("raw.dat", recording[0].read_bytes())
+    whole = (tmp_path / "broken.zip").read_bytes()
+    (tmp_path / "broken.zip").write_bytes(whole[:200] + b"xxxx" + whole[204:])
+    named = [str(w).format(rec=recording[0], tmp=tmp_path) for w in words]
+    code, told, said = hdt(monkeypatch, capsys, "recorder", *named)
+    assert (code, told) == (2, "")
+    assert says in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("words", [("reports",), ("list", "--map", DATA / "demo_717.toml")])
+def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.setattr("hdt_recorder.recordings.MOST_BYTES", 1 << 20)
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("message.dat", bytes((1 << 20) + 1))
+    code, _, said = hdt(monkeypatch, capsys, "recorder", words[0], tmp_path / "bomb.zip", *words[1:])
+    assert code == 2
+    assert "1,048,577 bytes; 1,048,576 are allowed" in said
+
+
+def test_the_command_and_the_night_have_one_bound():
+    from hdt_recorder import printed_reports, recorder_rows, recordings
+
+    assert recorder_rows.MOST_BYTES == printed_reports.MOST_BYTES == recordings.MOST_BYTES == 512 << 20
+
+
+DEEP = "[" * 20_000 + "]" * 20_000
+
+
+@pytest.mark.parametrize(("name", "text"), [
+    ("deep.toml", f'format = "ARINC 717"\nx = {DEEP}'), ("deep.csv", f"# x = {DEEP}\nname\n"),
+    ("deep.xml", "<a>" * 20_000 + "</a>" * 20_000), ("head.toml", 'format = "ARINC 717"\nwords_per_second = "x"'),
+    ("head.toml", 'format = "ARINC 717"\nwords_per_second = inf'),
+    ("entry.toml", 'format = "ARINC 717"\nwords_per_second = 64\nparameter = [1]'),
+])  # fmt: skip
+def test_a_map_that_is_none_is_one_line(recording, tmp_path, monkeypatch, capsys, name, text):
+    (tmp_path / name).write_text(text)
+    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", recording[0], "--map", tmp_path / name)
+    assert (code, said.count("\n")) == (2, 1), said
+    assert said.startswith(f"hdt: {name}: ")
+
+
+@pytest.mark.parametrize("member", ["a map", "a recording"])
+def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, monkeypatch, capsys, member):
+    name = "x.par" if member == "a map" else "flight.dat"
+    with zipfile.ZipFile(tmp_path / "bad.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, bytes(range(256)) * 64)
+    damaged = bytearray((tmp_path / "bad.zip").read_bytes())
+    damaged[60:90] = bytes(30)
+    (tmp_path / "bad.zip").write_bytes(damaged)
+    files = (
+        (recording[0], tmp_path / "bad.zip") if member == "a map" else (tmp_path / "bad.zip", DATA / "demo_717.toml")
+    )
+    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", files[0], "--map", files[1])
+    assert (code, said.count("\n")) == (2, 1), said
+    assert "bad.zip: " in said

@@ -1,0 +1,212 @@
+"""Aircraft whose recorders are not the contract's: from the recorder's bytes to the catalog, by a description alone.
+
+A small fleet of our own in ARINC 767 and 717 files; and the real recordings, which are not ours to ship, where they
+are.
+"""
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from nights import run
+from recordings import message_file, printed_report
+
+from hdt_core.simulate.design import FleetSettings
+from hdt_core.simulate.fleet import simulate_fleet
+from hdt_recorder.recorder_rows import recorder_rows
+from pipelines.cli.doctor import examine
+from pipelines.intake.landing import list_landing
+from pipelines.intake.simulated import write_fleet
+from pipelines.lineage import STAGE
+from pipelines.storage.catalog import connect
+from pipelines.storage.ledger import Ledger
+from pipelines.versions import stale
+
+ROOT = Path(__file__).parents[3]
+REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
+SIZE = {"operators": 1, "tails": 1, "flights": 2, "cpl_share": 1.0}
+
+
+def ask(home: Path, sql: str) -> list[tuple[Any, ...]]:
+    with connect(home) as con:
+        return con.sql(sql).fetchall()
+
+
+def write(folder: Path, suite: str, form: str) -> tuple[Path, pl.DataFrame]:
+    """A landing zone of recorder files, and the rows of its first flight as simulated."""
+    size = FleetSettings(suite=suite, **SIZE)
+    list(write_fleet(folder, 3, size, form))
+    return folder / "landing", next(iter(next(simulate_fleet(3, size)).cpl.values()))
+
+
+@pytest.mark.parametrize(("suite", "form"), [("787", "767"), ("787", "717")])
+def test_a_recording_says_what_was_simulated(tmp_path, suite, form):
+    landing, true = write(tmp_path, suite, form)
+    file = next(f for f in list_landing(landing).files if f.is_recording)
+    rows, n_rows, faults = recorder_rows(file, "pack")
+    columns = ["altitude_ft", "mach", "tat_degc", "hx_in_degc", "hx_out_degc", "ram_door_pct", "pack_flow_lbpm"]
+    rows = rows.with_columns(pl.col("pack").cast(pl.Int32))
+    joined = true.join(rows, on=["flight_id", "report_time", "pack"], suffix="_read")
+    assert (n_rows, faults) == (rows.height, [])
+    assert true.height - 8 <= joined.height <= true.height  # ARINC 717 writes whole frames of four seconds
+    off = joined.select((pl.col(c) - pl.col(f"{c}_read")).abs().max() for c in columns)
+    assert max(off.row(0)) < 1e-9
+    assert joined.select((pl.col("pt_psia") / pl.col("pt_psia_read") - 1.0).abs().max()).item() < 1e-5
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> dict[str, Any]:
+    """A 787 and an A330 in one zone; a damaged recording, one of another map, a description with an error."""
+    top = tmp_path_factory.mktemp("typed")
+    landing, _ = write(top / "a", "787", "767")
+    other, flown = write(top / "b", "A330", "717")
+    shutil.move(other / "SAA", landing / "SAB")
+    shutil.copytree(other / "types", landing / "types", dirs_exist_ok=True)
+    lines = (other / "fleet.csv").read_text().splitlines()
+    with (landing / "fleet.csv").open("a") as fleet:
+        fleet.write(lines[1].replace("SAA", "SAB") + "\n")
+    first, second = sorted((landing / "SAA/AA-0000/recorder").iterdir())
+    data = bytearray(first.read_bytes())
+    data[20_000:20_400] = bytes(400)
+    first.write_bytes(data)
+    stranger = landing / "SAB/AA-0000/recorder" / second.name.replace("_0", "_9")
+    shutil.copy(second, stranger)
+    (landing / "types/slip.toml").write_text('type = "SLIP"\nmap = "m.toml"\n[pack]\nmahc = "M"\n')
+    cruise = flown.filter(pl.col("altitude_ft") == pl.col("altitude_ft").max())
+    crossfed = {"flight": cruise["flight_id"][0], "at": cruise["report_time"][0]}
+    (landing / "SAB/AA-0000/reports").mkdir()
+    told = printed_report("AA-0000", crossfed["at"], 35_000, "1.20 111 11 1 00 111 1.20")
+    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(message_file(told, told.replace("AA-0000", "AA-0001")))
+    night = run(landing, top / "home")
+    assert not night.failed, night.failed
+    return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed
+
+
+def test_both_types_reach_the_catalog(world):
+    told = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
+    assert told == [("SAA", "cpl", 2), ("SAB", "component", 2)]
+    health = ask(world["home"], "select distinct operator, parameter, status from health_parameters order by all")
+    assert ("SAA", "hxt_effectiveness", "measured") in health
+    assert ("SAA", "cac_efficiency_seen", "measured") in health
+    assert ("SAB", "hxt_effectiveness_fast", "measured") in health
+    assert ("SAA", "cc_efficiency_loss", "not_recorded") in health
+    assert {s for _, p, s in health if p in {"hxt_loss", "cac_efficiency_loss"}} == {"prior_only"}
+
+
+def test_two_flights_calibrate_nothing_and_the_prior_carries_them(world):
+    design = ask(world["home"], "select distinct component, n_flights, identifiable from design_parameters "
+                                "where component in ('HXT', 'CAC') order by all")  # fmt: skip
+    assert design == [("CAC", 0, False), ("HXT", 0, False)]
+    sd = ask(world["home"], "select min(sd), max(sd) from health_parameters where status = 'prior_only'")[0]
+    assert 0.02 < sd[0] <= sd[1] <= 0.15
+    assert ask(world["home"], "select count(*) from alerts where component in ('HXT', 'CAC')") == [(0,)]
+
+
+def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
+    told = ask(world["home"], "select file, reason, detail from quarantine")
+    reasons = {(Path(file).name, reason): detail for file, reason, detail in told}
+    assert "frames: " in reasons[world["damaged"], "recording_damaged"]
+    assert "no ARINC 717 frame" in (detail := reasons[world["stranger"], "map_does_not_fit"]) or "ARINC 767" in detail
+    assert "[pack] mahc: no such column; mach is near" in reasons["slip.toml", "bad_type"]
+    legs = ask(world["home"], "select distinct flight_id from component_legs")
+    assert (world["stranger"].removesuffix(".dat"),) not in legs
+
+
+def test_a_printed_report_of_odd_bleed_turns_the_flight_away(world):
+    legs = ask(world["home"], "select distinct flight_id, reason from component_legs where operator = 'SAB' "
+                              "and reason in ('', 'BLEED', 'NOT_COMMISSIONED') order by all")  # fmt: skip
+    assert {reason for flight, reason in legs if flight == world["flight"]} == {"BLEED"}
+    assert {reason for flight, reason in legs if flight != world["flight"]} == {"NOT_COMMISSIONED"}
+    (report,) = ask(world["home"], "select report, reported_at, bleed_2_open, crossfeed_open from reports")
+    assert report == ("08", world["at"], False, True)
+    (other,) = ask(world["home"], "select row, detail, n_rows from quarantine where reason = 'other_aircraft'")
+    assert "is of AA-0001" in other[1]
+    assert other[2] == 1
+
+
+def test_what_can_not_be_estimated_is_said(world):
+    lacks = dict(ask(world["home"], "select parameter, missing from coverage where operator = 'SAB' "
+                                    "and status = 'not_recorded'"))  # fmt: skip
+    assert lacks["hx_fouling"] == "ram_door_pct, pack_flow_lbpm"
+    said = {c.name: c for c in examine(world["landing"], None)}
+    assert said["type A330-717"].well
+    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in said["type A330-717"].says
+    assert not said["type slip.toml"].well
+
+
+def test_every_status_is_explained(world):
+    unknown = ask(world["home"], "select distinct status from health_parameters anti join statuses using (status)")
+    assert unknown == []
+
+
+def test_an_accepted_spray_makes_the_calibration_of_components_stale(world):
+    ledger = Ledger(world["home"])
+    assert stale(ledger, STAGE["calibration_components"]).is_empty()
+    (world["home"] / "terms.txt").write_text("water_spray\n")
+    assert stale(ledger, STAGE["calibration_components"])["operator"].to_list() == ["SAA", "SAB"]
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory) -> Path:
+    """Home after a night over the two real recordings."""
+    if not REFERENCE.is_dir():
+        pytest.skip(f"no real recordings in {REFERENCE}: set HDT_REFERENCE")
+    top = tmp_path_factory.mktemp("real")
+    names = {"XXA/B-6789": "b787_767.zip", "XXB/B-8888": "a330_717.wgl.zip"}
+    for aircraft, name in names.items():
+        folder = top / "landing" / aircraft / "recorder"
+        folder.mkdir(parents=True)
+        shutil.copy(REFERENCE / name, folder / f"{aircraft[4:]}_20240203_01.zip")
+    shutil.copytree(top / "landing/XXB/B-8888/recorder", top / "landing/XXB/B-8888/reports")
+    (top / "landing/types").mkdir()
+    for name in ("b787.vec", "a330.vec"):
+        shutil.copy(REFERENCE / name, top / "landing/types" / name)
+    (top / "landing/fleet.csv").write_text("operator,tail,packs,type\nXXA,B-6789,2,B787-767\nXXB,B-8888,2,A330-717\n")
+    night = run(top / "landing", top / "home")
+    assert not night.failed, night.failed
+    return top / "home"
+
+
+def read_by_another(recording: str, *names: str) -> list[np.ndarray]:
+    """Values of parameters as an independent decoder reads them."""
+    rows = pl.read_parquet(REFERENCE / f"decoded_{recording}.parquet")
+    return [rows.filter(parameter=name).sort("t_s")["value"].drop_nulls().to_numpy() for name in names]
+
+
+def test_real_recordings_reach_the_catalog(real):
+    told = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
+        real, "select tail, pack, parameter, value, sd, status from health_parameters")}  # fmt: skip
+    hot_in, hot_out, outside, speed = read_by_another(
+        "767", "CASRPACKCOTEMPMP__01", "CASRSECHXOTEMPMP__01", "ENGTATSEL_EECGER", "CASRCAC2RPMPM_CTL_01"
+    )
+    right = (hot_in - hot_out) / (hot_in - outside.mean())
+    assert told["B-6789", 2, "hxt_effectiveness"] == (
+        pytest.approx(right.mean(), abs=0.001), pytest.approx(right.std(), abs=0.0005), "measured")  # fmt: skip
+    assert told["B-6789", 1, "hxt_effectiveness"] == (
+        pytest.approx(1.0, abs=0.001), pytest.approx(0.005, abs=0.001), "one_or_more")  # fmt: skip
+    assert told["B-6789", 4, "cac_speed_rpm"][0] == pytest.approx(speed.mean(), rel=1e-3)
+    for unit in (3, 4):
+        assert 0.785 < told["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
+        assert told["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
+    for pack in (1, 2):
+        assert 0.85 < told["B-8888", pack, "hxt_effectiveness_slow"][0] < 0.90
+        assert told["B-8888", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
+        assert told["B-8888", pack, "hxt_fan_rpm"][2] == "not_recorded"
+        assert told["B-6789", pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
+        assert told["B-8888", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
+    assert told["B-6789", 1, "hx_fouling"][2] == "predicted"
+    assert ask(real, "select count(*) from alerts") == [(0,)]
+    assert ask(real, "select distinct reason from quarantine order by 1") == [("unknown_report",)]
+    assert np.isfinite([v for v, _, s in told.values() if s in {"prior_only", "measured"}]).all()
+
+
+def test_the_heads_of_real_reports_are_stored_and_turn_no_leg_away(real):
+    told = ask(real, "select report, count(*), bool_or(crossfeed_open) from reports group by 1 order by 1")
+    assert [r for r, _, _ in told] == ["08", "10", "13", "15", "18", "37", "50"]
+    assert {r: c for r, _, c in told}["10"]  # an engine is started by the other's air
+    assert ask(real, "select * from component_legs where reason = 'BLEED'") == []
+    assert ask(real, "select * from quarantine where file like '%reports%' and scope <> 'note'") == []

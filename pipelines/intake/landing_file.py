@@ -1,0 +1,115 @@
+"""One file of the landing zone: whose it is, of what kind, and what it is judged by beside itself."""
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from typing import Literal
+
+from pipelines.intake.fleet_list import PACKS
+from pipelines.intake.ledger import Fault
+
+Kind = Literal[
+    "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
+]
+RECORDER = "recorder"
+"""Folder of an aircraft that holds recordings."""
+MAX_TEXT_BYTES = 64 << 20
+MAX_PARQUET_BYTES = 256 << 20
+"""A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; more is refused before it is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandingFile:
+    """One file of the landing zone, as it was when the zone was listed."""
+
+    landing: str
+    path: str
+    """Path below the landing zone, with forward slashes: how ledger and quarantine name the file."""
+    operator: str
+    tail: str
+    kind: Kind
+    size: int
+    mtime_ns: int
+    touched_ns: int = 0
+    """When content or modification time were last set, by the file system's own clock, which no program sets back."""
+    judged_by: str = ""
+    """What it is judged by beside itself, see `landing.judged_by`."""
+    listed: bool = True
+    """Whether the fleet list has a line of its aircraft; else what is on record of a file goes on to count."""
+    packs_stored: int = 0
+    """Packs that are stored of it, which no line of the fleet list takes away."""
+
+    @property
+    def packs(self) -> int:
+        """Packs of its aircraft."""
+        return max(self.packs_listed, self.packs_stored)
+
+    @property
+    def packs_listed(self) -> int:
+        """Packs by the fleet list; two where it says nothing."""
+        return int(self._word("packs") or PACKS)
+
+    @property
+    def delivered_on(self) -> date | None:
+        """Day on which its aircraft was delivered, of a maintenance log."""
+        day = self._word("delivered_on")
+        return date.fromisoformat(day) if day else None
+
+    @property
+    def unlisted(self) -> str | None:
+        """None where the fleet list has the aircraft; else operators under which it has the tail."""
+        return self._word("unlisted")
+
+    def _word(self, name: str) -> str | None:
+        return dict(word.split("=", 1) for word in self.judged_by.split()).get(name)
+
+    @property
+    def name(self) -> str:
+        """Last part of the path."""
+        return self.path.rpartition("/")[2]
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it is read as text and not as Parquet: its name says so, whatever became of its kind."""
+        return self.path.lower().endswith(".csv")
+
+    @property
+    def source(self) -> str:
+        """Where its rows come from: snapshot reports or a continuous log."""
+        return "cpl" if "/cpl/" in self.path or self.is_recording else "acms"
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether it is a flight recorder's own file, which a package's reader turns into rows."""
+        return self.folder == RECORDER
+
+    @property
+    def folder(self) -> str:
+        """Folder that holds it."""
+        return self.path.rpartition("/")[0].rpartition("/")[2]
+
+    @property
+    def full_path(self) -> str:
+        """Where to open it."""
+        return f"{self.landing}/{self.path}"
+
+    def read(self) -> tuple[bytes | None, list[Fault]]:
+        """Content, or None and the fault that kept it out."""
+        limit = MAX_TEXT_BYTES if self.is_text else MAX_PARQUET_BYTES
+        try:
+            with open(self.full_path, "rb") as source:
+                content = source.read(limit + 1)  # the size listed is that of another moment
+        except OSError as error:
+            return None, [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
+        if len(content) > limit:
+            return None, [Fault("too_large", detail=f"It has more than {limit >> 20} MiB.")]
+        return content, []
+
+    @property
+    def received_at(self) -> datetime:
+        """When it was last written."""
+        return received(self.mtime_ns)
+
+
+def received(mtime_ns: int) -> datetime:
+    """Modification time of a file, to the second."""
+    return datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
