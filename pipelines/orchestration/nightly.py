@@ -73,9 +73,14 @@ class Night:
 
     def then(self, again: Night) -> Night:
         """A night that met damage and the same begun again."""
-        runs, cells = self.runs + again.runs, self.cells + again.cells
-        mended = (*self.mended, *again.mended)
-        return Night(again.files, self.new_files + again.new_files, runs, cells, again.failed, mended)
+        return replace(
+            again,
+            new_files=self.new_files + again.new_files,
+            runs=self.runs + again.runs,
+            cells=self.cells + again.cells,
+            mended=(*self.mended, *again.mended),
+            came=self.came | again.came,
+        )
 
 
 def complete_night(

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 from spoils import column, field
 
+from pipelines.cli.base import app
 from pipelines.cli.doctor import examine
 from pipelines.digest import EMPTY, as_text, compare
 from pipelines.digest.state import read_state
@@ -15,6 +16,7 @@ from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_sample import SAMPLED, sample
 from pipelines.intake.refusals import MOST, not_read, set_aside, silent_columns, silent_lines
 from pipelines.intake.scan import scan
+from pipelines.orchestration.nightly import Night
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
@@ -152,3 +154,21 @@ def test_an_operator_may_have_a_name_of_its_own(zone, operator):
     listing = list_landing(landing)
     assert listing.quarantine.is_empty()
     assert {f.operator for f in listing.files if f.kind == "acms"} == {operator}
+
+
+def test_a_night_begun_again_keeps_what_came_and_what_was_not_read():
+    first = Night(3, 2, 1, 4, {"AAA": "damage"}, ("a",), ("old",), frozenset({"p"}))
+    both = first.then(Night(3, 1, 2, 5, {}, ("b",), ("name",), frozenset({"q"})))
+    assert (both.files, both.new_files, both.runs, both.cells, both.failed) == (3, 3, 3, 9, {})
+    assert (both.mended, both.not_read, both.came) == (("a", "b"), ("name",), {"p", "q"})
+
+
+def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):
+    """Through the command itself: what a night hands over to who prints it is not lost on the way."""
+    landing, home = zone
+    drop(landing, [as_it_is, KNOTS, KNOTS, KNOTS])
+    (landing / "AQX" / "odd.txt").write_text("")
+    app(["nightly", "--landing", str(landing), "--home", str(home)], standalone_mode=False)
+    said = capfd.readouterr().err
+    assert "silent: AQX LX-AAA: mach refused in 100 %" in said
+    assert "not read: AQX/odd.txt" in said
