@@ -251,14 +251,14 @@ STAGES = (
             "calibration_components",
             parents=("raw_components", "raw_maintenance", "raw_reports"),
             terms=True,
-            code=DECLARED,
+            code=f"2 {DECLARED}",
         ),
         road=COMPONENT,
     ),
     Stage(
         "twin_components",
         "twin",
-        alike("twin_components", "residuals_components", parents=("calibration_components",), code="2"),
+        alike("twin_components", "residuals_components", parents=("calibration_components",), code="3"),
         road=COMPONENT,
     ),
     Stage(

@@ -16,6 +16,7 @@ from hdt_core.estimation.identifiability import SAFE, Identifiability, covarianc
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises
+ROUNDING_DISTANCE = 1e-9  # declared standard deviations: what rounding leaves of the gradient of a noise-free record
 APART = 0.5  # scaled determinant from which parameters are told apart well
 MANY = 100  # values a parameter: with parameters well apart, the likelihood is a bell
 WIDE = 6.0  # standard deviations: where the declared range holds fewer, the data have hardly narrowed it
@@ -73,7 +74,8 @@ def conclude(
     own_objective : bool
         The method minimises something else than the problem's objective, and has judged its gradient itself.
     cov : array (n, n), optional
-        The method's own covariance; the inverse of data and prior information when not given.
+        The method's own covariance; the inverse of data and prior information when not given. Where the residuals
+        contradict the declared sigma, the data count by the variance that the residuals show.
     more
         Further fields of `Estimate`.
     """
@@ -92,7 +94,7 @@ def conclude(
     variance = noise_variance(at.objective, problem.n_values, n_free)
     status: Status = reached
     if not own_objective and reached != "diverged":
-        near = distance <= CLOSE * max(variance, 1.0) ** 0.5
+        near = distance <= max(CLOSE * variance**0.5, ROUNDING_DISTANCE)
         status = "converged" if near else "max_steps" if reached == "converged" else reached
     if reached != "diverged" and not told:
         status = "not_identifiable"
@@ -103,8 +105,11 @@ def conclude(
         status = doubt.status
     if status in ("converged", "approximate") and not inside:
         status = "at_bound" if _rests_on_bound(problem.bounds, theta, own, held=False) else status
+    spread = own if cov is None else cov
+    if variance > 1.0 and not own_objective and inside:
+        spread = spread + covariance_of_free(problem.bounds, seen.information / variance + prior)[0] - own
     return Estimate(
-        Belief(theta, own if cov is None else cov),
+        Belief(theta, spread),
         status,
         n_evals,
         seen,

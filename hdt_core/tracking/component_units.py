@@ -9,6 +9,7 @@ import polars as pl
 from scipy.stats import median_abs_deviation
 
 from hdt_core.components import Component
+from hdt_core.components.declaration import REPLACED
 from hdt_core.flight.bleed import turn_away_odd_bleed
 from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel
@@ -17,6 +18,7 @@ from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.tracking.component import calibrate_component, track_component
 from hdt_core.tracking.component_readings import HEALTH, ONE_OR_MORE, component_readings
 from hdt_core.tracking.sequential import flight_by_flight
+from hdt_core.tracking.wear_model import UNIT_SD
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
@@ -191,7 +193,20 @@ def _tracked(
     if flights.is_empty():
         return flights, pl.DataFrame(schema=HEALTH)
     tracked = track_component(lives, model, component.code).select(list(HEALTH))
-    return flights, by_prior(tracked, steady, model, component) if rests_on_prior else tracked
+    if rests_on_prior:
+        return flights, by_prior(tracked, steady, model, component)
+    return flights, _with_unit_spread(tracked, model, maintenance, component)
+
+
+def _with_unit_spread(
+    health: pl.DataFrame, model: PhysicsModel, maintenance: pl.DataFrame, component: Component
+) -> pl.DataFrame:
+    """Add two draws of the spread of units as made to the deviations of each unit judged by another one's design."""
+    numbered = number_units(health, maintenance, component.code, "replacements", (REPLACED,))
+    declared = [pl.when(parameter=p.name).then(pl.lit(p.unit_sd, pl.Float64)) for p in model.free("health")]
+    wider = (pl.col("sd") ** 2 + 2.0 * pl.coalesce(*declared, pl.lit(UNIT_SD)) ** 2).sqrt()
+    sd = pl.when(pl.col("replacements") > 0).then(wider).otherwise("sd")
+    return numbered.with_columns(sd.alias("sd")).select(health.columns)
 
 
 def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:

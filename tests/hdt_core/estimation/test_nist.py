@@ -4,7 +4,7 @@ Source and licence: tests/data/nist_strd/README.md.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,9 +107,24 @@ def test_least_squares_reaches_certified_digits_from_start_2(name):
     asked = 6.0 if case.level == "Lower" else 4.0
     assert estimate.status == "converged"
     assert digits(estimate.belief.mean, case.values) >= asked
-    degrees = len(case.x) - len(case.values)
-    sigma = np.sqrt(case.problem(2).chi2(estimate.belief.mean[None])[0] / degrees)
-    assert digits(estimate.belief.sd * sigma, case.sds) >= 4.0
+    assert digits(estimate.fit.scaled_sd, case.sds) >= 4.0
+    if case.sum_of_squares > 3.0 * len(
+        case.x
+    ):  # sigma, declared as 1, is contradicted: the interval follows the record
+        assert digits(estimate.belief.sd, case.sds) >= 4.0
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("name", CERTIFIED)
+def test_converged_means_certified_digits_whatever_sigma_is_declared(name, sigma):
+    """A sigma declared far too large must not pass a point for the optimum that the record tells from it."""
+    case = CERTIFIED[name]
+    problem = replace(case.problem(2), sigma=np.full(1, sigma))
+    for steps in range(1, 40, 2):
+        estimate = NonlinearLeastSquares(max_steps=steps).estimate(problem)
+        if estimate.status == "converged":
+            assert (np.abs(estimate.belief.mean - case.values) < 2e-3 * case.sds + 1e-9 * np.abs(case.values)).all()
+            return
 
 
 @pytest.mark.parametrize("name", [name for name, case in CERTIFIED.items() if case.level != "Higher"])

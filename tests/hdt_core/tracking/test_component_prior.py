@@ -1,6 +1,7 @@
 """An exchanger known by its temperatures: readings, the prior where flights are few, spray once it is accepted."""
 
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 import polars as pl
@@ -68,6 +69,25 @@ def test_an_effectiveness_above_one_is_no_news_of_the_part():
     assert told["hxt_effectiveness"] == told["hxt_effectiveness_fast"] == "one_or_more"
     assert health["value"].to_list() == [0.0, 0.0]
     assert health["status"].to_list() == ["prior_only"] * 2
+
+
+@pytest.mark.parametrize(("unit_sd", "spread"), [(None, 0.04), (0.05, 0.05)])
+def test_a_unit_judged_by_another_ones_design_is_as_unsure_as_two_units_differ(unit_sd, spread):
+    loss = replace(SPRAYED.model.param("hxt_loss"), unit_sd=unit_sd)
+    model = replace(SPRAYED.model, params=(*SPRAYED.model.free("design"), loss))
+    component = replace(SPRAYED, model=model, terms={"water_spray": model})
+    signals = flown([0.0] * 35 + [0.06] * 5)  # as made, the second unit is 6 % smaller
+    work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
+    samples = component_samples(signals, component)
+    legs, design = commission(signals, work, component)
+    judged_by = [
+        unit_health(samples, legs, design, log, component)[1].sort("departed_at")[-3:] for log in (work, NO_WORK)
+    ]
+    assert judged_by[0]["status"].to_list() == ["ok"] * 3
+    assert (judged_by[0]["value"] < 1.645 * judged_by[0]["sd"]).all()
+    np.testing.assert_array_less(np.sqrt(2.0) * spread, judged_by[0]["sd"])
+    np.testing.assert_array_less(judged_by[0]["sd"], np.hypot(np.sqrt(2.0) * spread, 0.03))
+    np.testing.assert_array_less(judged_by[1]["sd"], 0.03)
 
 
 def test_with_the_spray_accepted_design_and_loss_are_found():
