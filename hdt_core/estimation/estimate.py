@@ -116,7 +116,7 @@ class Estimate:
         slope = problem.sensitivity(theta)
         cov, _ = covariance_of_free(problem.bounds, slope.T @ slope + problem.prior.information)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / np.sqrt(cov.diagonal())))
+            return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / self.belief.sd))
 
     def summary(self) -> str:
         """Report in words and numbers, with what lmfit's has."""
