@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.flight.phases import LEG_KEY, add_phases, number_legs
+from hdt_core.flight.phases import LEG_KEY, add_phases, number_legs, seconds_between
 from hdt_core.flight.quality import SIGNALS, null_bad_values
 from hdt_core.flight.steady import average_log, steady_snapshots
 from hdt_core.flight.windows import flag_windows, number_flights
@@ -85,7 +85,7 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
 def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
     """One row a flight and pack with what the rules look at."""
     cruise = pl.col("phase") == "cruise"
-    cruise_s = (pl.col("time_utc").filter(cruise).max() - pl.col("time_utc").filter(cruise).min()).dt.total_seconds()
+    cruise_s = seconds_between(pl.col("time_utc").filter(cruise).max(), pl.col("time_utc").filter(cruise).min())
     legs = samples.group_by(LEG_KEY).agg(
         pl.col("departed_at").first(),
         pl.col("time_utc").max().alias("landed_at"),

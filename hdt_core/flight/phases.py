@@ -50,7 +50,7 @@ def add_phases(flown: pl.DataFrame, *, by: tuple[str, ...] = LEG_KEY) -> pl.Data
     recorded = flown if "mach" in flown.columns else flown.with_columns(mach=pl.lit(None, pl.Float64))
     rows = number_legs(recorded.sort(*by, "time_utc"), by).with_columns(
         pl.col("altitude_m").interpolate_by("time_utc").forward_fill().backward_fill().over(keys).alias("_held_m"),
-        (pl.col("time_utc").diff().dt.total_seconds().median() <= CONTINUOUS_GAP_S)
+        (seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1)).median() <= CONTINUOUS_GAP_S)
         .over(keys)
         .fill_null(False)
         .alias("_log"),

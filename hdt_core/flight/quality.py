@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.flight.phases import number_legs
+from hdt_core.flight.phases import number_legs, seconds_between
 
 # signal: (lowest, highest physical value, largest jump out of and back to its neighbours that a sound sensor makes)
 LIMITS: dict[str, tuple[float, float, float]] = {
@@ -100,7 +100,7 @@ def _run(signal: str) -> pl.Expr:
 
 def _frozen_noisy(signal: str) -> pl.Expr:
     run = _run(signal)
-    span_s = (pl.col("time_utc").max() - pl.col("time_utc").min()).dt.total_seconds().over(run)
+    span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
     running = pl.col(signal) > OFF_BELOW * LIMITS[signal][1]
     return (pl.col(signal).count().over(run) >= NOISY_RUN) & (span_s >= NOISY_RUN_S) & running
 

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.flight.phases import number_legs
+from hdt_core.flight.phases import number_legs, seconds_between
 from hdt_core.flight.quality import SIGNALS
 
 WINDOW_S = 60
@@ -133,7 +133,7 @@ def _held(signal: str) -> pl.Expr:
 
     def moved(step: int) -> pl.Expr:
         change = (pl.col(signal) - pl.col(signal).shift(step).over("_leg")).abs()
-        span_s = (pl.col("time_utc") - pl.col("time_utc").shift(step).over("_leg")).dt.total_seconds().abs()
+        span_s = seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(step).over("_leg")).abs()
         same = pl.col("phase") == pl.col("phase").shift(step).over("_leg")
         return pl.when(same).then(change - pl.max_horizontal(rate * span_s, pl.lit(4.0 * 2**0.5 * noise)))
 

@@ -124,7 +124,7 @@ def test_a_log_is_level_below_300_feet_a_minute_over_60_seconds(rate, level):
     assert rates[129:131] == pytest.approx([1.0, 0.0])
 
 
-@pytest.mark.parametrize(("every_s", "continuous"), [(10.0, True), (11.0, False)])
+@pytest.mark.parametrize(("every_s", "continuous"), [(10.0, True), (10.5, False)])
 def test_records_ten_seconds_apart_are_a_log(every_s, continuous):
     # sixty samples of a log are smoothed over thirty on either side, snapshots are not
     bump = np.where(np.arange(100) == 50, 8100.0, 8e3)

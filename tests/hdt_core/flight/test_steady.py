@@ -144,7 +144,7 @@ def test_a_slope_is_both_significant_and_harmful():
 def test_a_snapshot_is_held_where_the_nearer_neighbour_agrees(signal):
     rate, noise = DRIVERS[signal]
     most = max(rate * 60.0, 4.0 * 2.0**0.5 * noise)
-    for every_s in (60, 600):
+    for every_s in (60.9, 600.9):
         most = max(rate * every_s, 4.0 * 2.0**0.5 * noise)
         for times, steady in ((0.999, True), (1.001, False)):
             assert held(signal, [0.0, times * most, 3.0 * most], every_s)[1] is steady
@@ -152,7 +152,7 @@ def test_a_snapshot_is_held_where_the_nearer_neighbour_agrees(signal):
             assert held(signal, [9.0 * most, 0.0, times * most], every_s)[1] is steady
 
 
-def held(signal: str, values: list[float], every_s: int, **more: object) -> list[bool]:
+def held(signal: str, values: list[float], every_s: float, **more: object) -> list[bool]:
     start = datetime(2024, 3, 1, tzinfo=UTC)
     rows = {
         "tail": "A", "time_utc": [start + timedelta(seconds=every_s * k) for k in range(len(values))], "level": True,
