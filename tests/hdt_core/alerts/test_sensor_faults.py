@@ -47,7 +47,7 @@ def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
     lost = np.where(np.isin(FLIGHT, (30, 32)), 0.3, 0.0)
     assert spans(found(lost=lost)) == [("SENSOR_FAULT", 32, 40)]
     assert found(lost=np.where(np.isin(FLIGHT, (30, 33)), 0.3, 0.0)) == []
-    for after, closed in ((0.066, 48), (0.067, None)):
+    for after, closed in ((0.2 / 3.0, 48), (0.067, None)):
         held = np.where(FLIGHT < 30, 0.0, np.where(FLIGHT <= 40, 0.3, after))
         assert [case.closed for case in found(lost=held)] == [closed]
     assert found(work_before(50, "SENSOR"), lost=empty(0.3))[0].closed == 50

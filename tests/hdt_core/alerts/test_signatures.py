@@ -86,7 +86,7 @@ def test_the_posterior_is_bayes_rule(seed: int) -> None:
 MOVES = """
 inlet_minus_tat_k 0.35 0.3: cc_in_k 1, tat_k -1
 inlet_over_total_pressure_ln 0.003 0.3: cc_in_pa 1, total_pressure_pa -1
-total_over_pitot_pressure_ln 0.0008 0.3: total_pressure_pa 1, mach -1.5, altitude_m 1
+total_over_pitot_pressure_ln 0.0008 0.3: total_pressure_pa 1, mach -1, altitude_m 1
 pack_over_compressor_flow_ln 0.011 0.3: pack_flow_kg_s 1, cc_flow_kg_s -1
 tat_between_packs_k 0.15 0.3: tat_k 1
 total_pressure_between_packs_ln 0.0008 0.3: total_pressure_pa 1
