@@ -170,7 +170,7 @@ def signatures() -> Signatures:
     return Signatures(tuple(names), shift, blur, usual, (which, channel), wander)
 
 
-def classify(z: Array, flights: Array | float = 9.0) -> list[tuple[str, str, float]]:
+def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:
     """Posterior over the hypotheses for observed shifts.
 
     Parameters

@@ -38,7 +38,7 @@ def test_does_not_name_what_it_cannot_know() -> None:
     # left against right alone can't tell whose outlet it is
     z = np.full(KNOWN.shift.shape[1], np.nan)
     z[AT["hx_out_between_packs_k"]] = 12.0
-    assert classify(z)[0][2] == pytest.approx(0.5, abs=0.02)
+    assert classify(z, FLIGHTS)[0][2] == pytest.approx(0.5, abs=0.02)
 
 
 def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
@@ -125,7 +125,7 @@ def test_the_matrix_is_that_on_paper() -> None:
 def test_probabilities_add_up_with_channels_missing() -> None:
     z = 5.0 * KNOWN.shift[0]
     z[3:] = np.nan
-    assert sum(p for _, _, p in classify(z)) == pytest.approx(1.0)
+    assert sum(p for _, _, p in classify(z, FLIGHTS)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("inlet", [-2.0, 0.0, 3.0])
@@ -134,7 +134,7 @@ def test_a_real_step_of_the_exchanger_is_no_sensor(inlet: float) -> None:
     # a blockage takes ram flow, too, and the hot inlet feels it
     z[AT["hx_fouling_flight"]], z[AT["hx_in_over_discharge_k"]] = 12.0, inlet
     z[AT["hx_in_over_pressure_k"]] = np.nan
-    assert classify(z)[0][:2] == ("hx", "own")
+    assert classify(z, FLIGHTS)[0][:2] == ("hx", "own")
 
 
 def test_chance_is_no_fault() -> None:
