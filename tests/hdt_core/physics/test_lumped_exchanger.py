@@ -12,6 +12,7 @@ from hdt_core.physics.lumped_exchanger import (
     CP_HOT_J_KG_K,
     effectiveness_ceiling,
     lumped_exchanger,
+    rates_k_s,
     steady_outlets_k,
     tied_coefficient_w_k,
 )
@@ -29,6 +30,15 @@ def test_tied_coefficient_comes_back(hot_flow, ram_flow, h):
     lost = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
     won = ram_flow * CP_COLD_J_KG_K * (ram_out - 250.0)
     assert lost == pytest.approx(won, rel=1e-11)
+
+
+def test_rates_are_those_of_equations_7_and_8():
+    """Heat through the core over c_p, and 70 K lost and 40 K won by streams of 0.9 and 1.6 kg/s, over the masses."""
+    more = {"hx_h_hot_w_k": 2500.0, "hx_h_cold_w_k": 2000.0, "hx_mass_hot_kg": 5.0, "hx_mass_cold_kg": 8.0}
+    hot, cold = rates_k_s(**AT, **more, hot_volume_k=320.0, cold_volume_k=290.0)
+    assert hot == pytest.approx((0.9 * 70.0 - 2500.0 * 30.0 / CP_HOT_J_KG_K) / 5.0)
+    assert cold == pytest.approx((-1.6 * 40.0 + 2000.0 * 30.0 / CP_COLD_J_KG_K) / 8.0)
+    assert [(s.name, s.sigma) for s in lumped_exchanger().outputs] == [("hot_out_k", 0.5), ("ram_out_k", 0.5)]
 
 
 def test_untied_coefficients_break_the_balance_of_heat():
