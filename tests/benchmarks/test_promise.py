@@ -49,8 +49,8 @@ def test_a_sigma_declared_three_times_too_small_is_not_passed_in_silence(estimat
     assert "lack_of_fit" in estimate.summary()
 
 
-def test_scaled_deviations_cover_where_the_declared_do_not():
-    declared, scaled, sandwich = [], [], []
+def test_deviations_cover_where_those_of_the_declared_sigma_do_not():
+    declared, stated, scaled, sandwich = [], [], [], []
     truth_of = np.random.default_rng(7).spawn(150)
     for rng in truth_of:
         draw = np.random.default_rng(rng.integers(2**32))
@@ -59,10 +59,12 @@ def test_scaled_deviations_cover_where_the_declared_do_not():
         expected = np.array([truth.uniform(1.0, 5.0), truth.uniform(0.2, 2.0)])
         estimate = NonlinearLeastSquares().estimate(loud(np.random.default_rng(seed))[0])
         away = np.abs(estimate.belief.mean - expected)
-        declared.append(away < 1.645 * estimate.belief.sd)
+        declared.append(away < 1.645 * estimate.identifiability.bound_sd)
+        stated.append(away < 1.645 * estimate.belief.sd)
         scaled.append(away < 1.645 * estimate.fit.scaled_sd)
         sandwich.append(away < 1.645 * estimate.fit.sandwich_sd)
     assert np.mean(declared) < 0.55
+    assert np.mean(stated) == pytest.approx(0.9, abs=0.05)
     assert np.mean(scaled) == pytest.approx(0.9, abs=0.05)
     assert np.mean(sandwich) == pytest.approx(0.9, abs=0.07)
 
