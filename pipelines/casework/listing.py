@@ -30,8 +30,9 @@ def list_cases(home: Path, where: str = OPEN, arguments: dict[str, Any] | None =
         con.register("told_cases", CaseLog(home).entries().to_arrow())
         found = con.execute(
             f"""select c.*, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows
-            from ({asked}) as c join alert_states as s using (alert_id) where {where}
-            order by list_position(['act', 'plan', 'none'], c.urgency), c.raised_at, c.alert_id""",
+            from ({asked}) as c join alert_states as s using (alert_id)
+            left join open_alerts as o using (alert_id) where {where}
+            order by o.place nulls last, c.raised_at, c.alert_id""",
             arguments or {},
         )
         return rows(found)

@@ -86,9 +86,11 @@ def _weight(alert: Row) -> tuple[int, int]:
 
 
 def _place(row: Row) -> tuple[Any, ...]:
-    """The most urgent first, then by aircraft."""
-    weight = _weight(row) if "severity" in row else (0, 0)
-    return (-weight[0], -weight[1], *(str(row.get(c) or "") for c in ("operator", "tail", "pack", "file", "since")))
+    """In the order of `open_alerts`, then by aircraft."""
+    return (
+        row.get("place") or float("inf"),
+        *(str(row.get(c) or "") for c in ("operator", "tail", "pack", "file", "since")),
+    )
 
 
 def _closed(was: Row, now: State) -> Row:

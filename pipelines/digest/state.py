@@ -19,8 +19,10 @@ select
     strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
     a.recommended_action as action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
-    a.now_p_event_50 as p_event_50, o.outcome, o.work_orders
-from alert_states as a left join alert_outcomes as o on a.alert_id = o.alert_id
+    a.now_p_event_50 as p_event_50, n.place, o.outcome, o.work_orders
+from alert_states as a
+left join alert_outcomes as o on a.alert_id = o.alert_id
+left join open_alerts as n on a.alert_id = n.alert_id
 order by a.alert_id
 """
 _OUTLOOK = """

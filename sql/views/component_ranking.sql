@@ -1,7 +1,7 @@
 -- Which units of declared components are most in need of attention tonight?
--- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), none, unknown (nothing was seen of the unit
--- beyond the prior: loss and prognosis are null).
+-- urgency: act (an alert is open that says so, or unit_urgencies does: a message before the next chance to act is more
+-- likely than not), plan (an alert is open, or that chance is one in ten), none, unknown (nothing was seen of the
+-- unit beyond the prior: loss and prognosis are null).
 -- name: what the night shift calls the component
 -- lost: what it loses
 -- last_flight_id: its last flight
@@ -10,8 +10,8 @@
 -- place: 1 is the most urgent; what is not known stands last
 -- missing_since: departure of the first flight without an estimate, where nothing was seen
 -- missing_reason: why most legs since were not admitted; a code, as in component_legs
--- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, prognoses, unobserved_units,
--- alert_urgencies, tables.components.
+-- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, unit_urgencies,
+-- unobserved_units, alert_urgencies, tables.components.
 create or replace view component_ranking as
 with unobserved as (
     select *
@@ -34,23 +34,13 @@ latest as (
 ),
 
 outlook as (
-    select
-        operator,
-        tail,
-        pack,
-        component,
-        arg_max(rul_flights, departed_at) as rul_flights,
-        arg_max(rul_low, departed_at) as rul_low,
-        arg_max(rul_high, departed_at) as rul_high,
-        arg_max(p_event_50, departed_at) as p_event_50,
-        arg_max(status, departed_at) as status
-    from prognoses
+    select *
+    from unit_urgencies
     where
         (operator, tail, pack, component) not in (
             select (u.operator, u.tail, u.pack, u.component)
             from unobserved as u
         )
-    group by operator, tail, pack, component
 ),
 
 alerted as (
@@ -74,6 +64,8 @@ judged as (
         l.component,
         c.name,
         c.lost,
+        o.chance,
+        o.message_cost,
         if(u.component is null, l.loss, null) as loss,
         if(u.component is null, l.loss_sd, null) as loss_sd,
         o.rul_flights,
@@ -84,8 +76,8 @@ judged as (
         l.last_flight_id,
         l.last_departed_at,
         case
-            when coalesce(a.any_act, false) or (o.p_event_50 >= 0.5 and o.status = 'ok') then 'act'
-            when a.diagnoses is not null or o.p_event_50 >= 0.1 then 'plan'
+            when coalesce(a.any_act, false) or o.urgency = 'act' then 'act'
+            when a.diagnoses is not null or o.urgency = 'plan' then 'plan'
             when l.loss is null or u.component is not null then 'unknown'
             else 'none'
         end as urgency,
@@ -104,11 +96,13 @@ judged as (
 )
 
 select
-    *,
+    * exclude (chance, message_cost),
     row_number() over (
         order by
             list_position(['act', 'plan', 'none', 'unknown'], urgency) asc,
-            p_event_50 desc nulls last,
+            message_cost desc nulls last,
+            chance desc nulls last,
+            rul_flights asc nulls last,
             loss desc nulls last,
             operator asc,
             tail asc,

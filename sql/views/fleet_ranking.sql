@@ -1,8 +1,9 @@
 -- Which packs are most in need of attention tonight?
--- urgency: act (an alert is open that says so, or an event within 50 flights is more likely than not), plan (an alert
--- is open, or an event within 50 flights has a chance of one in ten), none, unknown (nothing was seen of the exchanger
--- beyond the prior: its columns are null, as are the compressor's where nothing was seen of that). A prognosis that an
--- inspection contradicts does not say act. Units of other declared components stand in component_ranking.
+-- urgency: act (an alert is open that says so, or unit_urgencies does: a message before the next chance to act is more
+-- likely than not), plan (an alert is open, or that chance is one in ten), none, unknown (nothing was seen of the
+-- exchanger beyond the prior: its columns are null, as are the compressor's where nothing was seen of that). Of one
+-- urgency the dearer expected message comes first, then the likelier, then the fewer flights left. Units of declared
+-- components stand in component_ranking.
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first
@@ -17,8 +18,8 @@
 -- missing_since: departure of the first flight without an estimate, where nothing was seen
 -- missing_reason: why most legs since were not admitted; a code, as in legs
 -- missing_columns: columns that the estimate needs and that hold no value since
--- Grain: pack. Reads: health_parameters, missing_estimates, prognoses, unobserved_units, alert_urgencies,
--- tables.components.
+-- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unobserved_units,
+-- alert_urgencies, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
@@ -68,15 +69,16 @@ outlook as (
         operator,
         tail,
         pack,
-        arg_max(rul_flights, departed_at) filter (where component = 'HX') as rul_flights,
-        arg_max(rul_low, departed_at) filter (where component = 'HX') as rul_low,
-        arg_max(rul_high, departed_at) filter (where component = 'HX') as rul_high,
-        arg_max(p_event_50, departed_at) filter (where component = 'HX') as p_event_50,
-        arg_max(rul_flights, departed_at) filter (where component = 'CC') as cc_rul_flights,
-        arg_max(p_event_50, departed_at) filter (where component = 'CC') as cc_p_event_50,
-        arg_max(status, departed_at) filter (where component = 'HX') as status,
-        arg_max(status, departed_at) filter (where component = 'CC') as cc_status
-    from prognoses
+        any_value(rul_flights) filter (where component = 'HX') as rul_flights,
+        any_value(rul_low) filter (where component = 'HX') as rul_low,
+        any_value(rul_high) filter (where component = 'HX') as rul_high,
+        any_value(p_event_50) filter (where component = 'HX') as p_event_50,
+        any_value(rul_flights) filter (where component = 'CC') as cc_rul_flights,
+        any_value(p_event_50) filter (where component = 'CC') as cc_p_event_50,
+        max(chance) filter (where component in ('HX', 'CC')) as chance,
+        max(message_cost) filter (where component in ('HX', 'CC')) as message_cost,
+        list(urgency) filter (where component in ('HX', 'CC')) as urgencies
+    from unit_urgencies
     where
         (operator, tail, pack, component) not in (
             select (u.operator, u.tail, u.pack, u.component)
@@ -130,10 +132,9 @@ judged as (
         l.cc_efficiency_loss_sd,
         o.cc_rul_flights,
         o.cc_p_event_50,
-        greatest(coalesce(o.p_event_50, 0), coalesce(o.cc_p_event_50, 0)) as p_event,
-        greatest(
-            if(o.status = 'ok', coalesce(o.p_event_50, 0), 0), if(o.cc_status = 'ok', coalesce(o.cc_p_event_50, 0), 0)
-        ) as p_believed,
+        o.chance,
+        o.message_cost,
+        coalesce(o.urgencies, []) as urgencies,
         coalesce(a.any_act, false) as any_act
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
@@ -144,8 +145,8 @@ urgent as (
     select
         *,
         case
-            when any_act or p_believed >= 0.5 then 'act'
-            when diagnoses is not null or p_event >= 0.1 then 'plan'
+            when any_act or 'act' in urgencies then 'act'
+            when diagnoses is not null or 'plan' in urgencies then 'plan'
             when hx_fouling is null then 'unknown'
             else 'none'
         end as urgency
@@ -174,7 +175,9 @@ select
     row_number() over (
         order by
             list_position(['act', 'plan', 'none', 'unknown'], u.urgency) asc,
-            u.p_event desc,
+            u.message_cost desc nulls last,
+            u.chance desc nulls last,
+            u.rul_flights asc nulls last,
             u.hx_fouling desc nulls last,
             u.operator asc,
             u.tail asc,

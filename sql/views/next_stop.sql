@@ -189,8 +189,8 @@ segments as (
 told as (
     select
         *,
-        if(points is null, null, ln(greatest(1 - points[k], 1e-9))) as before,
-        if(points is null, null, ln(greatest(1 - points[k + 1], 1e-9))) as after,
+        if(points[k] is null, null, ln(greatest(1 - points[k], 1e-9))) as before,
+        if(points[k + 1] is null, null, ln(greatest(1 - points[k + 1], 1e-9))) as after,
         (flights - knots[k]) / (knots[k + 1] - knots[k]) as share
     from segments
 ),

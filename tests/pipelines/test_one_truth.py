@@ -9,8 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from hdt_core.components import component_rows
+from pipelines.casework.board import Board
+from pipelines.casework.listing import list_cases
 from pipelines.cli import app
 from pipelines.cli.night import _ranking
+from pipelines.digest.changes import changes_since
+from pipelines.digest.orders import work_orders
 from pipelines.report.explain import explain
 from pipelines.report.facts import read_facts
 from pipelines.report.page import page
@@ -109,6 +113,43 @@ def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
     assert badges == [(f"{tail} pack {pack}", URGENCY[urgency]) for tail, pack, urgency, _ in packs]
     for name, urgency in opened:
         assert f"{URGENCY[urgency]}. Alert {name}." in str(explain(home, name))
+
+
+def test_seven_places_share_one_order_that_follows_the_prognosis(home, report, capsys):
+    """Terminal, report, digest, orders, `case list`, serve and the view."""
+    with connect(home) as con:
+        packs = [f"{t} {p}" for t, p in con.sql("select tail, pack from fleet_ranking order by place").fetchall()]
+        opened = [a for (a,) in con.sql("select alert_id from open_alerts order by place").fetchall()]
+        orders = work_orders(con)["alert_id"].to_list()
+    _ranking(home)
+    assert re.findall(r"AAA (T-\d \d)", capsys.readouterr().out) == packs
+    badges = re.findall(r"(T-\d) pack (\d) \(\w+\)\s+AAA\s+(?:Act now|Plan|No action)", part(report, "ranking"))
+    assert [" ".join(b) for b in badges] == packs
+    assert orders == opened
+    assert [r["alert_id"] for r in changes_since(home).changes["new"]] == opened
+    assert [c["alert_id"] for c in list_cases(home)] == opened
+    board = [name for name, case in Board(home).read().cases.items() if case["closed_at"] is None]
+    assert board == opened
+    assert [a.split(" ")[0] for a in re.findall(r"AAA, case (\w+)", report)][: len(opened)] == opened
+
+
+@pytest.mark.parametrize(("chance", "urgency"), [(0.501, "act"), (0.499, "plan"), (0.101, "plan"), (0.099, "none")])
+def test_the_chance_before_the_next_chance_to_act_decides(tmp_path, chance, urgency):
+    """30 flights lie before the end of 30 days: the hazard between 25 and 50 flights is even."""
+    points = {f"p_event_{n}": min(1.0, chance * n / 30) for n in (25, 50, 100, 200, 300)}
+    points["p_event_50"] = 1 - (1 - chance) ** 5 / (1 - points["p_event_25"]) ** 4
+    store, own = Store(tmp_path), tables("T-1")
+    for name in ("raw_flights", "twin_health"):
+        store.replace(name, [("AAA", "T-1")], pl.DataFrame(own[name]))
+    outlook = pl.DataFrame(own["prognoses"]).filter(pl.col("pack") == 1)
+    store.replace("prognoses", [FLEET], outlook.with_columns(pl.lit(v).alias(c) for c, v in points.items()))
+    store.replace("components", [FLEET], pl.DataFrame(component_rows()))
+    publish(tmp_path)
+    with connect(tmp_path) as con:
+        ((got, expected),) = con.sql("select urgency, chance from unit_urgencies").fetchall()
+        ranked = con.sql("select urgency from fleet_ranking where pack = 1").fetchall()
+    assert expected == pytest.approx(chance, abs=1e-6)
+    assert (got, ranked) == (urgency, [(urgency,)])
 
 
 def test_a_card_tells_then_from_now(report):
