@@ -162,7 +162,7 @@ STAGES = (
     Stage(
         "legs",
         "legs",
-        alike("legs_samples", "legs_verdicts", parents=("raw_flights",), code="2"),
+        alike("legs_samples", "legs_verdicts", parents=("raw_flights",), code="3"),
         fresh="legs_verdicts",
     ),
     Stage(
@@ -227,7 +227,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="15"),
+        alike("features_alerts", parents=("features",), code="16"),
     ),
     Stage(
         "raw_components",
