@@ -106,7 +106,7 @@ def conclude(
     if status in ("converged", "approximate") and not inside:
         status = "at_bound" if _rests_on_bound(problem.bounds, theta, own, held=False) else status
     spread = own if cov is None else cov
-    if variance > 1.0 and not own_objective and inside:
+    if variance > 1.0 and not own_objective and told:
         spread = spread + covariance_of_free(problem.bounds, seen.information / variance + prior)[0] - own
     return Estimate(
         Belief(theta, spread),
