@@ -10,37 +10,28 @@
 -- n_weeks: weeks that rate rests on
 -- status: ok; contradicted (the part was found clean since); beyond_horizon (more flights are left than the prognosis
 -- looks ahead: days_left is the least it can be); no_rate (how often it flies is not known); not_known (no prognosis)
--- Grain: operator, tail, pack, component. Reads: prognoses, flight_rates.
+-- Grain: operator, tail, pack, component. Reads: last_prognoses, flight_rates.
 create or replace view due_dates as
-with latest as (
+with dated as (
     select
-        operator,
-        tail,
-        pack,
-        component,
-        max(departed_at) as said_at,
-        arg_max(rul_flights, departed_at) as rul_flights,
-        arg_max(rul_low, departed_at) as rul_low,
-        arg_max(rul_high, departed_at) as rul_high,
-        arg_max(coalesce(beyond_horizon, false), departed_at) as beyond_horizon,
-        arg_max(status, departed_at) as said_status
-    from prognoses
-    where rul_flights is not null
-    group by operator, tail, pack, component
-),
-
-dated as (
-    select
-        l.*,
+        l.operator,
+        l.tail,
+        l.pack,
+        l.component,
+        l.rul_flights,
+        l.rul_low,
+        l.rul_high,
+        l.beyond_horizon,
+        l.status as prognosis_status,
         r.last_departed_at,
         r.flights_per_day,
         r.n_weeks,
         l.rul_flights / r.flights_per_day as days_left,
         l.rul_low / r.flights_per_day as days_left_low,
         if(l.rul_high < 300, l.rul_high / r.flights_per_day, null) as days_left_high
-    from latest as l
+    from last_prognoses as l
     left join flight_rates as r on l.operator = r.operator and l.tail = r.tail
-    where l.said_status != 'prior_only' -- a day needs more than what is believed of any unit
+    where l.status != 'prior_only' -- a day needs more than what the prior says of any unit
 )
 
 select
@@ -62,7 +53,7 @@ select
     last_departed_at,
     case
         when flights_per_day is null then 'no_rate'
-        when said_status != 'ok' then said_status
+        when prognosis_status != 'ok' then prognosis_status
         when beyond_horizon then 'beyond_horizon'
         else 'ok'
     end as status

@@ -8,13 +8,22 @@
 -- most_per_day: and in the fullest
 -- Grain: operator, tail. Reads: flights.
 create or replace view flight_rates as
-with spans as (
+with departures as (
+    select
+        operator,
+        tail,
+        flight_id,
+        departed_at
+    from flights
+),
+
+spans as (
     select
         operator,
         tail,
         min(departed_at) as first_at,
         max(departed_at) as last_at
-    from flights
+    from departures
     group by operator, tail
 ),
 
@@ -32,7 +41,7 @@ counted as (
         w.week,
         count(f.flight_id) as n
     from weeks as w
-    left join flights as f
+    left join departures as f
         on
             w.operator = f.operator
             and w.tail = f.tail

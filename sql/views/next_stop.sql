@@ -1,8 +1,7 @@
 -- Wash, replace or defer at the next stop: with what chance of a message until the next check, and at what cost?
--- Chances are the prognosis's own points (25 to 300 flights), between them by a hazard that is even from point to
--- point. That of a washed or replaced unit is what the fleet's prognoses said of such units, 5 to 25 flights after the
--- work, in the median. Costs are those of costs.toml; an expected cost is that of the work and, times the chance, of a
--- message. What a part is worth beyond the check is not in it.
+-- The chance of a washed or replaced unit is the median of the fleet's prognoses of such units, 5 to 25 flights after
+-- the work. Costs are those of costs.toml; an expected cost is that of the work and, times the chance, of a message.
+-- What a part is worth beyond the check is not in it.
 -- choice: wash, replace, or defer (to the check)
 -- check_name: the check it is deferred to: the next that is planned after the aircraft's last flight
 -- until_on: its day; where none is planned the end of horizon_days of the cost table
@@ -16,22 +15,15 @@
 -- n_units: units of the fleet that the chance after a wash or a replacement rests on
 -- place: 1 is the least expected cost of the pack's component; NULL where there is none
 -- status: ok; no_check_planned (until_on is the horizon's end); beyond_horizon (the prognosis looks 300 flights ahead
--- and no further: no chance is told); contradicted (the part was found clean since); few_units (fewer than two such
+-- and no further); contradicted (the part was found clean since); few_units (fewer than two such
 -- units were seen); no_rate (how often the aircraft flies is not known); no_cost (the cost table has none, or is wrong)
--- Grain: operator, tail, pack, component, choice. Reads: prognoses, flight_rates, tables.raw_checks,
--- tables.raw_costs, tables.raw_maintenance.
+-- Grain: operator, tail, pack, component, choice. Reads: prognoses, check_chances, tables.raw_costs,
+-- tables.raw_maintenance.
 create or replace view next_stop as
-with latest as (
-    select
-        operator,
-        tail,
-        pack,
-        component,
-        arg_max(status, departed_at) as said_status,
-        arg_max([0.0, p_event_25, p_event_50, p_event_100, p_event_200, p_event_300], departed_at) as points
-    from prognoses
-    where p_event_50 is not null
-    group by operator, tail, pack, component
+with units as (
+    select *
+    from check_chances
+    where status != 'prior_only' -- money needs more than what the prior says of any unit
 ),
 
 renewals as (
@@ -86,37 +78,6 @@ renewed as (
     group by component, choice
 ),
 
-horizons as (
-    select coalesce(max(horizon_days), 30)::integer as horizon_days from tables.raw_costs
-),
-
-checks as (
-    select
-        f.operator,
-        f.tail,
-        min(c.planned_on) as planned_on,
-        arg_min(c.name, c.planned_on) as name
-    from flight_rates as f
-    inner join tables.raw_checks as c
-        on f.operator = c.operator and f.tail = c.tail and (f.last_departed_at at time zone 'UTC')::date < c.planned_on
-    group by f.operator, f.tail
-),
-
-spans as (
-    select
-        f.operator,
-        f.tail,
-        f.flights_per_day,
-        c.name as check_name,
-        c.planned_on is not null as planned,
-        coalesce(c.planned_on, (f.last_departed_at at time zone 'UTC')::date + h.horizon_days) as until_on,
-        until_on - (f.last_departed_at at time zone 'UTC')::date as days,
-        days * f.flights_per_day as flights
-    from flight_rates as f
-    cross join horizons as h
-    left join checks as c on f.operator = c.operator and f.tail = c.tail
-),
-
 costs as (
     select
         component,
@@ -137,69 +98,36 @@ choices as (
     where item != 'message'
     union all by name
     select distinct
-        l.component,
+        u.component,
         'defer' as choice,
         null::double as cost,
         null::varchar as currency
-    from latest as l
-    anti join costs as c on l.component = c.component and c.item = 'at_check'
-),
-
-placed as (
-    select
-        l.operator,
-        l.tail,
-        l.pack,
-        l.component,
-        o.choice,
-        s.check_name,
-        s.planned,
-        s.until_on,
-        s.days,
-        s.flights,
-        s.flights_per_day,
-        o.cost,
-        m.cost as message_cost,
-        o.currency,
-        l.said_status,
-        if(o.choice = 'defer', null, coalesce(r.n_units, 0)) as n_units,
-        if(o.choice = 'defer' or r.n_units >= 2, if(o.choice = 'defer', l.points, r.points), null) as points,
-        [0, 25, 50, 100, 200, 300] as knots
-    from latest as l
-    inner join choices as o on l.component = o.component
-    left join spans as s on l.operator = s.operator and l.tail = s.tail
-    left join renewed as r on o.component = r.component and o.choice = r.choice
-    left join costs as m on l.component = m.component and m.item = 'message'
-    where l.said_status != 'prior_only' -- money needs more than what is believed of any unit
-),
-
-segments as (
-    select
-        *,
-        case
-            when flights < 25 then 1
-            when flights < 50 then 2
-            when flights < 100 then 3
-            when flights < 200 then 4
-            when flights <= 300 then 5
-        end as k
-    from placed
-),
-
-told as (
-    select
-        *,
-        if(points[k] is null, null, ln(greatest(1 - points[k], 1e-9))) as before,
-        if(points[k + 1] is null, null, ln(greatest(1 - points[k + 1], 1e-9))) as after,
-        (flights - knots[k]) / (knots[k + 1] - knots[k]) as share
-    from segments
+    from units as u
+    anti join costs as c on u.component = c.component and c.item = 'at_check'
 ),
 
 chances as (
     select
-        *,
-        1 - exp(before + share * (after - before)) as chance
-    from told
+        u.operator,
+        u.tail,
+        u.pack,
+        u.component,
+        u.check_name,
+        u.until_on,
+        u.days,
+        u.flights,
+        u.flights_per_day,
+        o.choice,
+        o.cost,
+        m.cost as message_cost,
+        o.currency,
+        u.status as prognosis_status,
+        if(o.choice = 'defer', null, coalesce(r.n_units, 0)) as n_units,
+        if(o.choice = 'defer', u.points, if(r.n_units >= 2, r.points, null)) as points
+    from units as u
+    inner join choices as o on u.component = o.component
+    left join renewed as r on o.component = r.component and o.choice = r.choice
+    left join costs as m on u.component = m.component and m.item = 'message'
 )
 
 select
@@ -213,10 +141,10 @@ select
     days,
     flights,
     flights_per_day,
-    chance,
+    chance_within(points, flights) as chance,
     if(flights > 300, points[6], null) as chance_at_least,
     cost,
-    cost + chance * message_cost as expected_cost,
+    cost + chance_within(points, flights) * message_cost as expected_cost,
     currency,
     n_units,
     case
@@ -229,9 +157,9 @@ select
         when flights is null then 'no_rate'
         when points is null then 'few_units'
         when flights > 300 then 'beyond_horizon'
-        when choice = 'defer' and said_status != 'ok' then said_status
+        when choice = 'defer' and prognosis_status != 'ok' then prognosis_status
         when cost is null or message_cost is null then 'no_cost'
-        when not planned then 'no_check_planned'
+        when check_name is null then 'no_check_planned'
         else 'ok'
     end as status
 from chances;

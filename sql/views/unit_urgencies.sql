@@ -4,36 +4,32 @@
 -- chance: of a message by then; the least it can be where the prognosis does not look so far [-]
 -- message_cost: expected cost of that message; NULL without a cost table [currency]
 -- urgency: act (more likely than not, and no inspection contradicts it), plan (one in ten), none
--- Grain: operator, tail, pack, component. Reads: prognoses, next_stop.
+-- Grain: operator, tail, pack, component. Reads: check_chances, tables.raw_costs.
 create or replace view unit_urgencies as
-with latest as (
+with message_costs as (
     select
-        operator,
-        tail,
-        pack,
         component,
-        arg_max(rul_flights, departed_at) as rul_flights,
-        arg_max(rul_low, departed_at) as rul_low,
-        arg_max(rul_high, departed_at) as rul_high,
-        arg_max(p_event_50, departed_at) as p_event_50,
-        arg_max(status, departed_at) as status
-    from prognoses
-    group by operator, tail, pack, component
+        max(cost) as cost
+    from tables.raw_costs
+    where item = 'message'
+    group by component
 ),
 
 chances as (
     select
-        l.*,
-        if(l.status = 'prior_only', null, coalesce(s.chance, s.chance_at_least, l.p_event_50)) as chance,
-        s.expected_cost - s.cost as message_cost
-    from latest as l
-    left join next_stop as s
-        on
-            l.operator = s.operator
-            and l.tail = s.tail
-            and l.pack = s.pack
-            and l.component = s.component
-            and s.choice = 'defer'
+        c.operator,
+        c.tail,
+        c.pack,
+        c.component,
+        c.rul_flights,
+        c.rul_low,
+        c.rul_high,
+        c.p_event_50,
+        c.status,
+        if(c.status = 'prior_only', null, coalesce(c.chance, c.chance_at_least, c.p_event_50)) as chance,
+        if(c.status = 'prior_only', null, c.chance) * m.cost as message_cost
+    from check_chances as c
+    left join message_costs as m on c.component = m.component
 )
 
 select
