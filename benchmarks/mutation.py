@@ -1,7 +1,9 @@
 """Which small edits of a room do its tests notice? `make mutate ROOM=margin [SAMPLE=60] [SEED=1]`.
 
 Cosmic Ray makes the mutants. Each is tried in a copy of the tree, by a process forked from one that has loaded the
-libraries and nothing of the project. `tests/mutants.toml` lists each room's tests and the mutants that change nothing.
+libraries and nothing of the project: the test files that import the edited module, then the rest of the room, quick
+files first, up to the first failure, without the tests of `tests/long.toml`. `tests/mutants.toml` lists the mutants
+that change nothing.
 """
 
 import difflib
@@ -10,15 +12,18 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 import typer
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -41,6 +46,7 @@ OPERATORS = (
     *(f"core/ReplaceUnaryOperator_Delete_{sign}" for sign in ("USub", "Not", "Invert")),
     *(f"core/{name}" for name in KEYWORDS.split()),
 )
+SEARCH = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
 NO_SCIENCE = ("annassign", "decorator", "fstring", "tfpdef", "import_from", "raise_stmt")
 
 
@@ -55,13 +61,14 @@ class ScaledNumber(NumberReplacer):
 
 
 def is_science(node: NodeOrLeaf) -> bool:
-    """Tell code from annotations, decorators and messages."""
+    """Tell code from annotations, decorators, messages and the check of `zip`."""
     parent = node.parent
     if parent is None:
         return True
     syntax = parent.type == "parameters" and node.type == "operator"
     annotation = parent.type == "funcdef" and node is parent.annotation
-    return node.type not in NO_SCIENCE and not syntax and not annotation and is_science(parent)
+    check = node.type == "argument" and node.get_first_leaf().value == "strict"
+    return node.type not in NO_SCIENCE and not (syntax or annotation or check) and is_science(parent)
 
 
 def places(source: str) -> Iterator[tuple[Operator, int]]:
@@ -78,23 +85,40 @@ def edit(before: str, after: str) -> tuple[str, str]:
     return tuple(" ".join(line[1:].strip() for line in lines if line[0] == sign) for sign in "-+")
 
 
-def run_tests(tests: list[str], log: Path, libraries: Path | None) -> None:
-    """Run the tests in this process and end it; list the libraries that they loaded."""
+class Clock:
+    """Adds up the seconds of each test file."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add one step of a test."""
+        self.seconds[report.nodeid.partition("::")[0]] += report.duration
+
+
+def run_tests(tests: list[str], log: Path, record: Path | None) -> None:
+    """Run the tests in this process and end it; record the libraries that they loaded and the seconds of each file."""
     os.setsid()
     sys.path.insert(0, os.getcwd())
     with log.open("w") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
-    code = pytest.main(["-x", "-q", "--ff", "--assert=plain", "-p", "no:xdist", *tests])
-    if libraries:
+    clock = Clock()
+    hypothesis.settings.register_profile("mutants", deadline=None, derandomize=True, phases=SEARCH, database=None)
+    long = tomllib.loads(Path("tests/long.toml").read_text())
+    deselected = [f"--deselect={test}" for group in long.values() for test in group["tests"]]
+    options = ["-x", "-q", "--assert=plain", "-p", "no:xdist", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"]
+    code = pytest.main([*options, *deselected, *tests], plugins=[clock])
+    if record:
         places = {name: getattr(module, "__file__", None) or "" for name, module in sys.modules.items()}
-        libraries.write_text(json.dumps([name for name, place in places.items() if "site-packages" in place]))
+        libraries = [name for name, place in places.items() if "site-packages" in place]
+        record.write_text(json.dumps({"libraries": libraries, "seconds": clock.seconds}))
     os._exit(code)
 
 
-def passes(tests: list[str], log: Path, limit_s: float, libraries: Path | None = None) -> bool:
+def passes(tests: list[str], log: Path, limit_s: float, record: Path | None = None) -> bool:
     """Run the tests in a forked process, for so long at most."""
-    process = multiprocessing.get_context("fork").Process(target=run_tests, args=(tests, log, libraries))
+    process = multiprocessing.get_context("fork").Process(target=run_tests, args=(tests, log, record))
     process.start()
     process.join(limit_s)
     if process.is_alive():
@@ -111,49 +135,62 @@ def copy_tree(folder: Path) -> None:
         (folder / name).symlink_to(ROOT / name)
 
 
-def load_libraries(tests: list[str]) -> float:
-    """Run the tests once as they are, load the libraries that they use, and return the seconds of a run."""
-    libraries = Path("libraries.json")
-    for listing in (libraries, None):
-        start = time.monotonic()
-        if not passes(tests, Path("unchanged.log"), 600, listing):
-            sys.exit(f"The tests fail on the unchanged tree:\n{Path('unchanged.log').read_text()[-2000:]}")
-        for name in json.loads(libraries.read_text()):
-            importlib.import_module(name)
-    return time.monotonic() - start
+def load_libraries(tests: list[str]) -> dict[str, float]:
+    """Run the tests once as they are, load the libraries that they use, and return the seconds of each file."""
+    record = Path("unchanged.json")
+    if not passes(tests, Path("unchanged.log"), 900, record):
+        sys.exit(f"The tests fail on the unchanged tree:\n{Path('unchanged.log').read_text()[-2000:]}")
+    recorded = json.loads(record.read_text())
+    for name in recorded["libraries"]:
+        importlib.import_module(name)
+    return recorded["seconds"]
 
 
-def survivors(drawn: list[tuple[str, str, str]], tests: list[str], limit_s: float) -> Iterator[tuple[str, str, str]]:
-    """Yield the mutants (module, source, changed source) that the tests pass."""
-    for mutant in drawn:
-        module, source, changed = mutant
-        Path(module).write_text(changed)
-        if passes(tests, Path("mutant.log"), limit_s):
-            yield mutant
-        Path(module).write_text(source)
+def batches(module: str, seconds: dict[str, float]) -> list[list[str]]:
+    """Split a room's test files: those that import the module, then the others; quick ones first."""
+    quick = sorted(seconds, key=seconds.__getitem__)
+    package, _, name = module.removesuffix(".py").replace("/", ".").rpartition(".")
+    near = re.compile(rf"{package}\.{name}\b|from {package} import .*\b{name}\b")
+    own = [file for file in quick if near.search(Path(file).read_text())]
+    return [files for files in (own, [file for file in quick if file not in own]) if files]
+
+
+def survives(mutant: tuple[str, str, str], seconds: dict[str, float]) -> bool:
+    """Try one mutant (module, source, changed source)."""
+    module, source, changed = mutant
+    Path(module).write_text(changed)
+    alive = all(
+        passes(files, Path("mutant.log"), 20 + 6 * sum(seconds[file] for file in files))
+        for files in batches(module, seconds)
+    )
+    Path(module).write_text(source)
+    return alive
 
 
 def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
     """Mutate a sample of a room's places; print the survivors and the score."""
     register = tomllib.loads((ROOT / "tests/mutants.toml").read_text())
-    tests = register["tests"].get(room, [f"tests/hdt_core/{room}"])
+    tests = sorted(map(str, Path("tests/hdt_core", room).glob("test_*.py")))
     sources = {str(p.relative_to(ROOT)): p.read_text() for p in (ROOT / "hdt_core" / room).glob(f"{module}.py")}
     everything = [(name, source, *place) for name, source in sorted(sources.items()) for place in places(source)]
     sampled = random.Random(seed).sample(everything, min(sample, len(everything)))
-    drawn = sorted((name, source, mutate_code(source, *place)) for name, source, *place in sampled)
+    drawn = [(name, source, mutate_code(source, *place)) for name, source, *place in sampled]
     equivalent = {(e["module"], e["before"], e["after"]) for e in register["equivalent"]}
     tried = [(name, *texts) for name, *texts in drawn if (name, *edit(*texts)) not in equivalent]
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy_tree(Path(folder))
         os.chdir(folder)
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-        unchanged_s, start, alive = load_libraries(tests), time.monotonic(), []
-        for name, *texts in survivors(tried, tests, 10 + 4 * unchanged_s):
-            alive.append(name)
-            print("survives {}\n  before = {!r}\n  after = {!r}".format(name, *edit(*texts)), flush=True)
+        seconds, start, caught = load_libraries(tests), time.monotonic(), 0
+        for number, (name, *texts) in enumerate(tried, 1):
+            if survives((name, *texts), seconds):
+                print("survives {}\n  before = {!r}\n  after = {!r}".format(name, *edit(*texts)), flush=True)
+            else:
+                caught += 1
+            print(f"  {caught} of {number} caught", flush=True)
         each_s = (time.monotonic() - start) / len(tried)
     print(
-        f"{room}: {len(tried) - len(alive)} of {len(tried)} killed, {100 * (1 - len(alive) / len(tried)):.0f} %; "
+        f"{room}, seed {seed}: {caught} of {len(tried)} caught, {100 * caught / len(tried):.0f} %; "
         f"{len(drawn) - len(tried)} equivalent; {len(everything)} places; {each_s:.1f} s a mutant"
     )
 

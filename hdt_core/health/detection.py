@@ -123,7 +123,6 @@ class _Walk:
         self.offset = np.where(new, np.nan, self.offset)
         self.n, self.moved = np.where(new, 0.0, self.n), np.where(new, 0.0, self.moved)
         self.high, self.low = np.where(new, 0.0, self.high), np.where(new, 0.0, self.low)
-        self.on = self.on & ~new
 
     def take(self, y: Array, s: Cusum) -> Array:
         """One flight; returns its innovation in standard deviations."""

@@ -72,9 +72,7 @@ def _counts() -> list[pl.Expr]:
     flows = [(pl.col(c).median() > RUNNING_KG_S).fill_null(False) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
     lost = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SENSORS]
     still = [
-        ((pl.col(c).max() == pl.col(c).min()) & (pl.col(c).count() >= STILL_SAMPLES))
-        .fill_null(False)
-        .alias(f"{c}_still")
+        ((pl.col(c).max() == pl.col(c).min()) & (pl.col(c).count() >= STILL_SAMPLES)).alias(f"{c}_still")
         for c in SENSORS
     ]
     return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost, *still]

@@ -46,7 +46,7 @@ def asked(critical: Array, pack: Index, flight: Index) -> dict[str, Array]:
     seen = flight - first[pack] + 1
     window = np.sort(_past(known, pack, flight, seen, WINDOW), axis=1)
     recent = np.sort(_past(known, pack, flight, seen, RECENT), axis=1)
-    earlier = _past(known, pack, flight - TREND_FLIGHTS, seen - TREND_FLIGHTS, RECENT).mean(axis=1)
+    earlier = _past(known, pack, flight - TREND_FLIGHTS, seen, RECENT).mean(axis=1)
     trend = np.where(seen >= TREND_FLIGHTS + RECENT, recent.mean(axis=1) - earlier, 0.0)
     columns = [window[:, round(level * (WINDOW - 1))] for level in LEVELS]
     columns += [recent[:, round(level * (RECENT - 1))] for level in NOW]

@@ -226,7 +226,7 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
     n = len(knots)
     if rows.height < 2 * n:
         return (0.0,) * n, 0.0
-    group = rows["group"].rank("dense").to_numpy().astype(np.int64) - 1
+    group = rows["group"].rank("dense").to_numpy().astype(np.int64)
     hats = np.stack([np.interp(rows["x"].to_numpy(), knots, row) for row in np.eye(n)], axis=1)
     basis, y = np.column_stack([hats, rows["third"].to_numpy()]), rows["y"].to_numpy()
     bend = np.diff(np.eye(n, n + 1), 2, axis=0)

@@ -39,7 +39,7 @@ ROWS = [
         "cc_in_pa": 31_000.0 - 350.0 * j, "cc_out_pa": 95_000.0 - 400.0 * j, "cc_out_k": 380.0,
         "cc_speed_rad_s": 4150.0 + 10.0 * j, "cc_flow_kg_s": 0.78, "vda_counts": 400.0 + 20.0 * j,
         "pack_flow_kg_s": 0.76 + 0.01 * j, "hx_in_k": 400.0 + j, "hx_out_k": 300.0 + 1.5 * j,
-        "ram_door_open": (0.3, 0.5, 0.951, 0.96, 0.949, 1.0)[j], "ram_out_k": 330.0 + j,
+        "ram_door_open": (0.3, 0.5, 0.951, 0.96, 0.95, 1.0)[j], "ram_out_k": 330.0 + j,
     }
     for j in range(6)
 ]  # fmt: skip

@@ -73,10 +73,12 @@ def test_a_flight_that_says_nothing_changes_nothing() -> None:
     np.testing.assert_allclose(walked(gaps).z[:, ::2], walked(values).z)
 
 
-def walked_by_hand(values: NDArray[np.float64], prior_sd: float, restarts: frozenset[int]) -> list[tuple[float, ...]]:
+def walked_by_hand(
+    values: NDArray[np.float64], prior_sd: float, restarts: frozenset[int], memory: int
+) -> list[tuple[float, ...]]:
     """One series in plain Python: called, z, moved, sums. Page's sums with slack 1 decide at 8 and clear at 2; a flight
-    counts 4.5 deviations and a sum 14 at most; ten flights teach before any counts, and calm ones of late with a memory
-    of sixty; the scatter starts from twenty flights of the expected one."""
+    counts 4.5 deviations and a sum 14 at most; ten flights teach before any counts, and calm ones of late with a
+    memory; the scatter starts from twenty flights of the expected one, and is half of it at the least."""
     offset, n, spread, spread_n, high, low, on, moved = None, 0, 0.0, 0, 0.0, 0.0, False, 0.0
     rows = []
     for k, y in enumerate(values):
@@ -102,17 +104,17 @@ def walked_by_hand(values: NDArray[np.float64], prior_sd: float, restarts: froze
         if not on and worst < 4.0:
             bounded = min(max(miss, -3.0 * sd), 3.0 * sd)
             if n > 0:
-                weight = 1.0 / min(spread_n + 1, 60)
+                weight = 1.0 / min(spread_n + 1, memory)
                 spread = (1.0 - weight) * (spread if spread_n else prior_sd**2) + weight * bounded**2 * n / (n + 1.0)
-                spread_n = min(spread_n + 1, 60)
-            offset += bounded / min(n + 1, 60)
+                spread_n = min(spread_n + 1, memory)
+            offset += bounded / min(n + 1, memory)
             n += 1
         rows.append((on, z, moved, high, low))
     return rows
 
 
-@pytest.mark.parametrize(("seed", "scatter"), [(0, 0.8), (1, 0.1), (2, 2.0), (3, 0.8)])
-def test_the_walk_is_that_of_its_rule(seed: int, scatter: float) -> None:
+@pytest.mark.parametrize(("seed", "scatter", "memory"), [(0, 0.8, 60), (1, 0.1, 1000), (2, 2.0, 60), (3, 0.8, 60)])
+def test_the_walk_is_that_of_its_rule(seed: int, scatter: float, memory: int) -> None:
     rng = np.random.default_rng(seed)
     values = 3.0 + rng.normal(0.0, scatter, 300)
     values[100:130] += 3.0 * max(scatter, 0.6)
@@ -120,9 +122,9 @@ def test_the_walk_is_that_of_its_rule(seed: int, scatter: float) -> None:
     values[rng.random(300) < 0.1] = np.nan
     restarts = frozenset({115} if seed == 3 else ())
     new = np.isin(np.arange(300), list(restarts))[None, :, None]
-    shift = watch(values[None, :, None], SD, new)
+    shift = watch(values[None, :, None], SD, new, Cusum(memory_flights=memory))
     one = [a[0, :, 0] for a in (shift.called, shift.z, shift.moved, shift.sum_high, shift.sum_low)]
-    np.testing.assert_allclose(np.array(one, dtype=float).T, walked_by_hand(values, 0.8, restarts), atol=1e-9)
+    np.testing.assert_allclose(np.array(one, dtype=float).T, walked_by_hand(values, 0.8, restarts, memory), atol=1e-9)
     assert shift.called.any()
 
 

@@ -112,8 +112,9 @@ def widest_kg_s(inlet_k: np.ndarray, inlet_pa: np.ndarray, limit_rad_s: float = 
 
 
 def test_a_flight_asks_for_what_its_hardest_fifth_does(dsm, laws, flight):
-    row = compressor_demand(flight, dsm, laws).row(0, named=True)
-    rows = compressor_samples(cruise_samples(flight, monitored=False), dsm.pack_table())
+    longer = pl.concat([flight] * 6).with_columns(pl.col("altitude_m") + 9.0 * pl.int_range(pl.len()))
+    row = compressor_demand(longer, dsm, laws).row(0, named=True)
+    rows = compressor_samples(cruise_samples(longer, monitored=False), dsm.pack_table())
     inlet_k, inlet_pa, speed, vda, pack_flow, diameter = (
         rows[c].to_numpy()
         for c in ("inlet_k", "inlet_pa", "cc_speed_rad_s", "vda_counts", "pack_flow_kg_s", "diameter_m")

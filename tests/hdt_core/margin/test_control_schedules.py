@@ -46,7 +46,7 @@ def test_a_schedule_is_read_between_its_knots_with_gain_and_level():
     assert law.column(tails, x, np.array([1.0, 1.0, 0.5, 0.0])).to_list() == [4.0, 2.5, 4.0, None]
     packs = pl.DataFrame({"tail": ["A", "A", "B"], "pack": [1, 2, 1]})
     assert law.level_column(packs).to_list() == [8.0, 7.0, 7.0]
-    assert ControlSchedule((0.0, 1.0), {}, {}).shape("A", np.array([0.5])).tolist() == [0.0]
+    assert ControlSchedule((0.0, 1.0), {}, {}).shape("A", np.array([0.5]), 1.0).tolist() == [0.0]
 
 
 def by_columns(x: np.ndarray, third: np.ndarray, y: np.ndarray, group: np.ndarray, knots: tuple) -> np.ndarray:
@@ -104,6 +104,15 @@ def test_schedules_are_the_least_squares_of_their_aircraft():
     assert learned.delivery.levels[""] == learned.delivery.levels["A/1"]
     assert learned.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], met=False)
     assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
+
+
+def test_a_limit_is_met_where_pressure_falls_short_of_the_schedule_at_its_altitude():
+    fast = pl.int_range(pl.len()) < 30
+    samples = fleet(1).with_columns(
+        cc_speed_rad_s=pl.when(fast).then(4300.0).otherwise("cc_speed_rad_s"),
+        cc_out_pa=pl.col("cc_out_pa") * pl.when(fast).then(np.exp(-0.05)).otherwise(1.0),
+    )
+    assert learn_schedules(samples).speed == SpeedLimit(4300.0, met=True)
 
 
 def test_an_aircraft_has_its_own_law_from_300_samples_on_and_else_that_of_all():
