@@ -7,6 +7,7 @@ that change nothing.
 """
 
 import difflib
+import gc
 import importlib
 import json
 import multiprocessing
@@ -122,6 +123,7 @@ def passes(tests: list[str], log: Path, limit_s: float, record: Path | None = No
     process.start()
     process.join(limit_s)
     if process.is_alive():
+        print(f"  stopped after {limit_s:.0f} s", flush=True)
         os.killpg(process.pid, signal.SIGKILL)
         process.join()
     return process.exitcode == 0
@@ -143,6 +145,7 @@ def load_libraries(tests: list[str]) -> dict[str, float]:
     recorded = json.loads(record.read_text())
     for name in recorded["libraries"]:
         importlib.import_module(name)
+    gc.freeze()  # pytest collects garbage many times, a forked process each object of the libraries anew
     return recorded["seconds"]
 
 
@@ -180,8 +183,9 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy_tree(Path(folder))
         os.chdir(folder)
-        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        sys.dont_write_bytecode = False
         seconds, start, caught = load_libraries(tests), time.monotonic(), 0
+        sys.dont_write_bytecode = True  # that of the unchanged tree stays, and of no mutant is any kept
         for number, (name, *texts) in enumerate(tried, 1):
             if survives((name, *texts), seconds):
                 print("survives {}\n  before = {!r}\n  after = {!r}".format(name, *edit(*texts)), flush=True)

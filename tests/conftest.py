@@ -8,12 +8,16 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 from long_tests import pytest_addoption, pytest_configure  # noqa: F401 - hooks
 from nights import run
 
 from benchmarks import object_server
 
+# a machine under load is no fault of what is tested
+hypothesis.settings.register_profile("any machine", deadline=None)
+hypothesis.settings.load_profile("any machine")
 # scikit-learn's trees spin where the threads of two test processes outnumber the cores: three to ten times slower
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:

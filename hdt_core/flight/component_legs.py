@@ -74,7 +74,7 @@ def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
         pl.len().cast(pl.Int64).alias("n_samples"),
         pl.col("nominal").sum().cast(pl.Int64).alias("n_nominal"),
         (pl.all_horizontal(steady) if steady else pl.lit(True)).alias("steady"),
-        (pl.all_horizontal(model).fill_null(False) | ~lacks_channel(component)).alias("recorded"),
+        (pl.all_horizontal(model) | ~lacks_channel(component)).alias("recorded"),
     )
     reason = (
         pl.when(~pl.col("recorded")).then(pl.lit("NOT_RECORDED"))

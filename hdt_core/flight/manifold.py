@@ -153,7 +153,7 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
     known = add_conductance_index(samples, manifold).select(*keys, "conductance_index").drop_nulls("conductance_index")
     off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
     runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
-    noise = manifold.noise if manifold else 1.0
+    noise = manifold.noise if manifold else np.nan  # without a law no sample has an index
     return (
         known.with_columns(off.alias("_off"))
         .with_columns(runs)

@@ -87,7 +87,7 @@ def test_two_nominal_samples_make_a_leg():
 @pytest.mark.parametrize(
     ("span", "rise_m", "rows", "still"),
     [
-        (0.029, 4100.0, 12, True), (0.031, 4100.0, 12, False), (0.029, 3900.0, 12, False), (0.029, 4100.0, 7, False),
+        (0.029, 4100.0, 12, True), (0.031, 4100.0, 12, False), (0.029, 4000.0, 12, False), (0.029, 4100.0, 7, False),
         (0.029, 4100.0, 8, True),
     ],
 )  # fmt: skip

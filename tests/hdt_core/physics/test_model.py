@@ -11,6 +11,7 @@ from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 from hdt_core.physics.pack import PACK
 from hdt_core.physics.ram_duct import RAM_DUCT
 from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER
+from hdt_core.physics.unmetered_exchanger import SPRAYED
 
 MODELS = [
     COMPRESSOR,
@@ -89,6 +90,53 @@ def test_nominal_values_lie_within_bounds_and_losses_start_at_zero(model):
         assert param.role == "design" or (param.nominal == 0.0 and low < 0.0 and param.drift > 0.0)
 
 
+SENSORS = {
+    "cc_speed_rad_s": (3.0, None, None), "cc_in_k": (0.5, 1.0, None), "cc_in_pa": (150.0, None, 0.003),
+    "vda_counts": (5.0, None, None), "cc_flow_kg_s": (0.01, None, 0.02), "cc_out_pa": (400.0, None, 0.004),
+    "cc_out_k": (0.7, None, None), "hot_flow_kg_s": (0.01, None, 0.02), "ram_flow_kg_s": (None, None, None),
+    "hot_in_k": (0.4, 1.0, None), "hot_out_k": (0.4, 1.0, None), "ram_out_k": (0.4, 1.0, None),
+    "cold_in_k": (0.3, 0.5, None), "tat_k": (0.3, 0.5, None), "altitude_m": (10.0, None, None),
+    "ram_door_open": (0.006, 0.01, None), "total_pressure_pa": (40.0, None, 0.002), "mach": (0.002, None, None),
+}  # fmt: skip
+DESIGN = {
+    "cc_area_diameter_tan_beta_m3": (7.6e-4, 1e-4, 5e-3, 4e-4), "cc_diameter_vda_intercept": (0.1731, 0.05, 0.5, 0.01),
+    "cc_diameter_vda_slope": (-2.9304e-5, -3e-4, 3e-4, 2e-5), "cc_efficiency": (0.75, 0.4, 0.95, 0.05),
+    "hx_core_heat_j_k": (18e3, 2e3, 100e3, None), "hx_ua_reference_w_k": (1700.0, 150.0, 8000.0, None),
+    "hx_exponent_hot": (0.6, 0.3, 0.9, None), "hx_exponent_cold": (0.6, 0.3, 0.9, None),
+    "hx_hot_share": (0.45, 0.1, 0.8, None), "hx_wall_share": (0.1, 0.0, 0.19, None),
+    "ram_area_closed_m2": (0.003, 1.2e-4, 0.05, None), "ram_area_open_m2": (0.04, 0.0067, 0.6, None),
+    "ram_door_low": (1.0 / 3.0, 0.02, 0.98, None), "ram_door_high": (0.6, 0.02, 0.98, None),
+    "ram_core_area_m2": (0.05 / 2.0**0.5, 0.0035, 0.85, None), "ram_recovery": (0.8, 0.4, 1.0, None),
+    "ram_exit_area_m2": (0.05 / 2.0**0.5, 0.0035, 0.85, None),
+    "hx_h_hot_w_k": (2500.0, 1.0, 1e6, None), "hx_h_cold_w_k": (2500.0, 1.0, 1e6, None),
+    "hxt_ntu": (1.6, 0.3, 8.0, 0.4), "hxt_exponent": (0.27, 0.0, 1.0, 0.05), "hxt_water_spray": (0.3, -0.2, 1.0, 0.2),
+    "hx_mass_hot_kg": (8.0, 0.01, 50.0, None), "hx_mass_cold_kg": (8.0, 0.01, 50.0, None),
+}  # fmt: skip
+LOSSES = {
+    "cc_diameter_loss": (-0.1, 0.5, 0.001, 0.04), "cc_efficiency_loss": (-0.1, 0.5, 0.001, 0.008),
+    "hx_fouling": (-0.25, 0.9, 0.003, 0.04), "ram_flow_loss": (-0.1, 0.8, 0.002, None),
+    "hx_h_loss": (-0.5, 0.95, 0.005, None), "hxt_loss": (-1.0, 0.95, 0.01, None),
+}  # fmt: skip
+
+
+def test_sensors_and_ranges_are_those_on_paper():
+    """Noise, bias and gain of each sensor; of each design parameter start, range and deviation of one aircraft; of each
+    loss range, drift and deviation of a unit as made."""
+    installed = (COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT)
+    sensors = {(s.name, (s.sigma, s.bias_sd, s.gain_sd)) for m in installed for s in (*m.inputs, *m.outputs)}
+    assert sensors == set(SENSORS.items())
+    params = {p for m in (*installed, lumped_exchanger("exact"), lumped_exchanger("tustin"), SPRAYED) for p in m.params}
+    design = {p.name: (p.nominal, *p.bounds, p.sd) for p in params if p.role == "design"}
+    assert design == {name: pytest.approx(value) for name, value in DESIGN.items()}
+    assert {p.name: (*p.bounds, p.drift, p.unit_sd) for p in params if p.role == "health"} == LOSSES
+    textbook = {s.name: s.sigma for s in (*lumped_exchanger("exact").inputs, *lumped_exchanger("exact").outputs)}
+    assert textbook == {
+        "hot_flow_kg_s": 0.01, "ram_flow_kg_s": None, "hot_in_k": 0.5, "cold_in_k": 0.2, "hot_out_k": 0.5,
+        "ram_out_k": 0.5,
+    }  # fmt: skip
+    assert [s.sigma for s in SPRAYED.outputs] == [3.0]
+
+
 def test_roles_divide_the_parameters():
     health = {p.name for p in PACK.free("health")}
     design = {p.name for p in PACK.free("design")}
@@ -137,7 +185,10 @@ def test_contradictions_are_refused(change, message):
     ("arguments", "message"),
     [
         ((3.0, (0.0, 2.0), "design"), "outside its bounds"),
+        ((-0.1, (0.0, 2.0), "design"), "outside its bounds"),
         ((0.0, (0.0, 2.0), "health"), "below 0"),
+        ((-0.1, (-1.0, 2.0), "health"), "below 0"),
+        ((1.0, (0.0, 2.0), "design", 0.0, 0.0), "is none"),
         ((0.0, (-1.0, 2.0), "health", -0.1), "negative"),
     ],
 )
