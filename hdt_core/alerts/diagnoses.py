@@ -1,7 +1,7 @@
-"""Every diagnosis an alert may carry, each declared once: whose it is, its words, what to do, what ends it.
+"""Every diagnosis of an alert, declared once: its component, texts, action, and the work that ends it.
 
 A new one is an entry here and a rule that finds its cases (`alerts.find_cases`); report, `hdt explain`, catalog and
-the check of alerts take the rest from the entry.
+the check of alerts read the rest from the entry.
 """
 
 from collections.abc import Callable
@@ -18,26 +18,26 @@ from hdt_core.alerts.wording import Facts
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What is said and done about one kind of case.
+    """One kind of case: its texts, its action and what ends it.
 
     Attributes
     ----------
     code, component, name : str
-        As in the catalog; the component as in the log of work; the name as the night shift says it.
+        As in the catalog; the component as in the log of work; the name in plain words.
     action : str
         What to do, with its ATA task.
     ended_by : tuple of str
-        Actions on the component after which the case no longer speaks of what is fitted.
+        Actions on the component that end the case, because another or a repaired part is fitted.
     severity : callable
         `low`, `medium` or `high` by the facts of a moment.
     evidence : callable
-        What speaks for it, by the facts of a moment and the flight since which it is so.
-    measured : tuple of str
-        Features that are facts of any moment, beside those the case was raised with.
+        Evidence by the facts of a moment and the flight since which the finding stands.
+    features : tuple of str
+        Columns that are facts of any moment, beside those the case was raised with.
     addendum : callable, optional
-        What the facts add to the action.
+        Text that the facts add to the action.
     ended_by_sound : bool
-        Whether an inspection of the component that found nothing ends the case.
+        Whether an inspection of the component without a finding ends the case.
     """
 
     code: str
@@ -47,20 +47,20 @@ class Diagnosis:
     ended_by: tuple[str, ...]
     severity: Callable[[Facts], str]
     evidence: Callable[[Facts, str], Evidence]
-    measured: tuple[str, ...] = ()
+    features: tuple[str, ...] = ()
     addendum: Callable[[Facts], str] = lambda facts: ""
     ended_by_sound: bool = True
 
     def facts(self, grid: Grid, case: Case, flight: int) -> Facts:
-        """What is known after a flight: what the case was raised with, and what has been measured since."""
-        return {**case.facts, **case.at(flight), **{n: _latest(grid, n, case, flight) for n in self.measured}}
+        """Return the facts after a flight: those the case was raised with, and the latest features."""
+        return {**case.facts, **case.at(flight), **{n: _latest(grid, n, case, flight) for n in self.features}}
 
 
 def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
-    """Last value of a feature from the flight that raised the case to `flight`."""
-    seen = grid.track(name, case.unit)[case.raised : flight + 1]
-    seen = seen[np.isfinite(seen)]
-    return float(seen[-1]) if seen.size else np.nan
+    """Return the last value of a feature from the flight that raised the case to `flight`."""
+    values = grid.track(name, case.unit)[case.raised_flight : flight + 1]
+    values = values[np.isfinite(values)]
+    return float(values[-1]) if values.size else np.nan
 
 
 _EXCHANGER = (
@@ -87,7 +87,7 @@ DIAGNOSES = {
             ended_by=("REPLACED", "CLEANED"),
             severity=wording.exchanger_severity,
             evidence=wording.exchanger,
-            measured=_EXCHANGER,
+            features=_EXCHANGER,
         ),
         Diagnosis(
             code="HX_SUDDEN_CLOG",
@@ -98,7 +98,7 @@ DIAGNOSES = {
             ended_by=("REPLACED", "CLEANED"),
             severity=lambda facts: "high",
             evidence=wording.clog,
-            measured=_EXCHANGER,
+            features=_EXCHANGER,
         ),
         Diagnosis(
             code="HX_LOW_MARGIN",
@@ -109,8 +109,8 @@ DIAGNOSES = {
             ended_by=("REPLACED", "CLEANED"),
             severity=wording.margin_severity,
             evidence=wording.low_margin,
-            measured=(*_EXCHANGER, *_MARGIN),
-            ended_by_sound=False,  # it says itself that wear is not why
+            features=(*_EXCHANGER, *_MARGIN),
+            ended_by_sound=False,  # its evidence already excludes wear as the only cause
         ),
         Diagnosis(
             code="CC_DEGRADED",
@@ -120,7 +120,7 @@ DIAGNOSES = {
             ended_by=("REPLACED",),
             severity=lambda facts: "medium",
             evidence=wording.compressor,
-            measured=_COMPRESSOR,
+            features=_COMPRESSOR,
         ),
         Diagnosis(
             code="RAM_DOOR_FAULT",
@@ -139,7 +139,7 @@ DIAGNOSES = {
             ended_by=REPAIR,
             severity=wording.sensor_severity,
             evidence=wording.sensor,
-            addendum=wording.sensor_named,
+            addendum=wording.sensor_addendum,
         ),
     )
 }

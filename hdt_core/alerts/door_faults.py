@@ -1,44 +1,44 @@
-"""Ram door faults, told by the controller's law: a jam, and travel that ends too soon."""
+"""Ram door faults by the controller's law: a jam, and travel that ends too soon."""
 
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts.cases import REPAIR, Case, Limits, spells
+from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.detection import Array, persistent
 from hdt_core.margin.control_schedules import DOOR_FREE
 from hdt_core.records.keys import PACK
 
 STOP_MEMORY = 40
-"""Flights within which a door that ran into the same stop twice is believed to have one."""
+"""Flights within which two hits of the same opening confirm a stop."""
 SAME_STOP = 0.03
 """Openings closer than this may be one stop: noise, quantisation and a flight's last approach to it. [-]"""
 JAM_ABOVE, PEG_ABOVE = 0.06, 0.15
-"""A door no wider than this above its lower stop may rest there, and its outlet then says nothing of its travel. [-]"""
+"""A door no wider than this above its lower stop may rest there; its outlet then says nothing of its travel. [-]"""
 SURE_PEG_K, SURE_PEG_SAMPLES = 3.0, 3
 """Excess and samples at the stop with which one flight is enough: nine sigma of a sound flight, and more
-than a TAT that reads 5 K wrong feigns. [K]"""
+than a TAT error of 5 K feigns. [K]"""
 WARM_K, USUAL_FLIGHTS = 6.0, 40
 """Outlet above what is usual beside its target at which a motionless door is jammed wherever it stands, for a free one
-would open: three sigma of a flight's own trim. [K] Flights that say what is usual."""
+would open: three sigma of a flight's own trim, [K]; and the flights whose median is the usual value."""
 WIDE_OPEN = 0.93
-"""A door that rests wider than this is at its proper end: a fouled exchanger's, not a faulty door's."""
+"""Opening above which a door is at its proper end, as behind a fouled exchanger. [-]"""
 
 
 def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Case]:
-    """Cases of all doors.
+    """Find the cases of all doors.
 
     A jam: the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none), away
     from its stops, or anywhere if the outlet runs warm. Lost travel: the outlet ran warm at the widest opening, and on
     target below it; on one flight beyond doubt, or on two at the same opening.
     """
-    ended = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
+    restart = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
     jam, peg = _jams(grid, limits), _pegs(grid, limits)
-    jammed = persistent(jam, 2, 3, 4, ended=ended)
+    jammed = persistent(jam, *limits.jam_persistence, restart=restart)
     sure = peg & (grid.values("door_peg_excess_k") > SURE_PEG_K) & (grid.values("door_peg_n") >= SURE_PEG_SAMPLES)
-    stopped = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, ended) & ~jammed
-    cases = [_case(grid, "jam", jam, spell) for spell in spells(jammed, ended)]
-    return cases + [_case(grid, "lost travel", peg, spell) for spell in spells(stopped, ended)]
+    short_travel = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, restart) & ~jammed
+    cases = [_case(grid, "jam", jam, run) for run in runs(jammed, restart)]
+    return cases + [_case(grid, "lost travel", peg, run) for run in runs(short_travel, restart)]
 
 
 def _jams(grid: Grid, limits: Limits) -> Array:
@@ -50,7 +50,7 @@ def _jams(grid: Grid, limits: Limits) -> Array:
 
 
 def _above_usual_k(grid: Grid) -> Array:
-    """Outlet above its target, less what that was over the flights before. (units, flights) [K]"""
+    """Return the outlet above its target less the median over the flights before. (units, flights) [K]"""
     out = np.full(grid.shape, np.nan)
     if "w_hx_out_minus_target_k" in grid.rows.columns:
         above = pl.col("w_hx_out_minus_target_k")
@@ -67,37 +67,37 @@ def _pegs(grid: Grid, limits: Limits) -> Array:
 
 
 def _lower_stop(grid: Grid) -> Array:
-    """Smallest opening that either pack's door has shown so far; types differ in where their doors come to rest."""
+    """Return the smallest opening of either pack's door so far; types differ in where their doors rest."""
     low = grid.values("door_max") - grid.values("door_span")
     return np.asarray(np.fmin.accumulate(np.fmin(low, grid.across(low)), axis=1))
 
 
-def _same_stop(widest: Array, peg: Array, sure: Array, ended: Array) -> Array:
-    """Flights on which a stop is believed: from the second time it was hit, or the first beyond doubt, until the door
-    is repaired or goes wider."""
+def _same_stop(widest: Array, peg: Array, sure: Array, restart: Array) -> Array:
+    """Flag flights with a stop: from its second hit, or its first beyond doubt, until the door is repaired or goes
+    wider."""
     out = np.zeros(peg.shape, dtype=bool)
     for unit in np.nonzero(peg.any(axis=1))[0]:
-        stops: list[tuple[int, float]] = []
-        believed: float | None = None
+        hits: list[tuple[int, float]] = []
+        stop: float | None = None
         for k in range(peg.shape[1]):
-            if ended[unit, k]:
-                stops, believed = [], None
-            if believed is not None and widest[unit, k] > believed + 2.0 * SAME_STOP:
-                stops, believed = [], None
+            if restart[unit, k]:
+                hits, stop = [], None
+            if stop is not None and widest[unit, k] > stop + 2.0 * SAME_STOP:
+                hits, stop = [], None
             if peg[unit, k]:
                 here = float(widest[unit, k])
-                stops = [s for s in stops if k - s[0] <= STOP_MEMORY]
-                again = any(abs(s[1] - here) < SAME_STOP for s in stops)
-                believed = here if again or sure[unit, k] else believed
-                stops.append((k, here))
-            out[unit, k] = believed is not None
+                hits = [s for s in hits if k - s[0] <= STOP_MEMORY]
+                again = any(abs(s[1] - here) < SAME_STOP for s in hits)
+                stop = here if again or sure[unit, k] else stop
+                hits.append((k, here))
+            out[unit, k] = stop is not None
     return out
 
 
-def _case(grid: Grid, kind: str, seen: Array, spell: tuple[int, int, int | None]) -> Case:
-    unit, first, end = spell
+def _case(grid: Grid, kind: str, flags: Array, run: tuple[int, int, int | None]) -> Case:
+    unit, first, end = run
     window = slice(max(first - STOP_MEMORY, 0), first + 1)
-    hits = np.nonzero(seen[unit, window])[0]
+    hits = np.nonzero(flags[unit, window])[0]
     excess_k = grid.values("door_peg_excess_k")[unit, window][hits]
     facts = {
         "kind": kind,

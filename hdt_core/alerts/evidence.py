@@ -1,4 +1,4 @@
-"""What speaks for an alert, what against it, and how that is written down."""
+"""Evidence of an alert, for and against, and its text."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,35 +7,35 @@ SUPPORTS, NEUTRAL, AGAINST = ROLES = ("Supports", "Neutral", "Against")
 
 
 class Corroboration(NamedTuple):
-    """A second look at what an alert claims: its role (of `ROLES`) and what it shows."""
+    """An independent observation that bears on an alert: its role (of `ROLES`) and its text."""
 
     role: str
-    says: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Why an alert stands, at one moment.
+    """Evidence of an alert at one moment.
 
     Attributes
     ----------
-    moved : str
-        What moved, by how much, since when.
-    witnesses : tuple of Corroboration
-        What else was looked at, each with its role.
+    finding : str
+        What changed, by how much, since when.
+    corroborations : tuple of Corroboration
+        Other observations, each with its role.
     otherwise : str
-        What else could explain it.
+        Other explanations.
     waiting : str
-        What waiting costs.
+        Cost of waiting.
     """
 
-    moved: str
-    witnesses: tuple[Corroboration, ...]
+    finding: str
+    corroborations: tuple[Corroboration, ...]
     otherwise: str
     waiting: str
 
     def text(self) -> str:
-        """One paragraph: the finding, its witnesses by role, the alternatives, the cost."""
-        by_role = ((role, [w.says for w in self.witnesses if w.role == role]) for role in ROLES)
-        told = [f"{role}: {'; '.join(says)}." for role, says in by_role if says]
-        return " ".join([f"{self.moved}.", *told, f"Else: {self.otherwise}.", f"{self.waiting}."])
+        """Return one paragraph: the finding, its corroborations by role, the alternatives, the cost."""
+        by_role = ((role, [w.text for w in self.corroborations if w.role == role]) for role in ROLES)
+        sentences = [f"{role}: {'; '.join(texts)}." for role, texts in by_role if texts]
+        return " ".join([f"{self.finding}.", *sentences, f"Else: {self.otherwise}.", f"{self.waiting}."])

@@ -1,4 +1,4 @@
-"""Whose sensor it is, once a cross check has left its level: all checks, weighed by their signatures."""
+"""Isolate the faulty sensor after a shift of a cross check, by Bayes' rule over the signatures of all checks."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, classify
 from hdt_core.health.detection import Array, Shift
 
-SURE, SURE_NOT = 0.95, 0.99
-"""Probability at which a sensor is named, and at which the other pack's is believed to be the culprit."""
-PATIENCE = 100
-"""Flights that a shift may wait for its name: a slow drift is a small shift at first."""
-LATEST, AT_LEAST, BEFORE, GAP = 12, 4, 20, 8
-"""Flights that a shift is measured over, at most and at least; those before it that the loss is held against, and how
-many lie between, in which the shift may have begun unseen."""
+OWN_PROBABILITY, OTHER_PROBABILITY = 0.95, 0.99
+"""Probability at which a sensor of this pack is isolated, and at which the fault is left to the other pack. [-]"""
+MAX_DELAY = 100
+"""Flights within which a shift must be isolated: a slow drift is a small shift at first."""
+LATE_MOST, LATE_LEAST, EARLIER_FLIGHTS, GAP_FLIGHTS = 12, 4, 20, 8
+"""Flights that a shift is averaged over, at most and at least; earlier flights that the loss is compared with; and
+flights between, in which the shift may have begun undetected."""
 MEDIAN_WORTH = 2.0 / np.pi
-"""Of n normal values, a median is worth this share of them; and a spike is worth nothing."""
+"""Efficiency of the median of normal values against their mean. [-]"""
 WEAR_SD = 1e-3
 """Loss that wear may add from one flight to the next. [-]"""
-AT_ONCE = 16
-"""Flights that are looked at together: most shifts have their name by then."""
+BLOCK_FLIGHTS = 16
+"""Flights evaluated together: most shifts are isolated within them."""
 
 
 @dataclass(frozen=True)
 class Indications:
-    """What the classifier may look at: shifts of the checks, the loss as each flight alone says, the other pack."""
+    """Input of the classifier: shifts of the checks, each flight's own estimate of loss, the row of the other pack."""
 
     grid: Grid
     shift: Shift
@@ -36,78 +36,78 @@ class Indications:
     partner: Array
 
     @cached_property
-    def departed(self) -> Array:
-        """When each flight left, (units, flights), as `Grid.departures` tells it."""
+    def departures(self) -> Array:
+        """`Grid.departures`. (units, flights)"""
         return self.grid.departures()
 
-    def name(self, channel: int, spell: tuple[int, int, int | None]) -> tuple[int, dict[str, Any]] | None:
-        """First flight that blames a sensor of this pack with confidence, and what it says; None where none does."""
-        unit, first, end = spell
-        # a shift still there when the record ends is called beyond it too, where the grid is but padding
-        flown = self.grid.count(unit)
-        last = min(end if end is not None else flown, flown, first + PATIENCE)
-        for k, z, flights in self._along(unit, first, last):
-            told = classify(z, flights)
-            other = sum(p for s, w, p in told if w == "other" and s not in NO_SENSOR)
-            mine = [(s, w, p) for s, w, p in told if w != "other" and s not in NO_SENSOR]
-            sure = sum(p for *_, p in mine)
-            if other > SURE_NOT and k - first >= 5:
+    def isolate(self, channel: int, run: tuple[int, int, int | None]) -> tuple[int, dict[str, Any]] | None:
+        """Return the first flight that isolates a sensor of this pack, and the facts; None where none does."""
+        unit, first, end = run
+        # a shift still there when the record ends is flagged beyond it too, where the grid is padding
+        n_flights = self.grid.count(unit)
+        last = min(end if end is not None else n_flights, n_flights, first + MAX_DELAY)
+        for k, z, flights in self._flight_shifts(unit, first, last):
+            posterior = classify(z, flights)
+            other_probability = sum(p for s, w, p in posterior if w == "other" and s not in NO_SENSOR)
+            mine = [(s, w, p) for s, w, p in posterior if w != "other" and s not in NO_SENSOR]
+            own_probability = sum(p for *_, p in mine)
+            if other_probability > OTHER_PROBABILITY and k - first >= 5:
                 return None
-            if sure > SURE:
+            if own_probability > OWN_PROBABILITY:
                 sensor, whose, _ = mine[0]
-                moved = {"moved": float(self.shift.moved[unit, k, channel]), "sigma": float(z[channel])}
-                facts = {"sensor": sensor, "whose": whose, "p": sure, "biased": True}
-                return k, facts | {"channel": CHANNELS[channel].name, **moved}
+                shift = {"moved": float(self.shift.departure[unit, k, channel]), "sigma": float(z[channel])}
+                facts = {"sensor": sensor, "whose": whose, "p": own_probability, "biased": True}
+                return k, facts | {"channel": CHANNELS[channel].name, **shift}
         return None
 
     def same_time(self, unit: int, flights: Array, other: int) -> Array:
-        """Last flight that the other pack had recorded by this one's departure on each; -1 before its first."""
-        return np.asarray(np.searchsorted(self.departed[other], self.departed[unit, flights], side="right") - 1)
+        """Return the other pack's last flight by this pack's departure on each flight; -1 before its first."""
+        return np.asarray(np.searchsorted(self.departures[other], self.departures[unit, flights], side="right") - 1)
 
-    def _along(self, unit: int, first: int, last: int) -> Iterator[tuple[int, Array, Array]]:
-        """Each flight with what `at` says of it."""
-        for start in range(first, last, AT_ONCE):
-            flights = np.arange(start, min(start + AT_ONCE, last))
+    def _flight_shifts(self, unit: int, first: int, last: int) -> Iterator[tuple[int, Array, Array]]:
+        """Yield each flight with its row of `at`."""
+        for start in range(first, last, BLOCK_FLIGHTS):
+            flights = np.arange(start, min(start + BLOCK_FLIGHTS, last))
             yield from zip(flights.tolist(), *self.at(unit, flights, first), strict=True)
 
     def at(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
-        """Shifts up to each of some flights in their standard deviations, and flights they are worth: own channels and
+        """Return the shifts up to each flight in standard deviations, and the flights they are worth: own channels and
         loss, then the other pack's. (flights, 2 (C + 1)) each"""
-        mine = self._half(unit, flights, first)
+        mine = self._pack_shifts(unit, flights, first)
         other = int(self.partner[unit])
         if other < 0:
             theirs: tuple[Array, Array] = np.full_like(mine[0], np.nan), np.ones_like(mine[1])
         else:
             *then, began = self.same_time(unit, np.append(flights, first), other)
-            theirs = self._half(other, np.array(then), int(began))
+            theirs = self._pack_shifts(other, np.array(then), int(began))
         z, worth = (np.concatenate(both, axis=1) for both in zip(mine, theirs, strict=True))
         return z, worth
 
-    def _half(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
-        run = np.clip(flights - first + AT_LEAST, AT_LEAST, LATEST)
-        late = flights[:, None] - np.arange(LATEST)
-        late = np.where((late >= 0) & (np.arange(LATEST) < run[:, None]), late, -1)
+    def _pack_shifts(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
+        run = np.clip(flights - first + LATE_LEAST, LATE_LEAST, LATE_MOST)
+        late = flights[:, None] - np.arange(LATE_MOST)
+        late = np.where((late >= 0) & (np.arange(LATE_MOST) < run[:, None]), late, -1)
         z = np.where((late >= 0)[:, :, None], self.shift.z[unit, late], np.nan)
         z, worth = _median_z(z)
-        gained, gained_worth = self._gained(unit, late, first)
-        return np.column_stack([z, gained]), np.column_stack([worth, gained_worth])
+        step, step_worth = self._loss_step(unit, late, first)
+        return np.column_stack([z, step]), np.column_stack([worth, step_worth])
 
-    def _gained(self, unit: int, late: Array, first: int) -> tuple[Array, Array]:
-        """Loss of the late flights above that before the shift, in its standard deviations; flights it is worth."""
-        before = slice(max(first - GAP - BEFORE, 0), max(first - GAP, 0))
+    def _loss_step(self, unit: int, late: Array, first: int) -> tuple[Array, Array]:
+        """Return the step of loss across the shift in standard deviations, and the flights it is worth."""
+        before = slice(max(first - GAP_FLIGHTS - EARLIER_FLIGHTS, 0), max(first - GAP_FLIGHTS, 0))
         now, n_now = _median(np.where(late >= 0, self.loss[unit, late], np.nan)[:, :, None])
         then, n_then = _median(self.loss[None, unit, before, None])
-        counted = (n_now[:, 0] > 0) & (n_then[0, 0] > 0)
-        begun = np.where(late >= 0, late, late.max(axis=1, keepdims=True)).min(axis=1)
-        between = 0.5 * (begun + late.max(axis=1) + 1 - before.start - before.stop)
+        comparable = (n_now[:, 0] > 0) & (n_then[0, 0] > 0)
+        earliest = np.where(late >= 0, late, late.max(axis=1, keepdims=True)).min(axis=1)
+        between = 0.5 * (earliest + late.max(axis=1) + 1 - before.start - before.stop)
         sampling = HX_STEP.sd**2 / MEDIAN_WORTH * (1.0 / np.maximum(n_now[:, 0], 1) + 1.0 / max(int(n_then[0, 0]), 1))
         sd = np.sqrt(sampling + (WEAR_SD * between) ** 2)
-        gained = np.where(counted, (now[:, 0] - then[0, 0]) / sd, np.nan)
-        return gained, np.where(counted, (HX_STEP.sd / sd) ** 2, 1.0)
+        step = np.where(comparable, (now[:, 0] - then[0, 0]) / sd, np.nan)
+        return step, np.where(comparable, (HX_STEP.sd / sd) ** 2, 1.0)
 
 
 def _median_z(z: Array) -> tuple[Array, Array]:
-    """Median over flights (last axis but one), in standard deviations of that median, and flights it is worth; NaN
+    """Return the median over flights (last axis but one) in its standard deviations, and the flights it is worth; NaN
     where never measured. (..., channels) each"""
     middle, n = _median(np.where(z != 0.0, z, np.nan))
     worth = np.maximum(np.where(n > 2, MEDIAN_WORTH * n, n), 1e-9)
@@ -115,8 +115,8 @@ def _median_z(z: Array) -> tuple[Array, Array]:
 
 
 def _median(values: Array) -> tuple[Array, Array]:
-    """Median over the last axis but one of what is known, NaN where nothing is, and how many are."""
-    # what was not measured comes last, and a row of it stands for no flights at all
+    """Return median and number of the finite values over the last axis but one; NaN where there are none."""
+    # NaN sorts last, and a row of NaN covers the case of no flights
     none = np.full((*values.shape[:-2], 1, values.shape[-1]), np.nan)
     ordered = np.sort(np.concatenate([np.where(np.isfinite(values), values, np.nan), none], axis=-2), axis=-2)
     n = np.isfinite(ordered).sum(axis=-2)

@@ -1,13 +1,13 @@
-"""The phrases that evidence is made of, each declared once, with its values as `{name}`; and signals by plain names.
+"""Phrases of evidence, each declared once with its values as `{name}`, and plain names of signals and cross checks.
 
-Who says evidence in another language finds them here: `PHRASES`. A value is a number, a name or a phrase of its own.
+Translations cover all of `PHRASES`. A value is a number, a name or another phrase.
 """
 
 UA_LOST = "UA lost (hx_fouling) {loss}, {sigma} sigma; above {limit} % since {since}, and with probability {odds}"
 WITHIN = "{value} % ({low} to {high})"
 ABOVE = "above {value}"
 TREND = "{points} points more every ten flights (trend of 30)"
-RISEN = "its last ten flights alone lie {points} % above the best ten of this unit"
+RISE = "its last ten flights alone lie {points} % above the best ten of this unit"
 EXCHANGER_ELSE = "a door or outlet sensor at fault, but their checks are quiet; icing would go by the next flight"
 EXCHANGER_COSTS = "Waiting costs ram drag and, when the door has no travel left, the message 21-52-HXTEMP"
 JUMP = "{points} points of it within three flights, which wear doesn't do"
@@ -19,7 +19,7 @@ DOOR_WIDER = "ram door {points} points wider than that of the other pack"
 DOOR_NARROWER = "ram door {points} points narrower than that of the other pack, which has lost less"
 OTHER_LESS = "the other pack has lost {points} points less on the same flights"
 OTHER_ALIKE = "the other pack has lost as much: the same dust, or an error both share"
-FLOW_STARVED = "ram flow {share} % below a clean duct's, as a blocked core has it"
+FLOW_BLOCKED = "ram flow {share} % below a clean duct's, as a blocked core has it"
 FLOW_CLEAN = "ram flow that of a clean duct: no blockage"
 
 MARGIN = (
@@ -47,12 +47,12 @@ COMPRESSOR = (
 )
 COMPRESSOR_ELSE = "a drifting exit temperature sensor"
 COMPRESSOR_COSTS = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
-SHRUNK = (
+SMALLER_DIAMETER = (
     "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} sigma of a "
     "flight and summed up beyond doubt (CUSUM), believed since {since}"
 )
 NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
-SHRUNK_ELSE = "a drifting speed or pressure sensor"
+SMALLER_DIAMETER_ELSE = "a drifting speed or pressure sensor"
 DIAMETER_LOST = "effective diameter lost (cc_diameter_loss) {share} %"
 DIAMETER_LEFT = (
     "{share} % more of it (cc_diameter_left) may go before the flow of the last flight is no longer delivered"
@@ -61,32 +61,34 @@ TOO_SMALL = "at its highest speed {share} % too small (cc_diameter_left) for the
 LEFT_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, {share} % may go (cc_diameter_left_hot_high)"
 SMALL_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, it is {share} % too small (cc_diameter_left_hot_high)"
 
-JAMMED = (
+JAM = (
     "The ram door (ram_door_open) stays at {stop} % from climb to descent since {since} while its controller's need "
     "changes: less than 7 sigma of its sensor's noise, on two of three flights"
 )
 FLICKERS = "its reading flickers, which that of a frozen sensor would not"
-JAMMED_ELSE = "a frozen sensor"
-JAMMED_COSTS = "Until repaired the outlet runs warm or cold, and the door can't make up for fouling"
-STOPPED = (
+JAM_ELSE = "a frozen sensor"
+JAM_COSTS = "Until repaired the outlet runs warm or cold, and the door can't make up for fouling"
+SHORT_TRAVEL = (
     "The ram door (ram_door_open) goes no further than {stop} %: since {since} the outlet ran up to {k} K ({sigma} "
     "sigma of a sound flight) above its target there"
 )
 ON_TARGET = "the outlet was on target wherever the door was not at that stop"
-STOPPED_ELSE = "a fouled exchanger, which would open the door fully first"
-STOPPED_COSTS = "Waiting costs temperature control on hot days"
+SHORT_TRAVEL_ELSE = "a fouled exchanger, which would open the door fully first"
+SHORT_TRAVEL_COSTS = "Waiting costs temperature control on hot days"
 
-EMPTY = (
+DROPOUT = (
     "{sensor} is empty in {share} % of its readings since {since}, on two of three flights; a sound sensor loses about "
     "1 %"
 )
-EMPTY_ELSE = "a loose connector or the recorder's bus"
+DROPOUT_ELSE = "a loose connector or the recorder's bus"
 FROZEN = (
     "{sensor} shows one value, or none that can be true, from climb to descent since {since}, though what it measures "
     "moves, on two of three flights"
 )
 FROZEN_ELSE = "its converter or the recorder's bus"
-SHIFTED = "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} sigma of the mean) since {since}"
+SENSOR_SHIFT = (
+    "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} sigma of the mean) since {since}"
+)
 SENSOR_FITS = "the pattern over all cross checks fits this sensor with probability {odds}"
 SENSOR_ELSE = "another sensor of the same checks; wear leaves them alone"
 SENSOR_COSTS = "Until it is replaced the pack's health is judged without it, and less surely"
@@ -101,13 +103,13 @@ COMPARE = (
     "; found clean on {day}, so neither wash nor new part yet: compare what the loss stands on with the other pack's "
     "on one flight; where all agree, wash, for a film inside is not seen from outside"
 )
-_GREW = "was found clean on {day} at a loss of {level} %, and the loss has grown to {loss} % since {since}"
+_GROWTH = "was found clean on {day} at a loss of {level} %, and the loss has grown to {loss} % since {since}"
 EXCHANGER_CLEAN = (
-    f"The heat exchanger {_GREW}: check the sensors it stands on (inlet and outlet temperature of the exchanger, pack "
-    "flow, total air temperature)"
+    f"The heat exchanger {_GROWTH}: check the sensors it stands on (inlet and outlet temperature of the exchanger, "
+    "pack flow, total air temperature)"
 )
 COMPRESSOR_CLEAN = (
-    f"The compressor {_GREW}: check the sensors it stands on (temperatures and pressures at its inlet and exit)"
+    f"The compressor {_GROWTH}: check the sensors it stands on (temperatures and pressures at its inlet and exit)"
 )
 FOUND_CLEAN = {"HX": EXCHANGER_CLEAN, "CC": COMPRESSOR_CLEAN}
 CLEAN_LOSES_NOTHING = "the inspection: a clean part loses nothing more"
@@ -118,7 +120,7 @@ UNIT_FAILS = "it fails at about {loss}"
 UNIT_STEP = "{points} points came within three flights: a sudden event"
 
 PHRASES = {
-    name: said for name, said in globals().items() if name[0].isupper() and name.isupper() and isinstance(said, str)
+    name: text for name, text in globals().items() if name[0].isupper() and name.isupper() and isinstance(text, str)
 }
 
 SIGNALS = {
@@ -139,7 +141,7 @@ SIGNALS = {
     "cc_flow_kg_s": "compressor flow",
     "vda_counts": "diffuser position",
 }
-"""Signals of the recorder as the night shift calls them."""
+"""Signals of the recorder in plain words."""
 CHECKS = {
     "inlet_minus_tat_k": "compressor inlet against total air temperature",
     "inlet_over_total_pressure_ln": "compressor inlet against total air pressure",
@@ -160,8 +162,8 @@ CHECKS = {
 """Cross checks of sensors."""
 
 
-def named(code: str) -> str:
-    """A signal or a cross check by its plain name, with the name that it has in the catalog.
+def plain_name(code: str) -> str:
+    """Return the plain name of a signal or cross check, with its name in the catalog.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Sensor faults: silent, frozen, or gone from what physics ties them to."""
+"""Sensor faults: dropout, frozen, or shifted against the cross checks."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -6,95 +6,100 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts.cases import REPAIR, Case, Limits, spells
+from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.fault_isolation import Indications
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.signatures import CHANNELS, HX_STEP, SHARED
+from hdt_core.alerts.signatures import CHANNELS, HX_STEP, SHARED_SENSORS
 from hdt_core.health.detection import Array, Cusum, persistent, watch
 from hdt_core.health.sensor_checks import SENSORS
 
-DOOR_MOVES = ("hx_out_minus_target_k", "hx_out_between_packs_k")
-"""Checks that a faulty door of this pack or the other moves as well as a faulty sensor."""
+OUTLET_CHECKS = ("hx_out_minus_target_k", "hx_out_between_packs_k")
+"""Checks that a faulty door of either pack shifts as well as a faulty sensor."""
 BEHIND_DOOR = ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_off_cruise_ln")
-"""Checks whose laws were never seen where a jammed door may stand."""
+"""Checks whose laws do not cover the openings of a jammed door."""
 NEW_WITH = {"HX": BEHIND_DOOR, "CC": ("hx_in_over_pressure_k",)}
-"""Checks that are another unit's once a part is replaced or washed: its ram side, its efficiency."""
-ECHO = 12
-"""Flights by which the shift of a sensor may precede or outlast its silence without being news."""
+"""Checks whose level changes when a part is replaced or washed: its ram side, its efficiency."""
+ECHO_FLIGHTS = 12
+"""Flights before and after a case within which another of the same sensor is the same fault."""
 
 
 def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on: Array, jammed: Array) -> list[Case]:
-    """Cases of all sensors; `door_on` (units, flights) tells where a door fault already explains the outlet, `jammed`
-    where the door is stuck."""
-    ended = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
-    mute = _mute(grid, limits)
-    silent = [c for sensor in SENSORS for c in _silent(grid, sensor, mute[sensor], ended, limits)]
-    return silent + [c for c in _shifted(grid, maintenance, (door_on, jammed), mute) if not _echo(c, silent)]
+    """Find the cases of all sensors; `door_on`, `jammed` (units, flights): a door is at fault, its door is stuck."""
+    restart = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
+    unusable = _unusable(grid, limits)
+    dropouts = [c for sensor in SENSORS for c in _dropout_cases(grid, sensor, unusable[sensor], restart, limits)]
+    return dropouts + [
+        c for c in _shift_cases(grid, maintenance, (door_on, jammed), unusable) if not _repeats(c, dropouts)
+    ]
 
 
-def feigns_wear(case: Case) -> bool:
-    """Whether a sensor that has shifted may make the exchanger look worn; one that flatters it hides wear and excuses
-    none."""
+def may_feign_wear(case: Case) -> bool:
+    """Whether a shifted sensor may make the exchanger look worn; a shift the other way hides wear and explains none."""
     check = next(c for c in CHANNELS if c.name == case.facts["channel"])
-    by_sensor = check.moves.get(case.facts["sensor"], 0.0) * HX_STEP.moves.get(case.facts["sensor"], 0.0)
+    by_sensor = check.effects.get(case.facts["sensor"], 0.0) * HX_STEP.effects.get(case.facts["sensor"], 0.0)
     return bool(by_sensor * case.facts["moved"] >= 0.0)
 
 
 def outlet_doubtful(grid: Grid) -> Array:
-    """Flights about which left and right outlet differ as they never did: not an exchanger's doing, whosever it is."""
+    """Flag flights about which the difference of left and right outlet jumps, which no exchanger does."""
     gap = np.where(grid.flags("running"), grid.values("w_hx_out_between_packs_k"), np.nan)[:, :, None]
     sd = np.array([c.sd for c in CHANNELS if c.name == "hx_out_between_packs_k"])
     z = watch(gap, sd, np.zeros(gap.shape, dtype=bool), Cusum(learn_flights=5)).z[:, :, 0]
     return persistent(np.abs(z) > 2.5, 2, 3, 10)
 
 
-def _mute(grid: Grid, limits: Limits) -> dict[str, Array]:
-    """Flights on which a sensor that has spoken before is empty too often, or shows one value, by sensor.
-
-    (units, flights) bool
-    """
+def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
+    """Flag, by sensor, flights on which a once usable sensor is empty too often or frozen. (units, flights) bool"""
     running, n_snapshots = grid.flags("running"), grid.values("n_snapshots")
-    found = {}
+    unusable = {}
     for sensor in SENSORS:
-        lost, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
-        spoke = np.cumsum(np.nan_to_num(lost, nan=1.0) < 0.5, axis=1) >= 3
-        empty = spoke & (lost > limits.lost) & (lost * n_snapshots >= 4)
-        found[sensor] = running & (empty | still)
-    return found
+        lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
+        usable_before = np.cumsum(np.nan_to_num(lost_share, nan=1.0) < 0.5, axis=1) >= 3
+        empty = usable_before & (lost_share > limits.lost_share) & (lost_share * n_snapshots >= 4)
+        unusable[sensor] = running & (empty | still)
+    return unusable
 
 
-def _silent(grid: Grid, sensor: str, mute: Array, ended: Array, limits: Limits) -> Iterator[Case]:
-    lost, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
-    keep = lost > limits.lost / 3.0
-    for unit, first, end in spells(persistent(mute, 2, 3, 8, keep=keep, ended=ended), ended):
-        kind = "frozen" if still[unit, first] or lost[unit, first] > 0.95 else "dropout"
-        facts = {"sensor": sensor, "kind": kind, "since": max(first - 1, 0), "share": float(lost[unit, first])}
+def _dropout_cases(grid: Grid, sensor: str, unusable: Array, restart: Array, limits: Limits) -> Iterator[Case]:
+    lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
+    keep = lost_share > limits.lost_share / 3.0
+    for unit, first, end in runs(
+        persistent(unusable, *limits.dropout_persistence, keep=keep, restart=restart), restart
+    ):
+        kind = "frozen" if still[unit, first] or lost_share[unit, first] > 0.95 else "dropout"
+        facts = {"sensor": sensor, "kind": kind, "since": max(first - 1, 0), "share": float(lost_share[unit, first])}
         yield Case(unit, "SENSOR", "SENSOR_FAULT", first, end, facts)
 
 
-def _echo(case: Case, silent: list[Case]) -> bool:
-    """Whether a shift only repeats what is known of a silent or frozen sensor."""
-    same = [s for s in silent if s.unit == case.unit and s.facts["sensor"] == case.facts["sensor"]]
-    return any(s.raised - ECHO <= case.raised and (s.closed is None or case.raised <= s.closed + ECHO) for s in same)
+def _repeats(case: Case, dropouts: list[Case]) -> bool:
+    """Whether a shift is that of a sensor already reported as dropped out or frozen."""
+    same = [s for s in dropouts if s.unit == case.unit and s.facts["sensor"] == case.facts["sensor"]]
+    return any(
+        s.raised_flight - ECHO_FLIGHTS <= case.raised_flight
+        and (s.closed_flight is None or case.raised_flight <= s.closed_flight + ECHO_FLIGHTS)
+        for s in same
+    )
 
 
-def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], mute: dict[str, Array]) -> list[Case]:
-    """Drifts and steps: a cross check leaves its unit's own level, and its signature says whose sensor did it."""
+def _shift_cases(
+    grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], unusable: dict[str, Array]
+) -> list[Case]:
+    """Find drifts and steps: a cross check leaves its unit's own level, and the signatures isolate the sensor."""
     door_on, jammed = doors
-    running, ended = grid.flags("running"), grid.worked_on(maintenance, ("SENSOR",), REPAIR)
+    running, restart = grid.flags("running"), grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     values = np.stack([np.where(running, grid.values(f"w_{c.name}"), np.nan) for c in CHANNELS], axis=2)
-    # what a silent sensor still says is no evidence against others
+    # the remaining values of an unusable sensor are no evidence against others
     for k, check in enumerate(CHANNELS):
-        for sensor in (s for s in check.moves if s in mute):
-            dumb = mute[sensor] | (grid.across(mute[sensor]) if check.between else False)
-            values[dumb, k] = np.nan
-    outlet = np.array([c.name in DOOR_MOVES for c in CHANNELS])
+        for sensor in (s for s in check.effects if s in unusable):
+            bad = unusable[sensor] | (grid.across(unusable[sensor]) if check.between else False)
+            values[bad, k] = np.nan
+    outlet = np.array([c.name in OUTLET_CHECKS for c in CHANNELS])
     values[(door_on | grid.across(door_on))[:, :, None] & outlet] = np.nan
     values[jammed[:, :, None] & np.array([c.name in BEHIND_DOOR for c in CHANNELS])] = np.nan
     repaired = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
-    # what the outlet did just before a door was found faulty was the door's doing
+    # a shift of the outlet just before a door fault is detected is the door's
     fresh = repaired | (door_on & ~np.pad(door_on, ((0, 0), (1, 0)))[:, :-1])
-    new = ended[:, :, None] | ((fresh | grid.across(fresh))[:, :, None] & outlet)
+    new = restart[:, :, None] | ((fresh | grid.across(fresh))[:, :, None] & outlet)
     for part, checks in NEW_WITH.items():
         renewed = grid.worked_on(maintenance, (part,), REPAIR)
         new = new | (renewed[:, :, None] & np.array([c.name in checks for c in CHANNELS]))
@@ -102,49 +107,67 @@ def _shifted(grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], 
     evidence = Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
-        for unit, first, end in spells(shift.called[:, :, channel], np.zeros_like(ended)):
-            named = evidence.name(channel, (unit, first, end))
-            if named is not None:
-                flight, facts = named
+        for unit, first, end in runs(shift.called[:, :, channel], np.zeros_like(restart)):
+            isolated = evidence.isolate(channel, (unit, first, end))
+            if isolated is not None:
+                flight, facts = isolated
                 case = Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
-                cases += [case, *_shared(evidence, case)]
-    return _one_each(cases, evidence)
+                cases += [case, *_shared_case(evidence, case)]
+    return _merge_cases(cases, evidence)
 
 
-def _shared(evidence: Indications, case: Case) -> list[Case]:
-    """The same case of the other pack, where both record one sensor."""
+def _shared_case(evidence: Indications, case: Case) -> list[Case]:
+    """Return the same case of the other pack, where both record one sensor."""
     other = int(evidence.partner[case.unit])
     if case.facts["whose"] != "both" or other < 0:
         return []
-    over = case.closed is not None and case.closed < evidence.grid.count(case.unit)
-    here = np.array([case.raised, case.facts["since"], case.closed if over else 0])
-    raised, since, closed = evidence.same_time(case.unit, here, other).tolist()
-    closed = closed if over else None
-    if raised < 0 or (closed is not None and closed <= raised):
+    over = case.closed_flight is not None and case.closed_flight < evidence.grid.count(case.unit)
+    here = np.array([case.raised_flight, case.facts["since"], case.closed_flight if over else 0])
+    raised_flight, since, closed_flight = evidence.same_time(case.unit, here, other).tolist()
+    closed_flight = closed_flight if over else None
+    if raised_flight < 0 or (closed_flight is not None and closed_flight <= raised_flight):
         return []
-    return [replace(case, unit=other, raised=raised, closed=closed, facts=case.facts | {"since": max(since, 0)})]
+    return [
+        replace(
+            case,
+            unit=other,
+            raised_flight=raised_flight,
+            closed_flight=closed_flight,
+            facts=case.facts | {"since": max(since, 0)},
+        )
+    ]
 
 
-def _one_each(cases: list[Case], evidence: Indications) -> list[Case]:
-    """One case for one fault: several checks may find it, and a left-minus-right one finds it twice.
+def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
+    """Merge the cases of one fault: several checks may detect it, and a left-minus-right one detects it twice.
 
-    Two sensors of a pack hardly ever fail within a few flights: the second name is the first fault's, seen by another
-    check. Long after, the other pack may be accused of the same: then the first word was wrong, and its case ends.
+    Two sensors of a pack hardly ever fail within a few flights: the second isolation is the first fault in another
+    check. Where the other pack's same sensor is isolated much later, the first isolation was wrong and its case ends.
     """
-    kept: list[Case] = []
-    for case in sorted(cases, key=lambda c: (c.raised, -c.facts["p"])):
+    distinct: list[Case] = []
+    for case in sorted(cases, key=lambda c: (c.raised_flight, -c.facts["p"])):
         sensor, other = case.facts["sensor"], int(evidence.partner[case.unit])
-        mine = [c for c in kept if c.unit == case.unit]
-        known = [
-            c for c in mine if c.facts["sensor"] == sensor and (c.closed is None or case.raised <= c.closed + ECHO)
+        on_pack = [c for c in distinct if c.unit == case.unit]
+        same = [
+            c
+            for c in on_pack
+            if c.facts["sensor"] == sensor
+            and (c.closed_flight is None or case.raised_flight <= c.closed_flight + ECHO_FLIGHTS)
         ]
-        theirs = [c for c in kept if c.unit == other and c.facts["sensor"] == sensor and sensor not in SHARED]
-        echoes = [c for c in mine + theirs if case.raised <= c.raised + ECHO]
-        if not known and not echoes:
-            kept.append(case)
-            for wrong in theirs:
-                now = max(int(evidence.same_time(case.unit, np.array(case.raised), other)), wrong.raised) + 1
-                wrong.closed = now if wrong.closed is None else min(wrong.closed, now)
-        elif known and known[0].closed is not None:
-            known[0].closed = None if case.closed is None else max(known[0].closed, case.closed)
-    return kept
+        on_other_pack = [
+            c for c in distinct if c.unit == other and c.facts["sensor"] == sensor and sensor not in SHARED_SENSORS
+        ]
+        echoes = [c for c in on_pack + on_other_pack if case.raised_flight <= c.raised_flight + ECHO_FLIGHTS]
+        if not same and not echoes:
+            distinct.append(case)
+            for wrong in on_other_pack:
+                now = (
+                    max(int(evidence.same_time(case.unit, np.array(case.raised_flight), other)), wrong.raised_flight)
+                    + 1
+                )
+                wrong.closed_flight = now if wrong.closed_flight is None else min(wrong.closed_flight, now)
+        elif same and same[0].closed_flight is not None:
+            same[0].closed_flight = (
+                None if case.closed_flight is None else max(same[0].closed_flight, case.closed_flight)
+            )
+    return distinct

@@ -1,4 +1,4 @@
-"""Which sensor is off? A signature matrix of the cross checks, and Bayes' rule over it.
+"""Signature matrix of the cross checks, and Bayes' rule over it to isolate a faulty sensor.
 
 Each fault moves a set of cross checks in known proportions. The size of the fault is unknown, so it is integrated out
 against a normal prior: the class whose direction explains the observed shifts best, and no more freely than it must,
@@ -16,19 +16,19 @@ from hdt_core.health.detection import Array
 
 @dataclass(frozen=True, slots=True)
 class CrossCheck:
-    """A cross check: name, flight-to-flight standard deviation of a sound unit, and what one unit of fault does to it.
+    """A cross check: name, flight-to-flight standard deviation of a sound unit, and its shift by a unit of each fault.
 
-    The scatter follows from the sensors' noise, quantisation and a flight's own trim; units of their own learn theirs.
-    `between` marks a left-minus-right difference: the same fault of the other pack moves it the other way. `blurs` is
-    the standard deviation of what a suspect does where no single figure is right: film, blockage and a new unit differ.
-    `wander` is the slow error of the check itself, season and ageing, in its flight-to-flight standard deviation.
+    The scatter follows from the sensors' noise, quantisation and a flight's own trim; each unit's own is learned.
+    `between` marks a left-minus-right difference: the same fault of the other pack shifts it the other way.
+    `effect_sds` are standard deviations of effects that differ by case: film, blockage and a new unit. `wander` is the
+    slow error of the check itself, season and ageing, in its flight-to-flight standard deviation.
     """
 
     name: str
     sd: float
-    moves: dict[str, float]
+    effects: dict[str, float]
     between: bool = False
-    blurs: dict[str, float] = field(default_factory=dict)
+    effect_sds: dict[str, float] = field(default_factory=dict)
     wander: float = 0.3
 
 
@@ -65,17 +65,17 @@ CHANNELS = (
         "hx_in_over_pressure_k",
         0.9,
         INLET_MOVES | {"cc_in_pa": 75.0, "cc_out_pa": -75.0, "tat_k": -1.35, "cc": 56.0},
-        blurs=INLET_BLURS | {"cc": 15.0},
+        effect_sds=INLET_BLURS | {"cc": 15.0},
         wander=0.6,
     ),
     CrossCheck(
         "conductance_off_cruise_ln",
         0.018,
         {"ram_door_open": -1.8, "hx_out_k": -0.006, "hx_in_k": 0.002, "tat_k": 0.005, "hx": 0.1},
-        blurs={"ram_door_open": 0.8, "hx": 0.15},
+        effect_sds={"ram_door_open": 0.8, "hx": 0.15},
     ),
 )
-"""Cross checks that a wearing film leaves alone: these raise the question."""
+"""Cross checks that a film of dirt does not shift: a shift of these starts an isolation."""
 
 HX_STEP = CrossCheck(
     "hx_fouling_flight",
@@ -88,11 +88,11 @@ HX_STEP = CrossCheck(
         "ram_door_open": 1.6,
         "hx": 1.0,
     },
-    blurs={"ram_door_open": 0.8},
+    effect_sds={"ram_door_open": 0.8},
     wander=0.0,
 )
-"""Apparent loss since the shift against that before it: it can't raise the question, but helps to answer it.
-What a reading one unit too high adds to it is that of a cross-flow exchanger in cruise (NTU about 1.7)."""
+"""Apparent loss since the shift against that before it: it starts no isolation but weighs in it.
+Effects of a reading one unit too high are those of a cross-flow exchanger in cruise (NTU about 1.7)."""
 
 SIZES = {
     "tat_k": 3.5,
@@ -113,27 +113,27 @@ SIZES = {
 """Prior standard deviation of each fault's size, in its unit (pressures and flows by their logarithm): ten times the
 sensor's noise, about what an operator would write up."""
 NO_SENSOR = ("hx", "cc", "nothing")
-"""Suspects that are no sensor's: a real change of exchanger or compressor, or none at all."""
-USUAL = 10.0
+"""Hypotheses without a faulty sensor: a real change of exchanger or compressor, or chance alone."""
+PART_CHANGE_ODDS = 10.0
 """Odds of such a change, and of nothing but chance, against the fault of one sensor: parts wear on every flight, a
 sensor fails once in some thousands."""
-SHARED = ("tat_k", "total_pressure_pa", "mach")
+SHARED_SENSORS = ("tat_k", "total_pressure_pa", "mach")
 """Sensors of which both packs may record one and the same."""
-UNSURE = 0.3
+EFFECT_ERROR = 0.3
 """Relative error of one entry of the matrix: types and flights differ."""
 STRAY, STRAY_SD = 1e-3, 20.0
-"""Chance that something else moves a channel of the other pack meanwhile, as a new unit does, and by how much.
+"""Chance that something else shifts a channel of the other pack meanwhile, as a new unit does, and the shift's size.
 [standard deviations]"""
 STEPS = np.concatenate([-np.geomspace(0.15, 4.0, 12)[::-1], np.geomspace(0.15, 4.0, 12)])
 """Sizes of a fault, in standard deviations of its prior, over which it is summed; smaller ones are no fault."""
 
 
 class Signatures(NamedTuple):
-    """What each of n hypotheses (sensor, whose: `own`, `other`, `both`) does to own and other pack's channels.
+    """Effects of n hypotheses (sensor, whose: `own`, `other`, `both`) on the channels of own and other pack.
 
     `shift` and its standard deviation `blur`, (n, 2 (C + 1)), for a fault of the size in `SIZES`, in standard
     deviations of one flight; `CHANNELS` and `HX_STEP`, own pack then other. Left-minus-right checks count once, in the
-    own half. `moved` are the hypotheses and channels where either is not zero, few of all; `wander` is each
+    own half. `nonzero` are the hypotheses and channels where either is not zero, few of all; `wander` is each
     channel's own.
     """
 
@@ -141,29 +141,29 @@ class Signatures(NamedTuple):
     shift: Array
     blur: Array
     log_prior: Array
-    moved: tuple[Array, Array]
+    nonzero: tuple[Array, Array]
     wander: Array
 
 
 @cache
 def signatures() -> Signatures:
-    """All hypotheses and their signatures."""
+    """Build all hypotheses and their signatures."""
     names, shifts, blurs = [], [], []
     between = np.array([c.between for c in (*CHANNELS, HX_STEP)])
     for sensor, size in SIZES.items():
-        own = np.array([size * c.moves.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
-        blur = np.hypot(UNSURE * own, [size * c.blurs.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
+        own = np.array([size * c.effects.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
+        blur = np.hypot(EFFECT_ERROR * own, [size * c.effect_sds.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
         for whose, mine, theirs in (("own", 1, 0), ("other", 0, 1), ("both", 1, 1)):
-            if whose != "both" or sensor in SHARED:
+            if whose != "both" or sensor in SHARED_SENSORS:
                 names.append((sensor, whose))
                 apart = (mine - theirs) * np.where(between, own, 0.0)
                 shifts.append(np.concatenate([mine * np.where(between, 0.0, own) + apart, theirs * ~between * own]))
-                seen = np.where(between, abs(mine - theirs), mine) * blur
-                blurs.append(np.concatenate([seen, theirs * ~between * blur]))
+                own_blur = np.where(between, abs(mine - theirs), mine) * blur
+                blurs.append(np.concatenate([own_blur, theirs * ~between * blur]))
     names.append(("nothing", "own"))
     shifts.append(np.zeros_like(shifts[0]))
     blurs.append(np.zeros_like(shifts[0]))
-    usual = np.array([np.log(USUAL) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
+    usual = np.array([np.log(PART_CHANGE_ODDS) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
     shift, blur = np.array(shifts), np.array(blurs)
     which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
     wander = np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)
@@ -171,12 +171,12 @@ def signatures() -> Signatures:
 
 
 def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:
-    """Posterior over the hypotheses for observed shifts.
+    """Return the posterior over the hypotheses for observed shifts.
 
     Parameters
     ----------
     z : array
-        (2 (C + 1),) mean shift of each channel, own pack then other, in its standard deviations; NaN where unseen.
+        (2 (C + 1),) mean shift of each channel, own pack then other, in its standard deviations; NaN: not observed.
     flights : array or float
         Flights that each mean is worth.
 
@@ -191,29 +191,31 @@ def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:
     :math:`u_c` the matrix's own error. For a given size the shifts are independent and normal, but for strays of the
     other pack; the sizes are summed.
     """
-    known = signatures()
-    seen = np.isfinite(z)
+    matrix = signatures()
+    observed = np.isfinite(z)
     worth = np.sqrt(np.broadcast_to(flights, z.shape))
-    own = 1.0 + (known.wander * worth) ** 2
+    own = 1.0 + (matrix.wander * worth) ** 2
     theirs = np.arange(len(z)) >= len(z) // 2
-    still = _fits(np.where(seen, z, 0.0), own, theirs)  # of a channel that the fault leaves alone, whatever its size
-    which, channel = (k[seen[known.moved[1]]] for k in known.moved)
-    a, b = (m[which, channel] * worth[channel] * STEPS[:, None] for m in (known.shift, known.blur))
-    gained = _fits(z[channel] - a, own[channel] + b**2, theirs[channel]) - still[channel]
-    told = np.zeros((len(known.names), len(STEPS)))
-    np.add.at(told, which, gained.T)
-    told += still[seen].sum()
-    # sizes stand evenly by their logarithm: each speaks for a stretch as wide as itself
+    unchanged = _log_likelihood(
+        np.where(observed, z, 0.0), own, theirs
+    )  # of a channel that the fault does not shift, whatever its size
+    which, channel = (k[observed[matrix.nonzero[1]]] for k in matrix.nonzero)
+    a, b = (m[which, channel] * worth[channel] * STEPS[:, None] for m in (matrix.shift, matrix.blur))
+    gain = _log_likelihood(z[channel] - a, own[channel] + b**2, theirs[channel]) - unchanged[channel]
+    log_likelihood = np.zeros((len(matrix.names), len(STEPS)))
+    np.add.at(log_likelihood, which, gain.T)
+    log_likelihood += unchanged[observed].sum()
+    # sizes are spaced evenly by logarithm: each weighs as its own width
     prior = np.log(np.abs(STEPS)) - 0.5 * STEPS**2
-    evidence = np.logaddexp.reduce(prior + told, axis=1) + known.log_prior
+    evidence = np.logaddexp.reduce(prior + log_likelihood, axis=1) + matrix.log_prior
     p = np.exp(evidence - np.logaddexp.reduce(evidence))
-    return sorted(((s, w, float(q)) for (s, w), q in zip(known.names, p, strict=True)), key=lambda t: -t[2])
+    return sorted(((s, w, float(q)) for (s, w), q in zip(matrix.names, p, strict=True)), key=lambda t: -t[2])
 
 
-def _fits(miss: Array, variance: Array, theirs: Array) -> Array:
-    """Log likelihood of channels (last axis), but for a constant; of the other pack's strays have their share."""
-    fits = -0.5 * (miss**2 / variance + np.log(variance))
+def _log_likelihood(residual: Array, variance: Array, theirs: Array) -> Array:
+    """Return the log likelihood of channels (last axis) up to a constant, with strays on the other pack's."""
+    log_likelihood = -0.5 * (residual**2 / variance + np.log(variance))
     wide = variance[..., theirs] + STRAY_SD**2
-    strays = np.log(STRAY) - 0.5 * (miss[..., theirs] ** 2 / wide + np.log(wide))
-    fits[..., theirs] = np.logaddexp(fits[..., theirs], strays)
-    return fits
+    strays = np.log(STRAY) - 0.5 * (residual[..., theirs] ** 2 / wide + np.log(wide))
+    log_likelihood[..., theirs] = np.logaddexp(log_likelihood[..., theirs], strays)
+    return log_likelihood

@@ -56,7 +56,7 @@ class Shift:
     """A shift is believed. [bool]"""
     z: Array
     """Innovation in standard deviations, not clipped; 0 where nothing was measured."""
-    moved: Array
+    departure: Array
     """Smoothed departure from the offset, in the series' unit."""
     sum_high: Array
     sum_low: Array
@@ -159,7 +159,7 @@ class _Walk:
 
 
 def persistent(
-    flags: Array, k: int, n: int, hold: int, *, keep: Array | None = None, ended: Array | None = None
+    flags: Array, k: int, n: int, hold: int, *, keep: Array | None = None, restart: Array | None = None
 ) -> Array:
     """Whether at least `k` of the last `n` flights were flagged, held until `hold` flights passed without `keep`.
 
@@ -169,7 +169,7 @@ def persistent(
         (units, flights), bool.
     keep : array, optional
         The easier condition that holds a call once made (hysteresis); `flags` where not given.
-    ended : array, optional
+    restart : array, optional
         True on a flight from which on everything before is forgotten.
 
     Returns
@@ -183,12 +183,12 @@ def persistent(
     array([0, 0, 1, 1, 1, 0, 0])
     """
     keep = flags if keep is None else flags | keep
-    ended = np.zeros_like(flags) if ended is None else ended
-    flight, begun = np.arange(flags.shape[1]), _last(ended)
+    restart = np.zeros_like(flags) if restart is None else restart
+    flight, begun = np.arange(flags.shape[1]), _last(restart)
     flagged = np.pad(np.cumsum(flags, axis=1), ((0, 0), (1, 0)))
     before = np.maximum(np.maximum(flight + 1 - n, begun), 0)  # what is older, or from before the end, counts no more
     called = flagged[:, 1:] - np.take_along_axis(flagged, before, axis=1) >= k
-    let_go = ended | (flight - _last(keep) >= hold)
+    let_go = restart | (flight - _last(keep) >= hold)
     return np.asarray(_last(called) >= np.maximum(_last(let_go), 0))
 
 

@@ -55,11 +55,13 @@ def grid(**columns: object) -> Grid:
         pl.Series(k, np.broadcast_to(v, FLIGHTS)) if not isinstance(v, pl.Expr) else v.alias(k)
         for k, v in columns.items()
     ]
-    return Grid.cut(frame.with_columns(*own, *given).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")}))
+    return Grid.from_frame(
+        frame.with_columns(*own, *given).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
+    )
 
 
 def spans(cases: list[Case]) -> list[tuple[str, int, int | None]]:
-    return [(case.diagnosis, case.raised, case.closed) for case in cases]
+    return [(case.diagnosis, case.raised_flight, case.closed_flight) for case in cases]
 
 
 def work_before(first: int, log_of: str = "HX", action: str = "REPLACED") -> pl.DataFrame:

@@ -9,12 +9,12 @@ import polars as pl
 import pytest
 from one_pack import FLIGHTS, START, alerts, departure, features, work
 
-from hdt_core.alerts.case_closure import end_with_the_unit
+from hdt_core.alerts.case_closure import close_after_work
 from hdt_core.alerts.cases import Case
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.evidence import ROLES
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.threshold_study import VARIED, trials
+from hdt_core.alerts.threshold_study import VALUES, trials
 from hdt_core.tables.features import FeaturesAlerts
 
 NOTHING = work(START).clear()
@@ -58,13 +58,13 @@ def test_a_new_unit_that_fouls_fast_has_an_alert_of_its_own() -> None:
 
 @pytest.mark.parametrize("code", DIAGNOSES)
 def test_every_diagnosis_ends_with_work_on_its_component_and_no_other(code: str) -> None:
-    said, grid = DIAGNOSES[code], Grid.cut(features(np.zeros(FLIGHTS)))
+    said, grid = DIAGNOSES[code], Grid.from_frame(features(np.zeros(FLIGHTS)))
     for component in ("HX", "CC", "RAM_DOOR", "SENSOR"):
         for action in ("REPLACED", "INSPECTED"):
             case = Case(0, said.component, code, 30, None)
             entry = work(departure(50), component, action, timed=True)
-            end_with_the_unit(grid, entry, [case])
-            assert case.closed == (50 if component == said.component and action == "REPLACED" else None)
+            close_after_work(grid, entry, [case])
+            assert case.closed_flight == (50 if component == said.component and action == "REPLACED" else None)
 
 
 def test_when_raised_and_now_are_told_apart() -> None:
@@ -123,8 +123,8 @@ def three_packs() -> pl.DataFrame:
 def test_the_limit_in_service_says_what_was_said() -> None:
     seen = three_packs()
     told = {t.diagnosis: t.alerts for t in trials(seen, pl.DataFrame(), NOTHING) if t.in_service}
-    assert set(told) == set(VARIED)
-    for diagnosis in set(VARIED) - {"RAM_DOOR_FAULT"}:
+    assert set(told) == set(VALUES)
+    for diagnosis in set(VALUES) - {"RAM_DOOR_FAULT"}:
         assert told[diagnosis].sort("alert_id").equals(alerts(seen, NOTHING).sort("alert_id"))
 
 

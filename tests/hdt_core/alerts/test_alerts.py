@@ -9,7 +9,7 @@ import pytest
 
 from hdt_core.alerts.alerts import raise_alerts, with_health
 from hdt_core.alerts.cases import Case, Limits
-from hdt_core.alerts.sensor_faults import feigns_wear
+from hdt_core.alerts.sensor_faults import may_feign_wear
 from hdt_core.health.features import features
 from hdt_core.health.residuals import SCHEMA as RESIDUALS
 from hdt_core.health.sensor_checks import witnesses
@@ -174,7 +174,7 @@ def test_the_other_packs_outlet_sensor_is_no_doubt_about_this_one(samples, nothi
 def test_a_sensor_that_flatters_the_exchanger_excuses_no_wear(sensor, channel, moved, feigned) -> None:
     # by heat balance: an outlet that reads cold, an inlet, TAT or flow that reads high show too good a core
     facts = {"sensor": sensor, "channel": channel, "moved": moved, "biased": True}
-    assert feigns_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
+    assert may_feign_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
 
 
 @pytest.mark.parametrize("kind", ["frozen", "empty", "nulled"])

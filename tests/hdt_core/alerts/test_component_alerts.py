@@ -57,7 +57,7 @@ def test_severity_and_evidence_in_figures():
         facts = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0021, "loss_step_3": 0.101}
         assert said.severity(facts) == severity
         evidence = said.evidence(facts, "F07")
-        assert [w.role for w in evidence.witnesses] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
+        assert [w.role for w in evidence.corroborations] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
         text = evidence.text()
         assert f"{UNIT.lost} ({UNIT.loss}) {100 * loss:.0f} %" in text
         assert f"{loss / 0.01:.0f} sigma; above {100 * WARN:.0f} % since F07" in text

@@ -35,12 +35,12 @@ def test_a_doubt_that_outlasts_the_record_is_left_open() -> None:
         flight_id=pl.col("tail") + pl.col("flight").cast(pl.String),
         departed_at=datetime(2024, 1, 1, tzinfo=UTC) + pl.col("flight") * timedelta(hours=6),
     )
-    grid = Grid.cut(rows)
-    still = np.where(grid.flown[:, :, None], np.zeros(len(CHANNELS)), np.nan)
+    grid = Grid.from_frame(rows)
+    still = np.where(grid.is_flight[:, :, None], np.zeros(len(CHANNELS)), np.nan)
     shift = watch(still, np.array([c.sd for c in CHANNELS]), np.zeros(still.shape, dtype=bool))
     evidence = Indications(grid, shift, np.zeros(grid.shape), grid.partner())
-    assert [evidence.name(0, (unit, 25, None)) for unit in range(4)] == [None] * 4
-    assert evidence.name(0, (3, 25, 40)) is None
+    assert [evidence.isolate(0, (unit, 25, None)) for unit in range(4)] == [None] * 4
+    assert evidence.isolate(0, (3, 25, 40)) is None
 
 
 def two_packs(flights: int) -> Grid:
@@ -51,7 +51,7 @@ def two_packs(flights: int) -> Grid:
         flight_id=pl.col("flight").cast(pl.String),
         departed_at=datetime(2024, 1, 1, tzinfo=UTC) + pl.col("flight") * timedelta(hours=6),
     )  # fmt: skip
-    return Grid.cut(rows)
+    return Grid.from_frame(rows)
 
 
 def told_by_hand(z: np.ndarray, loss: np.ndarray, k: int, first: int) -> tuple[list[float], list[float]]:
@@ -98,7 +98,7 @@ def named(monkeypatch, told: object, end: int | None = None) -> tuple[int, dict[
     z = np.ones((2, 150, 15))
     shift = Shift(z > 0, z, 2.0 * z, z, z)
     monkeypatch.setattr(fault_isolation, "classify", lambda z, flights: told(next(flight)))
-    return Indications(grid, shift, np.zeros((2, 150)), grid.partner()).name(4, (0, 20, end))
+    return Indications(grid, shift, np.zeros((2, 150)), grid.partner()).isolate(4, (0, 20, end))
 
 
 def test_a_sensor_is_named_with_probability_95_per_cent(monkeypatch) -> None:

@@ -16,6 +16,6 @@ def test_across_gives_the_other_packs_values_on_the_same_flight() -> None:
         operator=pl.lit("TST"),
         tail=pl.lit("T-1"),
     )
-    grid = Grid.cut(rows)
+    grid = Grid.from_frame(rows)
     np.testing.assert_array_equal(grid.across(grid.values("x")), [[2.0, np.nan, 6.0], [1.0, 5.0, np.nan]])
     assert grid.across(grid.values("x") > 2.0).tolist() == [[False, False, True], [False, True, False]]

@@ -70,6 +70,6 @@ def test_flags_are_carried_from_the_last_flight_that_was_observed():
     frame = features(np.zeros(6)).with_columns(
         status(np.array([False, True, False, True, False, False])).alias("hx_fouling_status")
     )
-    grid = Grid.cut(frame)
+    grid = Grid.from_frame(frame)
     flags, ended = np.array([[1, 0, 1, 1, 0, 0]], dtype=bool), np.array([[0, 0, 0, 0, 0, 1]], dtype=bool)
     assert grid.as_observed(flags, "hx_fouling", ended).astype(int).tolist() == [[0, 0, 0, 1, 1, 0]]

@@ -40,7 +40,7 @@ def test_a_sensor_that_spoke_on_three_flights_is_empty_too_often(lost, more, rai
     """A fifth of the readings and four of them; one that was half empty from the start was never there."""
     first = int(np.argmax(lost > 0.0))
     expected = [max(first + 1, 3 if lost[0] == 0.0 and first == 2 else 0)]
-    assert [case.raised for case in found(lost=lost, **more)] == (expected if raised else [])
+    assert [case.raised_flight for case in found(lost=lost, **more)] == (expected if raised else [])
 
 
 def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
@@ -49,8 +49,8 @@ def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
     assert found(lost=np.where(np.isin(FLIGHT, (30, 33)), 0.3, 0.0)) == []
     for after, closed in ((0.2 / 3.0, 48), (0.067, None)):
         held = np.where(FLIGHT < 30, 0.0, np.where(FLIGHT <= 40, 0.3, after))
-        assert [case.closed for case in found(lost=held)] == [closed]
-    assert found(work_before(50, "SENSOR"), lost=empty(0.3))[0].closed == 50
+        assert [case.closed_flight for case in found(lost=held)] == [closed]
+    assert found(work_before(50, "SENSOR"), lost=empty(0.3))[0].closed_flight == 50
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.951, "frozen"), (0.949, "dropout")])
@@ -58,7 +58,7 @@ def test_what_is_all_but_empty_or_stands_still_is_frozen(share, kind):
     (case,) = found(lost=empty(share))
     assert case.facts == {"sensor": "mach", "kind": kind, "since": 30, "share": pytest.approx(share)}
     (still,) = found(still=FLIGHT >= 30)
-    assert (still.facts["kind"], still.raised) == ("frozen", 31)
+    assert (still.facts["kind"], still.raised_flight) == ("frozen", 31)
 
 
 def checks(**columns: object) -> dict[str, object]:
@@ -77,10 +77,10 @@ def test_a_shifted_sensor_is_named_with_what_moved_since_when():
     (case,) = found(**checks(w_inlet_minus_tat_k=2.0 * LATE))
     assert (case.diagnosis, case.facts["sensor"], case.facts["whose"]) == ("SENSOR_FAULT", "cc_in_k", "own")
     assert case.facts["channel"] == "inlet_minus_tat_k"
-    assert 50 <= case.facts["since"] <= case.raised <= 58
+    assert 50 <= case.facts["since"] <= case.raised_flight <= 58
     assert case.facts["p"] > 0.95
     assert case.facts["moved"] > 0.5
-    assert case.closed is None
+    assert case.closed_flight is None
 
 
 def test_a_shift_that_only_echoes_a_silence_is_no_news():
@@ -112,7 +112,7 @@ def test_outlets_that_differ_by_more_than_two_and_a_half_deviations_twice_of_thr
 def both(of_second: dict[str, object], **first: object) -> Grid:
     """Two packs on the same flights."""
     one, two = grid(**first).rows, grid(**of_second).rows.with_columns(pl.lit(2, pl.Int32).alias("pack"))
-    return Grid.cut(pl.concat([one, two], how="diagonal"))
+    return Grid.from_frame(pl.concat([one, two], how="diagonal"))
 
 
 def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
@@ -142,15 +142,18 @@ def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "m
     ],
 )  # fmt: skip
 def test_a_shift_within_twelve_flights_of_a_silence_is_its_echo(shift: Case, echo: bool) -> None:
-    assert sensor_faults._echo(shift, [case(50, 50)]) is echo
-    assert sensor_faults._echo(case(90), [case(50)])
+    assert sensor_faults._repeats(shift, [case(50, 50)]) is echo
+    assert sensor_faults._repeats(case(90), [case(50)])
 
 
 def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
     grid = both({"running": True}, running=True)
     z = np.zeros((2, FLIGHTS, 15))
     evidence = Indications(grid, Shift(z > 0, z, z, z, z), np.zeros((2, FLIGHTS)), grid.partner())
-    return [(c.unit, c.facts["sensor"], c.raised, c.closed) for c in sensor_faults._one_each(list(cases), evidence)]
+    return [
+        (c.unit, c.facts["sensor"], c.raised_flight, c.closed_flight)
+        for c in sensor_faults._merge_cases(list(cases), evidence)
+    ]
 
 
 def test_of_two_names_within_twelve_flights_the_first_and_surer_stands() -> None:
@@ -202,7 +205,7 @@ def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
     sensor_cases(grid(**told), NOTHING, Limits(), door, jam)
     for k, check in enumerate(CHANNELS):
         first = FLIGHTS
-        if "cc_in_k" in check.moves:
+        if "cc_in_k" in check.effects:
             first = 30
         elif check.name in ("hx_out_minus_target_k", "hx_out_between_packs_k"):
             first = 60

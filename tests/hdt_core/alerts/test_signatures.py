@@ -61,8 +61,8 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
                         if check.between:  # left minus right counts in the own half
                             sign = 0.0 if half else {"own": 1.0, "other": -1.0, "both": 0.0}[whose]
                         per_sd = step * size * flights**0.5 / check.sd
-                        a = sign * per_sd * check.moves.get(sensor, 0.0)
-                        b = np.hypot(0.3 * a, sign * per_sd * check.blurs.get(sensor, 0.0))
+                        a = sign * per_sd * check.effects.get(sensor, 0.0)
+                        b = np.hypot(0.3 * a, sign * per_sd * check.effect_sds.get(sensor, 0.0))
                         var = 1.0 + check.wander**2 * flights + b**2
                         p = np.exp(-0.5 * (seen - a) ** 2 / var) / var**0.5
                         if half:
@@ -112,8 +112,8 @@ def test_the_matrix_is_that_on_paper() -> None:
         own = [fault.split() for fault in faults.split(", ")]
         check = checks.pop(name)
         assert (check.sd, check.wander, check.between) == (float(sd), float(wander), "between" in name)
-        assert check.moves == {sensor: float(by) for sensor, by, *_ in own}
-        assert check.blurs == {sensor: float(blur[0]) for sensor, _, *blur in own if blur}
+        assert check.effects == {sensor: float(by) for sensor, by, *_ in own}
+        assert check.effect_sds == {sensor: float(blur[0]) for sensor, _, *blur in own if blur}
     assert not checks
     assert SIZES == {
         "tat_k": 3.5, "cc_in_k": 3.5, "total_pressure_pa": 0.03, "cc_in_pa": 0.05, "mach": 0.01,

@@ -48,8 +48,8 @@ def test_fouling_in_figures():
     ],
 )
 def test_each_witness_at_its_edge(changed, role, words):
-    witnesses = wording.exchanger(WORN | changed, "F07").witnesses
-    assert [w.role for w in witnesses if words in w.says] == [role]
+    witnesses = wording.exchanger(WORN | changed, "F07").corroborations
+    assert [w.role for w in witnesses if words in w.text] == [role]
 
 
 def test_packs_alike_and_a_pack_alone_have_no_word_on_the_door():
@@ -57,7 +57,7 @@ def test_packs_alike_and_a_pack_alone_have_no_word_on_the_door():
         told = wording.exchanger(WORN | changed, "F").text()
         assert "wider" not in told
         assert "as wide" not in told
-    alone = wording.exchanger(WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}, "F").witnesses
+    alone = wording.exchanger(WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}, "F").corroborations
     assert len(alone) == 1
 
 
@@ -102,22 +102,26 @@ def test_a_compressor_in_figures():
         "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
     }  # fmt: skip
     said = wording.compressor(facts, "F07")
-    assert "8.2 % (6.6 to 9.8) against expectation, 8 sigma, believed since F07; worn at all (above 5 %)" in said.moved
-    roles = [(w.role, w.says[:40]) for w in said.witnesses]
+    assert (
+        "8.2 % (6.6 to 9.8) against expectation, 8 sigma, believed since F07; worn at all (above 5 %)" in said.finding
+    )
+    roles = [(w.role, w.text[:40]) for w in said.corroborations]
     assert roles[0] == ("Supports", "effective diameter lost (cc_diameter_los")
-    assert "lost (cc_diameter_loss) 2.1 %" in said.witnesses[0].says
-    assert "3 % more of it" in said.witnesses[1].says
-    assert "it is 3 % too small" in said.witnesses[2].says
+    assert "lost (cc_diameter_loss) 2.1 %" in said.corroborations[0].text
+    assert "3 % more of it" in said.corroborations[1].text
+    assert "it is 3 % too small" in said.corroborations[2].text
     for lost, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
-        assert wording.compressor(facts | {"cc_diameter_loss": lost}, "F").witnesses[0].role == role
-    short = wording.compressor(facts | {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}, "F").witnesses
+        assert wording.compressor(facts | {"cc_diameter_loss": lost}, "F").corroborations[0].role == role
+    short = wording.compressor(
+        facts | {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}, "F"
+    ).corroborations
     assert (short[1].role, short[2].role) == ("Supports", "Neutral")
-    assert "2 % too small" in short[1].says
-    assert "1 % may go" in short[2].says
+    assert "2 % too small" in short[1].text
+    assert "1 % may go" in short[2].text
     silent = wording.compressor(facts | {"cc_efficiency_loss": NAN}, "F07")
-    assert "is 4.4 % below this unit's own first flights, 2.0 sigma of a flight" in silent.moved
-    assert wording.compressor(facts | {"cc_diameter_loss": NAN}, "F").witnesses == ()
-    assert len(wording.compressor(facts | {"cc_diameter_left": NAN}, "F").witnesses) == 1
+    assert "is 4.4 % below this unit's own first flights, 2.0 sigma of a flight" in silent.finding
+    assert wording.compressor(facts | {"cc_diameter_loss": NAN}, "F").corroborations == ()
+    assert len(wording.compressor(facts | {"cc_diameter_left": NAN}, "F").corroborations) == 1
 
 
 def test_doors_and_sensors_in_figures():

@@ -123,7 +123,7 @@ def test_the_walk_is_that_of_its_rule(seed: int, scatter: float, memory: int) ->
     restarts = frozenset({115} if seed == 3 else ())
     new = np.isin(np.arange(300), list(restarts))[None, :, None]
     shift = watch(values[None, :, None], SD, new, Cusum(memory_flights=memory))
-    one = [a[0, :, 0] for a in (shift.called, shift.z, shift.moved, shift.sum_high, shift.sum_low)]
+    one = [a[0, :, 0] for a in (shift.called, shift.z, shift.departure, shift.sum_high, shift.sum_low)]
     np.testing.assert_allclose(np.array(one, dtype=float).T, walked_by_hand(values, 0.8, restarts, memory), atol=1e-9)
     assert shift.called.any()
 
@@ -151,7 +151,7 @@ def test_persistence_with_hysteresis_and_end() -> None:
     ended = np.zeros_like(flags)
     assert persistent(flags, 2, 3, 2, keep=keep)[0].astype(int).tolist() == [0, 0, 0, 1, 1, 1, 1, 0, 0]
     ended[0, 3] = True
-    assert not persistent(flags, 2, 3, 2, keep=keep, ended=ended).any()
+    assert not persistent(flags, 2, 3, 2, keep=keep, restart=ended).any()
 
 
 def flight_by_flight(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, hold: int) -> list[list[bool]]:
@@ -176,7 +176,7 @@ def test_persistence_all_at_once_is_that_of_flight_by_flight(seed: int) -> None:
         flags, keep, ended = (rng.random(shape) < share for share in (often, often, 0.07))
         n, hold = int(rng.integers(1, 8)), int(rng.integers(1, 10))
         k = int(rng.integers(1, n + 1))
-        found = persistent(flags, k, n, hold, keep=keep, ended=ended)
+        found = persistent(flags, k, n, hold, keep=keep, restart=ended)
         assert found.tolist() == flight_by_flight(flags, keep, ended, k, n, hold)
 
 

@@ -72,7 +72,7 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     numbered = number_units(flights, log).sort("departed_at")
     life = since_maintenance(flights, log).sort("departed_at")
     _, due = log_flags(flights, log, "HX")
-    grid = Grid.cut(flights)
+    grid = Grid.from_frame(flights)
     ends = grid.worked_on(log, ("HX",), ("REPLACED",))[0][: flights.height]
     rows = flights.with_columns(row=pl.int_range(pl.len()))
     installed = set(installations(rows, log, "HX")["first_row"].to_list())

@@ -1,13 +1,13 @@
 """Alerts at other limits, judged by the catalog's own views."""
 
-from hdt_core.alerts.threshold_study import VARIED
+from hdt_core.alerts.threshold_study import VALUES
 from pipelines.report.thresholds import thresholds
 from pipelines.storage.catalog import connect
 
 
 def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_home):
     told = {row["diagnosis"]: row for row in thresholds(sample_home) if row["in_service"]}
-    assert set(told) == set(VARIED)
+    assert set(told) == set(VALUES)
     with connect(sample_home) as con:
         rates = {row["diagnosis"]: row for row in con.sql("select * from alert_hit_rates").pl().to_dicts()}
     assert rates
