@@ -171,11 +171,11 @@ STAGES = (
         alike(
             "calibration_dsm",
             "calibration_design",
-            "calibration_laws",
+            "calibration_schedules",
             "calibration_window",
             parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"),
             baseline=True,
-            code="14",
+            code="15",
         ),
         label="digital system model",
     ),
@@ -192,16 +192,20 @@ STAGES = (
         alike("residuals", parents=("twin_flights",), code="3"),
         fresh="residuals",
     ),
-    Stage("signs", "features", alike("legs_signs", "features_witnesses", parents=("legs_samples", "calibration_laws"))),
+    Stage(
+        "indicators",
+        "features",
+        alike("legs_indicators", "features_cross_checks", parents=("legs_samples", "calibration_schedules")),
+    ),
     Stage(
         "features_margin",
         "features",
-        alike("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_laws"), code="3"),
+        alike("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3"),
     ),
     Stage(
         "twin_health",
         "twin",
-        alike("twin_health", "twin_chapters", parents=("twin_flights", "raw_maintenance"), code="13"),
+        alike("twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"), code="13"),
         fresh="twin_health",
         label="health, features, alerts",
     ),
@@ -210,7 +214,14 @@ STAGES = (
         "features",  # what the twin decides about legs comes after it: no arrow leads back
         alike(
             "legs_admitted",
-            parents=("twin_health", "twin_flights", "legs_signs", "raw_messages", "raw_maintenance", "raw_reports"),
+            parents=(
+                "twin_health",
+                "twin_flights",
+                "legs_indicators",
+                "raw_messages",
+                "raw_maintenance",
+                "raw_reports",
+            ),
             code="5",
         ),
     ),
@@ -219,7 +230,7 @@ STAGES = (
         "features",
         alike(
             "features",
-            parents=("twin_health", "residuals", "features_witnesses", "features_margin", "raw_maintenance"),
+            parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
             code="8",
         ),
         fresh="features",

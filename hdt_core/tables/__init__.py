@@ -82,7 +82,7 @@ TABLES: dict[str, StoredTable] = {
     "raw_files_quarantine": StoredTable(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
     "legs_samples": StoredTable(legs.LegsSamples, "flight", _SAMPLE, "month"),
     "legs_verdicts": StoredTable(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
-    "legs_signs": StoredTable(legs.LegsSigns, "flight", _FLIGHT_PACK, "month"),
+    "legs_indicators": StoredTable(legs.LegsIndicators, "flight", _FLIGHT_PACK, "month"),
     "legs_admitted": StoredTable(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
     "calibration_dsm": StoredTable(calibration.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
     "calibration_design": StoredTable(
@@ -91,13 +91,13 @@ TABLES: dict[str, StoredTable] = {
         ("scope", "operator", "tail", "pack", "component", "parameter"),
         whole=True,
     ),
-    "calibration_laws": StoredTable(calibration.CalibrationLaws, "fleet", ("name",), whole=True),
+    "calibration_schedules": StoredTable(calibration.CalibrationSchedules, "fleet", ("name",), whole=True),
     "calibration_window": StoredTable(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
     "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month"),
     "twin_health": StoredTable(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
-    "twin_chapters": StoredTable(twin.TwinChapters, "aircraft", ("pack", "chapter", "history"), whole=True),
+    "twin_checkpoints": StoredTable(twin.TwinCheckpoints, "aircraft", ("pack", "chapter", "history"), whole=True),
     "residuals": StoredTable(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
-    "features_witnesses": StoredTable(features.FeaturesWitnesses, "flight", _FLIGHT_PACK, "month"),
+    "features_cross_checks": StoredTable(features.FeaturesCrossChecks, "flight", _FLIGHT_PACK, "month"),
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
     "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
@@ -123,4 +123,12 @@ TABLES: dict[str, StoredTable] = {
     "prognoses_components_lives": StoredTable(
         components.PrognosesComponentsLives, "fleet", ("operator", "tail", "pack", "component", "life")
     ),
+}
+
+# views of the catalog's schema `tables` for queries written before these tables had their names
+FORMER_NAMES = {
+    "legs_signs": "legs_indicators",
+    "calibration_laws": "calibration_schedules",
+    "twin_chapters": "twin_checkpoints",
+    "features_witnesses": "features_cross_checks",
 }

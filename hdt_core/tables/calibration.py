@@ -13,7 +13,7 @@ class CalibrationDsm(Table):
     n_flights = count("flights it was calibrated from")
 
 
-class CalibrationLaws(Table):
+class CalibrationSchedules(Table):
     """What the fleet's aircraft hold to, learned from the commissioning window: one set of laws."""
 
     name = text(

@@ -215,9 +215,9 @@ _DOC = "What is known of a pack after a flight, one column a feature: flight, pa
 Features = cast("type[Table]", type("Features", (DatedLegTable,), {"__doc__": _DOC, **dict(_columns())}))
 
 
-_DOC = "What sensors, door and controllers of a pack say of themselves in a flight: flight, pack."
+_DOC = "Cross checks of a pack in a flight, by its own sensors, door and controllers: flight, pack."
 _WITNESSES = {**dict(_of_sensors()), **dict(_of_witnesses())}
-FeaturesWitnesses = cast("type[Table]", type("FeaturesWitnesses", (DatedLegTable,), {"__doc__": _DOC, **_WITNESSES}))
+FeaturesCrossChecks = cast("type[Table]", type("FeaturesCrossChecks", (DatedLegTable,), {"__doc__": _DOC} | _WITNESSES))
 
 
 class _Margin(DatedLegTable):

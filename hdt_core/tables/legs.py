@@ -54,7 +54,7 @@ class LegsVerdicts(DatedLegTable):
     n_frozen = count("values taken out because the sensor repeats itself")
 
 
-class LegsSigns(LegTable):
+class LegsIndicators(LegTable):
     """What a leg shows by itself, held against the fleet's laws: flight, pack."""
 
     index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")

@@ -82,7 +82,7 @@ class TwinHealth(DatedLegTable):
     estimator = text("method", nullable=False)
 
 
-class TwinChapters(Table):
+class TwinCheckpoints(Table):
     """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
     operator = operator_key()

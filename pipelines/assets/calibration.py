@@ -73,6 +73,6 @@ def window(verdicts: pl.DataFrame) -> pl.DataFrame:
 LEGS, CONTROLLERS = "legs", "controllers"
 
 
-def laws_of(calibration_laws: pl.DataFrame, name: str) -> str:
+def laws_of(calibration_schedules: pl.DataFrame, name: str) -> str:
     """One set of laws in service, as JSON."""
-    return str(calibration_laws.filter(name=name)["laws"].item())
+    return str(calibration_schedules.filter(name=name)["laws"].item())

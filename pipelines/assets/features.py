@@ -16,19 +16,19 @@ from pipelines.assets.twin import model_of
 
 
 @stage
-def signs(legs_samples: pl.DataFrame, calibration_laws: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
-    norm = NominalBaseline.from_json(laws_of(calibration_laws, LEGS))
-    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    norm = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
     return leg_indicators(legs_samples, norm), witnesses(legs_samples, laws)
 
 
 @stage
 def features_margin(
-    legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame
+    legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame
 ) -> pl.DataFrame:
     """What each flight asked of the exchangers: the conductance below which the outlet leaves its level."""
-    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_laws, CONTROLLERS)))
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
     return exchanger_demand(legs_samples, model_of(calibration_dsm), laws)
 
 
@@ -39,7 +39,7 @@ def features(
     legs_verdicts: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     twin_flights: pl.DataFrame,
-    features_witnesses: pl.DataFrame,
+    features_cross_checks: pl.DataFrame,
     features_margin: pl.DataFrame,
 ) -> pl.DataFrame:
     """Health, residuals and their trends, virtual sensors, witnesses for door and sensors, by flight and pack."""
@@ -49,7 +49,7 @@ def features(
         legs_verdicts,
         raw_maintenance,
         twin_flights=twin_flights,
-        witnesses=features_witnesses,
+        witnesses=features_cross_checks,
         margin=features_margin,
     )
 

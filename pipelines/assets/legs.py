@@ -26,15 +26,15 @@ def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFr
 @stage
 def legs_admitted(
     legs_verdicts: pl.DataFrame,
-    legs_signs: pl.DataFrame,
+    legs_indicators: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     raw_reports: pl.DataFrame,
     raw_messages: pl.DataFrame,
     twin_health: pl.DataFrame,
     twin_flights: pl.DataFrame,
-    calibration_laws: pl.DataFrame,
+    calibration_schedules: pl.DataFrame,
 ) -> pl.DataFrame:
     """The final verdict, with hindsight: what logs, printed reports, cross checks and the twin say of each leg."""
-    baseline = NominalBaseline.from_json(laws_of(calibration_laws, LEGS))
+    baseline = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     verdicts = turn_away_odd_bleed(legs_verdicts, raw_reports)
-    return admit_by(baseline, verdicts, legs_signs, raw_maintenance, raw_messages, twin_health, twin_flights)
+    return admit_by(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)

@@ -35,7 +35,7 @@ def prognosis(
     raw_messages: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     calibration_dsm: pl.DataFrame,
-    calibration_laws: pl.DataFrame,
+    calibration_schedules: pl.DataFrame,
     home: Home,
 ) -> StageResult:
     """Time to the failure message: the base corrected by the lives of the months before, each tail judged by others'.
@@ -49,7 +49,7 @@ def prognosis(
     stored = home.store.read("prognosis_model").sort("month")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
-    update = update_model(candidate, last, record, _design(calibration_dsm, calibration_laws))
+    update = update_model(candidate, last, record, _design(calibration_dsm, calibration_schedules))
     pictures = night_pictures(features, update.prognoses, raw_maintenance)
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = told_lives(features, record.lives())
@@ -60,10 +60,10 @@ READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN))
 """Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
 
 
-def _design(calibration_dsm: pl.DataFrame, calibration_laws: pl.DataFrame) -> str:
+def _design(calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame) -> str:
     """Digest of what features and prognoses follow from beside the record: models, laws and the code of each stage."""
     codes = [(table, LINEAGE[table].code) for table in sorted({*FOLLOWED["prognosis"], "prognoses"})]
-    content = [calibration_dsm["dsm_version"].to_list(), calibration_laws.sort("name")["laws"].to_list(), codes]
+    content = [calibration_dsm["dsm_version"].to_list(), calibration_schedules.sort("name")["laws"].to_list(), codes]
     return hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
 
 

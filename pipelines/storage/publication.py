@@ -12,7 +12,7 @@ from pathlib import Path
 
 import duckdb
 
-from hdt_core.tables import TABLES
+from hdt_core.tables import FORMER_NAMES, TABLES
 from pipelines.storage import seal
 from pipelines.storage.catalog import CATALOG, lock, open_catalog, quote
 from pipelines.storage.data_file import hash_of
@@ -119,6 +119,8 @@ def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
     refill(con, held)
+    for former, table in FORMER_NAMES.items():
+        con.execute(f"create view tables.{former} as from tables.{table}")
     add_views(con)
 
 

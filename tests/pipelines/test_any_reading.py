@@ -38,7 +38,7 @@ def store(sample_home):
 @pytest.fixture(scope="module")
 def models(store):
     """What was learned of the sample fleet: model, norm of legs, laws of controllers."""
-    laws = store.read("calibration_laws")
+    laws = store.read("calibration_schedules")
     controllers = ControlSchedules.from_dict(json.loads(laws_of(laws, CONTROLLERS)))
     return model_of(store.read("calibration_dsm")), NominalBaseline.from_json(laws_of(laws, LEGS)), controllers
 
@@ -62,12 +62,12 @@ def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     return {
         "legs_samples": samples,
         "legs_verdicts": verdicts,
-        "legs_signs": signs,
-        "features_witnesses": seen,
+        "legs_indicators": signs,
+        "features_cross_checks": seen,
         "twin_flights": flights,
         "residuals": apart,
         "twin_health": health,
-        "twin_chapters": chapters,
+        "twin_checkpoints": chapters,
         "legs_admitted": admit_by(norm, verdicts, signs, NO_WORK, NO_MESSAGES, health),
         "features": told,
         "features_alerts": raise_alerts(told, health, NO_WORK),

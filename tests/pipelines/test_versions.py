@@ -125,7 +125,7 @@ ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.o
 @pytest.mark.parametrize("table", ["twin_health", "prognoses"])
 def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(ledger, monkeypatch, table):
     """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
-    made = "calibration_laws", "legs_signs", "features_margin", "features", "prognosis_base", "raw_messages"
+    made = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
     make(ledger, *made, "raw_maintenance")
     assert ledger.done("features_margin").height == 3
     answers, as_asked = Ledger.lines, expected(ledger, table)
