@@ -1,6 +1,6 @@
-"""The final verdict on every leg: rules, log, cross checks, manifold and, where there is one, the twin.
+"""Level two of the nominal-leg filter: log, cross checks, manifold and, where there is one, the twin.
 
-With hindsight, for calibration only. A leg turned away here is still monitored.
+It uses later flights too, and serves calibration only. A leg rejected here is still monitored.
 """
 
 from dataclasses import replace
@@ -38,13 +38,15 @@ SECOND_LEVEL = {
 def learn_baseline(
     legs: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
 ) -> NominalBaseline:
-    """Learn from a fleet, sick legs among it; parameters as for `admit`."""
-    numbered = number_flights(legs.drop("flight_number", strict=False))
-    laws = NominalBaseline(learn_manifold(samples, numbered), learn_outlet_law(samples))
-    signs = leg_indicators(samples, laws)
-    laws = replace(laws, level=learn_level(numbered.join(signs, on=LEG_KEY, how="left", validate="m:1"), maintenance))
-    passed = _residuals(_judged(numbered, signs, maintenance, messages, laws, None))
-    return replace(laws, scatter=learn_scatter(passed, [c for c in passed.columns if c.endswith("_off")]))
+    """Learn the nominal baseline of a fleet that may contain sick legs; parameters as for `admit`."""
+    flights = number_flights(legs.drop("flight_number", strict=False))
+    baseline = NominalBaseline(learn_manifold(samples, flights), learn_outlet_law(samples))
+    indicators = leg_indicators(samples, baseline)
+    baseline = replace(
+        baseline, level=learn_level(flights.join(indicators, on=LEG_KEY, how="left", validate="m:1"), maintenance)
+    )
+    residuals = _residuals(_apply_rules(flights, indicators, maintenance, messages, baseline, None))
+    return replace(baseline, scatter=learn_scatter(residuals, [c for c in residuals.columns if c.endswith("_off")]))
 
 
 def admit(
@@ -54,7 +56,7 @@ def admit(
     messages: pl.DataFrame,
     health_parameters: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """Add to level one's verdicts what the log, the fleet and the twin know; the fleet's norm is learned here.
+    """Reject further legs by log, fleet and twin, with a baseline learned from the same fleet.
 
     Parameters
     ----------
@@ -63,13 +65,13 @@ def admit(
     maintenance, messages : DataFrame
         The logs, as `judge_legs` takes them.
     health_parameters : DataFrame, optional
-        The twin's losses with their standard deviations. Without it, before a first calibration, wear is judged from
-        the recorded signals alone.
+        The twin's losses with their standard deviations. Without it, before a first calibration, wear is detected
+        from the recorded signals alone.
 
     Returns
     -------
     DataFrame
-        `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) renewed; no leg is dropped.
+        `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) updated; no leg is dropped.
     """
     baseline = learn_baseline(legs, samples, maintenance, messages)
     return admit_by(baseline, legs, leg_indicators(samples, baseline), maintenance, messages, health_parameters)
@@ -78,65 +80,66 @@ def admit(
 def admit_by(
     baseline: NominalBaseline,
     legs: pl.DataFrame,
-    signs: pl.DataFrame,
+    indicators: pl.DataFrame,
     maintenance: pl.DataFrame,
     messages: pl.DataFrame,
     health_parameters: pl.DataFrame | None = None,
     twin_flights: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """`admit` by a baseline learned before; no tail sways another.
+    """Do as `admit`, with a baseline learned before; tails are independent of each other.
 
-    `signs` are of `leg_indicators`, all flights of each tail; `twin_flights` of the twin with its `TWIN_CHECKS`.
+    `indicators` are of `leg_indicators`, all flights of each tail; `twin_flights` of the twin with its `TWIN_CHECKS`.
     """
-    numbered = number_flights(legs.drop("flight_number", strict=False))
+    flights = number_flights(legs.drop("flight_number", strict=False))
     if twin_flights is not None:
-        signs = signs.join(
+        indicators = indicators.join(
             twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
         )
-    known = _judged(numbered, signs, maintenance, messages, baseline, health_parameters)
-    return _without_outliers(known, baseline.scatter).select(legs.columns)
+    rows = _apply_rules(flights, indicators, maintenance, messages, baseline, health_parameters)
+    return _without_outliers(rows, baseline.scatter).select(legs.columns)
 
 
-def _judged(
-    numbered: pl.DataFrame,
-    signs: pl.DataFrame,
+def _apply_rules(
+    flights: pl.DataFrame,
+    indicators: pl.DataFrame,
     maintenance: pl.DataFrame,
     messages: pl.DataFrame,
     baseline: NominalBaseline,
     health_parameters: pl.DataFrame | None,
 ) -> pl.DataFrame:
-    """Every rule but the last."""
-    levels = numbered.join(
-        signs.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left", validate="m:1"
+    """Apply every rule but that of outliers."""
+    levels = flights.join(
+        indicators.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left", validate="m:1"
     )
-    known = flag_windows(numbered, maintenance, messages)
-    checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in signs.columns)
-    checked = check_sensors(signs.select(*LEG_KEY, *checks), numbered)
-    for part in (checked, judge_conductance(levels, maintenance, baseline.level), _wear(health_parameters)):
-        known = known.join(
+    rows = flag_windows(flights, maintenance, messages)
+    checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in indicators.columns)
+    sensor_flags = check_sensors(indicators.select(*LEG_KEY, *checks), flights)
+    index_flags = judge_conductance(levels, maintenance, baseline.level)
+    for part in (sensor_flags, index_flags, _wear_reasons(health_parameters)):
+        rows = rows.join(
             part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left", validate="m:1"
         )
-    return _give_reasons(known)
+    return _give_reasons(rows)
 
 
-def _wear(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
-    """The twin's word on each leg: `wear`, a reason code or null, and whether it has `seen` the exchanger."""
+def _wear_reasons(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
+    """Return `wear`, a reason code or null, by the twin, and `seen`: whether the twin has estimated the exchanger."""
     schema = {**dict.fromkeys(LEG_KEY, pl.String), "pack": pl.Int32, "wear": pl.String, "seen": pl.Boolean}
     if health_parameters is None or health_parameters.is_empty():
         return pl.DataFrame(schema=schema)
     limits = pl.DataFrame(
         {"parameter": list(LOSSES), "code": [c for c, _ in LOSSES.values()], "limit": [v for _, v in LOSSES.values()]}
     )
-    judged = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter", validate="m:1")
-    # the chance that a leg's loss is above the limit must be below 5 %: at 1 % a young pack, whose loss is not yet
-    # known well, would hardly ever be nominal
+    losses = health_parameters.filter(pl.col("value").is_not_null()).join(limits, on="parameter", validate="m:1")
+    # the probability that a leg's loss exceeds the limit must be below 5 %: at 1 % a young pack, whose loss is still
+    # uncertain, would hardly ever be nominal
     over = pl.col("value") + Z_90 * pl.col("sd").fill_null(0.0) > pl.col("limit")
-    worst = pl.col("code").filter(over).max()  # the exchanger speaks first
-    return judged.group_by(LEG_KEY).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("seen"))
+    worst = pl.col("code").filter(over).max()  # the exchanger's code takes precedence
+    return losses.group_by(LEG_KEY).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("seen"))
 
 
-def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
-    """Replace an empty `reason` by the first of the second level's rules that is broken."""
+def _give_reasons(rows: pl.DataFrame) -> pl.DataFrame:
+    """Replace an empty `reason` by the first rule of level two that is broken."""
     own = pl.when(pl.col("reason") != "").then(pl.col("reason"))
     rules = {
         "MAINTENANCE": pl.col("near_maintenance"),
@@ -144,34 +147,26 @@ def _give_reasons(known: pl.DataFrame) -> pl.DataFrame:
         "SENSOR_SHIFT": pl.col("sensor_shift"),
         "UNREST": pl.col("unrest"),
         "STRAY": pl.col("stray"),
-        # the index takes a unit's best flights for its clean state and knows new units by the log alone
+        # the index takes a unit's best flights for its clean state and new units from the log alone
         "HX_WORN": pl.col("worn") & ~pl.col("seen").fill_null(False),
     }
-    broken = [pl.when(rule.fill_null(False)).then(pl.lit(code)) for code, rule in rules.items()]
-    return known.with_columns(pl.coalesce(own, *broken, "wear", pl.lit("")).alias("reason"))
+    reasons = [pl.when(rule.fill_null(False)).then(pl.lit(code)) for code, rule in rules.items()]
+    return rows.with_columns(pl.coalesce(own, *reasons, "wear", pl.lit("")).alias("reason"))
 
 
-def _residuals(known: pl.DataFrame) -> pl.DataFrame:
-    """Deviations of legs that passed all rules; a leg of few samples deviates by chance, and is weighted as its mean
-    deserves."""
+def _residuals(rows: pl.DataFrame) -> pl.DataFrame:
+    """Return the deviations of legs that passed all rules, weighted down where few samples make them uncertain."""
     weight = (pl.col("index_n").fill_null(1) / ENOUGH_SAMPLES).clip(upper_bound=1.0).sqrt()
-    return known.filter(pl.col("reason") == "").with_columns(pl.col("^.*_off$") * weight)
+    return rows.filter(pl.col("reason") == "").with_columns(pl.col("^.*_off$") * weight)
 
 
-def _without_outliers(known: pl.DataFrame, scatter: Scatter | None) -> pl.DataFrame:
-    """The last screen, among legs that passed all others: a leg's deviations together, against the fleet's."""
-    passed = _residuals(known)
-    found = passed.select(LEG_KEY).with_columns(scatter.outlying(passed) if scatter else pl.lit(False).alias("outlier"))
-    joined = known.join(found, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
-    reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
-    final = joined.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return final.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))
-
-
-def yields(legs: pl.DataFrame) -> pl.DataFrame:
-    """Share of legs admitted by operator, tail and month of departure, so that a filter that hides a season is seen."""
-    grouped = legs.group_by("operator", "tail", pl.col("departed_at").dt.truncate("1mo").dt.date().alias("month"))
-    counted = grouped.agg(pl.len().alias("n_legs"), pl.col("admitted").sum().alias("n_admitted"))
-    return counted.with_columns((pl.col("n_admitted") / pl.col("n_legs")).alias("yield")).sort(
-        "operator", "tail", "month"
+def _without_outliers(rows: pl.DataFrame, scatter: Scatter | None) -> pl.DataFrame:
+    """Reject outliers in the joint deviations among legs that passed all other rules."""
+    residuals = _residuals(rows)
+    outliers = residuals.select(LEG_KEY).with_columns(
+        scatter.outlying(residuals) if scatter else pl.lit(False).alias("outlier")
     )
+    flagged = rows.join(outliers, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
+    reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
+    screened = flagged.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return screened.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))

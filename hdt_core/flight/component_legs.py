@@ -1,4 +1,4 @@
-"""Legs of a declared component: from the signals on record to samples of its model, and which flights speak of it."""
+"""Legs of a declared component: samples of its model, and the flights steady and long enough to estimate from."""
 
 import polars as pl
 
@@ -9,9 +9,9 @@ from hdt_core.flight.steady import drift_free
 
 LEG = list(LEG_KEY)
 MIN_SAMPLES = 5
-"""Samples below which a flight says nothing of a component."""
-SILENT = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")
-"""Reasons for which a flight says nothing of the component."""
+"""Samples below which a flight yields no estimate of a component."""
+NO_EVIDENCE = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")
+"""Reasons for which a flight yields no estimate of the component."""
 REASONS = {
     "NOT_RECORDED": "a signal that the component's model needs is not recorded",
     "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
@@ -23,7 +23,7 @@ REASONS = {
 
 
 def component_samples(signals: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """Samples as the model wants them: one row a time, one column a signal.
+    """Return the samples of a component's model: one row a time, one column a signal.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def component_samples(signals: pl.DataFrame, component: Component) -> pl.DataFra
     -------
     DataFrame
         `LEG`, `time_utc`, every channel of the record (null where not recorded), what its `derive` adds, and `nominal`:
-        whether the model speaks of the sample.
+        whether the model applies to the sample.
     """
     if component.record is None:
         raise ValueError(f"component {component.code} has no record of its own")
@@ -43,20 +43,20 @@ def component_samples(signals: pl.DataFrame, component: Component) -> pl.DataFra
     values = [pl.col("value").filter(pl.col("signal") == name).first().alias(name) for name in names]
     wide = own.group_by(*LEG, "time_utc").agg(values).sort(*LEG, "time_utc")
     wide = component.record.derive(wide) if component.record.derive else wide
-    speaks = pl.lit(True) if component.record.nominal is None else component.record.nominal
+    applies = pl.lit(True) if component.record.nominal is None else component.record.nominal
     inputs = [s.name for s in component.model.inputs]
     complete = pl.all_horizontal(pl.col(c).is_finite() for c in inputs)
-    return wide.with_columns((speaks & complete).fill_null(False).alias("nominal"))
+    return wide.with_columns((applies & complete).fill_null(False).alias("nominal"))
 
 
 def lacks_channel(component: Component) -> pl.Expr:
     """Whether a group of samples has no value at all in a channel that the component needs."""
-    needed = [c.signal for c in component.record.channels if c.needed] if component.record else []
-    return pl.any_horizontal([pl.lit(False), *(pl.col(c).is_null().all() for c in needed)])
+    signals = [c.signal for c in component.record.channels if c.needed] if component.record else []
+    return pl.any_horizontal([pl.lit(False), *(pl.col(c).is_null().all() for c in signals)])
 
 
 def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """First level: which flights are long and steady enough to say something of the component, sick or not.
+    """Classify flights by whether they are long and steady enough to estimate the component from, sick or not.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def component_legs(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
         .when(~pl.col("steady")).then(pl.lit("UNSTEADY"))
         .otherwise(pl.lit(""))
     )  # fmt: skip
-    told = legs.with_columns(reason.alias("reason"), pl.lit(component.code).alias("component")).drop(
+    rows = legs.with_columns(reason.alias("reason"), pl.lit(component.code).alias("component")).drop(
         "steady", "recorded"
     )
-    return told.sort("operator", "tail", "departed_at", "flight_id", "pack")
+    return rows.sort("operator", "tail", "departed_at", "flight_id", "pack")

@@ -1,6 +1,6 @@
-"""Sensors checked against each other, leg by leg, with hindsight: what physics ties together must not come apart.
+"""Cross checks between sensors, leg by leg, with later flights too: differences that physics keeps constant.
 
-None of the checks is moved by the exchanger's wear, and none needs a model of it but the twin's own witnesses.
+The exchanger's wear shifts none of them, and only the twin's checks need a model of it.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ SMOOTHED_FLIGHTS = 7
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
-CHECKED = (
+SAMPLE_COLUMNS = (
     *LEG_KEY, "time_utc", "source", "phase", *LAW_TERMS, "total_pressure_pa", "hx_out_k", "ram_door_open",
     "pack_flow_kg_s", "cc_in_k", "cc_in_pa", "cc_flow_kg_s",
 )  # fmt: skip
-"""Columns of the samples that the checks need; the others would only be copied."""
+"""Columns of the samples that the checks use."""
 
 # check: shift [its unit] below which a sound pair of sensors may wander (humidity, leaks, trim): about half of a
 # fault's size
@@ -31,11 +31,11 @@ TOLERANCE = {
     "inlet_over_total_pressure_ln": 0.015,
     "pack_over_compressor_flow_ln": 0.030,
     "pack_flow_between_packs_ln": 0.045,
-    "inlet_apart_k": 2.5,  # a blockage of 15 % moves it by 1.5 K
+    "inlet_apart_k": 2.5,  # a blockage of 15 % shifts it by 1.5 K
     "door_apart_ln": 0.06,
 }
 TWIN_CHECKS = ("inlet_apart_k", "door_apart_ln")
-"""Of the twin's flights (`hdt_core.tracking.sensor_shifts`); not known before there is a twin."""
+"""Of the twin's flights (`hdt_core.tracking.sensor_shifts`); null before a first calibration."""
 BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}
 LEG_CHECKS = (*(c for c in TOLERANCE if c not in TWIN_CHECKS), *BETWEEN_PACKS.values())
 CHECKS = (*LEG_CHECKS, *TWIN_CHECKS)
@@ -44,22 +44,22 @@ USUAL_SHARE = 0.25  # of the tolerance: nearer to its level than this a check ha
 
 @dataclass(frozen=True, slots=True)
 class OutletLaw:
-    """The outlet temperature [K] that the controllers hold: linear in `LAW_TERMS` about a centre, which it leads."""
+    """Outlet temperature [K] at which the controllers aim: linear in `LAW_TERMS`; `centre` is outlet, then terms."""
 
     centre: tuple[float, ...]
     slopes: tuple[float, ...]
 
     def column(self) -> pl.Expr:
-        """What it says of a sample."""
-        held, *at = self.centre
+        """Return the law's outlet temperature of each sample. [K]"""
+        level, *at = self.centre
         terms = zip(LAW_TERMS, at, self.slopes, strict=True)
-        return sum(((pl.col(name) - c) * slope for name, c, slope in terms), pl.lit(held))
+        return sum(((pl.col(name) - c) * slope for name, c, slope in terms), pl.lit(level))
 
 
 def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
-    """The law by least squares from samples of running packs whose door is free; None where there are hardly any."""
-    needed = samples.select("pack_flow_kg_s", "ram_door_open", "hx_out_k", *LAW_TERMS)
-    running = needed.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    """Fit the law by least squares to samples of running packs with a free door; None for fewer than ten."""
+    columns = samples.select("pack_flow_kg_s", "ram_door_open", "hx_out_k", *LAW_TERMS)
+    running = columns.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
     if free.height < 10:
         return None
@@ -70,19 +70,19 @@ def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
 
 
 def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
-    """Legs on which a sensor has left what it is tied to.
+    """Detect sensor shifts, leg by leg.
 
     Parameters
     ----------
     values : DataFrame
-        Of `leg_checks`, all flights of each tail, with `TWIN_CHECKS`; a check that is missing is not made.
+        Of `leg_checks`, all flights of each tail, with `TWIN_CHECKS`; a missing check is skipped.
     legs : DataFrame
         `LEG_KEY` and `flight_number`.
 
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `sensor_shift` (bool), `sensor_check`, the name of the check that moved furthest (null if none),
+        `LEG_KEY`, `sensor_shift` (bool), `sensor_check`, the check with the largest shift (null if none),
         and `<check>_off`, the leg's own deviation.
 
     Notes
@@ -90,53 +90,54 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     Each check is the leg's mean of a difference that is constant for sound sensors, less its median over the tail's
     flights: sensor faults are repaired, so most flights are sound. It has shifted where its running median over seven
     flights leaves zero by more than a tolerance and by four standard deviations of its noise, or one flight by far
-    more. A check between packs accuses both; the pack is cleared whose own reading is the nearer to the fleet's law.
-    A drift began before it was large enough to be sure of: with hindsight all flights of the spell have shifted, from
-    where the running median left its usual scatter until it came back.
+    more. A check between packs flags both, except the pack whose own reading is clearly nearer to the fleet's law.
+    A drift begins before it is detectable: all flights of the period are flagged, from where the running median left
+    its usual scatter until it returned.
     """
     absent = (pl.lit(None, pl.Float64).alias(c) for c in CHECKS if c not in values.columns)
-    numbered = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, validate="m:1")
+    rows = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, validate="m:1")
     tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
-    off = numbered.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
+    off = rows.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
     smooth = off.with_columns(
         pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(unit).alias(f"{c}_smooth")
         for c in CHECKS
     )
     flight = [*tail, "flight_id"]
-    known = smooth.with_columns(_scatters(unit)).with_columns(
-        e for c in TOLERANCE for e in (_spell(c, unit), _shift(c, unit), _other_pack(c, flight))
+    parts = smooth.with_columns(_scatters(unit)).with_columns(
+        e for c in TOLERANCE for e in (_side(c, unit), _shift(c, unit), _other_pack(c, flight))
     )
-    scores = known.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
+    scores = parts.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
     worst = pl.max_horizontal(pl.col(f"{c}_score") for c in TOLERANCE).fill_null(0.0)
-    named = pl.coalesce(pl.when((pl.col(f"{c}_score") == worst) & (worst > 1.0)).then(pl.lit(c)) for c in TOLERANCE)
+    check_name = pl.coalesce(
+        pl.when((pl.col(f"{c}_score") == worst) & (worst > 1.0)).then(pl.lit(c)) for c in TOLERANCE
+    )
     alone = [pl.col(c).fill_null(0.0).alias(f"{c}_off") for c in TOLERANCE]
-    return scores.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), named.alias("sensor_check"), *alone)
+    return scores.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), check_name.alias("sensor_check"), *alone)
 
 
 def _scatters(unit: list[str]) -> list[pl.Expr]:
-    """Scatter of each check in `<check>_step`, from flight to flight, `_alone`, by itself, and `_smooth_usual`."""
+    """Return the scatter of each check: `_step` between flights, `_alone` of single flights, `_smooth_usual`."""
     checks, smooth = pl.col(list(TOLERANCE)), pl.col([f"{c}_smooth" for c in TOLERANCE])
     values = {"_step": checks.diff(), "_alone": checks, "_usual": smooth}
     return [spread_expr(v).over(unit).name.suffix(end) for end, v in values.items()]
 
 
-def _spell(check: str, unit: list[str]) -> pl.Expr:
-    """On which side the smoothed check has left its level, 0 where it has not."""
+def _side(check: str, unit: list[str]) -> pl.Expr:
+    """Return the sign of the smoothed check where it has left its level, else 0."""
     smooth = pl.col(f"{check}_smooth").forward_fill().over(unit)
-    left = smooth.abs() > pl.max_horizontal(f"{check}_smooth_usual", pl.lit(USUAL_SHARE * TOLERANCE[check]))
-    return pl.when(left).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
+    outside = smooth.abs() > pl.max_horizontal(f"{check}_smooth_usual", pl.lit(USUAL_SHARE * TOLERANCE[check]))
+    return pl.when(outside).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
 
 
 def _shift(check: str, unit: list[str]) -> pl.Expr:
-    """Smoothed check over what is allowed; its noise is that of steps from flight to flight: a drift must not pass for
-    scatter."""
+    """Return the smoothed check over its allowance; noise is of steps between flights, which a drift does not raise."""
     noise = MEDIAN_SD * pl.col(f"{check}_step") / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
     allowed = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
     return (pl.col(f"{check}_smooth").abs() / allowed).alias(f"{check}_shift")
 
 
 def _other_pack(check: str, flight: list[str]) -> pl.Expr:
-    """Whether the other pack is to blame: this one's own reading is clearly the less displaced of the two."""
+    """Whether the shift is the other pack's: this one's own reading is clearly less displaced."""
     name = f"{check}_other"
     if check not in BETWEEN_PACKS:
         return pl.lit(False).alias(name)
@@ -145,35 +146,35 @@ def _other_pack(check: str, flight: list[str]) -> pl.Expr:
 
 
 def _score(check: str, unit: list[str]) -> pl.Expr:
-    """Shift over what is allowed, of the flight alone or the largest of its spell; above 1 it is a fault."""
+    """Return the shift over its allowance, of the flight alone or the largest of its period; above 1 it is a fault."""
     side, shift, other = (pl.col(f"{check}_{part}") for part in ("side", "shift", "other"))
-    spell = pl.struct(*unit, side).rle_id()
-    lasting = pl.when(side != 0.0).then(shift.max().over(spell)).otherwise(shift)
-    whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(spell)).otherwise(other)
+    period = pl.struct(*unit, side).rle_id()
+    lasting = pl.when(side != 0.0).then(shift.max().over(period)).otherwise(shift)
+    whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(period)).otherwise(other)
     alone = pl.col(f"{check}_alone") * FAULT_SD
     single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
     return pl.max_horizontal(pl.when(~whose).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
 
 
 def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
-    """Mean of each check over the leg: `LEG_KEY`, `LEG_CHECKS`.
+    """Average each check over the leg: `LEG_KEY`, `LEG_CHECKS`.
 
     Parameters
     ----------
     samples : DataFrame
         Screened samples of both packs with `phase`.
     law : OutletLaw, optional
-        Where it is not known, a check between packs accuses both.
+        Without it, a check between packs flags both.
     """
-    running = samples.select(CHECKED).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
-    shared = [*LEG_KEY[:3], "time_utc", "source"]
+    running = samples.select(SAMPLE_COLUMNS).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    sample_key = [*LEG_KEY[:3], "time_utc", "source"]
     other = running.select(
-        *shared,
+        *sample_key,
         (3 - pl.col("pack")).cast(running.schema["pack"]).alias("pack"),
         *(pl.col(c).alias(f"other_{c}") for c in ("hx_out_k", "ram_door_open", "pack_flow_kg_s")),
     )
-    known = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
-    paired = known.join(other, on=[*shared, "pack"], how="left", validate="m:1")
+    rows = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
+    paired = rows.join(other, on=[*sample_key, "pack"], how="left", validate="m:1")
     free = pl.col("ram_door_open").is_between(*DOOR_FREE)
     both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
     cruise = pl.col("phase") == "cruise"

@@ -1,4 +1,4 @@
-"""Level one of the nominal-leg filter: every flight and pack judged by rules, each verdict with its reason."""
+"""Level one of the nominal-leg filter: rules for every flight and pack, each rejection with its reason."""
 
 import polars as pl
 
@@ -9,11 +9,20 @@ from hdt_core.flight.windows import flag_windows, number_flights
 
 RECORD_KEY = (*LEG_KEY, "source")
 # without these neither exchanger nor compressor can be modelled on a sample
-NEEDED = ("altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s")
+MODEL_SIGNALS = (
+    "altitude_m",
+    "mach",
+    "tat_k",
+    "total_pressure_pa",
+    "hx_in_k",
+    "hx_out_k",
+    "ram_door_open",
+    "pack_flow_kg_s",
+)
 MIN_NOMINAL = 2  # samples of steady cruise that a leg must have
 DROPOUT_SHARE, DROPOUT_ROWS = 0.12, 3  # of a signal's values missing in a leg that has the sensor
 PACK_OFF_FLOW_KG_S = 0.1
-DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.03, 8, 4_000.0  # a door that follows no climb is jammed
+DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.03, 8, 4_000.0  # a door still through a climb is jammed
 ICING_TAT_K = (268.15, 283.15)  # -5 to +10 degC: water may be supercooled and freeze on the core
 ICING_BELOW_M = 6_700.0  # 22,000 ft: icing clouds
 
@@ -33,14 +42,14 @@ REASONS = {
 def judge_legs(
     snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Judge every flight and pack, and prepare its samples.
+    """Apply the rules to every flight and pack, and prepare its samples.
 
     Parameters
     ----------
     snapshots : DataFrame
         Recorded rows of both kinds, see `hdt_core.tables`; `source` is `acms` (snapshots) or `cpl` (1 Hz).
     maintenance, messages : DataFrame
-        Used with hindsight, for calibration's sake: `samples.monitored` depends on neither.
+        Entries after a flight count too; `samples.monitored` depends on neither.
 
     Returns
     -------
@@ -53,16 +62,16 @@ def judge_legs(
     """
     samples = prepare_samples(snapshots)
     legs = _give_reasons(flag_windows(number_flights(_summarise(samples)), maintenance, messages))
-    judged = samples.join(
+    flagged = samples.join(
         legs.select(*LEG_KEY, "admitted"), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
     )
-    return legs, judged.with_columns(
+    return legs, flagged.with_columns(
         (pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")).alias("nominal")
     ).drop("admitted")
 
 
 def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
-    """Screen values, tell phases, average logs; `monitored` where a sample is steady cruise and complete."""
+    """Screen values, add phases, average logs; `monitored` where a sample is steady cruise and complete."""
     ordered = number_legs(snapshots.sort(*RECORD_KEY, "time_utc", maintain_order=True), RECORD_KEY)
     repeated = (pl.col("_leg") == pl.col("_leg").shift(1)) & (pl.col("time_utc") == pl.col("time_utc").shift(1))
     first = pl.col("time_utc").min().over("operator", "tail", "flight_id")
@@ -73,7 +82,7 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
     )
     log = average_log(screened.filter(pl.col("source") == "cpl"), by=RECORD_KEY)
     rows = pl.concat([reports.drop("phase_code"), log], how="diagonal").sort(*LEG_KEY, "time_utc", "source")
-    complete = pl.all_horizontal(pl.col(s).is_not_null() for s in NEEDED)
+    complete = pl.all_horizontal(pl.col(s).is_not_null() for s in MODEL_SIGNALS)
     running = pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S
     icing = pl.col("tat_k").is_between(*ICING_TAT_K) & (pl.col("altitude_m") < ICING_BELOW_M)
     return rows.with_columns(
@@ -83,7 +92,7 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
 
 
 def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
-    """One row a flight and pack with what the rules look at."""
+    """Summarise each flight and pack in the quantities of the rules."""
     cruise = pl.col("phase") == "cruise"
     cruise_s = seconds_between(pl.col("time_utc").filter(cruise).max(), pl.col("time_utc").filter(cruise).min())
     legs = samples.group_by(LEG_KEY).agg(
@@ -104,13 +113,13 @@ def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
         (pl.col("altitude_m").max() - pl.col("altitude_m").min()).alias("_rise_m"),
         *(pl.col(s).null_count().alias(f"_missing_{s}") for s in SIGNALS),
     )
-    flown = legs.with_columns(pl.col("landed_at").max().over("operator", "tail", "flight_id"))
-    return flown.with_columns(pl.col("^n_.*$").cast(pl.Int64)).sort(*LEG_KEY)
+    flights = legs.with_columns(pl.col("landed_at").max().over("operator", "tail", "flight_id"))
+    return flights.with_columns(pl.col("^n_.*$").cast(pl.Int64)).sort(*LEG_KEY)
 
 
 def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
     """Add `reason`, the first rule broken, and `admitted`."""
-    broken = {
+    rules = {
         "PACK_OFF": _off(pl.col("_flow")),
         "OTHER_PACK_OFF": (_off(pl.col("_flow")).any().over("operator", "tail", "flight_id")),
         "SENSOR_FROZEN": pl.col("n_frozen") > 0,
@@ -123,9 +132,9 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
         "MAINTENANCE": pl.col("near_maintenance"),
         "MESSAGE": pl.col("near_message"),
     }
-    first = pl.coalesce(*(pl.when(rule).then(pl.lit(code)) for code, rule in broken.items()), pl.lit(""))
-    judged = legs.with_columns(first.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return judged.drop(
+    first = pl.coalesce(*(pl.when(rule).then(pl.lit(code)) for code, rule in rules.items()), pl.lit(""))
+    rows = legs.with_columns(first.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return rows.drop(
         "_flow", "_door_span", "_rise_m", *(f"_missing_{s}" for s in SIGNALS), "near_maintenance", "near_message"
     )
 
@@ -135,8 +144,8 @@ def _off(flow: pl.Expr) -> pl.Expr:
 
 
 def _dropped_out(signal: str) -> pl.Expr:
-    """Far more gaps than a fitted sensor has. A signal that neither pack of the flight shows is not fitted."""
+    """Flag far more gaps than a fitted sensor has; a signal missing on both packs of the flight is not fitted."""
     missing = pl.col(f"_missing_{signal}")
     share = missing / pl.col("n_samples")
-    fitted = (share < 1.0).any().over("operator", "tail", "flight_id")
-    return fitted & (missing >= DROPOUT_ROWS) & (share > DROPOUT_SHARE)
+    installed = (share < 1.0).any().over("operator", "tail", "flight_id")
+    return installed & (missing >= DROPOUT_ROWS) & (share > DROPOUT_SHARE)

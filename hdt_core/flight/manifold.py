@@ -1,6 +1,6 @@
-"""The fleet's nominal manifold of the heat exchanger, from recorded signals alone: no design value, no twin.
+"""Nominal manifold of a fleet's heat exchangers, from recorded signals alone: no design value, no twin.
 
-First indicator of wear and of ice, good enough to choose the legs that a model is then calibrated on.
+A first indicator of wear and ice, precise enough to select the legs for calibration.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from hdt_core.robust import MAD_TO_SD, huber_weights, spread
 Array = NDArray[np.float64]
 
 BLOCK_FLIGHTS = 10
-"""Flights within which wear hardly moves: an offset for each such block takes it out of the regression."""
+"""Flights within which wear is nearly constant: an offset for each block removes it from the regression."""
 HUBER_STEPS = 12
-LEAST_NOISE = 0.01  # what the regression leaves over within a cruise: minutes of a log average noise away, not this
+LEAST_NOISE = 0.01  # residual of the regression within a cruise, which averaging over a log's minutes does not reduce
 SCAN_LENGTHS = (2, 3, 4, 6, 9)
 """Samples in a row; an ice episode lasts a quarter of an hour to an hour."""
 TERMS = ("pack_flow", "door", "ram_density", "mach", "door_door", "door_density", "flow_door")
@@ -32,7 +32,7 @@ class Manifold:
     centre, slopes : tuple of float
         Of `TERMS`: the operating point that the index belongs to, and how the measured ratio depends on the terms.
     noise : float
-        Of the index, from sample to sample; of the fleet and not of the leg: a leg in ice must not excuse itself.
+        Of the index, from sample to sample; of the fleet, not of the leg, which ice would inflate.
     """
 
     centre: tuple[float, ...]
@@ -41,8 +41,7 @@ class Manifold:
 
 
 def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None:
-    r"""Learn how the logarithm of the exchanger's temperature ratio depends on the operating point; None where there is
-    too little.
+    r"""Learn the log temperature ratio of the exchanger as a function of the operating point; None for too few samples.
 
     Parameters
     ----------
@@ -57,8 +56,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
 
     rises with conductance and ram flow and falls with pack flow. Its dependence on pack flow, door, ram density and
     Mach (second order in the logarithms) is learned by Huber regression with an offset for every ten flights of a
-    pack: wear, unit, and constant sensor errors fall into the offsets, so that no healthy fleet is needed to learn
-    from.
+    pack: wear, unit, and constant sensor errors go into the offsets, so a healthy fleet is not required.
 
     References
     ----------
@@ -77,8 +75,7 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
 
 
 def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:
-    """Add `conductance_index`, the logarithm of the exchanger's temperature ratio at one and the same operating
-    point. [-]
+    """Add `conductance_index`, the log temperature ratio of the exchanger at a common operating point. [-]
 
     Only samples with `monitored` get an index, the others null. A loss of conductance of 10 % lowers it by 0.08 to
     0.12.
@@ -88,17 +85,17 @@ def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> p
     terms = zip(TERMS, manifold.centre, manifold.slopes, strict=True)
     # one term after the other: Polars' own sum across columns rounds by the number of its threads
     index = pl.col("y") - sum(((pl.col(name) - centre) * slope for name, centre, slope in terms), pl.lit(0.0))
-    numbered = samples.with_row_index("_row")
-    found = _usable(numbered, "_row").select("_row", index.alias("conductance_index"))
-    # only the numbers of the rows are joined: the samples are as wide as the night's memory allows
-    aligned = numbered.select("_row").join(found, on="_row", how="left", maintain_order="left", validate="m:1")
+    rows = samples.with_row_index("_row")
+    indices = _usable(rows, "_row").select("_row", index.alias("conductance_index"))
+    # joined by row number alone, because the samples are too wide to copy
+    aligned = rows.select("_row").join(indices, on="_row", how="left", maintain_order="left", validate="m:1")
     return samples.with_columns(aligned["conductance_index"])
 
 
 def _usable(samples: pl.DataFrame, *keys: str) -> pl.DataFrame:
-    """Samples that tell of the exchanger, as `keys`, y and `TERMS`."""
-    known = samples.filter("monitored").select(*keys, *_regressors()).drop_nulls(["y", *TERMS])
-    return known.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
+    """Return samples with a finite temperature ratio, as `keys`, y and `TERMS`."""
+    rows = samples.filter("monitored").select(*keys, *_regressors()).drop_nulls(["y", *TERMS])
+    return rows.filter(pl.all_horizontal(pl.col("y", *TERMS).is_finite()))
 
 
 def _regressors() -> list[pl.Expr]:
@@ -120,12 +117,12 @@ def _regressors() -> list[pl.Expr]:
 
 
 def _slopes(usable: pl.DataFrame) -> Array:
-    """Huber regression of y on the terms, offsets of pack and block removed by their medians."""
+    """Regress y on the terms by Huber's method, with offsets of pack and block removed as medians."""
     block = [*LEG_KEY[:2], "pack", pl.col("flight_number") // BLOCK_FLIGHTS]
     within = usable.select((pl.col(c) - pl.col(c).median().over(block)).alias(c) for c in ("y", *TERMS))
     x, y = within.select(TERMS).to_numpy(), within["y"].to_numpy()
     weight = np.ones(y.size)
-    # a weak ridge keeps a fleet that never moves a regressor solvable
+    # a weak ridge keeps the system regular where a regressor is constant
     ridge = 1e-6 * y.size * np.eye(x.shape[1])
     slopes = np.zeros(x.shape[1])
     for _ in range(HUBER_STEPS):
@@ -136,7 +133,7 @@ def _slopes(usable: pl.DataFrame) -> Array:
 
 
 def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:
-    """Level and unrest of the index, leg by leg.
+    """Return level and unrest of the index, leg by leg.
 
     Parameters
     ----------
@@ -146,16 +143,18 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `index_level` (median), `index_n`, and `index_unrest`: how far the mean of a few samples in a row
-        leaves the leg's median, in standard errors; ice that comes and goes makes it large, wear does not move it.
+        `LEG_KEY`, `index_level` (median), `index_n`, and `index_unrest`: the largest departure of the mean of a few
+        samples in a row from the leg's median, in standard errors; transient ice raises it, wear does not.
     """
     keys = list(LEG_KEY)
-    known = add_conductance_index(samples, manifold).select(*keys, "conductance_index").drop_nulls("conductance_index")
+    indices = (
+        add_conductance_index(samples, manifold).select(*keys, "conductance_index").drop_nulls("conductance_index")
+    )
     off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
     runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
     noise = manifold.noise if manifold else np.nan  # without a law no sample has an index
     return (
-        known.with_columns(off.alias("_off"))
+        indices.with_columns(off.alias("_off"))
         .with_columns(runs)
         .group_by(keys)
         .agg(

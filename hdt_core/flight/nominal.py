@@ -1,6 +1,6 @@
-"""Level two of the nominal-leg filter: wear, ice and whatever else leaves the manifold of a sound fleet.
+"""Rules of level two on the conductance index: wear, ice, strays, and outliers of the joint residuals.
 
-For calibration only, and with hindsight: monitoring must go on seeing the sick.
+For calibration only, with later flights too; monitoring keeps all legs.
 """
 
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ UNIT = ("operator", "tail", "pack")
 _UNIT = [*UNIT, "unit"]
 SMOOTHED_FLIGHTS = 7
 WORN_INDEX = 0.09  # drop of the conductance index, about the fraction of conductance lost
-CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, which noise and a few strays don't lift
+CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, robust to noise and a few strays
 UNIT_SD = 0.05  # of clean units about each other: conductance as made, and constant sensor errors
 UNREST = 6.5  # standard errors that a few samples in a row may leave the leg's own level
 STRAY_INDEX, STRAY_SD = 0.07, 4.5  # of one leg against its neighbours
 MCD_QUANTILE, MCD_MIN_LEGS = 0.9995, 200
-MCD_SUPPORT = 0.75  # what comes here has passed all rules: a quarter of it may still be sick
+MCD_SUPPORT = 0.75  # of legs that passed all rules, a quarter may still be sick
 
 
 @dataclass(frozen=True, slots=True)
 class IndexLevel:
-    """What the fleet's levels of the index have in common.
+    """Statistics of the index over a fleet.
 
     Attributes
     ----------
@@ -43,13 +43,13 @@ class IndexLevel:
 
 
 def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> IndexLevel:
-    """The fleet's, from levels as `judge_conductance` takes them."""
+    """Learn the statistics from levels as of `judge_conductance`."""
     smooth = _smooth(levels, maintenance)
     return IndexLevel(*(_number(v) for v in (_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())))
 
 
 def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: IndexLevel) -> pl.DataFrame:
-    """Wear, unrest and strays, from the first-pass index.
+    """Flag wear, unrest and strays by the index.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `worn`, `unrest`, `stray` (bool), `index_off`, the leg against the running median of its
-        neighbours, and `index_n`, the samples it rests on.
+        `LEG_KEY`, `worn`, `unrest`, `stray` (bool), `index_off`, the leg's deviation from the running
+        median of its neighbours, and `index_n`, its number of samples.
 
     Notes
     -----
     A unit's clean level is the upper decile of its smoothed level, but no lower than the clean fleet less two
-    standard deviations between units: an exchanger that came worn has never shown its clean level.
+    standard deviations between units: an exchanger fitted worn never shows its clean level.
     """
     smooth = _smooth(levels, maintenance)
     floor = pl.lit(None if fleet.clean is None else fleet.clean - 2.0 * UNIT_SD, pl.Float64)
@@ -87,10 +87,10 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
 
 
 def _smooth(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Levels with the running median of each unit, and how far a leg leaves it."""
-    known = number_units(levels, maintenance).sort(*UNIT, "flight_number")
+    """Add the running median of each unit, and each leg's deviation from it."""
+    units = number_units(levels, maintenance).sort(*UNIT, "flight_number")
     running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
-    smooth = known.with_columns(running.over(_UNIT).alias("smooth"))
+    smooth = units.with_columns(running.over(_UNIT).alias("smooth"))
     return smooth.with_columns((pl.col("index_level") - pl.col("smooth")).alias("index_off"))
 
 
@@ -104,21 +104,21 @@ def _number(value: object) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How residuals of nominal legs scatter together: `columns`, their mean and the inverse of their covariance."""
+    """Joint scatter of the residuals of nominal legs: `columns`, mean and inverse covariance."""
 
     columns: tuple[str, ...]
     mean: tuple[float, ...]
     precision: tuple[tuple[float, ...], ...]
 
     def outlying(self, residuals: pl.DataFrame) -> pl.Series:
-        """Rows whose squared robust distance is above the chi-square quantile. Nulls count as zero."""
+        """Flag rows with a squared robust distance above the chi-square quantile. Nulls count as zero."""
         off = residuals.select(pl.col(self.columns).fill_null(0.0)).to_numpy() - np.array(self.mean)
         distance = ((off @ np.array(self.precision)) * off).sum(axis=1)
         return pl.Series("outlier", distance > chi2.ppf(MCD_QUANTILE, len(self.columns)))
 
 
 def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None:
-    """Scatter of a nominal fleet, by FAST-MCD; None for fewer than 200 legs: too few for a robust covariance.
+    """Estimate the scatter of a nominal fleet by FAST-MCD; None for fewer than 200 legs.
 
     Parameters
     ----------
@@ -131,10 +131,11 @@ def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None
        Technometrics 41(3), 1999.
     """
     x = residuals.select(pl.col(columns).fill_null(0.0)).to_numpy()
-    # a residual that is nothing for most legs (not recorded, door at its stop) has no scatter to be far from
+    # a residual that is zero for most legs (not recorded, door at its stop) has no scatter
     moving = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)
     if len(x) < MCD_MIN_LEGS or not moving.any():
         return None
-    fitted = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moving])
-    named = tuple(c for c, moves in zip(columns, moving, strict=True) if moves)
-    return Scatter(named, tuple(fitted.location_.tolist()), tuple(map(tuple, fitted.get_precision().tolist())))
+    covariance = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moving])
+    varying = tuple(c for c, moves in zip(columns, moving, strict=True) if moves)
+    precision = tuple(map(tuple, covariance.get_precision().tolist()))
+    return Scatter(varying, tuple(covariance.location_.tolist()), precision)

@@ -1,4 +1,4 @@
-"""What nominal legs of a fleet have in common, learned once in its commissioning window, and legs held against it."""
+"""Baseline of a fleet's nominal legs, learned once in its commissioning window, and indicators of legs against it."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -16,7 +16,7 @@ from hdt_core.tables.base import finite
 
 @dataclass(frozen=True, slots=True)
 class NominalBaseline:
-    """What nominal legs of a fleet have in common: the laws that legs are held against."""
+    """Laws of a fleet's nominal legs, against which each leg is compared."""
 
     manifold: Manifold | None = None
     outlet: OutletLaw | None = None
@@ -24,32 +24,31 @@ class NominalBaseline:
     scatter: Scatter | None = None
 
     def to_json(self) -> str:
-        """Plain text."""
+        """Return the baseline as JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "NominalBaseline":
-        """Inverse of `to_json`."""
+        """Read a baseline from JSON."""
         plain = json.loads(text)
         kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": IndexLevel, "scatter": Scatter}
         return cls(**{name: kind(**_frozen(plain[name])) for name, kind in kinds.items() if plain[name] is not None})
 
 
 def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataFrame:
-    """What each leg shows by itself, held against the fleet's laws: `LEG_KEY`, the index's level, unrest and count,
-    means of the cross checks. Each from its own samples only."""
+    """Compute indicators leg by leg, each from its own samples: level, unrest, count of the index, means of checks."""
 
-    def found(own: pl.DataFrame) -> pl.DataFrame:
+    def indicators(own: pl.DataFrame) -> pl.DataFrame:
         checks = leg_checks(own, baseline.outlet)
         return checks.join(
             leg_conductance(own, baseline.manifold), on=LEG_KEY, how="full", coalesce=True, validate="m:1"
         )
 
-    return finite(of_each_aircraft(samples, found)).sort(LEG_KEY)
+    return finite(of_each_aircraft(samples, indicators)).sort(LEG_KEY)
 
 
 def _frozen(plain: dict[str, Any]) -> dict[str, Any]:
-    """Lists as tuples, as the laws hold them."""
+    """Convert lists to the tuples of the laws."""
     return {k: _tuple(v) for k, v in plain.items()}
 
 

@@ -18,28 +18,28 @@ def number_legs(records: pl.DataFrame, by: tuple[str, ...]) -> pl.DataFrame:
     return records.with_columns(pl.struct(by).rle_id().alias("_leg"))
 
 
-def add_phases(flown: pl.DataFrame, *, by: tuple[str, ...] = LEG_KEY) -> pl.DataFrame:
-    """Add the flight phase and the climb rate it was told from.
+def add_phases(records: pl.DataFrame, *, by: tuple[str, ...] = LEG_KEY) -> pl.DataFrame:
+    """Add the flight phase and the climb rate behind it.
 
     Parameters
     ----------
-    flown : DataFrame
+    records : DataFrame
         `by`, `time_utc`, `altitude_m` [m, pressure altitude] and, where recorded, `mach` [-]. A group of `by` holds
         either a continuous log (1 Hz) or snapshots (2 to 10 min); both kinds may be in one frame.
 
     Returns
     -------
     DataFrame
-        The rows of `flown`, sorted by `by` and time, with `phase` (`ground`, `climb`, `cruise`, `descent`), `level`
+        The rows of `records`, sorted by `by` and time, with `phase` (`ground`, `climb`, `cruise`, `descent`), `level`
         (bool: holds its altitude) and `climb_rate_m_s` [m/s]. `phase` is null in a leg without altitude.
 
     Notes
     -----
     A state machine over level runs. A sample is level where the altitude moves by less than 300 ft/min: over 60 s in
     a log, towards a neighbour (and by less than 100 ft) in snapshots. A level run of five minutes or more above
-    15,000 ft and above six tenths of the leg's highest altitude is cruise. What is left is climb or descent by the
-    sign of its rate; a short level-off belongs to the climb before the highest point and to the descent after it. So
-    a flight that manoeuvres from end to end has no cruise.
+    15,000 ft and above six tenths of the leg's highest altitude is cruise. The rest is climb or descent by the sign
+    of its rate; a short level-off belongs to the climb before the highest point and to the descent after it. A flight
+    that manoeuvres throughout has no cruise.
 
     References
     ----------
@@ -47,7 +47,7 @@ def add_phases(flown: pl.DataFrame, *, by: tuple[str, ...] = LEG_KEY) -> pl.Data
        Aerospace Information Systems 14(10), 2017 (level rate, windows).
     """
     keys = ["_leg"]
-    recorded = flown if "mach" in flown.columns else flown.with_columns(mach=pl.lit(None, pl.Float64))
+    recorded = records if "mach" in records.columns else records.with_columns(mach=pl.lit(None, pl.Float64))
     rows = number_legs(recorded.sort(*by, "time_utc"), by).with_columns(
         pl.col("altitude_m").interpolate_by("time_utc").forward_fill().backward_fill().over(keys).alias("_held_m"),
         (seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1)).median() <= CONTINUOUS_GAP_S)
@@ -55,18 +55,18 @@ def add_phases(flown: pl.DataFrame, *, by: tuple[str, ...] = LEG_KEY) -> pl.Data
         .fill_null(False)
         .alias("_log"),
     )
-    rated = pl.concat([_rate_log(rows.filter("_log"), keys), _rate_snapshots(rows.filter(~pl.col("_log")), keys)])
-    named = _name_phase(_measure_runs(rated.sort("_leg", "time_utc"), keys))
-    return named.select(*flown.columns, "phase", "level", "climb_rate_m_s")
+    rates = pl.concat([_rate_log(rows.filter("_log"), keys), _rate_snapshots(rows.filter(~pl.col("_log")), keys)])
+    phases = _name_phase(_measure_runs(rates.sort("_leg", "time_utc"), keys))
+    return phases.select(*records.columns, "phase", "level", "climb_rate_m_s")
 
 
 def seconds_between(later: pl.Expr, earlier: pl.Expr) -> pl.Expr:
-    """Time between two instants. [s]"""
+    """Return the time between two instants. [s]"""
     return (later - earlier).dt.total_microseconds() / 1e6
 
 
 def _rate_log(rows: pl.DataFrame, keys: list[str]) -> pl.DataFrame:
-    """Climb rate over the 60 s around each second, and over what there is of them at both ends."""
+    """Add the climb rate over the 60 s around each second, truncated at both ends."""
 
     def end(column: str, step: int) -> pl.Expr:
         edge = pl.col(column).first() if step > 0 else pl.col(column).last()
@@ -74,17 +74,17 @@ def _rate_log(rows: pl.DataFrame, keys: list[str]) -> pl.DataFrame:
 
     rise = end("_held_m", -HALF_WINDOW_S) - end("_held_m", HALF_WINDOW_S)
     span = seconds_between(end("time_utc", -HALF_WINDOW_S), end("time_utc", HALF_WINDOW_S))
-    rated = rows.with_columns((rise / span).alias("climb_rate_m_s"))
-    return rated.with_columns((pl.col("climb_rate_m_s").abs() < LEVEL_RATE_M_S).fill_null(False).alias("level"))
+    rates = rows.with_columns((rise / span).alias("climb_rate_m_s"))
+    return rates.with_columns((pl.col("climb_rate_m_s").abs() < LEVEL_RATE_M_S).fill_null(False).alias("level"))
 
 
 def _rate_snapshots(rows: pl.DataFrame, keys: list[str]) -> pl.DataFrame:
-    """Climb rate towards both neighbours; level where one of them was at the same altitude."""
+    """Add the climb rate towards both neighbours; level where one of them is at the same altitude."""
     rise = pl.col("_held_m").diff()
     span = seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1))
-    held = (rise.abs() < LEVEL_BAND_M) & ((rise / span).abs() < LEVEL_RATE_M_S)
+    level = (rise.abs() < LEVEL_BAND_M) & ((rise / span).abs() < LEVEL_RATE_M_S)
     before = rows.with_columns(
-        (rise / span).over(keys).alias("_before"), held.over(keys).fill_null(False).alias("_held")
+        (rise / span).over(keys).alias("_before"), level.over(keys).fill_null(False).alias("_held")
     )
     return before.with_columns(
         pl.mean_horizontal("_before", pl.col("_before").shift(-1).over(keys)).alias("climb_rate_m_s"),
@@ -94,9 +94,9 @@ def _rate_snapshots(rows: pl.DataFrame, keys: list[str]) -> pl.DataFrame:
 
 def _measure_runs(rows: pl.DataFrame, keys: list[str]) -> pl.DataFrame:
     """Number the runs of level and not level flight; add their length, and the leg's highest altitude and its time."""
-    numbered = rows.with_columns(pl.col("level").rle_id().over(keys).alias("_run"))
+    runs = rows.with_columns(pl.col("level").rle_id().over(keys).alias("_run"))
     run_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min())
-    return numbered.with_columns(
+    return runs.with_columns(
         run_s.over(*keys, "_run").alias("_run_s"),
         (pl.col("_run") == 0).alias("_opens"),
         (pl.col("_run") == pl.col("_run").max().over(keys)).alias("_closes"),

@@ -1,4 +1,4 @@
-"""What a single value must pass before anybody models with it: physical range, spike and frozen-sensor screens."""
+"""Screens of single values: physical range, spikes and frozen sensors."""
 
 import polars as pl
 
@@ -41,41 +41,40 @@ FROZEN_RISE_M = {
 
 
 def null_bad_values(records: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
-    """Null what no sound sensor can have said and count it.
+    """Null values that no sound sensor can report, and count them.
 
     Parameters
     ----------
     records : DataFrame
-        `by`, `time_utc` and the signals of `LIMITS`, sorted by `by` and time. A column an operator doesn't record may
-        be null throughout.
+        `by`, `time_utc` and the signals of `LIMITS`, sorted by `by` and time. A column that an operator does not record
+        may be null throughout.
 
     Returns
     -------
     DataFrame
-        The same rows with bad values null, and `n_out_of_range`, `n_spikes` and `n_frozen`: how many values of the
-        row fell to each screen.
+        The same rows with bad values null, and `n_out_of_range`, `n_spikes` and `n_frozen`: number of values of the
+        row nulled by each screen.
 
     Notes
     -----
-    A spike is one sample that leaves both neighbours on the same side by more than the signal can move, a frozen
-    value is one that repeats where noise or the change of altitude must have moved it. Each screen sees what the one
-    before has left.
+    A spike is a sample on the same side of both neighbours by more than the signal can change; a frozen value repeats
+    where noise or the change of altitude must have changed it. The screens apply in turn.
     """
-    numbered = number_legs(records, by)
-    ranged = _null(numbered, {s: _out_of_range(s) for s in SIGNALS}, "n_out_of_range")
+    rows = number_legs(records, by)
+    ranged = _null(rows, {s: _out_of_range(s) for s in SIGNALS}, "n_out_of_range")
     calm = _null(ranged, {s: _spike(s) for s in SIGNALS}, "n_spikes")
     frozen = {s: _frozen_noisy(s) for s in NOISY} | {s: _frozen_in_climb(s) for s in FROZEN_RISE_M}
     return _null(calm, frozen, "n_frozen").drop("_leg")
 
 
-def _null(records: pl.DataFrame, bad: dict[str, pl.Expr], counted_as: str) -> pl.DataFrame:
+def _null(records: pl.DataFrame, bad: dict[str, pl.Expr], count_name: str) -> pl.DataFrame:
     """Null each signal where its flag is true; count the flags of a row."""
     flagged = records.with_columns(flag.fill_null(False).alias(f"_bad_{signal}") for signal, flag in bad.items())
-    nulled = flagged.with_columns(
+    screened = flagged.with_columns(
         *(pl.when(pl.col(f"_bad_{s}")).then(None).otherwise(pl.col(s)).alias(s) for s in bad),
-        pl.sum_horizontal(pl.col(f"_bad_{s}").cast(pl.Int32) for s in bad).alias(counted_as),
+        pl.sum_horizontal(pl.col(f"_bad_{s}").cast(pl.Int32) for s in bad).alias(count_name),
     )
-    return nulled.drop(f"_bad_{s}" for s in bad)
+    return screened.drop(f"_bad_{s}" for s in bad)
 
 
 def _out_of_range(signal: str) -> pl.Expr:
@@ -86,7 +85,7 @@ def _out_of_range(signal: str) -> pl.Expr:
 
 
 def _spike(signal: str) -> pl.Expr:
-    """Both neighbours on the same side, both further than the signal can jump and return."""
+    """Flag a sample beyond both neighbours, on the same side, by more than the signal can jump."""
     jump = LIMITS[signal][2]
     before = pl.col(signal) - pl.col(signal).forward_fill().shift(1).over("_leg")
     after = pl.col(signal) - pl.col(signal).backward_fill().shift(-1).over("_leg")
@@ -94,7 +93,7 @@ def _spike(signal: str) -> pl.Expr:
 
 
 def _run(signal: str) -> pl.Expr:
-    """Number of the run of equal readings, gaps bridged."""
+    """Return the number of the run of equal readings, with gaps bridged."""
     return pl.struct("_leg", pl.col(signal).forward_fill().over("_leg")).rle_id()
 
 

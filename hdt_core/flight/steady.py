@@ -1,8 +1,6 @@
-"""Steady state: a slope test over 60 s on 1 Hz logs, its equivalent between snapshots, and averages over it."""
+"""Steady state: a slope test and averages over minutes of 1 Hz logs, and its equivalent between snapshots."""
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from hdt_core.flight.phases import number_legs, seconds_between
 from hdt_core.flight.quality import SIGNALS
@@ -21,58 +19,14 @@ DRIVERS: dict[str, tuple[float, float]] = {
 }
 
 
-def slope_t(values: NDArray[np.float64], window: int = WINDOW_S, resolution: float = 0.0) -> NDArray[np.float64]:
-    """Student's t of the least-squares slope in the window around each sample.
-
-    Parameters
-    ----------
-    values : array (n,)
-        Evenly spaced readings, finite.
-    window : int
-        Samples in a window; at both ends the first and the last whole window speak.
-    resolution : float
-        Smallest step of the reading; a reading that only toggles within it has no slope.
-
-    Returns
-    -------
-    array (n,)
-        t with `window - 2` degrees of freedom; all zero where the record is shorter than a window.
-
-    References
-    ----------
-    .. [1] J. D. Kelly, J. D. Hedengren, A steady-state detection (SSD) algorithm to detect non-stationary drifts in
-       processes, J. Process Control 23(3), 2013 (drift t-test).
-    """
-    n = values.size
-    if n < window:
-        return np.zeros(n)
-    x = values - values.mean()  # cancellation in the running sums
-    offset = np.arange(window) - 0.5 * (window - 1)
-    ss_time = float(offset @ offset)
-    slope = np.convolve(x, offset[::-1], mode="valid") / ss_time
-    total = np.convolve(x, np.ones(window), mode="valid")
-    square = np.convolve(x * x, np.ones(window), mode="valid")
-    ss_residual = np.maximum(square - total**2 / window - slope**2 * ss_time, 0.0)
-    variance = ss_residual / (window - 2) + resolution**2 / 12.0
-    t = np.divide(slope, np.sqrt(variance / ss_time), out=np.zeros_like(slope), where=variance > 0.0)
-    t[(variance == 0.0) & (slope != 0.0)] = np.inf
-    centre = np.clip(np.arange(n) - window // 2, 0, t.size - 1)
-    return np.asarray(t[centre])
-
-
-def is_transient(values: NDArray[np.float64], window: int = WINDOW_S, resolution: float = 0.0) -> NDArray[np.bool_]:
-    """Whether each second belongs to a drift: the 60 s slope test at `SLOPE_T_LIMIT`. Arguments as `slope_t`."""
-    return np.asarray(np.abs(slope_t(values, window, resolution)) > SLOPE_T_LIMIT)
-
-
 def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
-    """Average a 1 Hz log over whole minutes of one phase, so that the twin may treat it as precise snapshots.
+    """Average a 1 Hz log over whole minutes of one phase, which serve the twin as precise snapshots.
 
     Parameters
     ----------
     log : DataFrame
         `by`, `time_utc`, `phase`, `level`, `climb_rate_m_s`, the screen counts and `SIGNALS`, one row a second;
-        `departed_at` of the flight is carried on where it is there.
+        `departed_at` of the flight is kept where present.
 
     Returns
     -------
@@ -99,6 +53,8 @@ def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
 def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
     """Whether a group's readings show no slope that is both significant and harmful; true where there are none.
 
+    The drift t-test of J. D. Kelly and J. D. Hedengren, J. Process Control 23(3), 2013.
+
     Parameters
     ----------
     second : Expr
@@ -108,8 +64,8 @@ def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
     harmful : float
         Largest drift that leaves what the signal drives quasi-steady. [signal's unit / s]
     """
-    known = pl.col(signal).is_not_null()
-    time, reading = second.filter(known), pl.col(signal).drop_nulls()
+    recorded = pl.col(signal).is_not_null()
+    time, reading = second.filter(recorded), pl.col(signal).drop_nulls()
     slope = pl.cov(time, reading) / time.var()
     degrees = reading.len() - 2
     residual = (reading.var() - slope**2 * time.var()).clip(lower_bound=0.0)
@@ -118,23 +74,22 @@ def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
 
 
 def steady_snapshots(snapshots: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
-    """Add `steady`: whether a level snapshot agrees with a neighbour in all that drives the exchanger.
+    """Add `steady`: whether a level snapshot agrees with a neighbour in all `DRIVERS`.
 
-    A snapshot can't be tested for slope. Its equivalent: to the nearer of its neighbours in the same phase no driver
-    moved faster than `DRIVERS` allows, or by more than four times the noise of a difference. Rows
-    sorted by `by` and time.
+    As snapshots allow no slope test, no driver may have changed since the nearer neighbour of the same phase faster
+    than `DRIVERS` allows and by more than four times the noise of a difference. Rows sorted by `by` and time.
     """
-    steady = pl.col("level") & pl.all_horizontal(_held(s) for s in DRIVERS)
+    steady = pl.col("level") & pl.all_horizontal(_agrees_with_neighbour(s) for s in DRIVERS)
     return number_legs(snapshots, by).with_columns(steady.fill_null(False).alias("steady")).drop("_leg")
 
 
-def _held(signal: str) -> pl.Expr:
+def _agrees_with_neighbour(signal: str) -> pl.Expr:
     rate, noise = DRIVERS[signal]
 
-    def moved(step: int) -> pl.Expr:
+    def excess(step: int) -> pl.Expr:
         change = (pl.col(signal) - pl.col(signal).shift(step).over("_leg")).abs()
         span_s = seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(step).over("_leg")).abs()
         same = pl.col("phase") == pl.col("phase").shift(step).over("_leg")
         return pl.when(same).then(change - pl.max_horizontal(rate * span_s, pl.lit(4.0 * 2**0.5 * noise)))
 
-    return (pl.min_horizontal(moved(1), moved(-1)) <= 0.0).fill_null(True)
+    return (pl.min_horizontal(excess(1), excess(-1)) <= 0.0).fill_null(True)

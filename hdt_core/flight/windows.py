@@ -1,4 +1,4 @@
-"""Which flights calibration learns from: the first of each tail, none around maintenance or a message."""
+"""Flights for calibration: the first of each tail, none around maintenance or a message."""
 
 import polars as pl
 
@@ -11,27 +11,27 @@ TAIL_KEY = ("operator", "tail")
 AROUND_MAINTENANCE = {**{c.code: c.around_work for c in (HX, CC)}, "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
 # messages of the pack's own exchanger and compressor; others (trim air, cabin fans) say nothing about it
 AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
-# looking changes nothing; a wash finds the exchanger it leaves, and how foul that was its own flights show
+# an inspection changes nothing, and the flights around a wash show by themselves how foul the exchanger was
 HARMLESS = ("INSPECTED", "CLEANED")
 LONGEST_PAUSE = "21d"
 MILESTONES = (10, 20, 40, 80, 160)
-"""Flights of a tail after which its baseline grows; the last is the commissioning window's end: what comes later is
-judged by the model and never teaches it, or slow wear would be learned as normal."""
+"""Flights of a tail after which its baseline is extended; the last ends the commissioning window. Later flights are
+never calibrated on, or slow wear would be learned as normal."""
 
 
 def baseline_flights(flights: pl.DataFrame) -> list[str]:
-    """Flights that the model rests on: the first of each tail, up to the last milestone it has passed.
+    """Return the flights to calibrate on: the first of each tail, up to the last milestone it has passed.
 
     Parameters
     ----------
     flights : DataFrame
-        `operator, tail, flight_id, departed_at`; more columns and rows (packs) do no harm.
+        `operator, tail, flight_id, departed_at`; more columns and rows (packs) are allowed.
 
     Returns
     -------
     list of str
-        Sorted flight ids. A tail that has not reached the first milestone gives all it has. The answer depends on the
-        flights held, not on the order in which they came.
+        Sorted flight ids. A tail short of the first milestone contributes all. The result does not depend on the order
+        in which flights arrived.
     """
     each = flights.group_by("operator", "tail", "flight_id").agg(pl.col("departed_at").min())
     ordered = each.with_columns(
@@ -62,20 +62,20 @@ def flag_windows(legs: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.Dat
         `operator`, `tail`, `message_time`, `pack`, `code`.
     """
     times = [c for c in ("done_at", "done_on") if c in maintenance.columns]
-    worked = maintenance.filter(~pl.col("action").is_in(HARMLESS)).select(
+    work = maintenance.filter(~pl.col("action").is_in(HARMLESS)).select(
         *TAIL_KEY,
         pl.col("pack").cast(pl.Int32),
         pl.coalesce(pl.col(c).cast(pl.Datetime("us", "UTC")) for c in times).alias("at"),
         pl.col("component").alias("kind"),
     )
-    warned = messages.select(
+    warnings = messages.select(
         *TAIL_KEY,
         pl.col("pack").cast(pl.Int32),
         pl.col("message_time").cast(pl.Datetime("us", "UTC")).alias("at"),
         pl.col("code").str.slice(0, 5).alias("kind"),
     )
-    flagged = _flag(legs, worked, AROUND_MAINTENANCE, "near_maintenance")
-    return _flag(flagged, warned, AROUND_MESSAGE, "near_message")
+    flagged = _flag(legs, work, AROUND_MAINTENANCE, "near_maintenance")
+    return _flag(flagged, warnings, AROUND_MESSAGE, "near_message")
 
 
 def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int, int]], name: str) -> pl.DataFrame:
@@ -85,9 +85,9 @@ def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int,
         schema={"kind": pl.String, "_before": pl.Int64, "_after": pl.Int64},
     )
     flights = legs.select(*TAIL_KEY, "departed_at", "flight_number").unique().sort("departed_at")
-    known = entries.join(spans, on="kind", validate="m:1").sort("at")
-    # the last flight that left before the entry; one made while the aircraft did not fly concerns no flight
-    placed = known.join_asof(
+    entry_spans = entries.join(spans, on="kind", validate="m:1").sort("at")
+    # the last flight before the entry; an entry during a long pause concerns no flight
+    last_flights = entry_spans.join_asof(
         flights,
         left_on="at",
         right_on="departed_at",
@@ -97,7 +97,9 @@ def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int,
     ).drop_nulls("flight_number")
     last = pl.col("flight_number")
     span = pl.int_ranges(last - pl.col("_before"), last + pl.col("_after") + 1).alias("flight_number")
-    reached = placed.select(*TAIL_KEY, "pack", span).explode("flight_number").unique()
-    hits = reached.with_columns(pl.lit(True).alias(name))
-    joined = legs.join(hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left", validate="m:1")
-    return joined.with_columns(pl.col(name).fill_null(False))
+    flight_rows = last_flights.select(*TAIL_KEY, "pack", span).explode("flight_number").unique()
+    hits = flight_rows.with_columns(pl.lit(True).alias(name))
+    flagged = legs.join(
+        hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left", validate="m:1"
+    )
+    return flagged.with_columns(pl.col(name).fill_null(False))

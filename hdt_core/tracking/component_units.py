@@ -10,8 +10,8 @@ from scipy.stats import median_abs_deviation
 
 from hdt_core.components import Component
 from hdt_core.components.declaration import REPLACED
-from hdt_core.flight.bleed import turn_away_odd_bleed
-from hdt_core.flight.component_legs import LEG, SILENT, component_legs, component_samples
+from hdt_core.flight.bleed import reject_odd_bleed
+from hdt_core.flight.component_legs import LEG, NO_EVIDENCE, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import number_units, select_entries
@@ -54,14 +54,14 @@ def commission(
     samples = component_samples(signals, component)
     legs = component_legs(samples, component)
     if component.bleed_air and reports is not None:
-        legs = turn_away_odd_bleed(legs, reports)
+        legs = reject_odd_bleed(legs, reports)
     chosen = _as_built(legs, maintenance, component)
     strays, rows = [], []
     for pack, flights in chosen.group_by(PACK, maintain_order=True):
         stray, found = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
         strays.append(stray)
         rows += [(*pack, component.code, *row) for row in found]
-    packs = legs.filter(~pl.col("reason").is_in(SILENT)).select(PACK).unique(maintain_order=True)
+    packs = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)).select(PACK).unique(maintain_order=True)
     known = {row[:3] for row in rows}
     prior = [(*p, component.code, *row) for p in packs.rows() if p not in known for row in _prior(component)]
     return _second_level(legs, strays, rows), pl.DataFrame(rows + prior, schema=_DESIGN, orient="row")
@@ -187,7 +187,7 @@ def _tracked(
     rests_on_prior: bool,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Flights and health of one pack."""
-    steady = samples.join(legs.filter(~pl.col("reason").is_in(SILENT)), on=LEG, how="semi")
+    steady = samples.join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
     flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
     lives = number_units(flights, maintenance, component.code, "life", component.ended_by)
     if flights.is_empty():

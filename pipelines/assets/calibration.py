@@ -11,7 +11,7 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_baseline
-from hdt_core.flight.bleed import turn_away_odd_bleed
+from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.phases import LEG_KEY
 from hdt_core.margin.control_schedules import learn_schedules
@@ -33,7 +33,7 @@ def calibration(home: Home) -> StageResult:
     maintenance, messages, reports = (
         baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
     )
-    verdicts = turn_away_odd_bleed(verdicts, reports)
+    verdicts = reject_odd_bleed(verdicts, reports)
     norm = learn_baseline(verdicts, samples, maintenance, messages)
     admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))

@@ -3,7 +3,7 @@
 import polars as pl
 
 from hdt_core.flight.admission import admit_by
-from hdt_core.flight.bleed import turn_away_odd_bleed
+from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.nominal_baseline import NominalBaseline
 from hdt_core.tables.raw import RawMaintenance, RawMessages
@@ -36,5 +36,5 @@ def legs_admitted(
 ) -> pl.DataFrame:
     """The final verdict, with hindsight: what logs, printed reports, cross checks and the twin say of each leg."""
     baseline = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
-    verdicts = turn_away_odd_bleed(legs_verdicts, raw_reports)
+    verdicts = reject_odd_bleed(legs_verdicts, raw_reports)
     return admit_by(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)

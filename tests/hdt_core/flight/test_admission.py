@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_baseline, yields
+from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_baseline
 from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_checks
 from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
@@ -156,13 +156,6 @@ def test_mcd_is_not_masked_by_what_it_must_reject(share):
     out = learn_scatter(residuals, residuals.columns).outlying(residuals).to_numpy()
     assert out[sick].all()
     assert out[~sick].mean() <= 0.01
-
-
-def test_yield_is_reported_by_month_tail_and_operator(admitted):
-    shares = yields(admitted)
-    assert {"operator", "tail", "month", "n_legs", "n_admitted", "yield"} == set(shares.columns)
-    assert shares["n_legs"].sum() == admitted.height
-    assert shares["n_admitted"].sum() == admitted["admitted"].sum()
 
 
 def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, admitted):

@@ -3,7 +3,7 @@
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import admit_by, yields
+from hdt_core.flight.admission import admit_by
 from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline
 from hdt_core.flight.phases import LEG_KEY
@@ -76,10 +76,3 @@ def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, off_k, out):
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))
     told = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=pl.Series([n] * N, dtype=pl.Int64))
     assert told["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])
-
-
-def test_yield_of_a_month():
-    legs = LEGS.with_columns(
-        admitted=pl.col("flight_number") % 3 > 0, departed_at=pl.col("departed_at").dt.offset_by("20d")
-    )
-    assert yields(legs).select("n_legs", "n_admitted", "yield").rows() == [(11, 7, 7 / 11), (19, 13, 13 / 19)]

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import polars as pl
 import pytest
 
-from hdt_core.flight.bleed import BLEED, turn_away_odd_bleed
+from hdt_core.flight.bleed import BLEED, reject_odd_bleed
 from hdt_core.tables.raw import RawReports
 
 DAY = datetime(2026, 3, 5, 6, tzinfo=UTC)
@@ -37,7 +37,7 @@ ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0
 
 @pytest.mark.parametrize("said", ODD)
 def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(legs, said):
-    told = turn_away_odd_bleed(legs, reports(1.5, **said))
+    told = reject_odd_bleed(legs, reports(1.5, **said))
     assert told["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
     assert told["admitted"].to_list() == [False, False, True, True, True, True]
     assert told["n_nominal"].to_list() == [0, 7, 7, 7, 7, 7]
@@ -50,7 +50,7 @@ def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(le
      {"crossfeed_open": True, "tail": "X-9"}, dict.fromkeys(("bleed_1_open", "crossfeed_open", "pack_2_flow_kg_s"))],
 )  # fmt: skip
 def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(legs, said):
-    assert turn_away_odd_bleed(legs, reports(1.5, **said)).equals(legs)
+    assert reject_odd_bleed(legs, reports(1.5, **said)).equals(legs)
 
 
 @pytest.mark.parametrize(
@@ -63,12 +63,12 @@ def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(le
     ],
 )  # fmt: skip
 def test_what_is_odd_and_how_long_a_flight_may_last(legs, said, hours, turned):
-    told = turn_away_odd_bleed(legs, reports(hours, **said))
+    told = reject_odd_bleed(legs, reports(hours, **said))
     assert (told["reason"] == BLEED).sum() == turned
 
 
 def test_a_report_belongs_to_the_last_departure_before_it(legs):
-    told = turn_away_odd_bleed(legs, reports(6.0, crossfeed_open=True))
+    told = reject_odd_bleed(legs, reports(6.0, crossfeed_open=True))
     assert told.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
-    assert turn_away_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)
-    assert turn_away_odd_bleed(legs, reports(-1.0, crossfeed_open=True)).equals(legs)
+    assert reject_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)
+    assert reject_odd_bleed(legs, reports(-1.0, crossfeed_open=True)).equals(legs)
