@@ -34,8 +34,8 @@ class Recipe:
         Kinds of delivered file whose contents count.
     baseline : bool
         Only the commissioning window of the parents counts.
-    terms : bool
-        The physical terms that an engineer has accepted count.
+    settings : tuple of str
+        What the home sets that counts: accepted physical terms, alert limits (`settings.HOME_SETTINGS`).
     code : str
         Version of the code; raise it when what is computed changes.
     """
@@ -43,7 +43,7 @@ class Recipe:
     parents: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     baseline: bool = False
-    terms: bool = False
+    settings: tuple[str, ...] = ()
     code: str = "1"
 
 
@@ -238,7 +238,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), code="16"),
+        alike("features_alerts", parents=("features",), settings=("limits",), code="16"),
     ),
     Stage(
         "raw_components",
@@ -261,7 +261,7 @@ STAGES = (
             "legs_components",
             "calibration_components",
             parents=("raw_components", "raw_maintenance", "raw_reports"),
-            terms=True,
+            settings=("terms",),
             code=f"2 {DECLARED}",
         ),
         road=COMPONENT,

@@ -15,7 +15,7 @@ from hdt_core.tables import TABLES
 from pipelines.baseline import baseline_inputs
 from pipelines.lineage import LINEAGE, Recipe, Stage
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import accepted_terms
+from pipelines.storage.settings import HOME_SETTINGS
 from pipelines.storage.store import Aircraft
 
 CELL = ("operator", "tail", "flight_id")
@@ -45,8 +45,8 @@ def _expected(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -
     for other in others:
         on = [c for c in CELL if c in other.columns]
         first = first.join(other, on=on, how="left", validate="m:1") if on else first.join(other, how="cross")
-    terms = accepted_terms(ledger.home) if recipe.terms else ()
-    return _hashed(first, " ".join((recipe.code, *terms)))
+    chosen = (value for setting in recipe.settings for value in HOME_SETTINGS[setting](ledger.home))
+    return _hashed(first, " ".join((recipe.code, *chosen)))
 
 
 def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:
@@ -64,7 +64,8 @@ def made_as(ledger: Ledger, stages: Sequence[Stage]) -> str:
     parents = {p for stage in stages if stage.grain != "fleet" for p in stage.parents if TABLES[p].grain == "fleet"}
     fleet = ledger.of(())
     versions = (v for table in sorted(parents) for v in fleet.done(table)["version"])
-    return digest(repr(stages), _declared_types(), *accepted_terms(ledger.home), *versions)
+    chosen = (value for read in HOME_SETTINGS.values() for value in read(ledger.home))
+    return digest(repr(stages), _declared_types(), *chosen, *versions)
 
 
 @cache

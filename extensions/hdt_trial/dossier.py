@@ -22,7 +22,6 @@ from hdt_trial.seal import log_folder
 from pipelines.lineage import STAGES
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import accepted_terms
 from pipelines.versions import digest
 
 _PURPOSE = (
@@ -83,7 +82,7 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
         told = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
         checks = [(name, _rows_of(con, sql)) for name, sql in _checks()]
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
-        configuration = frozen(con, list(accepted_terms(home)))
+        configuration = frozen(con, home)
     return document(
         f"Dossier of a prognostic system, {datetime.now(UTC):%Y-%m-%d}",
         section("Purpose and limits of use", _PURPOSE),

@@ -12,19 +12,21 @@ from typing import Any
 
 import duckdb
 
+from pipelines.storage.settings import accepted_terms, changed_limits
+
 PACKAGES = ("hdt_core", "pipelines", "dagster_batched", "sql", "hdt_trial")
 LIBRARIES = ("duckdb", "numpy", "polars", "scikit-learn", "scipy")
 
 
-def frozen(con: duckdb.DuckDBPyConnection, terms: list[str]) -> dict[str, Any]:
-    """Version, digest of the sources, every constant of the science, libraries, components and accepted terms.
+def frozen(con: duckdb.DuckDBPyConnection, home: Path) -> dict[str, Any]:
+    """Version, digest of the sources, every constant of the science, libraries, components, accepted terms and limits.
 
     Parameters
     ----------
     con : DuckDBPyConnection
         A catalog.
-    terms : list of str
-        Terms of the physics that were switched on in this home.
+    home : Path
+        The home, for the terms of the physics and the alert limits that it sets.
     """
     parts = con.execute("select component, version, limit_loss from tables.components order by 1").fetchall()
     return {
@@ -33,7 +35,8 @@ def frozen(con: duckdb.DuckDBPyConnection, terms: list[str]) -> dict[str, Any]:
         "python": platform.python_version(),
         "libraries": {name: importlib.metadata.version(name) for name in LIBRARIES},
         "components": {code: f"{version}, limit {limit}" for code, version, limit in parts},
-        "terms": sorted(terms),
+        "terms": list(accepted_terms(home)),
+        "limits": list(changed_limits(home)),
         "constants": dict(constants()),
     }
 

@@ -13,7 +13,6 @@ from hdt_trial.declaration import Declaration, Rule, TrialError, read_declaratio
 from hdt_trial.frozen import changes, frozen
 from hdt_trial.log import LogEntry, append, entries
 from pipelines.storage.catalog import ask, connect
-from pipelines.storage.settings import accepted_terms
 
 FOLDER = "trial"
 OURS = "hdt"
@@ -53,7 +52,7 @@ def start(home: Path, declaration: str, now: datetime | None = None) -> LogEntry
         raise TrialError(f"{folder} holds a trial; move it away to start another")
     declared = read_declaration(declaration)
     with connect(home) as con:
-        body = {"declaration": declaration, "frozen": frozen(con, list(accepted_terms(home)))}
+        body = {"declaration": declaration, "frozen": frozen(con, home)}
         body |= _said(con, declared, {}, {})
     folder.mkdir(parents=True, exist_ok=True)
     return append(folder, "start", body, now or datetime.now(UTC))
@@ -75,7 +74,7 @@ def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
     if now >= log[0].sealed_at + timedelta(days=declared.days):
         return None
     with connect(home) as con:
-        told = changes(_last_frozen(log), is_now := frozen(con, list(accepted_terms(home))))
+        told = changes(_last_frozen(log), is_now := frozen(con, home))
         body = ({"changes": told, "frozen": is_now} if told else {}) | _said(con, declared, *_state(log))
     return append(folder, "night", body, now)
 

@@ -1,6 +1,7 @@
 """What the differences mean: features of each pack after each flight, and the alerts they raise."""
 
 import json
+from pathlib import Path
 
 import polars as pl
 
@@ -13,6 +14,8 @@ from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
+from pipelines.resources import Home
+from pipelines.storage.settings import alert_limits
 
 
 @stage
@@ -55,6 +58,8 @@ def features(
 
 
 @stage
-def features_alerts(features: pl.DataFrame, twin_health: pl.DataFrame, raw_maintenance: pl.DataFrame) -> pl.DataFrame:
+def features_alerts(
+    features: pl.DataFrame, twin_health: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+) -> pl.DataFrame:
     """Cases that want a person: what moved, since when, what else could explain it, what to do."""
-    return raise_alerts(features, twin_health, raw_maintenance)
+    return raise_alerts(features, twin_health, raw_maintenance, alert_limits(Path(home.home)))

@@ -23,7 +23,7 @@ from pipelines.storage import history, ledger_copy
 from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import fault_of, publish
-from pipelines.storage.settings import accepted_terms, notify_file, retention
+from pipelines.storage.settings import HOME_SETTINGS, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, made_as, narrowed, stale
 
@@ -175,7 +175,8 @@ def run_night(
 def check_settings(home: Path) -> None:
     """Read what the home declares before anything is done by it: a wrong file is said now, and not after the night."""
     retention(home)
-    accepted_terms(home)
+    for read in HOME_SETTINGS.values():
+        read(home)
     if notify_file(home).exists():
         from pipelines.digest import receivers_of
 

@@ -17,6 +17,7 @@ from pipelines.report.headline import headline
 from pipelines.report.templating import policy, render
 from pipelines.report.thresholds import thresholds
 from pipelines.storage.files import replacing
+from pipelines.storage.settings import changed_limits
 from pipelines.words import _
 
 CLOSED_DAYS = 180  # alerts closed longer ago are history: the catalog has them
@@ -31,11 +32,11 @@ def write_report(home: Path, target: Path, units: str = "si", with_thresholds: b
     """
     tried = thresholds(home) if with_thresholds else ()
     with replacing(target.resolve()) as temporary:
-        temporary.write_text(page(read_facts(home), units, tried), encoding="utf-8")
+        temporary.write_text(page(read_facts(home), units, tried, changed_limits(home)), encoding="utf-8")
 
 
-def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] = ()) -> str:
-    """The whole document, opened in a system of units (of `units.SYSTEMS`), with rows of `thresholds` if asked for."""
+def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] = (), limits: Sequence[str] = ()) -> str:
+    """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the limits that the home sets."""
     drawn, data = figures(facts), _data(facts)
     for k, chart in enumerate(c for f in drawn for c in f["charts"]):
         chart["name"] = f"figure-{k}"
@@ -57,6 +58,7 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
         components=facts["components"].to_dicts(),
         hit_rates={r["diagnosis"]: r for r in facts["hit_rates"].to_dicts()},
         thresholds=thresholds,
+        limits=limits,
         gaps=_gaps(facts),
         quarantine=facts["quarantine"].to_dicts(),
         deliveries=facts["deliveries"].row(0, named=True),

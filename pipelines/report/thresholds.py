@@ -11,6 +11,7 @@ from hdt_core.alerts.threshold_study import Trial, trials
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import read_header
 from pipelines.storage.publication import ordered, views
+from pipelines.storage.settings import alert_limits
 
 JUDGED_BY = ("alert_hit_rates", "alert_lead_times")
 _ALERTS = ("features_alerts", "features_component_alerts")
@@ -38,7 +39,7 @@ def thresholds(home: Path) -> list[Row]:
         names = sorted({t for _, sql in needed for t in re.findall(r"\btables\.(\w+)", sql)})
         held = {t: con.sql(f"select * from tables.{t}").to_arrow_table() for t in names}
         asked = ("features", "twin_health", "raw_maintenance")
-        given = [con.sql(f"select * from tables.{t}").pl() for t in asked]
+        features, health, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in asked)
     with duckdb.connect() as trial:
         trial.execute("set TimeZone = 'UTC'; create schema tables")
         for name, rows in held.items():
@@ -46,7 +47,7 @@ def thresholds(home: Path) -> list[Row]:
         _replace(trial, _ALERTS[1], held[_ALERTS[1]].slice(0, 0))
         for _, sql in needed:
             trial.execute(sql)
-        return list(_told(trial, trials(*given)))
+        return list(_told(trial, trials(features, health, maintenance, alert_limits(home))))
 
 
 def _told(con: duckdb.DuckDBPyConnection, tried: Iterator[Trial]) -> Iterator[Row]:

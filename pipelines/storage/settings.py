@@ -1,9 +1,13 @@
 """What an engineer sets for one fleet: small text files in its home."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from datetime import date, datetime
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
+from hdt_core.alerts.cases import Limits
 from hdt_core.toml_text import parse_toml
 from pipelines.storage.objects import StoreError
 
@@ -31,6 +35,54 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     if unknown := [name for name in names if name not in TERMS]:
         raise StoreError(f"{file} has no term a line: {unknown[0]!r:.40}; there are {', '.join(sorted(TERMS))}")
     return tuple(names)
+
+
+def alert_limits(home: Path) -> Limits:
+    """Return the limits of the alert rules: the defaults, and what the operator sets in `alerts.toml`.
+
+    Raises
+    ------
+    StoreError
+        The file can't be read, names no limit, or a value is none: shares lie between 0 and 1, and a persistence is
+        `[n, of, release]` flights.
+    """
+    file = home / "alerts.toml"
+    if not file.exists():
+        return Limits()
+    try:
+        values = parse_toml(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{file} can't be read: {error}") from None
+    names = [f.name for f in fields(Limits)]
+    if unknown := sorted(set(values) - set(names)):
+        raise StoreError(f"{file} has no limit {unknown[0]!r:.40}; there are {', '.join(names)}")
+    for name, value in values.items():
+        if fault := _fault_of_limit(name, value):
+            raise StoreError(f"{file}: {name} is {value!r:.40} and ought to be {fault}")
+    changed: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else float(v) for n, v in values.items()}
+    return replace(Limits(), **changed)
+
+
+def _fault_of_limit(name: str, value: Any) -> str | None:
+    """Return what a value of `Limits` ought to be where it is something else."""
+    if name.endswith("_persistence"):
+        counts = value if isinstance(value, list) and all(type(n) is int for n in value) else []
+        whole = len(counts) == 3 and 1 <= counts[0] <= counts[1] <= 1000 and 1 <= counts[2] <= 1000
+        return None if whole else "[n, of, release] flights, n of at most `of`"
+    most = 1000 if name in ("soon_flights", "compressor_excess", "peg_k") else 1
+    number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and 0 < value < most
+    return None if number else f"a number between 0 and {most}"
+
+
+def changed_limits(home: Path) -> tuple[str, ...]:
+    """Return the limits that the home sets other than the defaults, as `name = value`."""
+    limits, defaults = alert_limits(home), Limits()
+    names = (f.name for f in fields(Limits))
+    return tuple(f"{n} = {getattr(limits, n)}" for n in names if getattr(limits, n) != getattr(defaults, n))
+
+
+HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {"terms": accepted_terms, "limits": changed_limits}
+"""What a home sets that results depend on, by the name under which a `Recipe` lists it."""
 
 
 def notify_file(home: Path) -> Path:

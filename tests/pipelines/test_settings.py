@@ -6,12 +6,13 @@ import stat
 import pytest
 from typer.testing import CliRunner
 
+from hdt_core.alerts.cases import Limits
 from pipelines.cli import app, main
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.storage.files import narrow_umask, private
 from pipelines.storage.objects import StoreError
-from pipelines.storage.settings import Retention, accepted_terms, retention
+from pipelines.storage.settings import Retention, accepted_terms, alert_limits, changed_limits, retention
 
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 ABSURD = ("99999999999", "9" * 5_000, "-1", "0", "nan", "inf", "1e400", "1.5", "true", "'x'", "[]", "{}", "2024-03-01")
@@ -122,3 +123,23 @@ def test_a_narrower_mask_stays(before, after):
         assert os.umask(before) == after
     finally:
         os.umask(kept)
+
+
+@pytest.mark.parametrize(("text", "fault"), [
+    ("fouling = 1.0", "between 0 and 1"), ("fouling = 0", "between 0 and 1"), ("clog = true", "between 0 and 1"),
+    ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no limit 'fuling'"), ("fouling = '0.1'", "between"),
+    ("wear_persistence = [5, 4, 15]", "n of at most `of`"), ("wear_persistence = [3, 4]", "flights"),
+])  # fmt: skip
+def test_an_alert_limit_that_is_none_is_refused(tmp_path, text, fault):
+    (tmp_path / "alerts.toml").write_text(text)
+    with pytest.raises(StoreError, match=r"alerts\.toml.*" + re.escape(fault)):
+        alert_limits(tmp_path)
+
+
+def test_a_home_sets_alert_limits_and_the_rest_stays(tmp_path):
+    assert alert_limits(tmp_path) == Limits()
+    assert changed_limits(tmp_path) == ()
+    (tmp_path / "alerts.toml").write_text("fouling = 0.12\nwear_persistence = [2, 3, 15]\nclog = 0.1\n")
+    limits = alert_limits(tmp_path)
+    assert (limits.fouling, limits.wear_persistence, limits.compressor) == (0.12, (2, 3, 15), Limits().compressor)
+    assert changed_limits(tmp_path) == ("fouling = 0.12", "wear_persistence = (2, 3, 15)")

@@ -163,3 +163,12 @@ def test_what_a_baseline_follows_is_no_concern_of_who_follows_the_baseline():
     """A shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale."""
     assert "raw_maintenance" not in followed(STAGE["twin_flights"])
     assert "raw_maintenance" in followed(STAGE["twin_health"])
+
+
+def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):
+    tables = "features", "features_alerts", "twin_health", "prognoses"
+    before = {t: expected(ledger, t) for t in tables}
+    (ledger.home / "alerts.toml").write_text("fouling = 0.12")
+    assert [t for t in tables if not expected(ledger, t).equals(before[t])] == ["features_alerts"]
+    (ledger.home / "alerts.toml").write_text("fouling = 0.15")  # the default
+    assert all(expected(ledger, t).equals(before[t]) for t in tables)
