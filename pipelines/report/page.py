@@ -36,7 +36,7 @@ def write_report(home: Path, target: Path, units: str = "si", with_thresholds: b
 
 
 def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] = (), limits: Sequence[str] = ()) -> str:
-    """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the limits that the home sets."""
+    """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
     drawn, data = figures(facts), _data(facts)
     for k, chart in enumerate(c for f in drawn for c in f["charts"]):
         chart["name"] = f"figure-{k}"

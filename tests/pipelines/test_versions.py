@@ -166,6 +166,9 @@ def test_what_a_baseline_follows_is_no_concern_of_who_follows_the_baseline():
 
 
 def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):
+    deliver(ledger, A, "maintenance.csv", [], "m1", "maintenance")
+    parents = "raw_maintenance", "twin_health", "residuals", "calibration_schedules", "features_cross_checks"
+    make(ledger, *parents, "features_margin", "features")
     tables = "features", "features_alerts", "twin_health", "prognoses"
     before = {t: expected(ledger, t) for t in tables}
     (ledger.home / "alerts.toml").write_text("fouling = 0.12")
