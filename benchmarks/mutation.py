@@ -197,6 +197,8 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
         f"{room}, seed {seed}: {caught} of {len(tried)} caught, {100 * caught / len(tried):.0f} %; "
         f"{len(drawn) - len(tried)} equivalent; {len(everything)} places; {each_s:.1f} s a mutant"
     )
+    sys.stdout.flush()
+    os._exit(0)  # the libraries' own clean-up prints pages
 
 
 if __name__ == "__main__":

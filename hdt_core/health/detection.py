@@ -153,7 +153,7 @@ class _Walk:
         weight = np.where(calm & (self.n > 0), 1.0 / np.minimum(self.spread_n + 1.0, s.memory_flights), 0.0)
         self.spread = self.spread + weight * (square - self.spread)
         self.spread_n = np.minimum(self.spread_n + (weight > 0), s.memory_flights)
-        gain = np.where(calm, 1.0 / np.minimum(self.n + 1.0, s.memory_flights), 0.0)
+        gain = 1.0 / np.minimum(self.n + 1.0, s.memory_flights)
         self.offset = np.where(calm, self.offset + gain * miss, self.offset)
         self.n = self.n + calm
 

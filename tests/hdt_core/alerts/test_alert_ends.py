@@ -124,6 +124,10 @@ def test_the_limit_in_service_says_what_was_said() -> None:
     seen = three_packs()
     told = {t.diagnosis: t.alerts for t in trials(seen, pl.DataFrame(), NOTHING) if t.in_service}
     assert set(told) == set(VALUES)
+    assert [values for _, values in VALUES.values()] == [
+        (0.10, 0.125, 0.15, 0.20, 0.25), (0.07, 0.10, 0.15, 0.20), (0.70, 0.80, 0.90, 0.95, 0.98),
+        (0.03, 0.04, 0.05, 0.07), (0.9, 1.3, 1.8, 2.5),
+    ]  # fmt: skip
     for diagnosis in set(VALUES) - {"RAM_DOOR_FAULT"}:
         assert told[diagnosis].sort("alert_id").equals(alerts(seen, NOTHING).sort("alert_id"))
 

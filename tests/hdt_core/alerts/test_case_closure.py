@@ -93,6 +93,9 @@ def test_the_sensors_case_ends_with_the_next_unit_and_with_a_new_sensor() -> Non
         found = alerts(features(loss), pl.concat([looked(), new], how="diagonal"))
         assert found["closed_at"].to_list() == [departure(LOOKED_AFTER), departure(90)]
         assert found["closed_reason"].to_list() == ["found_clean", "renewed"]
+    twice = pl.concat([looked(), *(work(departure(k) - timedelta(minutes=5), timed=True) for k in (80, 95))])
+    later = np.where(np.arange(FLIGHTS) < 85, worn(0.0), worn(0.0) + 0.05)  # the next unit wears by itself
+    assert alerts(features(later), twice)["diagnosis"].to_list() == ["HX_FOULING"] * 2
 
 
 def test_an_inspection_since_the_last_flight_closes_it_at_once() -> None:

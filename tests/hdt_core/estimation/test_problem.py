@@ -40,10 +40,13 @@ def test_belief_states_intervals_and_information():
         {"bounds": np.zeros((3, 2))},
         {"bounds": np.array([[1.0, 0.0], [0.0, 1.0]])},
         {"prior": Belief(np.zeros(2), np.diag([0.0, 1.0]))},
+        {"prior": Belief(np.zeros(1), np.eye(2))},
+        {"prior": Belief(np.zeros(2), np.eye(3))},
         {"sigma": np.array([0.0])},
         {"sigma": np.array([0.1, 0.1])},
+        {"measured": np.zeros(4), "sigma": np.zeros(0)},
     ],
-    ids=["shape", "order", "no variance", "no noise", "outputs"],
+    ids=["shape", "order", "no variance", "mean's shape", "covariance's shape", "no noise", "outputs", "no outputs"],
 )
 def test_a_question_that_makes_no_sense_is_refused(fault):
     with pytest.raises(ValueError, match=r"bounds|bound|variances|sigma"):

@@ -50,6 +50,9 @@ def test_a_channel_that_is_needed_is_missed_and_another_not():
     assert leg(hot_out_k=None)["reason"] == "NOT_RECORDED"
     assert leg(fan_rad_s=None)["reason"] == ""
     assert leg(hot_out_k=[300.0] + [None] * 5)["reason"] == "FEW_SAMPLES"
+    needed = tuple(replace(c, needed=c.needed or c.signal == "fan_rad_s") for c in HXT.record.channels)
+    unit = replace(HXT, record=replace(HXT.record, channels=needed))
+    assert leg(unit, fan_rad_s=None)["reason"] == ""  # the model has all it takes
 
 
 @pytest.mark.parametrize(("harmful", "reason"), [(0.009, "UNSTEADY"), (0.011, "")])

@@ -117,6 +117,13 @@ def test_a_reading_bound_to_the_air_moves_with_altitude(signal):
         assert null_bad_values(falling, by=BY)["n_frozen"].sum() == n
 
 
+@pytest.mark.parametrize("sign", [-8.0, 8.0])
+@pytest.mark.parametrize("beside", [(345.0, 344.0), (344.0, 345.0), (345.0, 346.0), (346.0, 345.0)])
+def test_a_jump_of_just_what_is_allowed_is_no_spike(sign, beside):
+    around = {59: beside[0], 60: 345.0 + sign, 61: beside[1]}
+    assert read("hx_out_k", dict.fromkeys(range(55, 66), 345.0) | around)["n_spikes"][60] == 0
+
+
 def test_step_that_stays_is_no_spike():
     stepped = recorded().with_columns(
         pl.when(pl.col("time_utc").rank("dense") > 20)

@@ -56,6 +56,7 @@ def test_a_fault_that_ends_is_seen_to_end() -> None:
     called = walked(values).called[:, :, 0]
     assert called[:, 80].all()
     assert not called[:, 115:].any()
+    assert not walked(values, Cusum(clear=0.0)).called[:, 199, 0].all()  # a sum at the limit is not above it
 
 
 def test_nothing_leaks_from_the_future() -> None:

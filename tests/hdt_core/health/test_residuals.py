@@ -12,11 +12,12 @@ from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.features import residual_column
-from hdt_core.health.residuals import KINDS, SIGNALS, residuals
+from hdt_core.health.residuals import KINDS, SIGNALS, component_residuals, residuals
 from hdt_core.health.virtual_sensors import virtual_sensors
 from hdt_core.physics.compressor import exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
+from hdt_core.physics.unmetered_exchanger import UNMETERED
 from hdt_core.tables.residuals import Residuals
 
 KEY = ["operator", "tail", "flight_id", "pack"]
@@ -135,6 +136,22 @@ def test_statistics_of_a_flight_by_hand() -> None:
             }  # fmt: skip
             assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-6, abs=1e-9), (signal, kind)
             assert row["component"] == ("CC" if signal.startswith("cc_") else "HX")
+
+
+def test_all_three_speak_of_the_samples_that_the_sensor_measured() -> None:
+    """A declared component; its fourth reading is missing."""
+    time = pl.datetime(2024, 1, 1, time_zone="UTC")
+    key = dict(zip(KEY, (pl.lit("TST"), pl.lit("T"), pl.lit("F"), pl.lit(1, pl.Int32)), strict=True))
+    air = {"hot_in_k": 400.0, "tat_k": 290.0, "total_pressure_pa": 90e3}
+    flux = pl.DataFrame({"ram_flux_kg_s_m2": [90.0, 110.0, 120.0, 150.0], "hot_out_k": [320.0, 318.0, 315.0, None]})
+    rows = flux.with_columns(**key, time_utc=time, **{name: pl.lit(value) for name, value in air.items()})
+    table = component_residuals(rows, rows.select(KEY).unique().with_columns(hxt_loss=0.2), UNMETERED, "HXT")
+    sound, own = (290.0 + 110.0 * np.exp(-left * 1.6 * np.array([0.9, 1.1, 1.2]) ** 0.27) for left in (1.0, 0.8))
+    sensor = np.array([320.0, 318.0, 315.0])
+    for kind, d in zip(KINDS, (sensor - sound, sound - own, sensor - own), strict=True):
+        row = table.row(by_predicate=pl.col("kind") == kind, named=True)
+        assert (row["component"], row["signal"], row["n"]) == ("HXT", "hot_out_k", 3)
+        assert (row["mean"], row["mean_sigma"]) == pytest.approx((d.mean(), d.mean() / 3.0))
 
 
 def test_every_residual_has_a_feature_name() -> None:

@@ -133,6 +133,8 @@ def test_pressures_that_cannot_be_are_no_witness() -> None:
         assert row["w_cc_out_pressure_over_schedule_ln"] is None
         assert row["w_total_over_pitot_pressure_ln"] is None
         assert row["w_cc_out_pressure_between_packs_ln"] is None
+    once = both_packs().with_columns(cc_in_pa=pl.when(pl.int_range(pl.len()) > 0).then("cc_in_pa").otherwise(0.0))
+    assert first(once)["w_inlet_over_total_pressure_ln_n"] == 5
 
 
 def test_a_sensor_stands_still_from_eight_readings_on_and_empty_ones_are_counted() -> None:

@@ -14,7 +14,7 @@ from hdt_core.physics.heat_exchanger import (
     measured_conductance_w_k,
     outlets_k,
 )
-from hdt_core.physics.installed_exchanger import NAMES, ln_clean_conductance
+from hdt_core.physics.installed_exchanger import DESIGN, NAMES, ln_clean_conductance
 
 flows = st.floats(0.2, 3.0)
 conductances = st.floats(100.0, 4000.0)
@@ -98,6 +98,16 @@ def test_what_a_loss_does_to_the_outlet():
 def test_impossible_temperatures_have_no_conductance():
     assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
     assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
+
+
+def test_design_knowledge_is_that_on_paper():
+    """Deviations as declared; of a share of resistance and a film's temperature, start and range too."""
+    sds = (0.5, 0.05, 0.05, 0.3, 0.05, 0.15, 0.7, 0.4, 0.15, 0.25, 0.4, 0.1)
+    assert tuple(p.sd for p in DESIGN) == sds
+    own = {p.name: (p.nominal, *p.bounds) for p in DESIGN}
+    assert own["hot_share_logit"] == (0.0, -1.5, 1.5)
+    assert own["film_temperature_exponent"] == (0.15, -0.5, 0.8)
+    assert own["ln_rest_area"] == pytest.approx(tuple(np.log((0.025, 0.0025, 0.6))))
 
 
 def test_an_installed_core_conducts_by_the_mean_temperature_of_its_films():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import RK45, solve_ivp
 
 from hdt_core.estimation import NonlinearLeastSquares, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
@@ -71,6 +71,34 @@ def test_the_orders_are_those_of_the_names():
     assert np.log2(error("euler", 0.01) / error("euler", 0.005)) == pytest.approx(1.0, abs=0.1)
     assert np.log2(error("rk4", 0.1) / error("rk4", 0.05)) == pytest.approx(4.0, abs=0.2)
     assert error("adaptive", 0.5) < 1e-7
+
+
+def walked(rates, x, dt_s):
+    """Dormand and Prince's steps, all columns alike: an error of 1e-8 of each state's size, of a thousandth of its
+    largest column's at the least; a step changes by the fifth root of error over that, to a tenth or five times."""
+    done, step = 0.0, dt_s
+    while done < dt_s * (1.0 - 1e-12):
+        stages = [rates(x)]
+        for row in RK45.A[1:]:
+            stages.append(rates(x + step * np.tensordot(row[: len(stages)], stages, 1)))
+        later = x + step * np.tensordot(RK45.B, stages, 1)
+        error = np.abs(step * np.tensordot(RK45.E, [*stages, rates(later)], 1))
+        size = np.maximum(np.abs(x), np.abs(later))
+        worst = (error / (1e-8 * np.maximum(size, 1e-3 * size.max(axis=1, keepdims=True)) + 1e-14)).max()
+        if worst <= 1.0:
+            x, done = later, done + step
+        step = min(step * np.clip(0.9 * max(worst, 1e-9) ** -0.2, 0.1, 5.0), dt_s - done)
+    return x
+
+
+def test_steps_are_as_short_as_the_error_asks():
+    """A fast decay that breaks off into a slow one; the second column is small, and faster."""
+
+    def rates(x):
+        return np.concatenate([np.where(x[:, :1] > 0.5, -40.0 * x[:, :1], -0.5 - 0.01 * x[:, :1]), -60.0 * x[:, 1:]], 1)
+
+    start = np.array([[1.0, 2e-4]])
+    np.testing.assert_allclose(advanced(rates, start, 2.0, "adaptive"), walked(rates, start, 2.0), rtol=1e-9)
 
 
 def record(seed=0, solver="adaptive"):

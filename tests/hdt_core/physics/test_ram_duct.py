@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hdt_core.physics.air import R_J_KG_K, standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.installed_exchanger import DESIGN, clean_ram_flow_kg_s
 from hdt_core.physics.ram_duct import (
     RAM_DUCT,
     compressible_flow_kg_s,
@@ -83,6 +84,12 @@ def test_cruise_flow_is_of_the_size_of_a_pack_s():
     assert 0.3 < shut < 1.5 < open_ < 3.5
     believed = RAM_DUCT.predict({}, cruise(ram_door_open=0.6))["ram_flow_kg_s"]
     assert 1.0 < believed < 2.0
+
+
+def test_a_door_that_reads_beyond_its_ends_is_at_them():
+    design = np.array([[p.nominal] for p in DESIGN])
+    flows = clean_ram_flow_kg_s(cruise(ram_door_open=np.array([-0.02, 0.0, 1.0, 1.02])), design)
+    assert flows[0] == flows[1] < flows[2] == flows[3]
 
 
 def test_static_pressure_without_altitude_comes_from_mach():

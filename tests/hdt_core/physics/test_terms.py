@@ -41,11 +41,18 @@ def test_vapour_pressure_is_water_s():
         )
 
 
-def test_a_leak_grows_with_what_drives_it():
-    low, high = recorded(MET, {"flow_leak": 0.1})["pack_flow_kg_s"] / MET["pack_flow_kg_s"]
-    assert 1.0 < low < high
-
-
-def test_bounds_hold():
+def test_shapes_and_bounds_on_paper():
+    """Vapour of 2.5 MJ/kg in air of 1005 J/kg/K, 0.622 kg a kg of it by pressure; a cabin of 80 kPa; 390 K."""
+    outside_pa = np.array([285.24e2, 226.32e2])
+    shapes = {
+        "water_spray": 2.5e6 / 1005.0 * 0.622 * saturation_pressure_pa(MET["tat_k"]) / MET["total_pressure_pa"],
+        "flow_leak": MET["pack_flow_kg_s"] * (1.0 - outside_pa / 80e3),
+        "inlet_gain": MET["hx_in_k"] - 390.0, "outlet_conduction": MET["tat_k"] - MET["hx_out_k"],
+    }  # fmt: skip
+    assert {name: term.shape(MET) for name, term in TERMS.items()} == {
+        name: pytest.approx(shape, rel=1e-3) for name, shape in shapes.items()
+    }
+    assert [term.bounds for term in TERMS.values()] == [(-0.5, 1.0), *[(-0.5, 0.5)] * 3]
     assert within("water_spray", 7.0) == 1.0
+    assert within("water_spray", -7.0) == -0.5
     assert within("inlet_gain", 0.07) == 0.07
