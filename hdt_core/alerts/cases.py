@@ -124,7 +124,7 @@ def runs(active: Array, restart: Array) -> Iterator[tuple[int, int, int | None]]
 
     Examples
     --------
-    >>> list(spells(np.array([[0, 1, 1, 0, 1]], dtype=bool), np.zeros((1, 5), dtype=bool)))
+    >>> list(runs(np.array([[0, 1, 1, 0, 1]], dtype=bool), np.zeros((1, 5), dtype=bool)))
     [(0, 1, 3), (0, 4, None)]
     """
     on = active & ~restart

@@ -167,7 +167,7 @@ def plain_name(code: str) -> str:
 
     Examples
     --------
-    >>> named("hx_out_k")
+    >>> plain_name("hx_out_k")
     'outlet temperature of the exchanger (hx_out_k)'
     """
     return f"{(SIGNALS | CHECKS)[code]} ({code})"

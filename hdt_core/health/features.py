@@ -10,7 +10,7 @@ import polars as pl
 
 from hdt_core.health.virtual_sensors import virtual_sensors
 from hdt_core.margin.first_passage import passages
-from hdt_core.margin.margin import SHOWN_DELIVERY, SHOWN_MARGIN, compressor_margin, exchanger_margin
+from hdt_core.margin.margin import DELIVERY_COLUMNS, MARGIN_COLUMNS, compressor_margin, exchanger_margin
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import finite
@@ -152,10 +152,12 @@ def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFram
     seen = wide.select(*LEG, pl.selectors.by_name(*WORN, require_all=False)).join(
         alone, on=LEG, how="left", maintain_order="left", validate="m:1"
     )
-    told = exchanger_margin(seen, margin).select(*LEG, *SHOWN_MARGIN)
+    told = exchanger_margin(seen, margin).select(*LEG, *MARGIN_COLUMNS)
     if "cc_flow_asked_kg_s" not in margin.columns:
         return told
-    return told.join(compressor_margin(seen, margin).select(*LEG, *SHOWN_DELIVERY), on=LEG, how="left", validate="m:1")
+    return told.join(
+        compressor_margin(seen, margin).select(*LEG, *DELIVERY_COLUMNS), on=LEG, how="left", validate="m:1"
+    )
 
 
 def since_maintenance(

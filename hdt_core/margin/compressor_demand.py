@@ -1,8 +1,8 @@
-"""What flights ask of a compressor, and how small it may become before it cannot deliver that at its highest speed.
+"""Demand of each flight on a compressor, and the least effective diameter that meets it at the highest speed.
 
-The machine is held to a flow and an exit pressure. At its highest speed equations (2)-(4) say how wide the diffuser
-must stand for a flow, equation (6) what diameter a sound machine has there, and equation (5) what diameter the pressure
-needs. A machine that has lost diameter has to close its diffuser to hold the pressure, and so loses flow.
+The machine is controlled to a flow and an exit pressure. At its highest speed equations (2)-(4) give the diffuser
+position for a flow, equation (6) the diameter of a sound machine there, and equation (5) the diameter that the pressure
+needs. A machine that has lost diameter must close its diffuser to hold the pressure, and so loses flow.
 """
 
 from collections.abc import Mapping
@@ -26,28 +26,28 @@ from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
-"""Flow over the flow asked for at which critical diameters are kept; others are read between them."""
+"""Shares of the demanded flow at which critical diameters are stored; others are interpolated. [-]"""
 SURE_SD, LEAST_SLOPE_M3_COUNT = 5.0, 1e-8
-"""Standard deviations, and m3 a count, beyond which the diffuser is known to move the flow: else there is no map."""
-HARDEST = 0.2
-"""Share of the cruise that is harder than what the margin is stated for."""
-WHERE = ("p20", "middle", "hot_high")
-"""The hardest fifth of the cruise, its middle, and the same flow asked at 41,000 ft on a hot day."""
+"""Standard deviations, and m3 a count, above which the slope of the diffuser's map counts: else there is no map."""
+HARD_SHARE = 0.2
+"""Share of the cruise with a higher demand than the margin is stated for. [-]"""
+CONDITIONS = ("p20", "middle", "hot_high")
+"""The hardest fifth of the cruise, its median, and the same flow at 41,000 ft on a hot day."""
 SIGNALS = (
     "cc_speed_rad_s", "vda_counts", "inlet_k", "inlet_pa", "altitude_m", "mach", "tat_k", "total_pressure_pa",
     "pack_flow_kg_s",
 )  # fmt: skip
-CRITICAL_DIAMETER = {w: tuple(f"critical_ln_diameter_{w}_{round(100 * f)}pct" for f in FLOWS) for w in WHERE}
-WIDEST = {w: f"cc_widest_share_{w}" for w in WHERE}
+CRITICAL_DIAMETER = {w: tuple(f"critical_ln_diameter_{w}_{round(100 * f)}pct" for f in FLOWS) for w in CONDITIONS}
+WIDEST = {w: f"cc_widest_share_{w}" for w in CONDITIONS}
 CLEAN_PARTS = ("cc_flow_margin_design_kg_s", "cc_flow_margin_demand_kg_s", "cc_flow_margin_ambient_kg_s")
-ASKED = {"cc_flow_asked_kg_s": pl.Float64, "cc_speed_limit_met": pl.Boolean} | dict.fromkeys(
-    (*(name for where in WHERE for name in (*CRITICAL_DIAMETER[where], WIDEST[where])), *CLEAN_PARTS), pl.Float64
+DEMAND_SCHEMA = {"cc_flow_asked_kg_s": pl.Float64, "cc_speed_limit_met": pl.Boolean} | dict.fromkeys(
+    (*(name for where in CONDITIONS for name in (*CRITICAL_DIAMETER[where], WIDEST[where])), *CLEAN_PARTS), pl.Float64
 )
-"""What is kept of each flight: see `compressor_demand`."""
+"""Columns of `compressor_demand` and their types."""
 
 
-def compressor_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
-    """What each flight asked of the compressors, whatever their wear: from that flight and the model alone.
+def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
+    """Compute each flight's demand on its compressors, whatever their wear, from that flight and the model alone.
 
     Parameters
     ----------
@@ -55,89 +55,89 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -
         Of the leg filter: signals in SI, `phase`, all phases.
     dsm : Dsm
         Digital System Model in service.
-    laws : ControlSchedules
-        What the controllers hold.
+    schedules : ControlSchedules
+        Of the controllers.
 
     Returns
     -------
     DataFrame
         One row a flight and pack with such samples in cruise, none where the diffuser's map or the highest speed is not
-        known: `cc_flow_asked_kg_s` (median, by speed and diffuser), `cc_speed_limit_met` (that speed is known to be the
-        limit), `critical_ln_diameter_<where>_<flow>pct` (ln of the least diameter over equation (6)'s that delivers
-        such a share of the flow asked for), `cc_widest_share_<where>` (the share that the widest position known
-        delivers) and `CLEAN_PARTS`. Missing is null.
+        known: `cc_flow_asked_kg_s` (median, by speed and diffuser), `cc_speed_limit_met` (that speed is the limit),
+        `critical_ln_diameter_<condition>_<flow>pct` (ln of the least diameter over equation (6)'s that delivers that
+        share of the demanded flow), `cc_widest_share_<condition>` (share delivered at the widest position on record)
+        and `CLEAN_PARTS`. Missing is null.
     """
-    fit, limit_rad_s = dsm.compressor, laws.speed.rad_s
-    mapped = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
+    fit, limit_rad_s = dsm.compressor, schedules.speed.rad_s
+    has_map = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
     cruise = cruise_samples(samples, monitored=False)
-    if limit_rad_s is None or not mapped or not cruise.height:
-        nothing = (pl.lit(None, dtype).alias(name) for name, dtype in ASKED.items())
+    if limit_rad_s is None or not has_map or not cruise.height:
+        nothing = (pl.lit(None, dtype).alias(name) for name, dtype in DEMAND_SCHEMA.items())
         return samples.select(FLIGHT_PACK).clear().with_columns(nothing)
-    flights = _at_their_hardest(cruise, dsm, laws, limit_rad_s)
+    flights = _hardest_curves(cruise, dsm, schedules, limit_rad_s)
     return flights.with_columns(
-        *_at_the_middle(flights, dsm, laws, limit_rad_s),
+        *_median_curves(flights, dsm, schedules, limit_rad_s),
         cc_flow_asked_kg_s=pl.col("flow_kg_s"),
-        cc_speed_limit_met=pl.lit(laws.speed.met),
-    ).select(*FLIGHT_PACK, *ASKED)
+        cc_speed_limit_met=pl.lit(schedules.speed.at_limit),
+    ).select(*FLIGHT_PACK, *DEMAND_SCHEMA)
 
 
-def needed(asked: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple[Array, Array]:
-    """Least ln diameter over equation (6)'s at shares `FLOWS` of the flow, and the share the widest position delivers.
+def required_diameter(demand: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple[Array, Array]:
+    """Return the least ln diameter over equation (6)'s at shares `FLOWS` of the flow, and the widest position's share.
 
     Parameters
     ----------
-    asked : DataFrame
-        `flow_kg_s, inlet_k, inlet_pa`; `no_flow_ln` and `flow_ln`: ln of the exit pressure [Pa] asked for at no flow,
-        and what the flow adds to it, with its square.
+    demand : DataFrame
+        `flow_kg_s, inlet_k, inlet_pa`; `no_flow_ln` and `flow_ln`: ln of the scheduled exit pressure [Pa] at no
+        flow, and the part of the flow squared.
 
     Returns
     -------
     array, shape (n, flows); array, shape (n,)
-        NaN where any diameter does, or a reading can't be.
+        NaN where any diameter suffices, or a reading is impossible.
     """
     flow, inlet_k, inlet_pa, no_flow_ln, flow_ln = (
-        asked[c].to_numpy() for c in ("flow_kg_s", "inlet_k", "inlet_pa", "no_flow_ln", "flow_ln")
+        demand[c].to_numpy() for c in ("flow_kg_s", "inlet_k", "inlet_pa", "no_flow_ln", "flow_ln")
     )
-    speed = np.full(asked.height, speed_rad_s)
+    speed = np.full(demand.height, speed_rad_s)
     columns = []
-    with np.errstate(all="ignore"):  # a probe that reads nothing gives no answer
+    with np.errstate(all="ignore"):  # missing readings give NaN
         for share in FLOWS:
             least_m = effective_diameter_m(inlet_pa, np.exp(no_flow_ln + share**2 * flow_ln), inlet_k, speed)
             group_m3 = area_diameter_tan_beta_m3(share * flow, inlet_pa, inlet_k, speed)
-            built_m = fit.diameter_m(fit.position_counts(group_m3))
-            columns.append(np.log(least_m / np.where(built_m > 0.0, built_m, np.nan)))
+            design_m = fit.diameter_m(fit.position_counts(group_m3))
+            columns.append(np.log(least_m / np.where(design_m > 0.0, design_m, np.nan)))
         widest_m3 = fit.group_at_m3(np.asarray(fit.vda_widest_counts))
         share_of_widest = inlet_flow_kg_s(widest_m3, inlet_pa, inlet_k, speed) / flow
     return _finite(np.stack(columns, axis=1)), _finite(np.where(flow > 0.0, share_of_widest, np.nan))
 
 
-def curves_of(flights: pl.DataFrame, where: str) -> tuple[Array, Array]:
-    """What `compressor_demand` says of one place: critical diameters (n, flows) and the widest share (n,)."""
-    return flights.select(CRITICAL_DIAMETER[where]).to_numpy(), flights[WIDEST[where]].to_numpy()
+def curves_of(flights: pl.DataFrame, condition: str) -> tuple[Array, Array]:
+    """Return critical diameters (n, flows) and the widest share (n,) in one of `CONDITIONS`."""
+    return flights.select(CRITICAL_DIAMETER[condition]).to_numpy(), flights[WIDEST[condition]].to_numpy()
 
 
 def share_left(ln_diameter: Array, critical: Array, widest: Array) -> tuple[Array, Array]:
-    """Share of the flow asked for that a diameter delivers, and its slope.
+    """Return the share of the demanded flow that a diameter delivers, and its slope.
 
-    At most that of the widest position known, which is a bound and has no slope (NaN).
+    At most that of the widest position on record, which is a bound without slope (NaN).
     """
     share, slope = read_across(critical, FLOWS, ln_diameter)
     return np.minimum(share, widest), np.where(share < widest, slope, np.nan)
 
 
-def _at_their_hardest(cruise: pl.DataFrame, dsm: Dsm, laws: ControlSchedules, limit_rad_s: float) -> pl.DataFrame:
-    """Curves in the hardest fifth of each flight's cruise; medians of `SIGNALS` and of the flow."""
-    seen = compressor_samples(cruise, dsm.pack_table()).drop_nulls(SIGNALS).filter(pl.col("cc_speed_rad_s") > 0.0)
-    rows = _with_flow(seen, dsm.compressor)
-    critical, widest = needed(_with_pressure(rows, dsm, laws), dsm.compressor, limit_rad_s)
+def _hardest_curves(cruise: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules, limit_rad_s: float) -> pl.DataFrame:
+    """Return the curves in the hardest fifth of each flight's cruise, with medians of `SIGNALS` and flow."""
+    cruise = compressor_samples(cruise, dsm.pack_table()).drop_nulls(SIGNALS).filter(pl.col("cc_speed_rad_s") > 0.0)
+    rows = _with_flow(cruise, dsm.compressor)
+    critical, widest = required_diameter(_with_pressure(rows, dsm, schedules), dsm.compressor, limit_rad_s)
     curves = _columns("p20", critical - _hunting_ln(rows, dsm.compressor)[:, None], widest)
     return (
         rows.with_columns(curves)
         .group_by(FLIGHT_PACK, maintain_order=True)
         .agg(
             pl.col(*SIGNALS, "flow_kg_s").median(),
-            pl.col(CRITICAL_DIAMETER["p20"]).quantile(1.0 - HARDEST),
-            pl.col(WIDEST["p20"]).quantile(HARDEST),
+            pl.col(CRITICAL_DIAMETER["p20"]).quantile(1.0 - HARD_SHARE),
+            pl.col(WIDEST["p20"]).quantile(HARD_SHARE),
         )
     )
 
@@ -147,40 +147,40 @@ def _finite(values: Array) -> Array:
 
 
 def _with_flow(rows: pl.DataFrame, fit: CompressorFit) -> pl.DataFrame:
-    """`flow_kg_s` by speed and diffuser: the flow's own sensor is two per cent off from pack to pack."""
+    """Add `flow_kg_s` by speed and diffuser, because flow sensors differ by two per cent between packs."""
     vda, inlet_pa, inlet_k, speed = (
         rows[c].to_numpy() for c in ("vda_counts", "inlet_pa", "inlet_k", "cc_speed_rad_s")
     )
     return rows.with_columns(flow_kg_s=pl.Series(inlet_flow_kg_s(fit.group_at_m3(vda), inlet_pa, inlet_k, speed)))
 
 
-def _with_pressure(rows: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
-    """`no_flow_ln` and `flow_ln` of the exit pressure that the controller asks for, its sensor's bias taken out."""
+def _with_pressure(rows: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
+    """Add `no_flow_ln` and `flow_ln` of the scheduled exit pressure, less its sensor's bias."""
     tail, altitude_m, flow = (rows[c].to_numpy() for c in ("tail", "altitude_m", "pack_flow_kg_s"))
-    still = laws.delivery.column(tail, altitude_m)
+    still = schedules.delivery.column(tail, altitude_m)
     bias = rows.join(dsm.pack_table(), on=PACK, how="left", maintain_order="left", validate="m:1")[
         "exit_bias_ln"
     ].fill_null(0.0)
     return rows.with_columns(
-        (still + laws.delivery.level_column(rows) - bias).alias("no_flow_ln"),
-        (laws.delivery.column(tail, altitude_m, flow**2) - still).alias("flow_ln"),
+        (still + schedules.delivery.level_column(rows) - bias).alias("no_flow_ln"),
+        (schedules.delivery.column(tail, altitude_m, flow**2) - still).alias("flow_ln"),
     )
 
 
 def _hunting_ln(rows: pl.DataFrame, fit: CompressorFit) -> Array:
-    """Ln of each sample's diameter over its flight's: a machine hunts, and meets its limit for moments."""
+    """Return ln of each sample's diameter over its flight's: a hunting machine meets its limit for moments."""
     built_m = fit.diameter_m(rows["vda_counts"].to_numpy())
     own = rows.with_columns(own=(pl.col("diameter_m") / pl.Series(built_m)).log())
     return own.select((pl.col("own") - pl.col("own").median().over(FLIGHT_PACK)).fill_null(0.0))[:, 0].to_numpy()
 
 
-def _columns(where: str, critical: Array, widest: Array) -> list[pl.Series]:
-    named = zip((*CRITICAL_DIAMETER[where], WIDEST[where]), (*critical.T, widest), strict=True)
-    return [pl.Series(name, values).fill_nan(None) for name, values in named]
+def _columns(condition: str, critical: Array, widest: Array) -> list[pl.Series]:
+    columns = zip((*CRITICAL_DIAMETER[condition], WIDEST[condition]), (*critical.T, widest), strict=True)
+    return [pl.Series(name, values).fill_nan(None) for name, values in columns]
 
 
-def _at_the_middle(flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules, limit_rad_s: float) -> list[pl.Series]:
-    """Curves at each flight's medians and hot and high; what a clean machine's margin is made of, taken in turn from
+def _median_curves(flights: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules, limit_rad_s: float) -> list[pl.Series]:
+    """Return the curves at each flight's medians and hot and high, and a clean machine's margin in parts, in turn from
     the reference cruise to the flight: `CLEAN_PARTS`."""
     fit = dsm.compressor
     high = reference_air(flights.height, HIGH_CRUISE_M)
@@ -188,17 +188,20 @@ def _at_the_middle(flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules, limi
     demand, hot = _in_air(flights, reference_air(flights.height)), _in_air(flights, high)
     usual = dsm.cruise_flows_kg_s[0] / pl.col("pack_flow_kg_s")
     design = demand.with_columns(pl.col("flow_kg_s", "pack_flow_kg_s") * usual)
-    at = [needed(_with_pressure(rows, dsm, laws), fit, limit_rad_s) for rows in (design, demand, flights, hot)]
+    curves = [
+        required_diameter(_with_pressure(rows, dsm, schedules), fit, limit_rad_s)
+        for rows in (design, demand, flights, hot)
+    ]
     flows = [rows["flow_kg_s"].to_numpy() for rows in (design, demand, flights)]
     clean = np.zeros(flights.height)
-    margins = [(share_left(clean, *a)[0] - 1.0) * flow for a, flow in zip(at[:3], flows, strict=True)]
+    margins = [(share_left(clean, *a)[0] - 1.0) * flow for a, flow in zip(curves[:3], flows, strict=True)]
     parts = zip(CLEAN_PARTS, (margins[0], *np.diff(margins, axis=0)), strict=True)
-    told = [pl.Series(name, values).fill_nan(None) for name, values in parts]
-    return [*_columns("middle", *at[2]), *_columns("hot_high", *at[3]), *told]
+    part_columns = [pl.Series(name, values).fill_nan(None) for name, values in parts]
+    return [*_columns("middle", *curves[2]), *_columns("hot_high", *curves[3]), *part_columns]
 
 
 def _in_air(flights: pl.DataFrame, air: Mapping[str, Array]) -> pl.DataFrame:
-    """The same flows in other air: the compressor's inlet follows it."""
+    """Return the same flows in other air, which the compressor's inlet follows."""
     above_k, share = pl.col("inlet_k") - pl.col("tat_k"), pl.col("inlet_pa") / pl.col("total_pressure_pa")
     now = {name: pl.Series(values) for name, values in air.items()}
     return flights.with_columns(**now, inlet_k=now["tat_k"] + above_k, inlet_pa=now["total_pressure_pa"] * share)

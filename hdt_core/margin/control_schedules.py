@@ -1,13 +1,13 @@
-"""What the aircraft's controllers hold, learned from what they do: laws that tie readings together whatever the wear.
+"""Schedules of the aircraft's controllers, learned from their records: relations of readings whatever the wear.
 
 The pack temperature controller opens the ram door until the exchanger's hot outlet is at a target scheduled on total
-air temperature, plus a trim that a flight keeps: while the door has authority the outlet says nothing of wear, and
-everything of the controller, its door and the outlet sensor. The cabin pressure controller holds the cabin at a
-pressure scheduled on altitude; the compressor delivers that, and the pressure its flow loses in pack and ducts.
+air temperature, plus a constant trim of the flight: while the door has authority the outlet carries no information on
+wear, only on controller, door and outlet sensor. The cabin pressure controller schedules cabin pressure on altitude;
+the compressor delivers that plus the pressure loss of its flow in pack and ducts.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,56 +21,56 @@ DOOR_FREE = (0.08, 0.95)
 RUNNING_KG_S = 0.2
 """Below this flow a pack is off."""
 LEARNING_FLIGHTS = 60
-"""Flights of each aircraft, from its first, that the laws are learned from (the declared baseline window)."""
+"""First flights of each aircraft, from which the schedules are learned (the declared baseline window)."""
 ROUGHNESS = 10.0
-"""Weight of a kink between knots, in samples: a schedule is straight where few samples speak."""
-ENOUGH = 300
-"""Samples that a law of an aircraft's own needs; with fewer it takes that of all aircraft at hand."""
+"""Penalty on a kink between knots, in samples: a schedule is straight where samples are few."""
+MIN_SAMPLES = 300
+"""Samples required for an aircraft's own schedule; with fewer it takes that of all aircraft."""
 TAT_KNOTS_K = tuple(np.arange(228.0, 317.0, 8.0).tolist())
 ALTITUDE_KNOTS_M = tuple(np.arange(4800.0, 14401.0, 800.0).tolist())
-STRAYS = 10
-"""Highest speeds that are passed over: spikes of the sensor, and its noise."""
+STRAY_SAMPLES = 10
+"""Highest speeds left out as spikes or noise of the sensor."""
 BAND = 0.005
 """Share of the speed below which samples are at the limit: five times the sensor's noise."""
 SHORT_SD, SHORT_SAMPLES, SHORT_SHARE = 4.0, 5, 0.25
-"""At a limit this many samples, and this share of them, lack more exit pressure than so many standard deviations."""
+"""Shortfall of exit pressure at a speed limit, in standard deviations, and number and share of samples with it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimit:
-    """What compressors are held below.
+    """Speed limit of the compressors.
 
     Attributes
     ----------
     rad_s : float, optional
-        The limit, or the highest speed on record where none was met; None without a record. [rad/s]
-    met : bool
-        Whether they were seen at it: the exit pressure falls short of its schedule there.
+        The limit, or the highest speed on record where it was not reached; None without a record. [rad/s]
+    at_limit : bool
+        Whether it was reached: the exit pressure falls short of its schedule there.
     """
 
     rad_s: float | None = None
-    met: bool = False
+    at_limit: bool = False
 
 
 def speed_limit(speed_rad_s: Array, beyond_schedule_ln: Array) -> SpeedLimit:
-    """Limit from samples of a baseline: speed, and ln of exit pressure over its schedule, (n,) each; NaN is left out.
+    """Learn the limit from samples of a baseline: speed, and ln of exit pressure over schedule, (n,); NaN is ignored.
 
     A controller holds the pressure to half a per cent as long as it may turn the machine faster.
     """
-    known = np.isfinite(speed_rad_s) & np.isfinite(beyond_schedule_ln) & (speed_rad_s > 0.0)
-    speed, beyond = speed_rad_s[known], beyond_schedule_ln[known]
-    if speed.size <= STRAYS:
+    valid = np.isfinite(speed_rad_s) & np.isfinite(beyond_schedule_ln) & (speed_rad_s > 0.0)
+    speed, beyond = speed_rad_s[valid], beyond_schedule_ln[valid]
+    if speed.size <= STRAY_SAMPLES:
         return SpeedLimit()
-    highest = np.sort(speed)[-STRAYS - 1]
+    highest = np.sort(speed)[-STRAY_SAMPLES - 1]
     near = speed > (1.0 - BAND) * highest
     short = beyond[near] - np.median(beyond) < -SHORT_SD * spread(beyond - np.median(beyond))
-    met = short.sum() >= SHORT_SAMPLES and short.mean() >= SHORT_SHARE
-    return SpeedLimit(float(np.median(speed[near]) if met else highest), bool(met))
+    at_limit = short.sum() >= SHORT_SAMPLES and short.mean() >= SHORT_SHARE
+    return SpeedLimit(float(np.median(speed[near]) if at_limit else highest), bool(at_limit))
 
 
 @dataclass(frozen=True, slots=True)
 class ControlSchedule:
-    """A reading as a piecewise-linear schedule of another, plus a gain on a third, up to a constant of its own.
+    """Piecewise-linear schedule of a reading on another, plus a gain on a third, up to a constant of each pack.
 
     Attributes
     ----------
@@ -90,19 +90,19 @@ class ControlSchedule:
     levels: Mapping[str, float] = field(default_factory=dict)
 
     def level_column(self, packs: pl.DataFrame) -> pl.Series:
-        """Constant of each row's pack (`tail`, `pack`); that of all packs for one the law has not met."""
+        """Return the constant of each row's pack (`tail`, `pack`); that of all packs for an unknown one."""
         name = pl.concat_str("tail", "pack", separator="/")
-        known = name.replace_strict(dict(self.levels), default=self.levels.get(""), return_dtype=pl.Float64)
-        return packs.select(known)[:, 0]
+        levels = name.replace_strict(dict(self.levels), default=self.levels.get(""), return_dtype=pl.Float64)
+        return packs.select(levels)[:, 0]
 
     def shape(self, tail: str, x: Array, third: Array | float = 0.0) -> Array:
-        """Scheduled part of the reading."""
+        """Return the scheduled part of the reading."""
         key = tail if tail in self.shapes else ""
         heights = self.shapes.get(key, (0.0,) * len(self.knots))
         return np.asarray(np.interp(x, self.knots, heights) + self.gains.get(key, 0.0) * third)
 
     def column(self, tail: Array, x: Array, third: Array | float = 0.0) -> pl.Series:
-        """Scheduled part for rows of many tails; null where an argument is missing."""
+        """Return the scheduled part for rows of many tails; null where an argument is missing."""
         extra = np.broadcast_to(np.asarray(third, dtype=float), x.shape)
         out = np.full(len(x), np.nan)
         for name in np.unique(tail.astype(str)):
@@ -113,7 +113,7 @@ class ControlSchedule:
 
 @dataclass(frozen=True, slots=True)
 class ControlSchedules:
-    """What the controllers of a fleet hold.
+    """Schedules of the controllers of a fleet.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class ControlSchedules:
     delivery : ControlSchedule
         ln of compressor exit pressure on altitude [m] and pack flow squared [kg2/s2]; a pack has its own constant.
     speed : SpeedLimit
-        What the compressors are held below.
+        Speed limit of the compressors.
     """
 
     outlet: ControlSchedule
@@ -130,7 +130,7 @@ class ControlSchedules:
     speed: SpeedLimit = field(default_factory=SpeedLimit)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
+        """Return plain values for JSON."""
         both = {"outlet": self.outlet, "delivery": self.delivery}
         plain: dict[str, Any] = {
             name: {
@@ -141,28 +141,30 @@ class ControlSchedules:
             }
             for name, v in both.items()
         }
-        return plain | {"speed": asdict(self.speed)}
+        return plain | {"speed": {"rad_s": self.speed.rad_s, "met": self.speed.at_limit}}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "ControlSchedules":
-        """Inverse of `to_dict`."""
+        """Read schedules from the values of `to_dict`."""
 
         def law(p: Mapping[str, Any]) -> ControlSchedule:
             shapes = {k: tuple(v) for k, v in p["shapes"].items()}
             return ControlSchedule(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
 
-        return cls(law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(**plain["speed"]))
+        return cls(
+            law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(*(plain["speed"][key] for key in ("rad_s", "met")))
+        )
 
 
-READ = (
+SAMPLE_COLUMNS = (
     "operator", "tail", "flight_id", "pack", "time_utc", "phase", "altitude_m", "tat_k", "hx_out_k", "ram_door_open",
     "pack_flow_kg_s", "cc_out_pa", "cc_speed_rad_s",
 )  # fmt: skip
-"""Columns of the samples that the laws are learned from; a flight may lack the last."""
+"""Columns of the samples that the schedules are learned from; a flight may lack the last."""
 
 
 def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
-    """Laws of each aircraft's controllers, from its baseline window: what else is in `samples` does not sway them.
+    """Learn the schedules of each aircraft's controllers from its baseline window; later samples are ignored.
 
     Parameters
     ----------
@@ -172,23 +174,23 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     Notes
     -----
     Regression on hat functions with a constant for each group (taken out by centring), a penalty on second differences,
-    and three rounds of Huber weights, so that a jammed door or a drifting sensor in the window doesn't bend it.
+    and three rounds of Huber weights, so a jammed door or a drifting sensor in the window has little weight.
     """
-    window = _baseline(samples.select(pl.selectors.by_name(*READ, require_all=False)))
+    window = _baseline(samples.select(pl.selectors.by_name(*SAMPLE_COLUMNS, require_all=False)))
     pack = pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64).alias("group")
     flight = pl.struct("tail", "flight_id", "pack").rank("dense").cast(pl.Int64).alias("group")
-    held = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
+    outlet = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
     flow2 = pl.col("pack_flow_kg_s") ** 2
     running = (pl.col("phase") == "cruise") & (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("cc_out_pa") > 0)
-    flown = window.filter(running)
-    delivered = flown.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
-    delivery = _learn(delivered, ALTITUDE_KNOTS_M)
-    scheduled = delivery.column(*(delivered[c].to_numpy() for c in ("tail", "x", "third")))
-    beyond = delivered["y"] - scheduled - delivery.level_column(delivered)
-    no_speed = pl.repeat(None, flown.height, dtype=pl.Float64, eager=True)
-    speed = flown.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
+    running_rows = window.filter(running)
+    delivery_rows = running_rows.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
+    delivery = _learn(delivery_rows, ALTITUDE_KNOTS_M)
+    scheduled = delivery.column(*(delivery_rows[c].to_numpy() for c in ("tail", "x", "third")))
+    beyond = delivery_rows["y"] - scheduled - delivery.level_column(delivery_rows)
+    no_speed = pl.repeat(None, running_rows.height, dtype=pl.Float64, eager=True)
+    speed = running_rows.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
     limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
-    return ControlSchedules(_learn(held, TAT_KNOTS_K), delivery, limit)
+    return ControlSchedules(_learn(outlet, TAT_KNOTS_K), delivery, limit)
 
 
 def has_authority(prefix: str = "") -> pl.Expr:
@@ -203,26 +205,26 @@ def _baseline(samples: pl.DataFrame) -> pl.DataFrame:
 
 
 def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> ControlSchedule:
-    known = rows.drop_nulls()
-    fits = {"": _fit(known, knots)}
-    for (tail,), own in known.group_by("tail", maintain_order=True):
-        if own.height >= ENOUGH:
+    complete = rows.drop_nulls()
+    fits = {"": _fit(complete, knots)}
+    for (tail,), own in complete.group_by("tail", maintain_order=True):
+        if own.height >= MIN_SAMPLES:
             fits[str(tail)] = _fit(own, knots)
     law = ControlSchedule(knots, {k: v[0] for k, v in fits.items()}, {k: v[1] for k, v in fits.items()})
-    return replace(law, levels=_levels(law, known))
+    return replace(law, levels=_levels(law, complete))
 
 
 def _levels(law: ControlSchedule, rows: pl.DataFrame) -> dict[str, float]:
-    """What is left of the readings of each pack once the schedule is taken out, and of all packs under `""`."""
+    """Return the median residual of each pack from the schedule, and of all packs under `""`."""
     scheduled = law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
-    left = rows.select("tail", "pack", left=pl.col("y") - scheduled)
-    own = left.group_by("tail", "pack").agg(pl.col("left").median()).sort("tail", "pack")
+    residuals = rows.select("tail", "pack", residual=pl.col("y") - scheduled)
+    own = residuals.group_by("tail", "pack").agg(pl.col("residual").median()).sort("tail", "pack")
     levels = {f"{tail}/{pack}": float(level) for tail, pack, level in own.rows()}
-    return levels | ({"": float(left["left"].median())} if rows.height else {})  # type: ignore[arg-type]
+    return levels | ({"": float(residuals["residual"].median())} if rows.height else {})  # type: ignore[arg-type]
 
 
 def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...], float]:
-    """Schedule at the knots, mean zero, and gain of the third reading; flat where too few rows speak."""
+    """Fit the schedule at the knots, mean zero, and the gain of the third reading; flat for too few rows."""
     n = len(knots)
     if rows.height < 2 * n:
         return (0.0,) * n, 0.0
@@ -231,16 +233,16 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
     basis, y = np.column_stack([hats, rows["third"].to_numpy()]), rows["y"].to_numpy()
     bend = np.diff(np.eye(n, n + 1), 2, axis=0)
     weight: Array = np.ones(len(y))
-    found: Array = np.zeros(n + 1)
+    coefficients: Array = np.zeros(n + 1)
     for _ in range(4):
         x, d = _centred(basis, group, weight), _centred(y[:, None], group, weight)[:, 0]
-        # the groups' constants take up any other: a whisper of ridge makes the answer unique
+        # the groups' constants absorb any other, so a weak ridge makes the solution unique
         normal = (x * weight[:, None]).T @ x + ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
-        found = np.linalg.solve(normal, x.T @ (weight * d))
-        miss = np.abs(d - x @ found)
-        weight = huber_weights(miss, spread(miss), 1.5)
-    heights = found[:n] - found[:n].mean()
-    return tuple(float(v) for v in heights), float(found[n])
+        coefficients = np.linalg.solve(normal, x.T @ (weight * d))
+        residual = np.abs(d - x @ coefficients)
+        weight = huber_weights(residual, spread(residual), 1.5)
+    heights = coefficients[:n] - coefficients[:n].mean()
+    return tuple(float(v) for v in heights), float(coefficients[n])
 
 
 def _centred(values: Array, group: Array, weight: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Curves kept at a few points, read between them by straight lines and beyond them by the last."""
+"""Curves stored at a few points, interpolated linearly and extrapolated by their last segments."""
 
 import numpy as np
 
@@ -6,16 +6,16 @@ from hdt_core.physics.model import Array
 
 
 def falls_through(curves: Array, grid: Array, value: float) -> Array:
-    """Where curves over one grid, each falling, come down to a value: (n, points) to (n,)."""
-    left = np.clip((curves > value).sum(axis=1) - 1, 0, grid.size - 2)
+    """Return where falling curves over one grid reach a value: (n, points) to (n,)."""
+    index = np.clip((curves > value).sum(axis=1) - 1, 0, grid.size - 2)
     rows = np.arange(len(curves))
-    high, low = curves[rows, left], curves[rows, left + 1]
+    high, low = curves[rows, index], curves[rows, index + 1]
     share = (high - value) / np.maximum(high - low, 1e-9)
-    return np.asarray(grid[left] + share * (grid[left + 1] - grid[left]))
+    return np.asarray(grid[index] + share * (grid[index + 1] - grid[index]))
 
 
 def read_across(grids: Array, values: Array, at: Array) -> tuple[Array, Array]:
-    """Curves of the same values over a rising grid each, read at a point each, and their slopes there.
+    """Interpolate curves of the same values, each over its own rising grid, at a point each; with slopes.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ def read_across(grids: Array, values: Array, at: Array) -> tuple[Array, Array]:
     array, array, shape (n,)
         NaN where the grid or the point is not known.
     """
-    left = np.clip((grids < at[:, None]).sum(axis=1) - 1, 0, values.size - 2)
+    index = np.clip((grids < at[:, None]).sum(axis=1) - 1, 0, values.size - 2)
     rows = np.arange(len(at))
-    low, high = grids[rows, left], grids[rows, left + 1]
-    slope = (values[left + 1] - values[left]) / np.maximum(high - low, 1e-6)
-    return values[left] + (at - low) * slope, slope
+    low, high = grids[rows, index], grids[rows, index + 1]
+    slope = (values[index + 1] - values[index]) / np.maximum(high - low, 1e-6)
+    return values[index] + (at - low) * slope, slope

@@ -1,8 +1,8 @@
-"""What flights ask of an exchanger: its outlet with the ram door full open, against the level that is held.
+"""Demand of each flight on an exchanger: its outlet with the ram door full open against the controller's target.
 
-While the door can move, the outlet sits at the level the controller holds and says nothing of wear. The aircraft's
-message comes when the door is full open and the outlet leaves that level. So the model is asked what the outlet would
-be with the door full open, and, turned round, how low the conductance may fall before it gets there.
+While the door can move, the outlet is at the target and carries no information on wear. The aircraft's message comes
+when the door is full open and the outlet exceeds the target. So the model computes the outlet with the door full open
+and, conversely, the conductance at which it reaches the target.
 """
 
 from collections.abc import Mapping
@@ -24,23 +24,29 @@ from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK
 
 HIGH_M = 4572.0
-"""15,000 ft: below, the pack works against warm air for minutes, and no message comes of it."""
+"""15,000 ft: below, the pack runs in warm air for minutes without a message. [m]"""
 FULL_OPEN = 0.95
-"""Ram door beyond this has nothing left to give: two per cent of sensor error, and the last of the travel is flat."""
+"""Opening above which the ram door is full open: two per cent of sensor error, and a flat end of travel. [-]"""
 SHARES = (0.2, 0.5)
-"""Shares of a flight's high samples of which a critical ratio is kept: the hottest fifth, the hotter half."""
+"""Shares of a flight's high samples with a critical ratio each: the hottest fifth, the hotter half. [-]"""
 EXCESS_K = (-20.0, -10.0, 0.0, 5.0, 10.0)
-"""Outlet above its held level at which critical ratios are kept; others are read between them. [K]"""
-SHOWN = ("high_n", "held_k", "held_status", "full_open_share", *(f"overheat_p{round(100 * s)}_k" for s in SHARES))
+"""Outlet above its target at which critical ratios are stored; others are interpolated. [K]"""
+DEMAND_COLUMNS = (
+    "high_n",
+    "held_k",
+    "held_status",
+    "full_open_share",
+    *(f"overheat_p{round(100 * s)}_k" for s in SHARES),
+)
 REFERENCE_INLET_K = 390.0
 LN_RATIOS = np.array([-1.2, -0.8, -0.55, -0.35, -0.2, -0.05, 0.1, 0.3, 0.6])
-"""Conductance ratios at which the model is asked; between them the outlet is all but linear. [-]"""
+"""Ln conductance ratios at which the model is evaluated; between them the outlet is nearly linear. [-]"""
 TRIM_SAMPLES = 2
-"""Samples with the door in motion that give a flight's own held level."""
+"""Samples with a free door that determine a flight's own trim."""
 
 
 def critical_name(share: float, excess_k: float) -> str:
-    """Column of a critical ratio."""
+    """Return the column of a critical ratio."""
     sign = "minus_" if excess_k < 0.0 else ""
     return f"critical_ln_ratio_p{round(100 * share)}_{sign}{abs(round(excess_k))}k"
 
@@ -50,8 +56,8 @@ HOT_DAY = tuple(name.replace("_p20_", "_hot_day_") for name in CRITICAL[: len(EX
 PARTS = ("hx_margin_design_k", "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_blockage_k")
 
 
-def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
-    """What each flight asked of the exchangers, whatever their wear: from that flight and the model alone.
+def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
+    """Compute each flight's demand on its exchangers, whatever their wear, from that flight and the model alone.
 
     Parameters
     ----------
@@ -59,21 +65,21 @@ def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) ->
         Of the leg filter: signals in SI, `phase`, all phases.
     dsm : Dsm
         Digital System Model in service.
-    laws : ControlSchedules
-        What the controllers hold.
+    schedules : ControlSchedules
+        Of the controllers.
 
     Returns
     -------
     DataFrame
-        One row a flight and pack: `held_k` (level the outlet is held at, median of the high samples), `held_status`
-        (flight, pack or unknown: whose level that is), `high_n`, `critical_ln_ratio_p<share>_<excess>k` (ln conductance
-        ratio below which that share of the high samples leaves the held level by more than the excess with the door
-        full open), the same `_hot_day_`, `full_open_share`, `overheat_p<share>_k` (how far the outlet was above its
-        level, door full open, in that share of the high samples), and `PARTS`. Missing is null.
+        One row a flight and pack: `held_k` (target of the outlet, median of the high samples), `held_status` (its
+        source: flight, pack or unknown), `high_n`, `critical_ln_ratio_p<share>_<excess>k` (ln conductance ratio below
+        which that share of the high samples exceeds the target by more than the excess with the door full open), the
+        same `_hot_day_`, `full_open_share`, `overheat_p<share>_k` (outlet above target, door full open, in that share
+        of the high samples), and `PARTS`. Missing is null.
     """
     flights = flights_of(samples)
-    high = _high(samples, dsm, laws)
-    found = high.group_by(FLIGHT_PACK, maintain_order=True).agg(
+    high = _high(samples, dsm, schedules)
+    demand = high.group_by(FLIGHT_PACK, maintain_order=True).agg(
         pl.len().alias("high_n"),
         pl.col("held_k").median(),
         pl.col("held_status").first(),
@@ -82,26 +88,28 @@ def exchanger_demand(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) ->
         *(pl.col(f"excess_{j}").quantile(1.0 - s).alias(f"{s}_{j}") for s in SHARES for j in range(LN_RATIOS.size)),
         *(pl.col(name).median() for name in (*hx.SIGNALS, "ln_ram_ratio", "trim_k")),
     )
-    curves = {s: found.select(f"{s}_{j}" for j in range(LN_RATIOS.size)).to_numpy() for s in SHARES}
+    curves = {s: demand.select(f"{s}_{j}" for j in range(LN_RATIOS.size)).to_numpy() for s in SHARES}
     critical = [
         pl.Series(critical_name(s, e), falls_through(curves[s], LN_RATIOS, e)).fill_nan(None)
         for s in SHARES
         for e in EXCESS_K
     ]
-    middle = {name: found[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ln_ram_ratio", "trim_k")}
-    parts = [*_hot_day(middle, found, dsm, laws), *margin_parts(middle, found, dsm, laws)]
-    found = found.select(*FLIGHT_PACK, *SHOWN).with_columns(*critical, *parts)
-    keep = flights.select(*FLIGHT_PACK, "departed_at").join(found, on=FLIGHT_PACK, how="left", validate="m:1")
-    keep = keep.join(compressor_demand(samples, dsm, laws), on=FLIGHT_PACK, how="left", validate="m:1")
-    return keep.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
+    middle = {name: demand[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ln_ram_ratio", "trim_k")}
+    parts = [*_hot_day(middle, demand, dsm, schedules), *margin_parts(middle, demand, dsm, schedules)]
+    demand = demand.select(*FLIGHT_PACK, *DEMAND_COLUMNS).with_columns(*critical, *parts)
+    rows = flights.select(*FLIGHT_PACK, "departed_at").join(demand, on=FLIGHT_PACK, how="left", validate="m:1")
+    rows = rows.join(compressor_demand(samples, dsm, schedules), on=FLIGHT_PACK, how="left", validate="m:1")
+    return rows.with_columns(pl.col("high_n").fill_null(0), pl.col("held_status").fill_null("unknown"))
 
 
-def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> list[pl.Series]:
-    """Critical ratios on the hot day, at the flight's own level, speed, flow and trim."""
+def _hot_day(
+    middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules
+) -> list[pl.Series]:
+    """Return critical ratios on the hot day, at the flight's own level, speed, flow and trim."""
     tat_k = hot_day_tat_k(middle["altitude_m"], middle["mach"])
-    # bleed and compressor warm what they take in: the inlet follows the air
+    # bleed and compressor heat outside air, so the inlet follows it
     hot = {**middle, "tat_k": tat_k, "hx_in_k": middle["hx_in_k"] + tat_k - middle["tat_k"]}
-    held_k = laws.outlet.column(flights["tail"].to_numpy(), tat_k).to_numpy() + middle["trim_k"]
+    held_k = schedules.outlet.column(flights["tail"].to_numpy(), tat_k).to_numpy() + middle["trim_k"]
     excess = full_open_outlet_k(hot, dsm.design, LN_RATIOS) - held_k[:, None]
     return [
         pl.Series(name, falls_through(excess, LN_RATIOS, e)).fill_nan(None)
@@ -110,22 +118,22 @@ def _hot_day(middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws:
 
 
 def margin_parts(
-    middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, laws: ControlSchedules
+    middle: Mapping[str, Array], flights: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules
 ) -> list[pl.Series]:
-    """What a clean pack's margin is made of, taken in turn from the reference cruise to the flight: `PARTS`. [K]
+    """Return the parts of a clean pack's margin, in turn from the reference cruise to the flight: `PARTS`. [K]
 
     The reference: the standard day at 11 km and Mach 0.84, the flow of the baseline, inlet 390 K, the fleet's own
-    target. The blockage is what the heat balance of a measured ram outlet says the door no longer lets through.
+    target. The blockage is the loss of ram flow by the heat balance of a measured ram outlet.
     """
     n = flights.height
-    tail, level_k = flights["tail"].to_numpy(), laws.outlet.levels.get("", 0.0)
+    tail, level_k = flights["tail"].to_numpy(), schedules.outlet.levels.get("", 0.0)
     now = reference_air(n) | {
         "hx_in_k": np.full(n, REFERENCE_INLET_K),
         "pack_flow_kg_s": np.full(n, dsm.cruise_flows_kg_s[0]),
     }
 
     def margin_k(signals: Mapping[str, Array], trim_k: Array | float, ln_ram: Array | float = 0.0) -> Array:
-        held_k = laws.outlet.column(tail, signals["tat_k"]).to_numpy() + trim_k
+        held_k = schedules.outlet.column(tail, signals["tat_k"]).to_numpy() + trim_k
         return np.asarray(held_k - full_open_outlet_k(signals, dsm.design, np.array([dsm.clean_level]), ln_ram)[:, 0])
 
     steps = [margin_k(now, level_k), margin_k(now, middle["trim_k"])]
@@ -137,10 +145,10 @@ def margin_parts(
     return [pl.Series(name, value).fill_nan(None) for name, value in zip(PARTS, values, strict=True)]
 
 
-def _high(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFrame:
-    """Samples above `HIGH_M` with the level held and the conductance needed to hold it with the door full open."""
-    known = samples.drop_nulls(list(hx.SIGNALS)).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
-    rows = _with_level(known, laws).filter((pl.col("altitude_m") > HIGH_M) & pl.col("held_k").is_not_null())
+def _high(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
+    """Return samples above `HIGH_M` with target, overheat and excess over target with the door full open."""
+    valid = samples.drop_nulls(list(hx.SIGNALS)).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    rows = _with_level(valid, schedules).filter((pl.col("altitude_m") > HIGH_M) & pl.col("held_k").is_not_null())
     signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
     bias = dsm.bias_of(rows)
     held_k = rows["held_k"].to_numpy() - bias[hx.BIASES.index("hx_out_k")]
@@ -159,24 +167,24 @@ def _high(samples: pl.DataFrame, dsm: Dsm, laws: ControlSchedules) -> pl.DataFra
     )
 
 
-def _with_level(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
-    """Each sample with the level its controller holds: schedule on TAT, and the flight's own trim or the pack's."""
+def _with_level(samples: pl.DataFrame, schedules: ControlSchedules) -> pl.DataFrame:
+    """Add each sample's target: schedule on TAT plus the flight's own trim or the pack's."""
     tail, tat_k = samples["tail"].to_numpy(), samples["tat_k"].to_numpy().astype(float)
-    shaped = samples.with_columns(laws.outlet.column(tail, tat_k).alias("shape_k"))
+    rows = samples.with_columns(schedules.outlet.column(tail, tat_k).alias("shape_k"))
     above = (pl.col("hx_out_k") - pl.col("shape_k")).filter(has_authority())
-    trims = shaped.group_by(FLIGHT_PACK).agg(above.median().alias("own_k"), above.len().alias("own_n"))
+    trims = rows.group_by(FLIGHT_PACK).agg(above.median().alias("own_k"), above.len().alias("own_n"))
     own = pl.when(pl.col("own_n") >= TRIM_SAMPLES).then("own_k")
-    trims = trims.with_columns(own.alias("own_k"), laws.outlet.level_column(trims).alias("pack_k"))
+    trims = trims.with_columns(own.alias("own_k"), schedules.outlet.level_column(trims).alias("pack_k"))
     status = pl.when(pl.col("own_k").is_not_null()).then(pl.lit("flight")).otherwise(pl.lit("pack"))
     trims = trims.with_columns(pl.coalesce("own_k", "pack_k").alias("trim_k"), status.alias("held_status"))
-    joined = shaped.join(trims.select(*FLIGHT_PACK, "trim_k", "held_status"), on=FLIGHT_PACK, validate="m:1")
-    return joined.with_columns((pl.col("shape_k") + pl.col("trim_k")).alias("held_k"))
+    levels = rows.join(trims.select(*FLIGHT_PACK, "trim_k", "held_status"), on=FLIGHT_PACK, validate="m:1")
+    return levels.with_columns((pl.col("shape_k") + pl.col("trim_k")).alias("held_k"))
 
 
 def full_open_outlet_k(
     signals: Mapping[str, Array], design: Array, ln_ratio: Array, ln_ram_ratio: Array | float = 0.0
 ) -> Array:
-    """Hot outlet with the ram door full open at each of some ln conductance ratios. (n, ratios) [K]
+    """Compute the hot outlet with the ram door full open at some ln conductance ratios. (n, ratios) [K]
 
     Parameters
     ----------
@@ -196,10 +204,10 @@ def full_open_outlet_k(
     """
     full = {**signals, "ram_door_open": np.ones_like(signals["tat_k"])}
     ram = clean_ram_flow_kg_s(full, design) * np.exp(ln_ram_ratio)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a Mach number of 0 aloft leaves no ram flow, and no answer
-        expected = ln_clean_conductance(full, ram, design)
+    with np.errstate(divide="ignore", invalid="ignore"):  # Mach 0 leaves no ram flow: NaN
+        clean_ln = ln_clean_conductance(full, ram, design)
         columns = [
-            outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(expected + r))[0]
+            outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(clean_ln + r))[0]
             for r in ln_ratio
         ]
     return np.stack(columns, axis=1)

@@ -8,7 +8,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from hdt_core.components import Limit
-from hdt_core.margin.conditions import WINDOW, repeated
+from hdt_core.margin.conditions import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.component_limits import PRIORS
@@ -73,7 +73,7 @@ def simulated_rows(
         keep = (left >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
         unit, flight = np.nonzero(keep)
         record = record_rows(_panel_of(lives), (unit, flight))
-        found = feature_rows(record, repeated(lives.asked), (unit, LEAD + flight))
+        found = feature_rows(record, repeated_demand(lives.asked), (unit, LEAD + flight))
         table = np.column_stack([found, np.full(unit.size, doubt)])
         life = number * left.shape[0] + unit
         parts.append(FeatureRows(table, left[keep], failed[keep], life))
@@ -241,7 +241,7 @@ def _critical(
     for name in np.unique(track.operator[packs]):
         some, own = track.operator[packs] == name, rule.get(name, rule[""])
         curve = track.curves[packs[some], : critical.shape[1], SHARES.index(own.share)]
-        critical[some] = repeated(at_excess(curve, own.excess_k), own.of)
+        critical[some] = repeated_demand(at_excess(curve, own.excess_k), own.of)
         per_k = np.abs(at_excess(curve, own.excess_k + 1.0) - at_excess(curve, own.excess_k - 1.0)) / 2.0
         doubt[some] = own.excess_sd_k * _usual(per_k)
     return critical, doubt[at], at
@@ -250,7 +250,7 @@ def _critical(
 def _usual(per_k: Array) -> Array:
     """Median over each pack's last flights, up to each of them: no later flight has a part in what one says."""
     known = pl.DataFrame(per_k.T).fill_nan(None)
-    median = pl.all().rolling_median(WINDOW, min_samples=1).forward_fill().fill_null(LN_RATIO_PER_K)
+    median = pl.all().rolling_median(WINDOW_FLIGHTS, min_samples=1).forward_fill().fill_null(LN_RATIO_PER_K)
     return known.select(median).to_numpy().T
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.margin.conditions import ASKED, LEVELS, asked
-from hdt_core.margin.first_passage import LEFT_RATIO_SD, passage, wear_rate
+from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles
+from hdt_core.margin.first_passage import RATIO_SD, passage, wear_rate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -32,7 +32,7 @@ WEAR = (
     "jump_largest",
     "jump_share",
 )
-QUANTILES = ASKED[:-1]
+QUANTILES = DEMAND_NAMES[:-1]
 RESERVE = (
     *(name.replace("asked", "reserve") for name in QUANTILES),
     "asked_trend",
@@ -134,7 +134,7 @@ def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> 
     record : array, shape (n, q)
         From `record_rows`.
     critical : array, shape (packs, flights)
-        What each flight of a pack asked, whichever unit flew. See `conditions.asked`.
+        What each flight of a pack asked, whichever unit flew. See `conditions.demand_quantiles`.
     where : tuple of array
         Pack and flight of each row, as `critical` counts them.
     """
@@ -147,14 +147,14 @@ def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> 
 
 def _features(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
     rows = dict(zip(RECORD, record.T, strict=True))
-    asks, ratio, run = asked(critical, *where), rows["ratio"], rows["run"]
+    asks, ratio, run = demand_quantiles(critical, *where), rows["ratio"], rows["run"]
     rows |= {name.replace("asked", "reserve"): ratio - asks[name] for name in QUANTILES}
     rows["asked_trend"] = asks["asked_trend"]
     # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
     rate = wear_rate(np.asarray(np.where(run >= 60.0, slope["100"], slope["segment"]), dtype=float), run)
-    rows |= _passages(ratio, np.stack([asks[name] for name in ASKED[: len(LEVELS)]], axis=1), *rate)
+    rows |= _passages(ratio, np.stack([asks[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
 
 
@@ -187,7 +187,7 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
 
 def _passages(ratio: Array, asks: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
     """The physical forecast at each flight, before any learner: see `first_passage`."""
-    by = passage(ratio, np.full(rate.size, LEFT_RATIO_SD), asks, rate, rate_sd, _EDGES)
+    by = passage(ratio, np.full(rate.size, RATIO_SD), asks, rate, rate_sd, _EDGES)
     at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], PASSAGE_AHEAD, strict=True)}
     return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
 

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.margin.conditions import repeated
+from hdt_core.margin.conditions import repeated_demand
 from hdt_core.margin.exchanger_demand import SHARES
 from hdt_core.margin.margin import PRIOR_RULE as PRIOR
 from hdt_core.margin.margin import MessageRule
@@ -37,7 +37,7 @@ def first_met(overheat_k: Sequence[Array]) -> NDArray[np.int_]:
     """
     columns = []
     for hot, of in product(map(np.nan_to_num, overheat_k), OFS):
-        most = np.fmax.accumulate(repeated(hot, of), axis=1)
+        most = np.fmax.accumulate(repeated_demand(hot, of), axis=1)
         below = np.stack([(~(most > excess)).sum(axis=1) for excess in EXCESS_K], axis=1)
         columns.append(np.where(below < hot.shape[1], below, -1))
     return np.concatenate(columns, axis=1)

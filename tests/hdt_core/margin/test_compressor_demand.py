@@ -14,7 +14,7 @@ from hdt_core.margin.compressor_demand import (
     CRITICAL_DIAMETER,
     FLOWS,
     compressor_demand,
-    needed,
+    required_diameter,
     share_left,
 )
 from hdt_core.margin.control_schedules import SpeedLimit
@@ -31,12 +31,12 @@ def asked(**changed: float) -> pl.DataFrame:
 
 
 def share(ln_diameter: float = 0.0, speed_rad_s: float = LIMIT_RAD_S, **changed: float) -> float:
-    found, _ = share_left(np.array([ln_diameter]), *needed(asked(**changed), FIT, speed_rad_s))
+    found, _ = share_left(np.array([ln_diameter]), *required_diameter(asked(**changed), FIT, speed_rad_s))
     return float(found[0])
 
 
 def test_at_its_critical_diameter_a_machine_gives_that_flow_at_the_pressure_asked_for():
-    critical, _ = needed(asked(), FIT, LIMIT_RAD_S)
+    critical, _ = required_diameter(asked(), FIT, LIMIT_RAD_S)
     speed = np.array(LIMIT_RAD_S)
     for part, ln_diameter in zip(FLOWS, critical[0], strict=True):
         # forward again: the position that lets the flow through, and the pressure the machine makes there
@@ -77,12 +77,12 @@ def test_a_share_at_the_bound_is_the_bound():
 
 def test_no_more_is_promised_than_the_widest_position_on_record_lets_through():
     easy = {"inlet_pa": 60_000.0}
-    critical, widest = needed(asked(**easy), FIT, LIMIT_RAD_S)
+    critical, widest = required_diameter(asked(**easy), FIT, LIMIT_RAD_S)
     found, slope = share_left(np.zeros(1), critical, widest)
     assert found[0] == widest[0]
     assert np.isnan(slope[0])
     wider = replace(FIT, vda_widest_counts=900.0)
-    assert share_left(np.zeros(1), *needed(asked(**easy), wider, LIMIT_RAD_S))[0][0] > found[0]
+    assert share_left(np.zeros(1), *required_diameter(asked(**easy), wider, LIMIT_RAD_S))[0][0] > found[0]
 
 
 def p20(values: np.ndarray) -> float:
@@ -178,7 +178,7 @@ def test_no_map_no_limit_and_no_cruise_tell_nothing(dsm, laws, flight):
 
 
 def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight):
-    unmet = replace(laws, speed=SpeedLimit(4500.0, met=False))
+    unmet = replace(laws, speed=SpeedLimit(4500.0, at_limit=False))
     assert not compressor_demand(flight, dsm, unmet)["cc_speed_limit_met"][0]
     # a stranger's sensors are taken as sound, its level as that of all
     new = flight.with_columns(tail=pl.lit("T-99"))

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hdt_core.margin.conditions import ASKED, asked, repeated
+from hdt_core.margin.conditions import DEMAND_NAMES, demand_quantiles, repeated_demand
 
 
 def of_flight(critical: np.ndarray, flight: int) -> list[float]:
-    values = asked(critical[None, :], np.array([0]), np.array([flight]))
-    assert tuple(values) == ASKED
-    return [float(values[name][0]) for name in ASKED]
+    values = demand_quantiles(critical[None, :], np.array([0]), np.array([flight]))
+    assert tuple(values) == DEMAND_NAMES
+    return [float(values[name][0]) for name in DEMAND_NAMES]
 
 
 def test_quantiles_of_150_flights_and_of_40_and_the_trend_over_100():
@@ -36,14 +36,14 @@ def test_few_flights_stand_for_the_window_and_a_gap_for_the_flight_before():
 
 def test_packs_are_told_apart_and_later_flights_do_not_count():
     critical = np.array([[1.0, 2.0, 9.0], [np.nan, 7.0, 8.0]])
-    most = asked(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
+    most = demand_quantiles(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
     assert most.tolist() == pytest.approx([2.0, np.nan, 7.0], nan_ok=True)
 
 
 def test_two_hot_flights_of_some_ask_for_the_lower_of_them():
     critical = np.array([[-0.5, -0.1, -0.4, -0.3, -0.9, -0.2]])
-    assert repeated(critical)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
-    assert repeated(critical, of=4)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
-    assert repeated(critical, of=2)[0, 1:].tolist() == [-0.5, -0.4, -0.4, -0.9, -0.9]
-    assert np.isnan(repeated(critical)[0, 0])
-    assert repeated(critical, of=1).tolist() == critical.tolist()
+    assert repeated_demand(critical)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=4)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=2)[0, 1:].tolist() == [-0.5, -0.4, -0.4, -0.9, -0.9]
+    assert np.isnan(repeated_demand(critical)[0, 0])
+    assert repeated_demand(critical, of=1).tolist() == critical.tolist()

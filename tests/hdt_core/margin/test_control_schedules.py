@@ -102,7 +102,7 @@ def test_schedules_are_the_least_squares_of_their_aircraft():
     scheduled = np.interp(altitude, ALTITUDE_KNOTS_M, delivery[:-1]) + delivery[-1] * flow**2
     assert learned.delivery.levels["A/1"] == pytest.approx(np.median(exit_ln - scheduled), abs=1e-5)
     assert learned.delivery.levels[""] == learned.delivery.levels["A/1"]
-    assert learned.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], met=False)
+    assert learned.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], at_limit=False)
     assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
 
 
@@ -112,7 +112,7 @@ def test_a_limit_is_met_where_pressure_falls_short_of_the_schedule_at_its_altitu
         cc_speed_rad_s=pl.when(fast).then(4300.0).otherwise("cc_speed_rad_s"),
         cc_out_pa=pl.col("cc_out_pa") * pl.when(fast).then(np.exp(-0.05)).otherwise(1.0),
     )
-    assert learn_schedules(samples).speed == SpeedLimit(4300.0, met=True)
+    assert learn_schedules(samples).speed == SpeedLimit(4300.0, at_limit=True)
 
 
 def test_an_aircraft_has_its_own_law_from_300_samples_on_and_else_that_of_all():

@@ -17,23 +17,23 @@ def near_the_limit(short: int, near: int, by_sd: float) -> SpeedLimit:
 
 
 def test_a_quarter_of_the_samples_and_five_lack_four_deviations():
-    assert near_the_limit(5, 20, 4.01).met
-    assert not near_the_limit(5, 20, 3.99).met
-    assert not near_the_limit(4, 12, 4.01).met
-    assert not near_the_limit(5, 21, 4.01).met
+    assert near_the_limit(5, 20, 4.01).at_limit
+    assert not near_the_limit(5, 20, 3.99).at_limit
+    assert not near_the_limit(4, 12, 4.01).at_limit
+    assert not near_the_limit(5, 21, 4.01).at_limit
 
 
 def test_the_limit_is_the_median_of_what_is_near_it_and_ten_strays_are_passed_over():
     speed = np.concatenate([np.full(1000, 3000.0), [3979.9], np.full(25, 3990.0), np.full(16, 4000.0), [5000.0] * 10])
     lack = np.concatenate([CALM, np.full(42, -0.2), np.zeros(10)])
-    assert speed_limit(speed, lack) == SpeedLimit(4000.0, met=True)
-    assert speed_limit(speed, 0.0 * lack) == SpeedLimit(4000.0, met=False)
+    assert speed_limit(speed, lack) == SpeedLimit(4000.0, at_limit=True)
+    assert speed_limit(speed, 0.0 * lack) == SpeedLimit(4000.0, at_limit=False)
 
 
 def test_fewer_samples_than_strays_tell_nothing():
     speed, beyond = np.arange(1.0, 13.0), np.zeros(12)
-    assert speed_limit(speed, beyond) == SpeedLimit(2.0, met=False)
-    assert speed_limit(speed[:11], beyond[:11]) == SpeedLimit(1.0, met=False)
+    assert speed_limit(speed, beyond) == SpeedLimit(2.0, at_limit=False)
+    assert speed_limit(speed[:11], beyond[:11]) == SpeedLimit(1.0, at_limit=False)
     assert speed_limit(speed[:10], beyond[:10]) == SpeedLimit()
 
 
@@ -54,6 +54,6 @@ def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.
 @pytest.mark.parametrize("seed", range(3))
 def test_the_limit_of_a_noisy_record(seed):
     limit = speed_limit(*flown(np.random.default_rng(seed), 4400.0))
-    assert limit.met
+    assert limit.at_limit
     assert limit.rad_s == pytest.approx(4400.0, rel=0.002)
-    assert not speed_limit(*flown(np.random.default_rng(seed), 9000.0)).met
+    assert not speed_limit(*flown(np.random.default_rng(seed), 9000.0)).at_limit
