@@ -6,6 +6,9 @@ from typing import NamedTuple
 
 import pytest
 
+from hdt_core.components import components
+from hdt_core.tables.raw import SIGNALS
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
 TESTS = "tests/hdt_core"
@@ -89,3 +92,30 @@ def test_an_equations_functions_are_called_by_its_tests(row):
 def test_methods_that_the_paper_cites_are_where_it_says():
     below = PAGE[PAGE.rindex("| [physics from an FMU]") :]
     assert len(named(below, "hdt_core")[0]) == 7
+
+
+NOMENCLATURE = [
+    [cell.strip() for cell in line.strip("|").split("|")]
+    for line in (ROOT / "docs" / "nomenclature.md").read_text(encoding="utf-8").splitlines()
+    if line.startswith("| ") and "`" in line
+]
+TERMS = {name: (row[2], row[4].strip("`")) for row in NOMENCLATURE for name in re.findall(r"`(\w+)`", row[1])}
+
+
+def test_nomenclature_has_every_signal_and_parameter_of_the_pack_with_its_declared_unit():
+    declared = [
+        item
+        for code in ("HX", "CC")
+        for item in (
+            *components()[code].model.inputs,
+            *components()[code].model.outputs,
+            *components()[code].model.params,
+        )
+    ]
+    assert {d.name: d.unit for d in declared} == {n: TERMS[n][0] for n in {d.name for d in declared}}
+    assert set(SIGNALS) <= set(TERMS)
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_a_name_of_the_nomenclature_stands_where_it_says(name):
+    assert re.search(rf"\b{name}\b", (ROOT / "hdt_core" / TERMS[name][1]).read_text(encoding="utf-8"))

@@ -8,9 +8,7 @@ import pytest
 
 from benchmarks.alerts import figures_of, overall, tally
 from benchmarks.contestants import lead_at_budget
-from benchmarks.federated import averaged_rule
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
-from hdt_core.margin.margin import PRIOR_RULE, MessageRule
 from hdt_core.simulate.design import draw_design
 
 
@@ -123,21 +121,3 @@ def test_fleets_that_score_are_soundly_sized():
         design = draw_design(np.random.default_rng(seed))
         assert loss_at_message(design, 0.0) > HELD_LOSS
         assert loss_at_message(design, 20.0) <= loss_at_message(design, 0.0)
-
-
-def test_rules_of_operators_average_by_precision_with_the_prior_counted_once():
-    share, prior = PRIOR_RULE.share, PRIOR_RULE
-    own = MessageRule(share, 9.0, 1.0, prior.of, 4)
-    untold = MessageRule(share, prior.excess_k, prior.excess_sd_k, prior.of, 0)
-    alone = averaged_rule([own, untold, untold])
-    assert (alone.excess_k, alone.excess_sd_k) == pytest.approx((9.0, 1.0))
-    assert averaged_rule([untold, untold]).excess_sd_k == pytest.approx(prior.excess_sd_k)
-    twice = averaged_rule([own, own])
-    assert 9.0 < twice.excess_k < 10.0
-    assert twice.excess_sd_k < 1.0
-    assert twice.messages == 8
-
-
-def test_share_and_persistence_are_those_that_most_messages_speak_for():
-    few, many = MessageRule(0.2, 5.0, 1.0, 3, 1), MessageRule(0.5, 9.0, 1.0, 1, 6)
-    assert averaged_rule([few, many]) == MessageRule(0.5, pytest.approx(9.0), pytest.approx(1.0), 1, 7)
