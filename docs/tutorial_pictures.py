@@ -26,7 +26,7 @@ LESSONS = {
 def terminals(home: Path) -> dict[str, str]:
     """What the night prints, as a page."""
     night.out = Console(record=True, width=104, file=io.StringIO())
-    night._ranking(home)
+    night.print_ranking(home)
     return {"night": night.out.export_html(inline_styles=True)}
 
 

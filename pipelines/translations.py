@@ -1,4 +1,4 @@
-"""`python -m pipelines.translations`: every message found anew, translations kept and compiled. Wants Babel (dev)."""
+"""`python -m pipelines.translations`: collect all messages, keep their translations and compile them. Needs Babel."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,20 +16,20 @@ from pipelines.words.evidence import phrases
 
 ROOT = Path(__file__).parent
 HERE = ROOT / "words"
-KEYWORDS = {"_": None, "told": None, "several": (1, 2)}
-SAID_BY_DATA = (
+KEYWORDS = {"_": None, "html_text": None, "several": (1, 2)}
+DATA_VALUES = (
     "high", "medium", "low", "replaced", "cleaned", "inspected", "adjusted", "fleet", "operator", "tail", "file", "row",
     "value", "result", "note", "flight", "fouled", "clogged", "corroded", "damaged", "no fault found",
 )  # fmt: skip
-"""What columns hold, and a page shows in words."""
+"""Values of columns that a page translates."""
 
 
-def found() -> Catalog:
-    """Every message of code, templates and declarations."""
+def collect_messages() -> Catalog:
+    """Collect every message of code, templates and declarations."""
     catalog = Catalog(charset="utf-8")
     for path in sorted([*ROOT.rglob("*.py"), *ROOT.rglob("templates/**/*.html")]):
-        how = "python" if path.suffix == ".py" else "jinja2"
-        for _line, message, _comments, _context in extract_from_file(how, path, keywords=KEYWORDS):
+        method = "python" if path.suffix == ".py" else "jinja2"
+        for _line, message, _comments, _context in extract_from_file(method, path, keywords=KEYWORDS):
             catalog.add(message)
     for message in declared():
         catalog.add(message)
@@ -37,15 +37,15 @@ def found() -> Catalog:
 
 
 def declared() -> list[str]:
-    """Messages that are not written where they are said."""
+    """List messages that stand in tables and declarations instead of calls."""
     limits = [name for name, _unit in words.THRESHOLDS.values()]
     tables = (words.URGENCY, words.REASONS, words.PARTS, words.SIDES, words.NAMES, CHOICES, STATUSES, STATES)
-    said = [text for table in tables for text in table.values()] + [lost for lost, _ in words.WEARS.values()]
-    return [*phrases(), *said, *limits, *SAID_BY_DATA, *(d.name for d in DIAGNOSES.values())]
+    labels = [text for table in tables for text in table.values()] + [loss for loss, _ in words.WEARS.values()]
+    return [*phrases(), *labels, *limits, *DATA_VALUES, *(d.name for d in DIAGNOSES.values())]
 
 
 def translated(language: str, messages: Catalog) -> Catalog:
-    """The catalog of a language over these messages: what was translated stays so, what is said no more is left out."""
+    """Return a language's catalog of these messages with the translations it has; unused ones are dropped."""
     path = HERE / f"{language}.po"
     catalog = Catalog(locale=language, charset="utf-8")
     if path.exists():
@@ -61,7 +61,7 @@ def translated(language: str, messages: Catalog) -> Catalog:
 
 
 def write(language: str, catalog: Catalog) -> None:
-    """Both forms: for who translates, and for gettext."""
+    """Write both forms: `.po` for translators, `.mo` for gettext."""
     with (HERE / f"{language}.po").open("wb") as file:
         write_po(file, catalog, width=120, no_location=True, omit_header=False, sort_output=True, ignore_obsolete=True)
     with (HERE / f"{language}.mo").open("wb") as file:
@@ -69,9 +69,9 @@ def write(language: str, catalog: Catalog) -> None:
 
 
 if __name__ == "__main__":
-    messages = found()
-    for known in sorted({p.stem for p in HERE.glob("*.po")} - {ENGLISH}):
-        made = translated(known, messages)
-        write(known, made)
-        left = [m.id for m in made if m.id and not m.string]
-        print(f"{known}: {len(made)} messages, {len(left)} not translated")
+    messages = collect_messages()
+    for code in sorted({p.stem for p in HERE.glob("*.po")} - {ENGLISH}):
+        catalog = translated(code, messages)
+        write(code, catalog)
+        missing = [m.id for m in catalog if m.id and not m.string]
+        print(f"{code}: {len(catalog)} messages, {len(missing)} not translated")

@@ -16,7 +16,7 @@ from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import loaded, shipped_base, shipped_bytes
 from pipelines.lineage import FOLLOWED, LINEAGE
-from pipelines.report.pictures import DRAWN, night_pictures
+from pipelines.report.pictures import PICTURE_FEATURES, night_pictures
 from pipelines.resources import Home
 from pipelines.storage.store import Store
 
@@ -56,7 +56,7 @@ def prognosis(
     return StageResult((update.prognoses, _rows(update, base["model"][-1]), lives), pictures)
 
 
-READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *DRAWN)))
+READ = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *PICTURE_FEATURES)))
 """Of 150 features what prognoses and pictures need: a fleet's memory follows from it."""
 
 

@@ -1,1 +1,1 @@
-"""What people do about alerts: who has which case in hand, until when it is muted, what was found."""
+"""Cases: who works on which alert, until when it is muted, and what an inspection found."""

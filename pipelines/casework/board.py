@@ -1,4 +1,4 @@
-"""All cases of a home as a page shows them to many at once, read again only where something has changed."""
+"""Keep one home's cases in memory for the page, and read them again after a night, a log line or the end of a mute."""
 
 import threading
 from collections import defaultdict
@@ -12,46 +12,34 @@ from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG
 
 Row = dict[str, Any]
-Place = tuple[Any, ...]
-_PLACE = ("operator", "tail", "pack", "component")
 _NEVER = datetime.max.replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
-class Outlook:
-    """When the message of each component is due, and the choices at the next stop, the best first: as of a night."""
+class Snapshot:
+    """Cases by alert id, the most urgent first, with what belongs to each.
 
-    due: dict[Place, Row]
-    choices: dict[Place, list[Row]]
-
-    def of(self, case: Row) -> tuple[Row | None, list[Row]]:
-        """Both for the component of a case."""
-        place = _place(case)
-        return self.due.get(place), self.choices.get(place, [])
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """How every case stands, the most urgent first, and the lines of the log about each, the oldest first."""
+    `history` has a case's log lines, oldest first; `due` and `choices` are by component (`component_key`): the row of
+    `due_dates`, and the rows of `next_stop`, best first. The snapshot is valid until the next mute ends.
+    """
 
     cases: dict[str, Row]
     history: dict[str, list[Row]]
-    outlook: Outlook
-    ends_at: datetime
-    """When the next mute ends."""
+    due: dict[tuple[Any, ...], Row]
+    choices: dict[tuple[Any, ...], list[Row]]
+    valid_until: datetime
 
 
 class Board:
-    """Reads a home's cases for all who ask, one after the other; a night, a line or the end of a mute renews them."""
+    """Share one reading of the cases among all requests; threads wait for the one that reads."""
 
     def __init__(self, home: Path) -> None:
         self.home, self._lock = home, threading.Lock()
-        self._night: tuple[int, int] | None = None
-        self._line = 0
-        self._standing = Standing({}, {}, Outlook({}, {}), _NEVER)
+        self._version: tuple[int, ...] = ()
+        self._snapshot = Snapshot({}, {}, {}, {}, _NEVER)
 
-    def read(self) -> Standing:
-        """How all cases stand now.
+    def read(self) -> Snapshot:
+        """Return the present state of all cases.
 
         Raises
         ------
@@ -59,29 +47,26 @@ class Board:
             The catalog can't be read.
         """
         with self._lock:
-            file, line = (self.home / CATALOG).stat(), CaseLog(self.home).last_line()
-            night, held = (file.st_ino, file.st_mtime_ns), self._standing
-            if (night, line) != (self._night, self._line) or datetime.now(UTC) >= held.ends_at:
-                outlook = held.outlook if night == self._night else _outlook(self.home)
-                self._standing, self._night, self._line = _standing(self.home, outlook), night, line
-            return self._standing
+            file = (self.home / CATALOG).stat()
+            version = (file.st_ino, file.st_mtime_ns, CaseLog(self.home).last_line())
+            if version != self._version or datetime.now(UTC) >= self._snapshot.valid_until:
+                self._snapshot, self._version = _read_snapshot(self.home), version
+            return self._snapshot
 
 
-def _standing(home: Path, outlook: Outlook) -> Standing:
-    history, now = defaultdict(list), datetime.now(UTC)
+def component_key(row: Row) -> tuple[Any, ...]:
+    """Operator, tail, pack and component of a row."""
+    return row["operator"], row["tail"], row["pack"], row["component"]
+
+
+def _read_snapshot(home: Path) -> Snapshot:
+    history, choices, now = defaultdict(list), defaultdict(list), datetime.now(UTC)
     for row in CaseLog(home).entries().sort("line").to_dicts():
         history[row["alert_id"]].append(row)
+    due, stops = outlooks(home)
+    for row in stops:
+        choices[component_key(row)].append(row)
     cases = {row["alert_id"]: row for row in list_cases(home, "true")}
-    ends = (c["muted_until"] for c in cases.values() if c["muted_until"] is not None)
-    return Standing(cases, dict(history), outlook, min((at for at in ends if at > now), default=_NEVER))
-
-
-def _outlook(home: Path) -> Outlook:
-    choices, (due, rows) = defaultdict(list), outlooks(home)
-    for row in rows:
-        choices[_place(row)].append(row)
-    return Outlook({_place(row): row for row in due}, dict(choices))
-
-
-def _place(row: Row) -> Place:
-    return tuple(row[c] for c in _PLACE)
+    mute_ends = (c["muted_until"] for c in cases.values() if c["muted_until"] is not None)
+    valid_until = min((end for end in mute_ends if end > now), default=_NEVER)
+    return Snapshot(cases, dict(history), {component_key(row): row for row in due}, dict(choices), valid_until)

@@ -1,4 +1,4 @@
-"""What may be done about a case, checked and written: the same for the command line and the page."""
+"""Check and write what people do about a case: the same rules for the command line and the page."""
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, date, datetime, time, timedelta
@@ -7,25 +7,26 @@ from typing import Any
 
 from pipelines.storage.cases import CaseLog
 
-FOUND = {
+FINDINGS = {
     "clean": "NO_FAULT_FOUND", "fouled": "FOULED", "clogged": "CLOGGED", "corroded": "CORRODED", "damaged": "DAMAGED",
 }  # fmt: skip
-"""Findings as an engineer says them, and as the maintenance log has them."""
-DONE = ("inspected", "cleaned", "replaced", "adjusted")
-LONGEST = timedelta(days=366)
+"""Findings as people enter them, and as the maintenance log has them."""
+ACTIONS = ("inspected", "cleaned", "replaced", "adjusted")
+LONGEST_MUTE = timedelta(days=366)
+KINDS = ("acknowledge", "assign", "mute", "watch", "unwatch", "close", "reopen")
+Case = Mapping[str, Any]
 _ALERT = ("alert_id", "operator", "tail", "pack", "component", "diagnosis")
-_STOOD = {"severity": "severity", "loss": "now_loss", "p_event_50": "now_p_event_50"}
-_TEXT, _NAME = 1000, 80
+_STATE_THEN = {"severity_then": "severity", "loss_then": "now_loss", "p_event_50_then": "now_p_event_50"}
+_OPEN_ONLY = ("acknowledge", "assign", "mute")
+_MAX_TEXT, _MAX_NAME = 1000, 80
 
 
 class RefusedError(ValueError):
-    """What was asked can't be done; says why and what can."""
+    """A change that can't be made; the message names the reason and the accepted values."""
 
 
-def change_case(
-    home: Path, case: Mapping[str, Any], kind: str, person: str, seen: int | None = None, **asked: Any
-) -> str:
-    """Write one line about a case; what follows from it, in words.
+def change_case(home: Path, case: Case, kind: str, person: str, last_line: int | None = None, **fields: Any) -> str:
+    """Write one line about a case and return a sentence on its effect.
 
     Parameters
     ----------
@@ -37,146 +38,125 @@ def change_case(
         acknowledge, assign (`assignee`), mute (`until`), watch, unwatch, close (`finding`, `action`, `on`, `reference`)
         or reopen.
     person : str
-        Who does it.
-    seen : int, optional
-        `last_line` of the case as its writer saw it; None writes in any case.
-    asked : Any
-        What belongs to the kind, as text, and `note`.
+        Who makes the change.
+    last_line : int, optional
+        `last_line` of the case when this person read it; None writes in any case.
+    fields : Any
+        Values of the kind, as text, and `note`.
 
     Raises
     ------
     RefusedError
-        Something is missing, wrong, or makes no sense for this case.
+        A value is missing or wrong, or the change does not fit the case's state.
     ConflictError
-        Somebody else changed the case since.
+        Somebody else changed the case since `last_line`.
     """
-    body = {"note": _text(asked.get("note"), "note"), **_BODY[kind](case, asked)}
-    stood = {f"{c}_then": case[k] for c, k in _STOOD.items()}
-    alert = {c: case[c] for c in _ALERT}
-    told = {k: v for k, v in (body | stood).items() if v is not None}
-    CaseLog(home).append(alert, kind, _name(person, "by"), told, seen)
-    return _SAYS[kind](case, body)
+    if kind in _OPEN_ONLY and case["closed_at"] is not None:
+        raise RefusedError(f"this alert closed on {case['closed_at'].date()} ({case['closed_reason']})")
+    body = {"note": _text(fields.get("note"), "note")} | (_BODY[kind](case, fields) if kind in _BODY else {})
+    state = {column: case[key] for column, key in _STATE_THEN.items()}
+    line = {k: v for k, v in (body | state).items() if v is not None}
+    CaseLog(home).append({c: case[c] for c in _ALERT}, kind, _name(person, "by"), line, last_line)
+    return f"{case['diagnosis']} of {case['tail']} pack {case['pack']}: {_effect(kind, body)}"
 
 
-def _acknowledge(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    _must_be_open(case)
-    return {}
+def _assign(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {"assignee": _name(fields.get("assignee"), "to")}
 
 
-def _assign(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    _must_be_open(case)
-    return {"assignee": _name(asked.get("assignee"), "to")}
-
-
-def _mute(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    _must_be_open(case)
-    if not _text(asked.get("note"), "note"):
-        raise RefusedError("say why: a muted case wants a note")
-    now, until = datetime.now(UTC), moment(asked.get("until"), "until")[1]
-    if not now < until < now + LONGEST:
-        raise RefusedError(f"until is a day within the next {LONGEST.days} days, not {asked.get('until')}")
+def _mute(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
+    _require_note(fields, "a mute")
+    now, until = datetime.now(UTC), parse_moment(fields.get("until"), "until")[1]
+    if not now < until < now + LONGEST_MUTE:
+        raise RefusedError(f"until is a day within the next {LONGEST_MUTE.days} days, not {fields.get('until')}")
     return {"until": until.isoformat()}
 
 
-def _watch(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    return {}
-
-
-def _close(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    finding, action = (str(asked.get(k) or "").lower() for k in ("finding", "action"))
-    if finding not in FOUND:
-        raise RefusedError(f"finding is {', '.join(FOUND)}, not {finding or 'nothing'}")
-    action = action or DONE[0]
-    if action not in DONE:
-        raise RefusedError(f"action is {', '.join(DONE)}, not {action}")
-    now = datetime.now(UTC)
-    given = asked.get("on")
-    day, at = moment(given, "on") if given else (now.date(), now)
-    if day < case["raised_at"].date() or day > now.date() or (_timed(given) and at > now):
-        raise RefusedError(f"on is a day from {case['raised_at'].date()}, when it was raised, to today, not {given}")
+def _close(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
+    finding, action = (str(fields.get(k) or "").lower() for k in ("finding", "action"))
+    if finding not in FINDINGS:
+        raise RefusedError(f"finding is {', '.join(FINDINGS)}, not {finding or 'nothing'}")
+    action = action or ACTIONS[0]
+    if action not in ACTIONS:
+        raise RefusedError(f"action is {', '.join(ACTIONS)}, not {action}")
+    now, on = datetime.now(UTC), fields.get("on")
+    day, at = parse_moment(on, "on") if on else (now.date(), now)
+    if day < case["raised_at"].date() or day > now.date() or (_has_time(on) and at > now):
+        raise RefusedError(f"on is a day from {case['raised_at'].date()}, when it was raised, to today, not {on}")
     return {
-        "finding": FOUND[finding],
+        "finding": FINDINGS[finding],
         "action": action.upper(),
         "done_on": day.isoformat(),
-        "done_at": at.isoformat() if _timed(given) or not given else None,
-        "reference": _text(asked.get("reference"), "reference"),
+        "done_at": at.isoformat() if _has_time(on) or not on else None,
+        "reference": _text(fields.get("reference"), "reference"),
     }
 
 
-def _reopen(case: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
+def _reopen(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
     if case["finding"] is None and case["muted_until"] is None:
-        raise RefusedError("nobody has closed or muted this case, so there is nothing to take back")
-    if not _text(asked.get("note"), "note"):
-        raise RefusedError("say why: what is taken back wants a note")
+        raise RefusedError("this case is neither closed by a finding nor muted: nothing to take back")
+    _require_note(fields, "taking a closing or mute back")
     return {}
 
 
-_BODY = {
-    "acknowledge": _acknowledge, "assign": _assign, "mute": _mute, "watch": _watch, "unwatch": _watch, "close": _close,
-    "reopen": _reopen,
+_BODY: dict[str, Callable[[Case, Mapping[str, Any]], dict[str, Any]]] = {
+    "assign": _assign, "mute": _mute, "close": _close, "reopen": _reopen,
 }  # fmt: skip
-KINDS = tuple(_BODY)
 
 
-def _must_be_open(case: Mapping[str, Any]) -> None:
-    if case["closed_at"] is not None:
-        raise RefusedError(f"this alert closed on {case['closed_at'].date()} ({case['closed_reason']})")
+def _require_note(fields: Mapping[str, Any], change: str) -> None:
+    if not _text(fields.get("note"), "note"):
+        raise RefusedError(f"{change} needs a note with the reason")
 
 
-def moment(given: Any, name: str) -> tuple[date, datetime]:
-    """A day or a time in UTC, as a day and the moment it stands for: of a day alone, its end."""
+def parse_moment(value: Any, name: str) -> tuple[date, datetime]:
+    """Parse a day or a time in UTC: its day, and the moment it stands for; a day without a time stands for its end."""
     try:
-        if not _timed(given):
-            day = date.fromisoformat(str(given))
+        if not _has_time(value):
+            day = date.fromisoformat(str(value))
             return day, datetime.combine(day, time(), UTC) + timedelta(days=1)
-        at = datetime.fromisoformat(str(given))
+        at = datetime.fromisoformat(str(value))
         at = at.replace(tzinfo=UTC) if at.tzinfo is None else at.astimezone(UTC)
         return at.date(), at
-    except (ValueError, OverflowError):  # the last day has no end, and the first hour none before it
-        raise RefusedError(f"{name} is a day (2024-06-19) or a time in UTC (2024-06-19T04:30), not {given}") from None
+    except (ValueError, OverflowError):  # the calendar's last day has no end, nor its first hour one before it
+        raise RefusedError(f"{name} is a day (2024-06-19) or a time in UTC (2024-06-19T04:30), not {value}") from None
 
 
-def _timed(given: Any) -> bool:
-    return ":" in str(given or "")
+def _has_time(value: Any) -> bool:
+    return ":" in str(value or "")
 
 
-def _text(given: Any, name: str) -> str | None:
-    """A text of one or a few lines; None where there is none."""
-    text = "".join(c for c in str(given or "") if c.isprintable() or c == "\n").strip()
-    if len(text) > _TEXT:
-        raise RefusedError(f"{name} has {len(text)} characters; {_TEXT} are kept")
+def _text(value: Any, name: str) -> str | None:
+    """Printable text of one or a few lines; None where it is empty."""
+    text = "".join(c for c in str(value or "") if c.isprintable() or c == "\n").strip()
+    if len(text) > _MAX_TEXT:
+        raise RefusedError(f"{name} has {len(text)} characters; the limit is {_MAX_TEXT}")
     return text or None
 
 
-def _name(given: Any, name: str) -> str:
-    text = _text(given, name)
-    if text is None or len(text) > _NAME or "\n" in text:
-        raise RefusedError(f"{name} is a person's name of up to {_NAME} characters")
+def _name(value: Any, name: str) -> str:
+    text = _text(value, name)
+    if text is None or len(text) > _MAX_NAME or "\n" in text:
+        raise RefusedError(f"{name} is a person's name of up to {_MAX_NAME} characters")
     return text
 
 
-def _named(case: Mapping[str, Any]) -> str:
-    return f"{case['diagnosis']} of {case['tail']} pack {case['pack']}"
-
-
-def _says_closed(case: Mapping[str, Any], body: Mapping[str, Any]) -> str:
-    head = f"{_named(case)}: {body['finding']}, {body['action'].lower()} on {body['done_on']}."
-    if body["action"] != "INSPECTED":
-        return f"{head} The next night closes the alert and judges the renewed part from its first flight."
-    if body["finding"] == "NO_FAULT_FOUND":
-        return (
-            f"{head} The next night closes the alert as found clean; should the loss grow on, it comes back as a case "
-            "of the sensors."
-        )
-    return f"{head} It stays open, confirmed, until the part is cleaned or replaced; the next night counts it as a hit."
-
-
-_SAYS: dict[str, Callable[[Mapping[str, Any], Mapping[str, Any]], str]] = {
-    "acknowledge": lambda case, body: f"{_named(case)}: acknowledged.",
-    "assign": lambda case, body: f"{_named(case)}: assigned to {body['assignee']}.",
-    "mute": lambda case, body: f"{_named(case)}: muted until {body['until'][:16]}Z, or until it is worse.",
-    "watch": lambda case, body: f"{_named(case)}: watched.",
-    "unwatch": lambda case, body: f"{_named(case)}: not watched any more.",
-    "close": _says_closed,
-    "reopen": lambda case, body: f"{_named(case)}: what was closed or muted is taken back.",
+_EFFECTS = {
+    "acknowledge": "acknowledged.",
+    "assign": "assigned to {assignee}.",
+    "mute": "muted until {until:.16}Z, or until it gets worse.",
+    "watch": "watched.",
+    "unwatch": "no longer watched.",
+    "reopen": "open again; the closing or mute is taken back.",
 }
+
+
+def _effect(kind: str, body: Mapping[str, Any]) -> str:
+    if kind != "close":
+        return _EFFECTS[kind].format_map(body)
+    head = f"{body['finding']}, {body['action'].lower()} on {body['done_on']}."
+    if body["action"] != "INSPECTED":
+        return f"{head} The next night closes the alert and restarts the part's estimate from its first flight."
+    if body["finding"] == "NO_FAULT_FOUND":
+        return f"{head} The next night closes the alert as found clean; a further loss is then raised as a sensor case."
+    return f"{head} It stays open, confirmed, until the part is cleaned or replaced; the next night counts it as a hit."

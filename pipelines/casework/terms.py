@@ -1,4 +1,4 @@
-"""Physical terms that an engineer has accepted, by name: `terms.txt` of a home, which the calibration reads."""
+"""Accept or propose physical terms of the model by name; `terms.txt` of a home holds those accepted."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from pipelines.storage.store import Store
 
 
 def accept(home: Path, names: list[str]) -> None:
-    """Write which terms the model has from the next night on.
+    """Write the terms of the model from the next night on to `terms.txt`.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def accept(home: Path, names: list[str]) -> None:
 
 
 def proposals(home: Path, dsm: Dsm) -> pl.DataFrame:
-    """Evidence of each term that the model in service lacks, from the flights of its own baseline."""
+    """Return the evidence for each term that the model in service lacks, from the flights of its baseline."""
     flights = baseline_cells(Ledger(home))["flight_id"]
     samples = Store(home).scan("legs_samples").filter(pl.col("flight_id").is_in(flights.implode())).collect()
     return propose(estimate_flights(baseline_samples(samples), dsm), dsm)

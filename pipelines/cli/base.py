@@ -1,4 +1,4 @@
-"""What every command shares: consoles, the two folders, and an error that is one line.
+"""Shared by every command: consoles, the landing and home folders, and errors of one line.
 
 Heavy imports wait until a command needs them, so that `--help` and an idle night are quick.
 """
@@ -20,10 +20,10 @@ ORDER = (
 
 
 class ByUse(TyperGroup):
-    """Lists the commands in the order in which they are met."""
+    """Lists the commands in the order of their use."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names as `--help` and completion show them; those of an extension that `ORDER` does not list come last."""
+        """Return names in the order of `ORDER`; commands of extensions that it does not list come last."""
         return sorted(self.commands, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name))
 
 
@@ -31,8 +31,8 @@ app = typer.Typer(name="hdt", cls=ByUse, no_args_is_help=True, pretty_exceptions
 out, err = Console(highlight=False), Console(stderr=True, highlight=False)
 
 
-def _say_version(asked: bool) -> None:
-    if asked:
+def _print_version(requested: bool) -> None:
+    if requested:
         out.print(importlib.metadata.version("hybrid-digital-twin"))
         raise typer.Exit
 
@@ -40,7 +40,7 @@ def _say_version(asked: bool) -> None:
 @app.callback()
 def command(
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version and exit.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Hybrid digital twin: from recorder files to which heat exchanger to change, why, and when."""
@@ -52,46 +52,46 @@ LandingDir = Annotated[
 HomeDir = Annotated[
     Path | None, typer.Option(envvar="HDT_HOME", help="Folder that holds tables, catalog and run history.")
 ]
-Language = Annotated[str | None, typer.Option(envvar="HDT_LANGUAGE", help="Language to speak: en, de.")]
+Language = Annotated[str | None, typer.Option(envvar="HDT_LANGUAGE", help="Language of the output: en, de.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
-UsageError: Any = typer.BadParameter.__base__  # of the click that typer carries
+UsageError: Any = typer.BadParameter.__base__  # of the click inside typer
 
 
 class StopError(Exception):
-    """Ends the command with one line that says what to do."""
+    """Ends the command with one line on how to correct it."""
 
 
 @contextmanager
-def spoken(language: str | None) -> Iterator[None]:
-    """Speak a language, or end with a line that lists them."""
-    from pipelines.words import NoLanguageError, speaking
+def in_language(name: str | None) -> Iterator[None]:
+    """Write in a language within the block; stop with a line that lists the languages if it is unknown."""
+    from pipelines.words import NoLanguageError, use_language
 
     try:
-        with speaking(language):
+        with use_language(name):
             yield
     except NoLanguageError as error:
         raise StopError(str(error)) from None
 
 
-def say_error(words: str) -> None:
-    """One line on standard error."""
-    err.print(f"hdt: {words}", markup=False, soft_wrap=True)
+def print_error(message: str) -> None:
+    """Print one line on standard error."""
+    err.print(f"hdt: {message}", markup=False, soft_wrap=True)
 
 
 def landing_folder(path: Path | None) -> Path:
-    """The landing zone, or a line that says what is wrong with it."""
+    """Return the landing zone; stop with a line on what is wrong with it."""
     from pipelines.zone import fault_of
 
-    landing = _named(path, "--landing", "HDT_LANDING")
+    landing = _required(path, "--landing", "HDT_LANDING")
     if fault := fault_of(landing):
         raise StopError(fault)
     return landing
 
 
 def home_folder(path: Path | None, *, must_exist: bool = True) -> Path:
-    """The home, or a line that says what is wrong with it."""
-    home = _named(path, "--home", "HDT_HOME")
+    """Return the home; stop with a line on what is wrong with it."""
+    home = _required(path, "--home", "HDT_HOME")
     if home.exists() and not home.is_dir():
         raise StopError(f"{home} is a file; give --home a folder")
     if must_exist and not (home / "catalog.duckdb").exists():
@@ -99,7 +99,7 @@ def home_folder(path: Path | None, *, must_exist: bool = True) -> Path:
     return home
 
 
-def _named(path: Path | None, option: str, variable: str) -> Path:
+def _required(path: Path | None, option: str, variable: str) -> Path:
     if path is None:
         raise StopError(f"name a folder with {option} DIR or set {variable}")
     return path

@@ -1,11 +1,11 @@
-"""Commands after the night: what changed, and work orders."""
+"""Commands after the night: the digest of changes, and work orders."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from pipelines.cli.base import AsJson, HomeDir, StopError, app, home_folder, out, say_error
+from pipelines.cli.base import AsJson, HomeDir, StopError, app, home_folder, out, print_error
 
 OperatorOnly = Annotated[str | None, typer.Option("--operator", help="Only this operator, as its folder is called.")]
 
@@ -15,52 +15,52 @@ def digest(
     home: HomeDir = None,
     since: Annotated[
         str | None,
-        typer.Option(help="A date or time in UTC: since the last night by then; else the last but one."),
+        typer.Option(help="Date or time in UTC: since the last night before it; default the last but one."),
     ] = None,
     operator: OperatorOnly = None,
-    target: Annotated[Path | None, typer.Option("--out", help="Folder for it as text, page and JSON.")] = None,
+    target: Annotated[Path | None, typer.Option("--out", help="Folder to write text, page and JSON into.")] = None,
     trial: Annotated[
         bool,
-        typer.Option("--try", help="Send what stands now to every receiver of notify.toml; nothing is noted."),
+        typer.Option("--try", help="Send the present state to every receiver of notify.toml; nothing is recorded."),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """What changed since an earlier night.
+    """Print what changed since an earlier night.
 
-    Alerts, flights left, gaps, refused files. `notify.toml` in the home says who is told of it each night.
+    Alerts, flights left, gaps, refused files. `notify.toml` in the home declares who receives it after each night.
     """
     where = home_folder(home)
     if trial:
         _try(where)
         return
-    from pipelines.digest import as_json as told_as_json
+    from pipelines.digest import as_json as digest_json
     from pipelines.digest import as_text, changes_since, write_digest
 
-    found = changes_since(where, since).of(operator)
+    changes = changes_since(where, since).of(operator)
     if target is not None:
-        write_digest(found, target, "digest")
+        write_digest(changes, target, "digest")
     if as_json:
-        out.print_json(told_as_json(found))
+        out.print_json(digest_json(changes))
     else:
-        out.print(as_text(found).strip(), markup=False, soft_wrap=True)
+        out.print(as_text(changes).strip(), markup=False, soft_wrap=True)
 
 
 def _try(where: Path) -> None:
-    from pipelines.digest import NotifyError, try_out
+    from pipelines.digest import NotifyError, send_trial
     from pipelines.storage.settings import notify_file
 
     try:
-        told = try_out(where)
+        results = send_trial(where)
     except NotifyError as error:
         raise StopError(str(error)) from None
-    if not told:
+    if not results:
         raise StopError(f"no receiver; declare them in {notify_file(where)}")
-    for name, fault in told:
+    for name, fault in results:
         if fault:
-            say_error(f"{name} was not told: {fault}")
+            print_error(f"{name}: not sent: {fault}")
         else:
-            out.print(f"{name} was told", markup=False, soft_wrap=True)
-    if any(fault for _, fault in told):
+            out.print(f"{name}: sent", markup=False, soft_wrap=True)
+    if any(fault for _, fault in results):
         raise typer.Exit(1)
 
 
@@ -70,7 +70,7 @@ def orders(
     home: HomeDir = None,
     operator: OperatorOnly = None,
 ) -> None:
-    """Open alerts as work orders.
+    """Write open alerts as work orders.
 
     As CSV and JSON for a maintenance system, and as a page to print.
     """
@@ -79,6 +79,6 @@ def orders(
 
     with connect(home_folder(home)) as con:
         ((until,),) = con.execute("select max(departed_at) from flights").fetchall()
-        found = work_orders(con, operator)
-    write_orders(found, target, f"Flights up to {until:%Y-%m-%d %H:%M} UTC." if until else "")
-    out.print(f"{found.height} work orders: {target}", soft_wrap=True)
+        table = work_orders(con, operator)
+    write_orders(table, target, f"Flights up to {until:%Y-%m-%d %H:%M} UTC." if until else "")
+    out.print(f"{table.height} work orders: {target}", soft_wrap=True)

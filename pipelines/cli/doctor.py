@@ -1,4 +1,4 @@
-"""Is everything in place? Each check says what it looked at and what it found."""
+"""Check an installation, a landing zone and a home."""
 
 import importlib.metadata
 import os
@@ -36,21 +36,21 @@ _NEEDED_GB = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One question, whether the answer is well, and the answer in words."""
+    """A check's name, whether it passed, and its result in words."""
 
     name: str
     well: bool
-    says: str
+    message: str
 
 
 def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
-    """The installation, and the folders that are given."""
+    """Check the installation, and the folders that are given."""
     yield Check("python", sys.version_info >= (3, 11), f"{platform.python_version()}, {os.cpu_count()} cores")
     yield from _packages()
     if landing is not None:
         yield from _landing(landing)
         if TYPES in readers():
-            yield from (Check(*said) for said in readers()[TYPES].checks(landing.resolve()))
+            yield from (Check(*result) for result in readers()[TYPES].checks(landing.resolve()))
     if home is not None:
         yield from _home(home)
 
@@ -64,31 +64,31 @@ def _packages() -> Iterator[Check]:
     try:
         yield Check("numba (optional)", True, importlib.metadata.version("numba"))
     except importlib.metadata.PackageNotFoundError:
-        said = "absent, so fits take the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
-        yield Check("numba (optional)", True, said)
+        message = "not installed, fits use the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
+        yield Check("numba (optional)", True, message)
 
 
 def _landing(landing: Path) -> Iterator[Check]:
-    """Names in the landing zone, and what a few files of each aircraft hold."""
+    """Check names in the landing zone, and the contents of a few files of each aircraft."""
     if fault := fault_of(landing):
         yield Check("landing zone", False, fault)
         return
     listing = list_landing(landing)
     files, refused = len(listing.files), listing.quarantine
-    said = f"{files} files to take in, {refused.height} that are none of the contract's"
-    said += f": {'; '.join(not_read(refused))}" if refused.height else ""
+    message = f"{files} files to read, {refused.height} with unknown names"
+    message += f": {'; '.join(not_read(refused))}" if refused.height else ""
     well = files > 0 and refused.is_empty()
-    yield Check("landing zone", well, said if files else f"{said}; `hdt docs raw-data` shows the layout")
-    read, silent = silent_in_landing(landing, datetime.now(UTC))
-    yield Check("contents", not silent, "; ".join(silent) or f"{read} files looked into, as agreed")
+    yield Check("landing zone", well, message if files else f"{message}; `hdt docs raw-data` shows the layout")
+    n_sampled, silent = silent_in_landing(landing, datetime.now(UTC))
+    yield Check("contents", not silent, "; ".join(silent) or f"{n_sampled} files sampled, columns as agreed")
 
 
 def _home(home: Path) -> Iterator[Check]:
     near = next(p for p in (home, *home.resolve().parents) if p.exists())
-    open_to_us = os.access(near, os.W_OK)
-    yield Check("home", open_to_us, f"{home} can{'' if open_to_us else 'not'} be written to")
+    writable = os.access(near, os.W_OK)
+    yield Check("home", writable, f"{home} is {'' if writable else 'not '}writable")
     free_gb = shutil.disk_usage(near).free / 1e9
-    yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB wanted")
+    yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB needed")
     yield _costs(home)
     yield from _stored(home)
     yield from _receivers(home)
@@ -100,7 +100,7 @@ def _home(home: Path) -> Iterator[Check]:
 
 
 def _receivers(home: Path) -> Iterator[Check]:
-    """Who is told after a night, where a home declares it."""
+    """Check the declaration of the digest's receivers, if there is one."""
     if not notify_file(home).exists():
         return
     try:
@@ -116,48 +116,47 @@ def _costs(home: Path) -> Check:
         own = read_costs(home).filter(source=NAME_OF_COSTS).height
     except CostError as error:
         return Check("costs", False, str(error))
-    said = f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
-    return Check("costs", True, said)
+    message = f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
+    return Check("costs", True, message)
 
 
 def _stored(home: Path) -> Iterator[Check]:
-    """Whether what was written is still what was written: all of it is read."""
+    """Check ledger, case log, history and tables against their seals; reads every file."""
     ledger = Ledger(home, looks=True)
     if (home / FILE).exists() or (home / NAME).exists():
         fault = ledger_fault(ledger)
-        yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} mends it" if fault else "ok")
+        yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} repairs it" if fault else "ok")
     yield from _cases(home)
     if (home / "dagster").is_dir():
         fault = history.fault_of(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
-    store, held = Store(home.resolve()), read(home)
-    if not store.place.remote and (held or (home / CATALOG).exists()):
-        lost = changed(store, held, held.files, whole=True) if held else [NAME]
-        said = f"{named(lost)} missing or not what was written; {_mended(store)}" if lost else ""
-        yield Check("tables", not lost, said or f"all {len(held.files) if held else 0} files are what was written")
-        if lost:
+    store, seal = Store(home.resolve()), read(home)
+    if not store.place.remote and (seal or (home / CATALOG).exists()):
+        damaged = changed(store, seal, seal.files, whole=True) if seal else [NAME]
+        message = f"{named(damaged)} missing or changed since written; {_repair_by_night(store)}" if damaged else ""
+        yield Check("tables", not damaged, message or f"all {len(seal.files) if seal else 0} files unchanged")
+        if damaged:
             return
     twice = {table: sum(n.values()) for table in TABLES if (n := store.doubled(table))}
-    said = ", ".join(f"{n} of {table}" for table, n in twice.items())
-    told = f"stored more than once: {said}; {_NIGHT} makes them again" if twice else "each is stored once"
-    yield Check("keys", not twice, told)
+    rows = ", ".join(f"{n} of {table}" for table, n in twice.items())
+    yield Check("keys", not twice, f"stored twice: {rows}; {_NIGHT} writes them again" if twice else "all unique")
 
 
 def _cases(home: Path) -> Iterator[Check]:
-    """The log of cases, which the tables hold up to the last night."""
+    """Check the log of cases against the copy that the tables hold up to the last night."""
     try:
         fault = CaseLog(home).fault(Store(home.resolve()).read("raw_cases"))
     except StoreError as error:
         fault = f"can't be compared ({error})"
     if fault:
-        yield Check("cases", False, f"the log of cases {fault}; {_NIGHT} mends it")
+        yield Check("cases", False, f"the log of cases {fault}; {_NIGHT} repairs it")
 
 
-def _mended(store: Store) -> str:
-    """Have the next night look for itself; when it does."""
+def _repair_by_night(store: Store) -> str:
+    """Mark the store for a full check in the next night; return when that repairs it."""
     store.place.doubt()
-    when = "" if store.place.doubted else f" within {CYCLE} nights, for this user may not note it in the home"
-    return f"{_NIGHT} makes it again{when}"
+    when = "" if store.place.doubted else f" within {CYCLE} nights, as this user can't write the mark into the home"
+    return f"{_NIGHT} writes it again{when}"
 
 
 _NIGHT = "`hdt nightly`"
@@ -166,10 +165,10 @@ _NIGHT = "`hdt nightly`"
 def _catalog(home: Path) -> Check:
     try:
         with connect(home) as con:
-            there = con.execute("select view_name from duckdb_views() where not internal").fetchall()
+            present = con.execute("select view_name from duckdb_views() where not internal").fetchall()
     except StoreError as error:
         return Check("catalog", False, str(error))
-    missing = sorted(set(views()) - {name for (name,) in there})
+    missing = sorted(set(views()) - {name for (name,) in present})
     return Check("catalog", not missing, f"lacks {', '.join(missing)}" if missing else f"all {len(views())} views")
 
 
@@ -181,13 +180,13 @@ from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin',
 
 
 def _feed(home: Path) -> Check:
-    """Whether files came in other units or wired otherwise than agreed, and which columns fell silent."""
+    """Check for files in other units or wiring than agreed, and for silent columns."""
     try:
         with connect(home) as con:
-            odd = [said for (said,) in con.execute(_MISWRITTEN).fetchall()]
+            odd = [line for (line,) in con.execute(_MISWRITTEN).fetchall()]
             silent = silent_lines(silent_columns(con))
     except StoreError as error:
         return Check("units and wiring", False, str(error))
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
-    said = [f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`"] if odd else []
-    return Check("units and wiring", not odd + silent, "; ".join([*said, *silent]) or "as physics wants them")
+    lines = [f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`"] if odd else []
+    return Check("units and wiring", not odd + silent, "; ".join([*lines, *silent]) or "physically consistent")

@@ -1,7 +1,8 @@
-"""Commands that only look: status, report, query, explain, ui."""
+"""Commands that read a home: status, report, query, explain, terms."""
 
 import json
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,33 +16,61 @@ from pipelines.cli.base import (
     StopError,
     app,
     home_folder,
+    in_language,
     out,
-    say_error,
-    spoken,
+    print_error,
 )
-from pipelines.cli.stops import ends_at_once
+from pipelines.cli.stops import stop_at_once
 
 
 @app.command()
 def status(home: HomeDir = None, as_json: AsJson = False) -> None:
-    """What is up to date, what waits and what failed.
+    """Print what is up to date, what waits and what failed.
 
-    With the last good run, the catalog's age and the quarantine.
+    With the last good run, the catalog's age and the rows in quarantine.
     """
-    from pipelines.cli.status import status_of
-
-    told = status_of(home_folder(home))
+    values = _status(home_folder(home))
     if as_json:
-        out.print_json(json.dumps(told))
+        out.print_json(json.dumps(values))
         return
     table = Table()
     for name in ("asset", "cells", "up to date", "waiting"):
         table.add_column(name, justify="left" if name == "asset" else "right")
-    for name, row in told.pop("assets").items():
+    for name, row in values.pop("assets").items():
         table.add_row(name, *(str(row[k]) for k in ("cells", "up_to_date", "waiting")))
     out.print(table)
-    for name, value in told.items():
+    for name, value in values.items():
         out.print(f"{name.replace('_', ' ')}: {value if value is not None else '-'}", soft_wrap=True)
+
+
+def _status(home: Path) -> dict[str, Any]:
+    """Collect the values of `status`.
+
+    A cell waits when it was never computed or its inputs have changed; what depends on a waiting cell counts once that
+    cell is computed.
+    """
+    from pipelines.lineage import LINEAGE
+    from pipelines.storage.catalog import CATALOG, connect
+    from pipelines.storage.ledger import Ledger
+    from pipelines.versions import expected, undone
+
+    ledger, assets = Ledger(home, looks=True), {}
+    for table in LINEAGE:
+        cells, waiting = expected(ledger, table).height, undone(ledger, [table]).height
+        assets[table] = {"cells": cells, "up_to_date": cells - waiting, "waiting": waiting}
+    nights = ledger.nights().rows(named=True)
+    good = [n for n in nights if n["failed"] == "{}"]
+    age_s = datetime.now(UTC).timestamp() - (home / CATALOG).stat().st_mtime
+    with connect(home) as con:
+        ((quarantined,),) = con.execute("select count(*) from quarantine").fetchall()
+    return {
+        "assets": assets,
+        "last_run": nights[-1]["ended_at"] if nights else None,
+        "last_run_failed": nights[-1]["failed"] if nights and nights[-1]["failed"] != "{}" else None,
+        "last_good_run": good[-1]["ended_at"] if good else None,
+        "catalog_age_hours": round(age_s / 3600, 2),
+        "quarantined": quarantined,
+    }
 
 
 @app.command()
@@ -49,10 +78,10 @@ def report(
     home: HomeDir = None,
     target: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("report.html"),
     units: Annotated[
-        Literal["si", "us"], typer.Option(help="Units it opens in, degC and kg/s or degF and lb/min; a switch on it.")
+        Literal["si", "us"], typer.Option(help="Units at opening: degC and kg/s, or degF and lb/min.")
     ] = "si",
     thresholds: Annotated[
-        bool, typer.Option("--thresholds", help="And how alerts would have fared at other thresholds: 3 s an aircraft.")
+        bool, typer.Option("--thresholds", help="Include alert counts at other thresholds: 3 s an aircraft.")
     ] = False,
     language: Language = None,
 ) -> None:
@@ -62,7 +91,7 @@ def report(
     where = home_folder(home)
     if not target.resolve().parent.is_dir():
         raise StopError(f"no folder {target.resolve().parent} to write {target.name} into")
-    with spoken(language):
+    with in_language(language):
         write_report(where, target, units, thresholds)
     out.print(f"Report: {target}", soft_wrap=True)
 
@@ -71,16 +100,19 @@ def report(
 def query(
     sql: Annotated[str, typer.Argument(help="A select over the catalog's views.")],
     home: HomeDir = None,
-    as_of: Annotated[str | None, typer.Option(help="A date or time in UTC: what the last night by then said.")] = None,
+    as_of: Annotated[str | None, typer.Option(help="Date or time in UTC: use the last night before it.")] = None,
 ) -> None:
-    """Ask the catalog of the last night or an earlier one, read only."""
+    """Query the catalog of the last or an earlier night.
+
+    Read only.
+    """
     import duckdb
 
     from pipelines.storage.catalog import ask, connect
     from pipelines.storage.publication import connect_as_of
 
     where = home_folder(home)
-    with ends_at_once(lambda: say_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
+    with stop_at_once(lambda: print_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
         try:
             answer = ask(con, sql)
             if answer is not None:
@@ -91,44 +123,42 @@ def query(
 
 @app.command()
 def explain(
-    asked: Annotated[
+    name: Annotated[
         list[str],
         typer.Argument(metavar="PACK", help="TAIL for its most urgent pack, TAIL PACK or TAIL/PACK, or an alert's id."),
     ],
     home: HomeDir = None,
     language: Language = None,
 ) -> None:
-    """One pack or one alert in words: when it was raised, and now.
+    """Explain one pack or one alert, when raised and now.
 
-    What moved, by how much, since when, which witnesses speak for or against it, what else it could be, what to do.
+    Evidence for and against the diagnosis, its alternatives, and what to do.
     """
-    from pipelines.report.explain import explain as told_of
+    from pipelines.report.explain import explain as explanation_of
 
-    where, named = home_folder(home), " ".join(asked)
+    where, pack = home_folder(home), " ".join(name)
     try:
-        with spoken(language):
-            told = told_of(where, named)
+        with in_language(language):
+            text = explanation_of(where, pack)
     except ValueError as error:
         raise StopError(str(error)) from None
-    if told is None:
+    if text is None:
         raise StopError(
-            f'no pack or alert {named}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'
+            f'no pack or alert {pack}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'
         )
-    out.print(told, markup=False, soft_wrap=True)
+    out.print(text, markup=False, soft_wrap=True)
 
 
 @app.command()
 def terms(
     home: HomeDir = None,
-    accept: Annotated[
-        list[str] | None, typer.Option(help="Let the model have this term from the next night on.")
-    ] = None,
-    drop: Annotated[list[str] | None, typer.Option(help="Take it from the model again.")] = None,
+    accept: Annotated[list[str] | None, typer.Option(help="Use this term in the model from the next night on.")] = None,
+    drop: Annotated[list[str] | None, typer.Option(help="Remove it from the model.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Physical terms that residuals from flight to flight ask for.
+    """List physical terms that would improve the model.
 
-    What the model has is a term a line in `terms.txt` of the home.
+    By the residuals between flights; `terms.txt` in the home holds the accepted terms, one a line.
     """
     from hdt_core.calibration.dsm import Dsm
     from hdt_core.physics.terms import TERMS
@@ -145,24 +175,24 @@ def terms(
         write(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
         out.print(f"Terms from the next night on: {', '.join(accepted_terms(where)) or 'none'}")
         return
-    held = Store(where).read("calibration_dsm")
-    if not held.height:
+    models = Store(where).read("calibration_dsm")
+    if not models.height:
         raise StopError("no model yet; run `hdt nightly` first")
-    dsm = Dsm.from_dict(json.loads(held["model"][0]))
-    found = proposals(where, dsm)
+    dsm = Dsm.from_dict(json.loads(models["model"][0]))
+    evidence = proposals(where, dsm)
     if as_json:
-        out.print_json(json.dumps({"accepted": dsm.terms, "terms": found.to_dicts()}))
+        out.print_json(json.dumps({"accepted": dsm.terms, "terms": evidence.to_dicts()}))
         return
     for name, value in dsm.terms.items():
         out.print(f"accepted  {name} = {value:.3g} {TERMS[name].unit}", soft_wrap=True)
-    for row in found.iter_rows(named=True):
+    for row in evidence.iter_rows(named=True):
         out.print(_term_line(row), markup=False, soft_wrap=True)
 
 
 def _term_line(row: dict[str, Any]) -> str:
     head = f"{'PROPOSED' if row['proposed'] else '-':8}  {row['term']}"
     if row["value"] is None:
-        return f"{head}: {row['n']} changes between flights are too few"
+        return f"{head}: too few changes between flights ({row['n']})"
     return (
         f"{head} = {row['value']:.3g} +- {row['sd']:.2g} {row['unit']} ({row['meaning']}): BIC falls by "
         f"{row['bic_gain']:.0f}, F {row['f']:.0f}; residual of aircraft left out "

@@ -1,4 +1,4 @@
-"""Commands for who tries and checks: simulate, doctor, docs."""
+"""Commands to try and check the installation: simulate, doctor, docs."""
 
 import json
 import re
@@ -11,24 +11,24 @@ import typer
 
 from pipelines.cli.base import AsJson, HomeDir, LandingDir, StopError, app, err, out
 
-SHOWN = {"seed": 21, "operators": 1, "tails": 2, "flights": 250}
-"""A small fleet that has something to show after its first night: found by trying seeds, held by a test."""
+DEMO = {"seed": 21, "operators": 1, "tails": 2, "flights": 250}
+"""A small fleet with alerts after its first night; the seed was chosen by trial, and a test checks it."""
 
 
 @app.command()
 def simulate(
     target: Annotated[Path, typer.Option("--out", help="New folder for `landing` and `truth`.")],
-    seed: Annotated[int, typer.Option(help="Same seed and size, same fleet.")] = SHOWN["seed"],
-    operators: Annotated[int, typer.Option(min=1, max=26)] = SHOWN["operators"],
-    tails: Annotated[int, typer.Option(min=1, help="Aircraft of each operator.")] = SHOWN["tails"],
-    flights: Annotated[int, typer.Option(min=1, help="Flights of each aircraft.")] = SHOWN["flights"],
+    seed: Annotated[int, typer.Option(help="Same seed and size, same fleet.")] = DEMO["seed"],
+    operators: Annotated[int, typer.Option(min=1, max=26)] = DEMO["operators"],
+    tails: Annotated[int, typer.Option(min=1, help="Aircraft of each operator.")] = DEMO["tails"],
+    flights: Annotated[int, typer.Option(min=1, help="Flights of each aircraft.")] = DEMO["flights"],
     kind: Annotated[str, typer.Option("--type", help="Type of aircraft: contract, 787 or A330.")] = "contract",
     form: Annotated[str, typer.Option("--format", help="Recorder files of that type: 717 or 767.")] = "",
 ) -> None:
-    """Write a simulated fleet, and its truth apart.
+    """Write a simulated fleet, and its truth in its own folder.
 
-    As it stands, two aircraft, each with a heat exchanger that can't wait after the last night. The files are
-    those that a ground station would drop; with --type, a recorder's own, a file a flight, with map and description.
+    By default two aircraft, each with a heat exchanger that needs work after the last night. The files are those of a
+    ground station; with --type, a recorder's own, one a flight, with parameter map and description.
     """
     from rich.progress import track
 
@@ -46,8 +46,8 @@ def simulate(
     size = FleetSettings(operators=operators, tails=tails, flights=flights)
     if kind != "contract":
         size = replace(size, suite=kind, cpl_share=1.0)
-    made = write_fleet(target, seed, size, form)
-    for _ in track(made, description="aircraft", total=operators * tails, console=err):
+    aircraft = write_fleet(target, seed, size, form)
+    for _ in track(aircraft, description="aircraft", total=operators * tails, console=err):
         pass
     out.print(f"Landing zone: {target / 'landing'}. Truth: {target / 'truth'}", soft_wrap=True)
 
@@ -56,26 +56,25 @@ def simulate(
 def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = False) -> None:
     """Check the installation, the landing zone and the home.
 
-    The folders are looked at where they are given. Each check says what it found; exit code 1 if one is a fault.
+    Only folders given are checked. Each check prints its result; exit code 1 if one is a fault.
     """
     from pipelines.cli.doctor import examine
 
     checks = list(examine(landing, home))
     if as_json:
-        out.print_json(json.dumps([{"check": c.name, "well": c.well, "says": c.says} for c in checks]))
+        out.print_json(json.dumps([{"check": c.name, "well": c.well, "says": c.message} for c in checks]))
     else:
         for check in checks:
-            out.print(f"{'well ' if check.well else 'FAULT'}  {check.name}: {check.says}", markup=False, soft_wrap=True)
+            out.print(
+                f"{'well ' if check.well else 'FAULT'}  {check.name}: {check.message}", markup=False, soft_wrap=True
+            )
     if not all(c.well for c in checks):
         raise typer.Exit(1)
 
 
 @app.command()
-def docs(page: Annotated[str, typer.Argument(help="Name of a page; none lists them.")] = "") -> None:
-    """Print a page of the documentation.
-
-    As Markdown; without a name, which pages there are.
-    """
+def docs(page: Annotated[str, typer.Argument(help="Name of a page; without it, a list.")] = "") -> None:
+    """Print a page of the documentation, or list them."""
     pages = resources.files("pipelines") / "docs"
     if not page:
         for file in sorted(f.name for f in pages.iterdir() if f.name.endswith(".md")):

@@ -1,4 +1,4 @@
-"""Commands that take data in: nightly and backfill."""
+"""Commands that process new data: nightly, backfill and tidy."""
 
 import datetime as dt
 import json
@@ -21,19 +21,19 @@ from pipelines.cli.base import (
     app,
     err,
     home_folder,
+    in_language,
     landing_folder,
     out,
-    say_error,
-    spoken,
+    print_error,
 )
-from pipelines.cli.stops import ends_at_once
+from pipelines.cli.stops import stop_at_once
 from pipelines.orchestration.local_executor import cores
 from pipelines.storage.settings import MOST_DAYS
 
-SHOWN = 10
+MAX_ROWS = 10
 """Packs, and units, that the terminal lists."""
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be taken in, and take nothing in.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes side by side, where there is enough to do.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="List the new files without processing them.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Parallel processes, at most.")]
 Day = Annotated[dt.datetime | None, typer.Option(formats=["%Y-%m-%d"])]
 
 
@@ -52,17 +52,17 @@ class Bars:
         self.task: Any = None
 
     def start(self, label: str, total: int) -> None:
-        """A step begins."""
+        """Begin a step."""
         if self.task is None:
             self.bars.start()
         self.task = self.bars.add_task(label, total=total)
 
     def advance(self, cells: int) -> None:
-        """Some of the step is done."""
+        """Count cells of the step as done."""
         self.bars.advance(self.task, cells)
 
     def stop(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         self.bars.stop()
 
 
@@ -75,15 +75,15 @@ def nightly(
     as_json: AsJson = False,
     language: Language = None,
 ) -> None:
-    """Take in what is new and say which packs need attention.
+    """Process new files and print the packs that need attention.
 
-    From raw files to alerts; exit code 1 if an aircraft failed, and the others are done.
+    From raw data to alerts. Exit code 1 if an aircraft failed; the others are complete.
     """
     zone, where = landing_folder(landing), home_folder(home, must_exist=False)
     if dry_run:
-        _say_what_is_new(zone, where, as_json)
+        _print_new_files(zone, where, as_json)
     else:
-        with spoken(language):
+        with in_language(language):
             _bring_up_to_date(zone, where, as_json, jobs)
 
 
@@ -98,9 +98,9 @@ def backfill(
     jobs: Jobs = cores(),  # noqa: B008
     as_json: AsJson = False,
 ) -> None:
-    """Take in history, in bulk.
+    """Process history in bulk.
 
-    By operator, aircraft or departure date (both ends included). It may be stopped and started again.
+    By operator, aircraft or departure date, both ends included. It may be stopped and started again.
     """
     where = landing_folder(landing)
     from pipelines.intake.names import is_operator, is_tail
@@ -109,26 +109,25 @@ def backfill(
         raise StopError(f"no operator {operator} in {where}")
     if tail and not (is_tail(tail) and any(where.glob(f"*/{tail}"))):
         raise StopError(f"no aircraft {tail} in {where}")
-    wanted = pl.lit(True)
-    for column, name in (("operator", operator), ("tail", tail)):
-        wanted &= pl.col(column) == name if name else pl.lit(True)
     day = pl.col("flight_id").str.extract(r"_(\d{8})_\d+$")
-    wanted &= (day >= f"{since:%Y%m%d}").fill_null(True) if since else pl.lit(True)
-    wanted &= (day <= f"{until:%Y%m%d}").fill_null(True) if until else pl.lit(True)
-    _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, jobs, wanted)
+    conditions = [pl.col(column) == name for column, name in (("operator", operator), ("tail", tail)) if name]
+    conditions += [(day >= f"{since:%Y%m%d}").fill_null(True)] if since else []
+    conditions += [(day <= f"{until:%Y%m%d}").fill_null(True)] if until else []
+    only = pl.all_horizontal(pl.lit(True), *conditions)
+    _bring_up_to_date(where, home_folder(home, must_exist=False), as_json, jobs, only)
 
 
 @app.command()
 def tidy(
     home: HomeDir = None,
     keep_days: Annotated[
-        int, typer.Option("--keep-days", min=0, max=MOST_DAYS, help="Runs younger than so many days stay.")
+        int, typer.Option("--keep-days", min=0, max=MOST_DAYS, help="Keep runs younger than this. [days]")
     ] = 90,
 ) -> None:
-    """Forget Dagster's history of long ago, or one that is damaged.
+    """Delete old runs, or a damaged file, of Dagster's history.
 
-    Nothing that was made is touched, and nothing is made again; cells that only those runs made show as not
-    materialized on Dagster's page.
+    Tables are not touched and nothing is computed again; cells that only those runs computed appear as not materialized
+    on Dagster's page.
     """
     from dagster_batched.history import forget
     from pipelines.orchestration.around_night import holding
@@ -137,14 +136,14 @@ def tidy(
 
     where = home_folder(home)
     with holding(where):
-        if anew := set_aside(where):
-            out.print(anew, soft_wrap=True)
+        if message := set_aside(where):
+            out.print(message, soft_wrap=True)
     with holding(where), open_instance(where) as instance:
         runs = forget(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
-    out.print(f"{runs} runs forgotten")
+    out.print(f"{runs} runs deleted")
 
 
-def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
+def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
     from pipelines.intake.scan import unseen
     from pipelines.storage.ledger import Ledger
 
@@ -154,74 +153,82 @@ def _say_what_is_new(landing: Path, home: Path, as_json: bool) -> None:
         return
     for file in new:
         out.print(file.path, soft_wrap=True)
-    out.print(f"{len(new)} new of {files} files; nothing was taken in")
+    out.print(f"{len(new)} new of {files} files; none was processed")
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
     from pipelines.orchestration.around_night import holding
     from pipelines.orchestration.nightly import complete_night
 
-    began, bars = time.monotonic(), Bars(quiet=as_json)
+    start_s, bars = time.monotonic(), Bars(quiet=as_json)
 
-    def say_stopped() -> None:
+    def report_stop() -> None:
         bars.stop()
-        say_error("stopped; the next run goes on from here")
+        print_error("stopped; the next run continues from here")
 
-    with ends_at_once(say_stopped), holding(home):
+    with stop_at_once(report_stop), holding(home):
         try:
             night, fault = complete_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
-    seconds = time.monotonic() - began
+    seconds = time.monotonic() - start_s
     for line in night.mended:
-        err.print(f"mended: {line}", markup=False, soft_wrap=True)
+        err.print(f"repaired: {line}", markup=False, soft_wrap=True)
     if as_json:
-        told = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.after
-        out.print_json(json.dumps(told | {f: getattr(night, f) for f in night.__slots__ if f not in ("came", "after")}))
-    elif night.idle:
-        said = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)."
-        mended = f" made anew, for {fault}" if fault else ""
-        out.print(f"{said} Catalog{mended}: {home / 'catalog.duckdb'}", soft_wrap=True)
+        values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.after
+        values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("came", "after")}
+        out.print_json(json.dumps(values))
     else:
-        _say(home, night, seconds)
-    for line in () if as_json else night.not_read:
-        err.print(f"not read: {line}", markup=False, soft_wrap=True)
-    for name, value in () if as_json else night.after.items():
-        if value:
-            out.print(f"{name.replace('_', ' ')}: {value}", markup=False, soft_wrap=True)
+        _print_night(landing, home, night, fault, seconds)
     for line in (*night.untold, *night.not_followed):
-        say_error(line)
+        print_error(line)
     if night.failed or night.not_followed:
         raise typer.Exit(1)
 
 
-def _say(home: Path, night: Any, seconds: float) -> None:
-    _ranking(home)
+def _print_night(landing: Path, home: Path, night: Any, fault: str | None, seconds: float) -> None:
+    if night.idle:
+        catalog = f"Catalog written again, for {fault}" if fault else "Catalog"
+        out.print(
+            f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s). {catalog}: {home / 'catalog.duckdb'}",
+            soft_wrap=True,
+        )
+    else:
+        _print_results(home, night, seconds)
+    for line in night.not_read:
+        err.print(f"not read: {line}", markup=False, soft_wrap=True)
+    for name, value in night.after.items():
+        if value:
+            out.print(f"{name.replace('_', ' ')}: {value}", markup=False, soft_wrap=True)
+
+
+def _print_results(home: Path, night: Any, seconds: float) -> None:
+    print_ranking(home)
     for where, why in night.failed.items():
         err.print(f"failed: {where}: {why}", markup=False, soft_wrap=True)
     out.print(
         f"{night.new_files} new of {night.files} files, {night.cells} cells in {night.runs} runs, {seconds:.0f} s."
     )
-    _refusals(home, night.came)
+    _print_refusals(home, night.came)
     out.print(f"Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
 
 
-def _refusals(home: Path, came: frozenset[str]) -> None:
-    """What of tonight's files was set aside, and which columns of their aircraft fell silent."""
+def _print_refusals(home: Path, files: frozenset[str]) -> None:
+    """Print what of tonight's files was quarantined, and the silent columns of their aircraft."""
     from pipelines.intake.refusals import set_aside, silent_columns, silent_lines
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        aside, silent = set_aside(con, came), silent_columns(con)
-    if aside:
-        err.print(f"set aside: {aside}", markup=False, soft_wrap=True)
-    own = {tuple(path.split("/")[:2]) for path in came}
+        quarantined, silent = set_aside(con, files), silent_columns(con)
+    if quarantined:
+        err.print(f"set aside: {quarantined}", markup=False, soft_wrap=True)
+    own = {tuple(path.split("/")[:2]) for path in files}
     for line in silent_lines(r for r in silent if (r["operator"], r["tail"]) in own):
         err.print(f"silent: {line}", markup=False, soft_wrap=True)
 
 
-def _ranking(home: Path) -> None:
-    """The packs most in need of attention, as the engineer reads them; in the words and the order of the report."""
+def print_ranking(home: Path) -> None:
+    """Print the packs, and units of other components, most in need of attention, in the report's order and words."""
     from pipelines.report import words
     from pipelines.storage.catalog import connect
     from pipelines.words import _
@@ -235,17 +242,17 @@ def _ranking(home: Path) -> None:
     names = (_("pack"), _("urgency"), _("UA lost\n(90 %)"), _("flights left\n(90 %)"), _("message\nin 50"))
     for k, name in enumerate((*names, _("open alerts"))):
         table.add_column(name, justify="right" if k in (2, 4) else "left", no_wrap=k not in (3, 5))
-    for r in rows[:SHOWN]:
+    for r in rows[:MAX_ROWS]:
         outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
         table.add_row(f"{r['operator']} {r['tail']} {r['pack']}", words.urgency(r), *outlook, r["diagnoses"] or "")
     out.print(table)
-    _components(units[:SHOWN])
+    _print_units(units[:MAX_ROWS])
     for line in words.unknown([*rows, *units]):
         out.print(line, markup=False, soft_wrap=True)
 
 
-def _components(rows: list[dict[str, Any]]) -> None:
-    """The units of other components most in need of attention; nothing where none is declared."""
+def _print_units(rows: list[dict[str, Any]]) -> None:
+    """Print the units of declared components; nothing where there are none."""
     from pipelines.report import words
     from pipelines.words import _
 

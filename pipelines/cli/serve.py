@@ -1,4 +1,4 @@
-"""Commands of the two pages: cases for the shift, and Dagster's."""
+"""Commands that serve the two pages: cases for the shift, and Dagster's."""
 
 import re
 import socket
@@ -15,19 +15,19 @@ Name = Annotated[list[str] | None, typer.Option(help="Name, without a port, unde
 @app.command()
 def serve(
     home: HomeDir = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 8460,
-    listen: Annotated[str, typer.Option(help="Address to listen at; others want https before it.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any free port.")] = 8460,
+    listen: Annotated[str, typer.Option(help="Address to listen on; any other needs https before it.")] = "127.0.0.1",
     name: Name = None,
-    https: Annotated[bool, typer.Option("--https", help="Browsers come by https, through a proxy.")] = False,
+    https: Annotated[bool, typer.Option("--https", help="Browsers use https, through a proxy.")] = False,
     proxy: Annotated[
-        list[str] | None, typer.Option(help="Address or network of the site's proxy, which says who asks; no token.")
+        list[str] | None, typer.Option(help="Address or network of the site's proxy, which names the person; no token.")
     ] = None,
-    header: Annotated[str, typer.Option(help="Header into which the proxy writes the name.")] = "X-Remote-User",
+    header: Annotated[str, typer.Option(help="Header with the name that the proxy writes.")] = "X-Remote-User",
 ) -> None:
-    """The page of cases: who has what in hand, what was found.
+    """Serve the page of cases for the shift.
 
-    The address it prints holds a token, another at each start, that lets one in. Behind the site's proxy (--proxy)
-    people come by their own names; `roles.toml` of the home says what each may do.
+    The address it prints holds the token to sign in with, a new one at each start. Behind the site's proxy (--proxy)
+    people have their own names; `roles.toml` in the home sets their roles.
     """
     where = home_folder(home).resolve()
     try:
@@ -38,7 +38,7 @@ def serve(
     except ImportError:
         raise StopError("the page of cases needs the extra serve: pip install 'hybrid-digital-twin[serve]'") from None
     if not re.fullmatch(r"[A-Za-z0-9-]+", header):
-        raise StopError(f"--header {header} is no name of a header")
+        raise StopError(f"--header {header} is not a header's name")
     try:
         people, sign_in = read_people(where), LocalToken(local_person(where), https)
         behind = ProxyHeader(where, header, [ip_network(p) for p in proxy]) if proxy else None
@@ -58,18 +58,18 @@ def serve(
 def ui(
     landing: LandingDir = None,
     home: HomeDir = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any that is free.")] = 3000,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any free port.")] = 3000,
     read_only: Annotated[
-        bool, typer.Option("--read-only/--launch", help="Look only, or let runs, schedules and sensors be started.")
+        bool, typer.Option("--read-only/--launch", help="Look only, or allow to start runs, schedules and sensors.")
     ] = True,
-    listen: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 within a container.")] = "127.0.0.1",
+    listen: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 in a container.")] = "127.0.0.1",
     name: Name = None,
     daemon: Annotated[bool, typer.Option(help="With --launch: Dagster's daemon, for schedules and sensors.")] = True,
 ) -> None:
-    """Open Dagster's page on this machine.
+    """Serve Dagster's page on this machine.
 
-    It shows the same assets and run history that the other commands work on, to look at. With --launch runs can be
-    started from it; the address it prints then holds a token, another at each start, that lets one in.
+    It shows the assets and run history that the other commands work on. With --launch it can start runs; the address
+    it prints then holds the token to sign in with, a new one at each start.
     """
     where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
     try:
@@ -77,16 +77,16 @@ def ui(
     except ImportError:
         raise StopError("Dagster's page needs the extra ui: pip install 'hybrid-digital-twin[ui]'") from None
     with _listening(listen, port) as sock:
-        page.serve(where, zone, sock, _say_where, tuple(name or ()), read_only, daemon)
+        page.serve(where, zone, sock, _print_address, tuple(name or ()), read_only, daemon)
 
 
-def _say_where(address: str) -> None:
+def _print_address(address: str) -> None:
     out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)
 
 
 def _listening(address: str, port: int) -> socket.socket:
-    """A socket that listens already, so that who comes before the server is ready waits."""
+    """Open the listening socket first, so that early requests wait until the server is ready."""
     try:
         return socket.create_server((address, port), family=socket.AF_INET6 if ":" in address else socket.AF_INET)
     except OSError as error:
-        raise StopError(f"can't listen at {address}:{port} ({error.strerror}); name another --port") from None
+        raise StopError(f"can't listen on {address}:{port} ({error.strerror}); name another --port") from None

@@ -1,4 +1,4 @@
-"""Commands that hand out what the catalog holds: export."""
+"""The command that copies the catalog's views for others: export."""
 
 import os
 from enum import StrEnum
@@ -13,7 +13,7 @@ KEY = "HDT_EXPORT_KEY"
 
 
 class Format(StrEnum):
-    """What is written."""
+    """File formats of an export."""
 
     parquet = "parquet"
     csv = "csv"
@@ -24,25 +24,23 @@ class Format(StrEnum):
 def export(
     target: Annotated[Path, typer.Option("--out", help="Folder to write: a new one, or an earlier export's.")],
     home: HomeDir = None,
-    operator: Annotated[str | None, typer.Option(help="Only what this operator may see.")] = None,
+    operator: Annotated[str | None, typer.Option(help="Only rows of this operator.")] = None,
     view: Annotated[list[str] | None, typer.Option(help="Only this view; may be given more than once.")] = None,
     form: Annotated[Format, typer.Option("--format", help="Files of views, or one catalog.")] = Format.parquet,
     pseudonymise: Annotated[
-        bool, typer.Option("--pseudonymise", help="Tell tails, serial numbers and papers by a keyed hash.")
+        bool,
+        typer.Option("--pseudonymise", help="Replace tails, serial numbers and document references by a keyed hash."),
     ] = False,
-    key_file: Annotated[Path | None, typer.Option(help=f"File that holds the key; else {KEY} does.")] = None,
+    key_file: Annotated[Path | None, typer.Option(help=f"File with the key; default: variable {KEY}.")] = None,
 ) -> None:
-    """Write the catalog's views as Parquet, CSV or a DuckDB file.
-
-    To be given away, or read elsewhere.
-    """
+    """Write the catalog's views as Parquet, CSV or DuckDB."""
     from pipelines.sharing.export import export as write
     from pipelines.sharing.redaction import access_scope
     from pipelines.storage.publication import views
 
-    where, known = home_folder(home), views()
-    if strange := [v for v in view or () if v not in known]:
-        raise StopError(f"no view {strange[0]}; the catalog has {', '.join(sorted(known))}")
+    where, names = home_folder(home), views()
+    if unknown := [v for v in view or () if v not in names]:
+        raise StopError(f"no view {unknown[0]}; the catalog has {', '.join(sorted(names))}")
     if view and form == Format.duckdb:
         raise StopError("a DuckDB file holds every view; leave --view out")
     if key_file and not pseudonymise:
@@ -55,7 +53,7 @@ def export(
 
 
 def _key(file: Path | None) -> bytes:
-    """The key; it is never shown, not even in part."""
+    """Read the key, which no message ever shows."""
     key = file.read_bytes().strip() if file else os.environ.get(KEY, "").strip().encode()
     if not key:
         raise StopError(f"pseudonyms need a key: name a file with --key-file or set {KEY}")

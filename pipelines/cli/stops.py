@@ -1,4 +1,4 @@
-"""How a long run ends when it is asked to: at once, whatever it is at."""
+"""Stop a run on Ctrl-C or SIGTERM: in order for short commands, at once for a night."""
 
 import atexit
 import multiprocessing
@@ -14,7 +14,7 @@ _PATIENCE_S = 1.0
 
 
 class StoppedError(BaseException):
-    """Someone asked this process to stop; no error that anything may handle. `code` is what to exit with."""
+    """A stop signal, outside `Exception` so that nothing handles it as an error; `code` is the exit code."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -22,42 +22,41 @@ class StoppedError(BaseException):
 
 
 @contextmanager
-def ends_in_order() -> Iterator[None]:
-    """Within the block Ctrl-C and SIGTERM raise `StoppedError`: what was being written is tidied away."""
+def stop_in_order() -> Iterator[None]:
+    """Raise `StoppedError` on Ctrl-C and SIGTERM within the block, so that unfinished files are removed."""
 
-    asked: list[int] = []
+    signals: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
+        signals.append(number)
         raise StoppedError(number)
 
     try:
         with _handled(stop):
             yield
     except BaseException:
-        if asked:  # a library that was interrupted says so in words of its own
-            raise StoppedError(asked[0]) from None
+        if signals:  # an interrupted library raises an error of its own
+            raise StoppedError(signals[0]) from None
         raise
 
 
 @contextmanager
-def ends_at_once(say: Callable[[], None]) -> Iterator[None]:
-    """Within the block Ctrl-C and SIGTERM end this process and its workers, with exit code 130 or 143.
+def stop_at_once(report: Callable[[], None]) -> Iterator[None]:
+    """End this process and its workers on Ctrl-C and SIGTERM within the block, with exit code 130 or 143.
 
-    Nothing is tidied away: a night is made to be killed. It is a thread that ends the process, for Dagster puts
-    handlers of its own in place that swallow what comes between two steps, and none of Python's runs before a
-    computation in C is over.
+    Nothing is cleaned up: a night may be killed at any moment. A thread ends the process, because Dagster installs
+    handlers that drop signals between two steps, and Python runs none before a computation in C returns.
     """
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)  # written to by the handler in C, at once
-    watcher = threading.Thread(target=_watch, args=(reader, say), daemon=True)
+    previous = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)  # the handler in C writes to it at once
+    watcher = threading.Thread(target=_watch, args=(reader, report), daemon=True)
     watcher.start()
     try:
         with _handled(lambda number, frame: None):
             yield
     finally:
-        signal.set_wakeup_fd(woken)
+        signal.set_wakeup_fd(previous)
         os.close(writer)
         watcher.join()
         os.close(reader)
@@ -73,19 +72,19 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
             signal.signal(number, earlier)
 
 
-def _watch(reader: int, say: Callable[[], None]) -> None:
-    while told := os.read(reader, 1):
-        if told[0] in STOPS:
-            _end(128 + told[0], say)
+def _watch(reader: int, report: Callable[[], None]) -> None:
+    while number := os.read(reader, 1):
+        if number[0] in STOPS:
+            _end(128 + number[0], report)
 
 
-def _end(code: int, say: Callable[[], None]) -> None:
-    """Let go of what the system keeps for us: unless the semaphores of workers are, their tracker complains."""
+def _end(code: int, report: Callable[[], None]) -> None:
+    """End workers and process; exit handlers release the workers' semaphores, else their tracker warns."""
     threading.Timer(_PATIENCE_S, os._exit, (code,)).start()
     try:
         for worker in multiprocessing.active_children():
             worker.kill()
-        say()
+        report()
         atexit._run_exitfuncs()
     finally:
         os._exit(code)

@@ -1,4 +1,4 @@
-"""What changed between two states: alerts, outlooks that left their own interval, gaps, silence, refused files."""
+"""Compare two nights: alerts, prognoses outside their earlier interval, gaps, silent columns, refused files."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from pipelines.storage.publication import connect_as_of
 Row = dict[str, Any]
 _URGENCY, _SEVERITY = ("none", "plan", "act"), ("low", "medium", "high")
 KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "refused")
-"""In the order in which they are told."""
+"""Kinds of change, in the order of the digest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,8 @@ class Digest:
     since, until : str or None
         Last departure on record then and now (UTC); None where there was none.
     changes : dict of str to list of dict
-        By kind, see `KINDS`; a kind without a change is not there. A row says `operator`, `tail` (both may be null of a
-        file) and what its kind needs; `was` is the row of the earlier state.
+        By kind, see `KINDS`; a kind without a change is absent. A row has `operator` and `tail` (both may be null for a
+        file) and the columns of its kind; `was` is the row of the earlier state.
     """
 
     since: str | None
@@ -36,11 +36,11 @@ class Digest:
 
     @property
     def empty(self) -> bool:
-        """Nothing changed."""
+        """Test for no change."""
         return not self.changes
 
     def of(self, operator: str | None) -> "Digest":
-        """What one operator may see; all with None."""
+        """Return the changes of one operator; all with None."""
         if operator is None:
             return self
         own = {k: [r for r in rows if r["operator"] == operator] for k, rows in self.changes.items()}
@@ -48,12 +48,12 @@ class Digest:
 
 
 def changes_since(home: Path, night: str | None = None) -> Digest:
-    """What changed since the last night at or before `night`; since the last but one, where none is named.
+    """Return the changes since the last night at or before `night`; since the last but one without it.
 
     Raises
     ------
     StoreError
-        There was no night by then, or it is not kept any more.
+        There was no night by then, or it is no longer stored.
     """
     with connect(home) as con:
         now = read_state(con)
@@ -65,28 +65,28 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
 
 
 def compare(before: State, now: State) -> Digest:
-    """What has changed; an alert that came and went in between is not told of."""
+    """Return the changes between two states; an alert raised and closed in between does not appear."""
     pairs = [(before["alerts"][name], row) for name, row in now["alerts"].items() if name in before["alerts"]]
-    found = {
+    changes = {
         "new": [row for name, row in now["alerts"].items() if name not in before["alerts"]],
         "worse": [row | {"was": was} for was, row in pairs if _weight(row) > _weight(was)],
         "closed": [_closed(was, now) for name, was in before["alerts"].items() if name not in now["alerts"]],
-        "moved": list(_moved(before["outlook"], now["outlook"])),
+        "moved": list(_moved_outlooks(before["outlook"], now["outlook"])),
         "eased": [row | {"was": was} for was, row in pairs if _weight(row) < _weight(was)],
         "silent": [row for name, row in now["silent"].items() if name not in before["silent"]],
         "gap": [row for name, row in now["gaps"].items() if name not in before["gaps"]],
         "refused": [row for name, row in now["files"].items() if before["files"].get(name) != row],
     }
-    told = {kind: sorted(rows, key=_place) for kind in KINDS if (rows := found[kind])}
-    return Digest(before["until"], now["until"], told)
+    ordered = {kind: sorted(rows, key=_order) for kind in KINDS if (rows := changes[kind])}
+    return Digest(before["until"], now["until"], ordered)
 
 
 def _weight(alert: Row) -> tuple[int, int]:
     return _URGENCY.index(alert["urgency"]), _SEVERITY.index(alert["severity"])
 
 
-def _place(row: Row) -> tuple[Any, ...]:
-    """In the order of `open_alerts`, then by aircraft."""
+def _order(row: Row) -> tuple[Any, ...]:
+    """Sort in the order of `open_alerts`, then by aircraft."""
     return (
         row.get("place") or float("inf"),
         *(str(row.get(c) or "") for c in ("operator", "tail", "pack", "file", "since")),
@@ -94,13 +94,13 @@ def _place(row: Row) -> tuple[Any, ...]:
 
 
 def _closed(was: Row, now: State) -> Row:
-    """An alert that is open no more; one that is not on record any more was withdrawn."""
+    """Return a closed alert's row; an alert that is no longer stored was withdrawn."""
     row = now["closed"].get(was["alert_id"], was | {"closed_on": None, "outcome": "withdrawn"})
     return dict(row) | {"was": was}
 
 
-def _moved(before: dict[str, Row], now: dict[str, Row]) -> Iterable[Row]:
-    """Outlooks of the same unit that lie outside the 90 % interval that was told, the flights flown since counted."""
+def _moved_outlooks(before: dict[str, Row], now: dict[str, Row]) -> Iterable[Row]:
+    """Yield units whose prognosis, plus the flights since, lies outside the earlier 90 % interval."""
     for name, row in now.items():
         was = before.get(name)
         if was is None or was["life"] != row["life"]:

@@ -1,4 +1,4 @@
-"""Who is told: receivers as `notify.toml` in the home declares them."""
+"""Read the receivers of the digest that `notify.toml` in the home declares."""
 
 import os
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from hdt_core.toml_text import parse_toml
 
 
 class NotifyError(Exception):
-    """What is wrong with a declaration or a receiver, in one line and without a secret."""
+    """A wrong declaration or a failed receiver; one line without a secret."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,13 +19,13 @@ class Receiver:
     Attributes
     ----------
     name : str
-        What it is called in lines and in the record of what was sent.
+        Its name in messages and in the record of what was sent.
     kind : str
-        mail, slack, teams, webhook or file.
+        mail, webhook or file.
     operator : str or None
-        Tell of this operator alone.
+        Limit the digest to this operator.
     settings : dict
-        What its kind needs, see `KINDS`; what was left out is as there.
+        Keys of its kind, see `KINDS`, with their defaults.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Receiver:
     settings: dict[str, Any]
 
     def secret(self, setting: str) -> str:
-        """Value of the environment variable that a setting names; empty where it names none."""
+        """Return the value of the environment variable that a setting names; empty where it names none."""
         variable = self.settings[setting]
         if not variable:
             return ""
@@ -44,64 +44,57 @@ class Receiver:
 
 
 NEEDED = object()
-_WEB: dict[str, Any] = {"url": "", "url_env": ""}
 KINDS: dict[str, dict[str, Any]] = {
     "mail": {
-        "host": NEEDED,
-        "port": 587,
-        "security": "starttls",
-        "from": NEEDED,
-        "to": [],
-        "user_env": "",
-        "password_env": "",
-        "ca_file": "",
+        "host": NEEDED, "port": 587, "security": "starttls", "from": NEEDED, "to": [], "user_env": "",
+        "password_env": "", "ca_file": "",
     },
-    "slack": _WEB,
-    "teams": _WEB,
-    "webhook": _WEB,
+    "webhook": {"url": "", "url_env": ""},
     "file": {"folder": NEEDED},
-}
-_OWN = ("name", "kind", "operator")
+}  # fmt: skip
 _SECURITY = ("starttls", "tls", "none")
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def read_receivers(text: str) -> list[Receiver]:
-    """Receivers of a TOML text, one `[[receiver]]` each.
+    """Parse the receivers of a TOML text, one `[[receiver]]` each.
 
     Raises
     ------
     NotifyError
-        It is no TOML, or a key is missing, unknown or can't be; the key and its receiver are named.
+        It is not TOML, or a key is missing, unknown or invalid; the key and its receiver are named.
     """
     try:
-        given = parse_toml(text)
+        document = parse_toml(text)
     except ValueError as error:
         raise NotifyError(str(error)) from None
-    if unknown := sorted(set(given) - {"receiver"}):
+    if unknown := sorted(set(document) - {"receiver"}):
         raise NotifyError(f"unknown key {unknown[0]}; receivers stand below [[receiver]]")
-    entries = given.get("receiver", [])
+    entries = document.get("receiver", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise NotifyError("receiver is no list; write [[receiver]] with two brackets")
-    found = [_receiver(entry, f"receiver {n}") for n, entry in enumerate(entries, 1)]
-    names = [r.name for r in found]
+        raise NotifyError("receiver is not a list; write [[receiver]] with two brackets")
+    receivers = [_receiver(entry, f"receiver {n}") for n, entry in enumerate(entries, 1)]
+    names = [r.name for r in receivers]
     if double := sorted({n for n in names if names.count(n) > 1}):
         raise NotifyError(f"two receivers are called {double[0]!r}")
-    return found
+    return receivers
 
 
 def _receiver(entry: dict[str, Any], where: str) -> Receiver:
     name = entry.get("name", "")
     if not isinstance(name, str) or not name or not name.isprintable():
-        raise NotifyError(f"{where}: name is missing, or no text of one line")
+        raise NotifyError(f"{where}: name is missing, or not a text of one line")
     where, kind = f"{where} ({name})", entry.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise NotifyError(f"{where}: kind is {kind!r}; there are {', '.join(KINDS)}")
-    known = KINDS[kind]
-    if unknown := sorted(set(entry) - set(known) - set(_OWN)):
-        raise NotifyError(f"{where}: unknown key {unknown[0]}; a receiver of kind {kind} has {', '.join(known)}")
-    settings = {key: _value(entry, key, default, where) for key, default in known.items()}
-    _check(kind, settings, where)
+    defaults = KINDS[kind]
+    if unknown := sorted(set(entry) - set(defaults) - {"name", "kind", "operator"}):
+        raise NotifyError(f"{where}: unknown key {unknown[0]}; a receiver of kind {kind} has {', '.join(defaults)}")
+    settings = {key: _value(entry, key, default, where) for key, default in defaults.items()}
+    if kind == "mail":
+        _check_mail(settings, where)
+    elif kind == "webhook":
+        _check_webhook(settings, where)
     operator = _value(entry, "operator", "", where)
     return Receiver(name, kind, operator or None, settings)
 
@@ -111,23 +104,20 @@ def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
         if default is NEEDED:
             raise NotifyError(f"{where}: {key} is missing")
         return default
-    value, like = entry[key], str if default is NEEDED else type(default)
-    if not isinstance(value, like) or isinstance(value, bool) or (like is str and not value.isprintable()):
-        raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_LIKE[like]}")
+    value, kind = entry[key], str if default is NEEDED else type(default)
+    if not isinstance(value, kind) or isinstance(value, bool) or (kind is str and not value.isprintable()):
+        raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_TYPES[kind]}")
     return value
 
 
-_LIKE = {str: "a text of one line", int: "a number", list: "a list of texts"}
+_TYPES = {str: "a text of one line", int: "a number", list: "a list of texts"}
 
 
-def _check(kind: str, settings: dict[str, Any], where: str) -> None:
-    if kind == "mail":
-        _check_mail(settings, where)
-    elif kind != "file":
-        if bool(settings["url"]) == bool(settings["url_env"]):
-            raise NotifyError(f"{where}: give either url or url_env, the variable that holds it")
-        if settings["url"]:
-            checked_url(settings["url"], where)
+def _check_webhook(settings: dict[str, Any], where: str) -> None:
+    if bool(settings["url"]) == bool(settings["url_env"]):
+        raise NotifyError(f"{where}: give either url or url_env, the variable that holds it")
+    if settings["url"]:
+        checked_url(settings["url"], where)
 
 
 def _check_mail(settings: dict[str, Any], where: str) -> None:
@@ -140,15 +130,15 @@ def _check_mail(settings: dict[str, Any], where: str) -> None:
     if bool(settings["user_env"]) != bool(settings["password_env"]):
         raise NotifyError(f"{where}: give both user_env and password_env, or neither")
     if settings["password_env"] and settings["security"] == "none":
-        raise NotifyError(f"{where}: a password goes over an encrypted line alone; set security to starttls or tls")
+        raise NotifyError(f"{where}: a password needs an encrypted connection; set security to starttls or tls")
 
 
 def checked_url(url: str, where: str) -> str:
-    """`url`, if it is one that a digest may go to; it may hold a secret, so what is wrong is told without it."""
+    """Return `url` if a digest may go there. It may hold a secret, so an error does not quote it."""
     try:
         parts = urlsplit(url)
-    except ValueError:  # its words would hold the address
-        raise NotifyError(f"{where}: the url is none") from None
+    except ValueError:  # its message would quote the address
+        raise NotifyError(f"{where}: the url is invalid") from None
     if parts.scheme == "https" and parts.hostname:
         return url
     if parts.scheme == "http" and parts.hostname in _LOOPBACK:

@@ -1,4 +1,4 @@
-"""Open alerts as work orders: CSV and JSON for a maintenance system, and a page to print."""
+"""Write open alerts as work orders: CSV and JSON for a maintenance system, and a page to print."""
 
 import json
 from pathlib import Path
@@ -33,24 +33,24 @@ order by a.place
 
 
 def work_orders(con: duckdb.DuckDBPyConnection, operator: str | None = None) -> pl.DataFrame:
-    """One order an open alert that nobody has muted or answered, the most urgent first, columns `COLUMNS`.
+    """Return one order for each open alert that is neither muted nor answered, the most urgent first.
 
-    `due` is the first day of `due_dates`: by then the component's message has come with a chance of one in twenty; the
-    day after the last flight where an alert that can't wait has no outlook; else null: the next check.
+    `due` is the first day of `due_dates`: by then the message has been raised with a probability of 5 %. Without a
+    prognosis it is the day after the last flight for an alert to act on now, else null: the next check.
     """
     rows = con.sql(_ORDERS).pl()
     rows = rows if operator is None else rows.filter(operator=operator)
-    told = [row | {"reason": _reason(row), "action": words.plain(row["action"])} for row in rows.to_dicts()]
+    orders = [row | {"reason": _reason(row), "action": words.plain(row["action"])} for row in rows.to_dicts()]
     schema = rows.schema | {"reason": pl.String}
-    return pl.DataFrame(told, schema=schema).select(COLUMNS)
+    return pl.DataFrame(orders, schema=schema).select(COLUMNS)
 
 
 def write_orders(orders: pl.DataFrame, folder: Path, until: str) -> None:
-    """`orders.csv`, `orders.json` and `orders.html` in a folder."""
+    """Write `orders.csv`, `orders.json` and `orders.html` into a folder."""
     rows = json.loads(orders.write_json())
     page = PAGES.get_template("orders.html").render(orders=rows, until=until)
-    made = {"orders.csv": safe(orders).write_csv(), "orders.json": json.dumps(rows, indent=1), "orders.html": page}
-    for name, text in made.items():
+    files = {"orders.csv": safe(orders).write_csv(), "orders.json": json.dumps(rows, indent=1), "orders.html": page}
+    for name, text in files.items():
         with replacing(folder / name) as file:
             file.write_text(text, encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""A digest as text, as a page, as JSON, and as the messages that Slack and Teams take."""
+"""Render a digest as text, as a page and as JSON."""
 
 import json
 from pathlib import Path
@@ -11,13 +11,13 @@ from pipelines.report.templating import templates_of
 from pipelines.storage.files import replacing
 from pipelines.words import several
 
-MOST = 20
-"""Rows of a kind that are told by name; JSON has all."""
+MAX_ROWS = 20
+"""Rows of a kind listed in text and page; JSON has all."""
 TITLES = {
     "new": "New alerts",
     "worse": "Worse",
     "closed": "Closed",
-    "moved": "Flights left moved beyond their own interval",
+    "moved": "Flights left outside their earlier interval",
     "eased": "Eased",
     "silent": "Columns that fell silent",
     "gap": "Data gaps",
@@ -29,97 +29,69 @@ _GAPS = {
     "missing_leg": "{flights} after {after_flight_id} never arrived",
     "silence": "silent for {silent_days:.0f} days from {since}",
     "silent_now": "silent since {since}",
-    "never_heard": "on the fleet list, never heard of",
+    "never_heard": "on the fleet list, no file yet",
 }
 PAGES = templates_of("pipelines.digest", finalize=lambda value: "" if value is None else value)
-"""This room's templates; rows are made visible before, and mail takes no other spaces than the usual one."""
+"""Templates of this package. Their text is already escaped for hidden characters, and mail needs ordinary spaces."""
 
 
 def subject(digest: Digest) -> str:
-    """`Fleet: 1 new, 2 worse, 1 closed`."""
-    said = ", ".join(f"{len(rows)} {_SHORT[kind]}" for kind, rows in digest.changes.items())
-    return f"Fleet: {said or 'nothing changed'}"
+    """Return a line such as `Fleet: 1 new, 2 worse, 1 closed`."""
+    counts = ", ".join(f"{len(rows)} {_SHORT[kind]}" for kind, rows in digest.changes.items())
+    return f"Fleet: {counts or 'nothing changed'}"
 
 
 def lines(digest: Digest) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Of each kind its title, and of each row who and what; rows beyond `MOST` are counted."""
-    told = []
+    """Return for each kind its title and for each row unit and text; rows beyond `MAX_ROWS` are counted."""
+    groups = []
     for kind, rows in digest.changes.items():
-        said = [(words.visible(_who(row)), words.visible(_SAID[kind](row))) for row in rows[:MOST]]
-        more = [("", f"and {len(rows) - MOST} more")] if len(rows) > MOST else []
-        told.append((TITLES[kind], said + more))
-    return told
+        items = [(words.visible(_unit(row)), words.visible(_SENTENCE[kind](row))) for row in rows[:MAX_ROWS]]
+        more = [("", f"and {len(rows) - MAX_ROWS} more")] if len(rows) > MAX_ROWS else []
+        groups.append((TITLES[kind], items + more))
+    return groups
 
 
 def span(digest: Digest) -> str:
-    """Between which flights the changes lie."""
+    """Return the line with the flights that the digest covers."""
     if digest.until is None:
-        return "No flight has arrived yet."
-    since = f" Last told of those up to {digest.since} UTC." if digest.since else ""
+        return "No flight yet."
+    since = f" The digest before covers those up to {digest.since} UTC." if digest.since else ""
     return f"Flights up to {digest.until} UTC.{since}"
 
 
 def as_text(digest: Digest) -> str:
-    """Plain text."""
-    return _filled("digest.txt", digest)
+    """Render as plain text."""
+    return _rendered("digest.txt", digest)
 
 
 def as_html(digest: Digest) -> str:
-    """A page that needs no network."""
-    return _filled("digest.html", digest)
+    """Render as a page that needs no network."""
+    return _rendered("digest.html", digest)
 
 
 def as_json(digest: Digest) -> str:
-    """Everything, for a program."""
+    """Render every row as JSON, for a program."""
     return json.dumps({"since": digest.since, "until": digest.until, "changes": digest.changes}, indent=1)
 
 
 def write_digest(digest: Digest, folder: Path, stem: str) -> None:
-    """`<stem>.txt`, `<stem>.html` and `<stem>.json` in a folder."""
+    """Write `<stem>.txt`, `<stem>.html` and `<stem>.json` into a folder."""
     for ending, form in {"txt": as_text, "html": as_html, "json": as_json}.items():
         with replacing(folder / f"{stem}.{ending}") as file:
             file.write_text(form(digest), encoding="utf-8")
 
 
-def as_slack(digest: Digest) -> dict[str, Any]:
-    """For an incoming webhook of Slack: `text` is what a notification shows, blocks what the channel does."""
-    blocks = [_section(f"*{_escaped(subject(digest))}*\n{_escaped(span(digest))}")]
-    for title, rows in lines(digest):
-        said = "\n".join(f"• *{_escaped(who)}* {_escaped(what)}" if who else _escaped(what) for who, what in rows)
-        blocks.append(_section(f"*{title}*\n{said}"[:3000]))
-    return {"text": subject(digest), "blocks": blocks}
+def as_webhook(digest: Digest) -> dict[str, Any]:
+    """Return the JSON of `as_json` with the plain text in `text`, which chat systems post as it stands."""
+    return dict(json.loads(as_json(digest)), text=as_text(digest))
 
 
-def as_teams(digest: Digest) -> dict[str, Any]:
-    """For a Workflows webhook of Teams: a message with one adaptive card."""
-    body = [_block(subject(digest), weight="Bolder", size="Medium"), _block(span(digest), isSubtle=True)]
-    for title, rows in lines(digest):
-        body.append(_block(title, weight="Bolder", spacing="Medium"))
-        body += [_block(f"- {who} {what}" if who else what) for who, what in rows]
-    card = {"$schema": "http://adaptivecards.io/schemas/adaptive-card.json", "type": "AdaptiveCard", "version": "1.4"}
-    content = {"contentType": "application/vnd.microsoft.card.adaptive", "content": card | {"body": body}}
-    return {"type": "message", "attachments": [content]}
-
-
-def _filled(template: str, digest: Digest) -> str:
+def _rendered(template: str, digest: Digest) -> str:
     return PAGES.get_template(template).render(title=subject(digest), span=span(digest), groups=lines(digest))
 
 
-def _section(text: str) -> dict[str, Any]:
-    return {"type": "section", "text": {"type": "mrkdwn", "text": text}}
-
-
-def _block(text: str, **look: Any) -> dict[str, Any]:
-    return {"type": "TextBlock", "text": text, "wrap": True} | look
-
-
-def _escaped(text: str) -> str:
-    """Slack's three signs."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-
-
-def _who(row: Row) -> str:
-    """`AQX LX-AAC pack 2 (right)`; a file's name."""
+def _unit(row: Row) -> str:
+    """Name the unit, such as `AQX LX-AAC pack 2 (right)`, or the file."""
     if "tail" not in row:
         return str(row["file"])
     unit = words.pack_name(row) if "pack" in row else row["tail"]
@@ -128,27 +100,27 @@ def _who(row: Row) -> str:
 
 def _alert(row: Row) -> str:
     outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
-    said = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
-    return f"{said}: {words.plain(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
+    head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
+    return f"{head}: {words.plain(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
 
 
 def _changed(row: Row) -> str:
     was = row["was"]
-    said = [f"{was[k]} to {row[k]}" for k in ("severity", "urgency") if was[k] != row[k]]
-    return f"{', '.join(said)}. {_alert(row)}"
+    steps = [f"{was[k]} to {row[k]}" for k in ("severity", "urgency") if was[k] != row[k]]
+    return f"{', '.join(steps)}. {_alert(row)}"
 
 
 def _ended(row: Row) -> str:
     when = f" on {row['closed_on']}" if row["closed_on"] else ""
     work = f", {row['work_orders']}" if row.get("work_orders") else ""
-    said = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
-    return f"{said}, outcome {row['outcome'].replace('_', ' ')}{work}. [{row['alert_id']}]"
+    head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
+    return f"{head}, outcome {row['outcome'].replace('_', ' ')}{work}. [{row['alert_id']}]"
 
 
 def _outlook(row: Row) -> str:
     part = words.PARTS.get(row["component"], row["component"])
-    flown = several("{n} flight", "{n} flights", row["flown"])
-    return f"{part}: flights left {words.flights_left(row)}; {flown} ago {words.flights_left(row['was'])}."
+    flights = several("{n} flight", "{n} flights", row["flown"])
+    return f"{part}: flights left {words.flights_left(row)}; {flights} ago {words.flights_left(row['was'])}."
 
 
 def _gap(row: Row) -> str:
@@ -159,5 +131,5 @@ def _refused(row: Row) -> str:
     return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
 
 
-_SAID = {"new": _alert, "worse": _changed, "closed": _ended, "moved": _outlook, "eased": _changed,
-         "silent": silence, "gap": _gap, "refused": _refused}  # fmt: skip
+_SENTENCE = {"new": _alert, "worse": _changed, "closed": _ended, "moved": _outlook, "eased": _changed,
+             "silent": silence, "gap": _gap, "refused": _refused}  # fmt: skip

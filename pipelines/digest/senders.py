@@ -1,4 +1,4 @@
-"""How a digest gets there: e-mail, webhook, file. A receiver that is slow or busy is asked three times."""
+"""Send a digest by e-mail, webhook or file; a slow or busy receiver is tried three times."""
 
 import json
 import smtplib
@@ -14,16 +14,11 @@ from typing import Any
 
 from pipelines.digest.changes import Digest
 from pipelines.digest.declaration import NotifyError, Receiver, checked_url
-from pipelines.digest.render import as_html, as_json, as_slack, as_teams, as_text, subject, write_digest
+from pipelines.digest.render import as_html, as_json, as_text, as_webhook, subject, write_digest
 
 TIMEOUT_S = 20.0
 WAITS_S = (2.0, 8.0)
-"""Before the second and the third attempt."""
-_PAYLOADS: dict[str, Callable[[Digest], Any]] = {
-    "slack": as_slack,
-    "teams": as_teams,
-    "webhook": lambda digest: json.loads(as_json(digest)),
-}
+"""Pauses before the second and the third attempt. [s]"""
 
 
 def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
@@ -32,14 +27,14 @@ def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
     Parameters
     ----------
     name : str
-        Of this digest: the same when it is sent again, so that a mail system can tell a repeated one.
+        Id of this digest, the same on every attempt, so that the receiver recognises a repeated one.
     home : Path
-        What a relative folder is below.
+        Relative folders lie below it.
 
     Raises
     ------
     NotifyError
-        It did not get there; the line tells no secret.
+        The receiver did not accept it; the line holds no secret.
     """
     if receiver.kind == "file":
         _attempt(lambda: _write(home / receiver.settings["folder"], digest))
@@ -49,24 +44,24 @@ def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
         _attempt(lambda: _mail(receiver.settings, message, user, password), user, password)
     else:
         url = receiver.settings["url"] or checked_url(receiver.secret("url_env"), receiver.settings["url_env"])
-        body = json.dumps(_PAYLOADS[receiver.kind](digest)).encode()
+        body = json.dumps(as_webhook(digest)).encode()
         _attempt(lambda: _post(url, body, name), url)
 
 
 def _attempt(send_once: Callable[[], None], *secrets: str) -> None:
-    """Again where that may help; what is wrong in the end as one line."""
+    """Try, and try again where a retry may help; raise the last error as one line."""
     for wait in (*WAITS_S, None):
         try:
             return send_once()
         except (OSError, ValueError) as error:  # smtplib's and urllib's are kinds of OSError
-            if wait is None or not _passes(error):
-                raise NotifyError(_told(error, secrets)) from None
+            if wait is None or not _is_transient(error):
+                raise NotifyError(_error_line(error, secrets)) from None
             time.sleep(wait)
     return None
 
 
-def _passes(error: Exception) -> bool:
-    """Whether the same may go well a little later."""
+def _is_transient(error: Exception) -> bool:
+    """Test for an error that a later attempt may not meet."""
     if isinstance(error, urllib.error.HTTPError):
         return error.code == 429 or error.code >= 500
     if isinstance(error, smtplib.SMTPResponseException):
@@ -76,11 +71,11 @@ def _passes(error: Exception) -> bool:
     return isinstance(error, OSError)
 
 
-def _told(error: Exception, secrets: tuple[str, ...]) -> str:
-    said = " ".join(str(error).split())[:200] or type(error).__name__
+def _error_line(error: Exception, secrets: tuple[str, ...]) -> str:
+    line = " ".join(str(error).split())[:200] or type(error).__name__
     for secret in filter(None, secrets):
-        said = said.replace(secret, "***")
-    return said
+        line = line.replace(secret, "***")
+    return line
 
 
 def _message(receiver: Receiver, digest: Digest, name: str) -> EmailMessage:
@@ -99,11 +94,11 @@ def _message(receiver: Receiver, digest: Digest, name: str) -> EmailMessage:
 
 def _mail(settings: dict[str, Any], message: EmailMessage, user: str, password: str) -> None:
     context = ssl.create_default_context(cafile=settings["ca_file"] or None)
-    place = settings["host"], settings["port"]
+    address = settings["host"], settings["port"]
     if settings["security"] == "tls":
-        server: smtplib.SMTP = smtplib.SMTP_SSL(*place, timeout=TIMEOUT_S, context=context)
+        server: smtplib.SMTP = smtplib.SMTP_SSL(*address, timeout=TIMEOUT_S, context=context)
     else:
-        server = smtplib.SMTP(*place, timeout=TIMEOUT_S)
+        server = smtplib.SMTP(*address, timeout=TIMEOUT_S)
     try:
         if settings["security"] == "starttls":
             server.starttls(context=context)
@@ -111,11 +106,11 @@ def _mail(settings: dict[str, Any], message: EmailMessage, user: str, password: 
             server.login(user, password)
         server.send_message(message)
     finally:
-        server.close()  # without a QUIT, whose answer would be waited for where the line is broken
+        server.close()  # no QUIT, whose answer a broken connection would delay
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """What is sent goes where it was declared to go, and nowhere else."""
+    """Refuse redirects: a digest goes to the declared address only."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
         return None

@@ -1,4 +1,4 @@
-"""What stands after a night, as far as the next has to remember it: alerts, outlooks, gaps, silence, refused files."""
+"""Read the state of a night that the next digest is compared with: alerts, prognoses, gaps, silence, refused files."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from pipelines.intake.refusals import silent_columns
 State = dict[str, Any]
 """JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps` and `silent` by name, `files` by path."""
 EMPTY: State = {"until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}}
-"""Before the first night."""
+"""State before the first night."""
 
 _UNTIL = "select strftime(max(departed_at) at time zone 'UTC', '%Y-%m-%d %H:%M') from flights"
 _ALERTS = """
@@ -54,17 +54,17 @@ from quarantine where file is not null and scope <> 'note' group by file order b
 
 
 def read_state(con: duckdb.DuckDBPyConnection) -> State:
-    """What stands by a catalog, of tonight or an earlier night."""
+    """Read the state from a catalog, of tonight or an earlier night."""
     ((until,),) = con.execute(_UNTIL).fetchall()
     alerts = {row["alert_id"]: row for row in _rows(con, _ALERTS)}
     return {
         "until": until,
         "alerts": {name: row for name, row in alerts.items() if row["closed_on"] is None},
         "closed": {name: row for name, row in alerts.items() if row["closed_on"] is not None},
-        "outlook": {_named(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
-        "gaps": {_named(r, "operator", "tail", "gap", "since", "after_flight_id"): r for r in _rows(con, _GAPS)},
+        "outlook": {_key(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
+        "gaps": {_key(r, "operator", "tail", "gap", "since", "after_flight_id"): r for r in _rows(con, _GAPS)},
         "silent": {
-            _named(r, "operator", "tail", "folder", "column_name", "reason"): r for r in map(dict, silent_columns(con))
+            _key(r, "operator", "tail", "folder", "column_name", "reason"): r for r in map(dict, silent_columns(con))
         },
         "files": {row["file"]: row for row in _rows(con, _FILES)},
     }
@@ -74,5 +74,5 @@ def _rows(con: duckdb.DuckDBPyConnection, sql: str) -> list[dict[str, Any]]:
     return list(con.sql(sql).pl().iter_rows(named=True))
 
 
-def _named(row: dict[str, Any], *columns: str) -> str:
+def _key(row: dict[str, Any], *columns: str) -> str:
     return "|".join(str(row[c]) for c in columns)

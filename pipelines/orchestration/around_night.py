@@ -79,6 +79,6 @@ def tell_receivers(home: Path) -> tuple[str, ...]:
     """A line for each receiver of the night's digest that could not be told; a home without receivers costs nothing."""
     if not notify_file(home).exists():
         return ()
-    from pipelines.digest import tell_night
+    from pipelines.digest import send_digests
 
-    return tuple(tell_night(home))
+    return tuple(send_digests(home))

@@ -1,4 +1,4 @@
-"""One pack or one alert in words, from the catalog alone: what was true when it was raised, what is true now."""
+"""Explain one pack or one alert from the catalog: its evidence when raised, and now."""
 
 import re
 from pathlib import Path
@@ -18,11 +18,11 @@ _PACK = re.compile(
 )
 
 
-def explain(home: Path, asked: str) -> str | None:
-    """What `asked` names, in words; None where it names nothing.
+def explain(home: Path, name: str) -> str | None:
+    """Explain the pack, unit or alert of this name; None where there is none.
 
-    A tail names its most urgent pack. `TAIL PACK` and `TAIL/PACK` name a pack, with the operator before it where the
-    reader likes, as the night and the report print it. All else is an alert's id, or the start of it.
+    A tail names its most urgent pack. `TAIL PACK` and `TAIL/PACK` name a pack, optionally with the operator before it,
+    as the night and the report print it. Any other text is an alert's id, or the start of it.
 
     Raises
     ------
@@ -30,33 +30,33 @@ def explain(home: Path, asked: str) -> str | None:
         More than one alert begins with it.
     """
     with connect(home) as con:
-        packs, units = (_ranked(con, asked, view) for view in ("fleet_ranking", "component_ranking"))
+        packs, units = (_ranked(con, name, view) for view in ("fleet_ranking", "component_ranking"))
         if packs or units:
-            told = [_pack_told(con, packs[0], packs[1:])] if packs else []
-            return "\n\n".join([*told, *(_unit_told(con, unit) for unit in units)])
-        named = asked.strip().lower()
-        alerts = _rows(con, "select * from alert_states where $1 <> '' and starts_with(alert_id, $1)", named)
+            first = [_pack_text(con, packs[0], packs[1:])] if packs else []
+            return "\n\n".join([*first, *(_unit_text(con, unit) for unit in units)])
+        sql = "select * from alert_states where $1 <> '' and starts_with(alert_id, $1)"
+        alerts = _rows(con, sql, name.strip().lower())
     if len(alerts) > 1:
-        raise ValueError(f"{len(alerts)} alerts begin with {asked}; give more of the id")
-    return "\n".join(_alert_told(alerts[0])) if alerts else None
+        raise ValueError(f"{len(alerts)} alerts begin with {name}; give more of the id")
+    return "\n".join(_alert_lines(alerts[0])) if alerts else None
 
 
 def _rows(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> list[Row]:
     return rows(con.execute(sql, list(values)))
 
 
-def _ranked(con: duckdb.DuckDBPyConnection, asked: str, view: str) -> list[Row]:
-    """Packs, or units of other components, that `asked` names, the most urgent first."""
-    named = _PACK.fullmatch(asked.strip())
-    if named is None:
+def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
+    """Read the packs, or units of other components, of this name, the most urgent first."""
+    match = _PACK.fullmatch(name.strip())
+    if match is None:
         return []
-    operator, tail, pack = (named[name] and named[name].upper() for name in ("operator", "tail", "pack"))
-    wanted = "tail = $1 and operator = coalesce($2, operator) and pack = coalesce($3, pack)"
-    return _rows(con, f"select * from {view} where {wanted} order by place", tail, operator, pack and int(pack))
+    operator, tail, pack = (match[part] and match[part].upper() for part in ("operator", "tail", "pack"))
+    condition = "tail = $1 and operator = coalesce($2, operator) and pack = coalesce($3, pack)"
+    return _rows(con, f"select * from {view} where {condition} order by place", tail, operator, pack and int(pack))
 
 
-def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
-    """A unit of another component and its open alerts."""
+def _unit_text(con: duckdb.DuckDBPyConnection, row: Row) -> str:
+    """Describe a unit of another component and its open alerts."""
     sql = "select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component = $4"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"], row["component"])
     head = _(
@@ -68,15 +68,15 @@ def _unit_told(con: duckdb.DuckDBPyConnection, row: Row) -> str:
         **_last(row),
     )
     opened = [a for a in alerts if a["closed_at"] is None]
-    return "\n".join([head, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_told(a)))])
+    return "\n".join([head, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))])
 
 
-def _pack_told(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
+def _pack_text(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
     units = "select component from tables.components where recorded"
     sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({units})"
     alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"])
     opened = [a for a in alerts if a["closed_at"] is None]
-    lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_told(a)))]
+    lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
     if not opened:
         last = max(alerts, key=lambda a: a["closed_at"], default=None)
         lines.append(_("No alert is open.") + (f" {_before(last)}" if last else ""))
@@ -89,7 +89,7 @@ def _before(last: Row) -> str:
 
 
 def _last(row: Row) -> Row:
-    """What is true of a pack or unit after its last flight."""
+    """Return the state of a pack or unit after its last flight."""
     return {
         "urgency": words.urgency(row),
         "left": words.flights_left(row),
@@ -110,32 +110,32 @@ def _head(row: Row) -> str:
 
 
 def _beside(row: Row) -> str:
-    said = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else _("no open alert")
-    return _("Also {pack}: {urgency}, {said}.", pack=words.pack_name(row), urgency=words.urgency(row), said=said)
+    alerts = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else _("no open alert")
+    return _("Also {pack}: {urgency}, {alerts}.", pack=words.pack_name(row), urgency=words.urgency(row), alerts=alerts)
 
 
-def _alert_told(a: Row) -> list[str]:
-    """The alert's name and state, both of its moments, and what to do."""
+def _alert_lines(a: Row) -> list[str]:
+    """Describe an alert: its state, its evidence when raised and now, and what to do."""
     ended = a["closed_at"] is not None
     state = _("closed {time}", time=words.clock(a["closed_at"])) if ended else words.urgency(a)
     same, severity, at_first = a["evidence"] == a["evidence_now"], a["severity"], a["raised_severity"]
     then = words.tidy(a["evidence"]) if same else words.finding(a["evidence"])
-    now = _("as then.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
+    now = _("unchanged.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
     at_last = _("At its end") if ended else _("Now")
     return [
         _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.pack_name(a)}", state=state,
           diagnosis=f"{words.diagnosis(a['diagnosis'])} ({a['diagnosis']})", id=a["alert_id"]),
-        _("When raised ({time}, after {flight}, {severity}): {told}", time=words.clock(a["raised_at"]),
-          flight=a["raised_flight_id"], severity=_(at_first), told=_numbers(a, "raised") + then),
-        _("{moment} (after {flight}, {severity}): {told}", moment=at_last, flight=a["now_flight_id"],
-          severity=_(severity), told=now),
+        _("When raised ({time}, after {flight}, {severity}): {evidence}", time=words.clock(a["raised_at"]),
+          flight=a["raised_flight_id"], severity=_(at_first), evidence=_numbers(a, "raised") + then),
+        _("{moment} (after {flight}, {severity}): {evidence}", moment=at_last, flight=a["now_flight_id"],
+          severity=_(severity), evidence=now),
         _("To do: {action}", action=words.plain(a["recommended_action"])),
     ]  # fmt: skip
 
 
 def _numbers(a: Row, moment: str) -> str:
-    """What the evidence does not say: what was expected."""
-    told = words.alert_state(a, moment)[1:]
-    small = language() == ENGLISH
-    names = [f"{name[0].lower()}{name[1:]}" if small else name for name, _value in told]
-    return "; ".join(f"{name} {value}" for name, (_name, value) in zip(names, told, strict=True)) + ". " if told else ""
+    """Return the forecast of the component, which the evidence does not hold."""
+    values = words.alert_state(a, moment)[1:]
+    lower = language() == ENGLISH
+    parts = [f"{name[:1].lower() + name[1:] if lower else name} {value}" for name, value in values]
+    return "; ".join(parts) + ". " if parts else ""

@@ -1,4 +1,4 @@
-"""What the page is made of, read from the catalog in one go."""
+"""Read everything the report shows from the catalog."""
 
 import json
 import re
@@ -56,7 +56,7 @@ _FRAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Frames of the catalog, by what they are about.
+    """Frames of the catalog by subject, and the data of the figures.
 
     `twin` holds one row a flight and pack with the columns the figures draw, `segment` the samples of one flight and
     pack and `twin_flight` its estimate, `card` the model card, `dsm` the model in service; each may be empty or None.
@@ -73,16 +73,16 @@ class Facts:
         return self.frames[name]
 
     def until(self) -> Any:
-        """Departure of the last flight, None where there is none."""
+        """Return the departure of the last flight; None where there is none."""
         return self.frames["flights"]["departed_at"].max()
 
     def of_pack(self, name: str, operator: str, tail: str, pack: int) -> pl.DataFrame:
-        """Rows of one pack."""
+        """Return the rows of one pack."""
         return self.frames[name].filter(operator=operator, tail=tail, pack=pack)
 
 
 def read_facts(home: Path) -> Facts:
-    """Everything the page shows."""
+    """Read the facts of a home."""
     with connect(home) as con:
         frames = {name: _frame(con, sql) for name, sql in _FRAMES.items()}
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
@@ -93,9 +93,9 @@ def read_facts(home: Path) -> Facts:
 
 
 def views_read() -> list[str]:
-    """Views that the page's questions name."""
-    asked = " ".join(_FRAMES.values())
-    return [view for view in views() if re.search(rf"\b{view}\b", asked)]
+    """List the views that the page reads."""
+    queries = " ".join(_FRAMES.values())
+    return [view for view in views() if re.search(rf"\b{view}\b", queries)]
 
 
 def _frame(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> pl.DataFrame:
@@ -105,10 +105,10 @@ def _frame(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> pl.DataFra
 
 
 def _twin(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
-    """Flight estimates in the columns the figures draw; the table is open, so one that is absent becomes null."""
-    wanted = ("ua_w_k", "ua_expected_w_k", "diameter_m", "group_m3", "vda_counts")
-    there = set(con.sql("select * from tables.twin_flights limit 0").columns)
-    columns = ", ".join(f"t.{c}" if c in there else f"null::double as {c}" for c in wanted)
+    """Read the flight estimates that the figures draw; a column that this home's table lacks becomes null."""
+    names = ("ua_w_k", "ua_expected_w_k", "diameter_m", "group_m3", "vda_counts")
+    present = set(con.sql("select * from tables.twin_flights limit 0").columns)
+    columns = ", ".join(f"t.{c}" if c in present else f"null::double as {c}" for c in names)
     return _frame(
         con,
         f"""select t.operator, t.tail, t.pack, t.flight_id, t.departed_at, l.admitted, {columns}
@@ -119,7 +119,7 @@ def _twin(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
 
 
 def _segment(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
-    """Samples of the flight and pack with the richest record of cruise: continuous logs first, then the latest."""
+    """Read the samples of the flight and pack with the most cruise samples: continuous logs first, then the latest."""
     return _frame(
         con,
         """with best as (
@@ -137,7 +137,7 @@ def _segment(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
 
 
 def _dsm(models: list[tuple[str]]) -> Dsm | None:
-    """The model in service; None before the first, and where an older version of the code wrote it."""
+    """Return the model in service; None before the first, and for one of an older version."""
     try:
         return Dsm.from_dict(json.loads(models[0][0])) if models else None
     except (KeyError, TypeError):
@@ -145,7 +145,7 @@ def _dsm(models: list[tuple[str]]) -> Dsm | None:
 
 
 def _twin_flight(con: duckdb.DuckDBPyConnection, segment: pl.DataFrame) -> pl.DataFrame:
-    """The estimate that belongs to the segment."""
+    """Read the flight estimate of the segment."""
     first = segment.select("operator", "flight_id", "pack").head(1).rows()
     sql = "select * from tables.twin_flights where operator = $1 and flight_id = $2 and pack = $3"
     return _frame(con, sql, *(first[0] if first else ("", "", 0)))

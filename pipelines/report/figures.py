@@ -1,4 +1,4 @@
-"""The paper's figures 12, 13, 15 and 16 on this fleet's own flights."""
+"""Build the paper's figures 12, 13, 15 and 16 from this fleet's flights."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,30 +9,31 @@ from markupsafe import Markup
 from pipelines.report import charts, words
 from pipelines.report.facts import Facts
 from pipelines.report.plots import around_replacement, outlet_residuals
-from pipelines.report.templating import told
+from pipelines.report.templating import html_text
 from pipelines.report.units import both, estimate, quantity, to_us
 from pipelines.words import _, several
 
 POINTS = 700
 Figure = dict[str, Any]
-"""Its title, what is said under it, and its charts: each with a label, and drawn in both systems of units."""
+"""Title, caption, and charts, each with a label and in both systems of units."""
 Numbers = Sequence[float]
 
 
 def figures(facts: Facts) -> list[Figure]:
-    """All that the data allow; what they don't is said."""
+    """Build all figures; one without data states what is missing."""
     return [f(facts) for f in (inlet_group, effective_diameter, outlet_temperature, coefficient_drift)]
 
 
-def _figure(title: str, says: Any, *drawn: Figure) -> Figure:
-    return {"title": title, "says": Markup(" ").join(says) if isinstance(says, list) else says, "charts": drawn}
+def _figure(title: str, caption: Any, *parts: Figure) -> Figure:
+    text = Markup(" ").join(caption) if isinstance(caption, list) else caption
+    return {"title": title, "caption": text, "charts": parts}
 
 
-def _drawn(unit: str, draw: Callable[..., charts.Chart], *columns: Numbers) -> Figure:
-    """A chart whose columns are all in one unit, and again in the other system."""
+def _in_both_units(unit: str, draw: Callable[..., charts.Chart], *columns: Numbers) -> Figure:
+    """Draw a chart whose columns are all in one unit, and again in the other system."""
     name = to_us(0.0, unit)[1]
-    found = {"label": both(unit, name), "si": draw(*columns)}
-    return found if name == unit else found | {"us": draw(*([to_us(v, unit)[0] for v in c] for c in columns))}
+    chart = {"label": both(unit, name), "si": draw(*columns)}
+    return chart if name == unit else chart | {"us": draw(*([to_us(v, unit)[0] for v in c] for c in columns))}
 
 
 def _design(facts: Facts, parameter: str) -> dict[str, Any] | None:
@@ -41,13 +42,13 @@ def _design(facts: Facts, parameter: str) -> dict[str, Any] | None:
 
 
 def _nominal(facts: Facts, *columns: str) -> pl.DataFrame:
-    """Admitted flights with all of `columns`, evenly thinned."""
+    """Return admitted flights with all of `columns`, evenly thinned."""
     rows = facts.twin.filter(pl.col("admitted")).drop_nulls(list(columns))
     return rows.gather_every(max(1, -(-rows.height // POINTS)))
 
 
 def _cloud(rows: pl.DataFrame, column: str, unit: str, ends: list[float]) -> tuple[str, Figure]:
-    """Dots of nominal flights over the diffuser's position, and the line that the fleet's estimate has at its ends."""
+    """Draw nominal flights over the diffuser's position, with the line of the fleet's estimate through `ends`."""
     x = rows["vda_counts"].to_list()
     across = charts.room(x)
 
@@ -55,27 +56,30 @@ def _cloud(rows: pl.DataFrame, column: str, unit: str, ends: list[float]) -> tup
         return charts.cloud(x, y, _("diffuser actuator, counts"), (across, line) if line else None)
 
     n = rows.height
-    says = several("{n} nominal flight shown, one dot a flight and pack.",
+    caption = several("{n} nominal flight shown, one dot a flight and pack.",
                    "{n} nominal flights shown, one dot a flight and pack.", n)  # fmt: skip
-    return says, _drawn(unit, draw, (1e3 * rows[column]).to_list(), ends)
+    return caption, _in_both_units(unit, draw, (1e3 * rows[column]).to_list(), ends)
 
 
 def inlet_group(facts: Facts) -> Figure:
-    """Figure 12: the identifiable group of the inlet, by flight."""
+    """Build figure 12: the identifiable group of the inlet, by flight."""
     title = _("Figure 12: compressor inlet, A·D·tan β against diffuser position")
     rows, fit = _nominal(facts, "vda_counts", "group_m3"), _design(facts, "cc_area_diameter_tan_beta_m3")
     if not rows.height:
         return _figure(title, _("No nominal flight has compressor flow, speed and diffuser position."))
     level, sd = (1e3 * fit["value"], 1e3 * (fit["sd"] or 0.0)) if fit else (0.0, 0.0)
-    says, chart = _cloud(rows, "group_m3", "10⁻³ m³", [level, level] if fit else [])
-    told_of = [told(says), told("Inlet area, diameter and blade angle are seen only as this product.")]
+    count, chart = _cloud(rows, "group_m3", "10⁻³ m³", [level, level] if fit else [])
+    caption = [
+        html_text(count),
+        html_text("Only this product of inlet area, diameter and blade angle is identifiable."),
+    ]
     if fit:
-        told_of.append(told("Line: the fleet's estimate, {value}.", value=estimate(level, sd, "10⁻³ m³")))
-    return _figure(title, told_of, chart)
+        caption.append(html_text("Line: the fleet's estimate, {value}.", value=estimate(level, sd, "10⁻³ m³")))
+    return _figure(title, caption, chart)
 
 
 def effective_diameter(facts: Facts) -> Figure:
-    """Figure 13: effective diameter of the impeller and its characterisation, equation (6)."""
+    """Build figure 13: effective diameter of the impeller and its characterisation, equation (6)."""
     title = _("Figure 13: effective compressor diameter against diffuser position")
     rows = _nominal(facts, "vda_counts", "diameter_m")
     if not rows.height:
@@ -83,55 +87,52 @@ def effective_diameter(facts: Facts) -> Figure:
     intercept, slope = _design(facts, "cc_diameter_vda_intercept"), _design(facts, "cc_diameter_vda_slope")
     ends = charts.room(rows["vda_counts"].to_list())
     line = [1e3 * (intercept["value"] + slope["value"] * v) for v in ends] if intercept and slope else []
-    says, chart = _cloud(rows, "diameter_m", "mm", line)
-    told_of = [told(says)]
+    count, chart = _cloud(rows, "diameter_m", "mm", line)
+    caption = [html_text(count)]
     if intercept and slope:
         at_zero, by = quantity(1e3 * intercept["value"], "mm", 1), quantity(1e5 * slope["value"], "mm", 3)
-        told_of.append(
-            told(
-                "Line: equation (6) re-estimated, {at_zero} and {by} for every hundred counts.", at_zero=at_zero, by=by
-            )
-        )
-    return _figure(title, told_of, chart)
+        fit = html_text("Line: equation (6) re-estimated, {at_zero} and {by} a hundred counts.", at_zero=at_zero, by=by)
+        caption.append(fit)
+    return _figure(title, caption, chart)
 
 
 def outlet_temperature(facts: Facts) -> Figure:
-    """Figure 15: outlet temperature of one flight, sensor against twin and model, with the residual."""
+    """Build figure 15: outlet temperature of one flight, sensor against twin and model, with the residual."""
     title = _("Figure 15: outlet of the heat exchanger, sensor against model")
-    found = _samples_with_residuals(facts)
-    if found is None:
+    cruise = _samples_with_residuals(facts)
+    if cruise is None:
         return _figure(title, _("No flight has five samples of steady cruise under the model in service."))
-    minutes = ((found["time_utc"] - found["time_utc"][0]).dt.total_seconds() / 60.0).to_list()
-    sensor, rest = found["hx_out_k"] - 273.15, found["sensor_minus_twin"]
-    columns = [s.to_list() for s in (sensor, sensor - rest, sensor - found["sensor_minus_dsm"])]
-    first = found.row(0, named=True)
-    says = told(
-        "Flight {flight}, pack {pack}, steady cruise ({kind}). Dots: sensor, known bias left in. Blue: twin with this "
+    minutes = ((cruise["time_utc"] - cruise["time_utc"][0]).dt.total_seconds() / 60.0).to_list()
+    sensor, rest = cruise["hx_out_k"] - 273.15, cruise["sensor_minus_twin"]
+    columns = [s.to_list() for s in (sensor, sensor - rest, sensor - cruise["sensor_minus_dsm"])]
+    first = cruise.row(0, named=True)
+    caption = html_text(
+        "Flight {flight}, pack {pack}, steady cruise ({kind}). Dots: sensor, bias not corrected. Blue: twin with this "
         "flight's conductance; orange dashes: model as built. Below: sensor minus twin, root mean square {rms}.",
         flight=first["flight_id"],
         pack=first["pack"],
-        kind=_("continuous log, averaged") if (found["n_averaged"] > 1).any() else _("snapshots"),
+        kind=_("continuous log, averaged") if (cruise["n_averaged"] > 1).any() else _("snapshots"),
         rms=quantity(float((rest**2).mean()) ** 0.5, "K", 2),  # type: ignore[arg-type]
     )
     return _figure(
         title,
-        says,
-        _drawn("°C", lambda *c: charts.over_cruise(minutes, *c), *columns),
-        _drawn("K", lambda c: charts.about_zero(minutes, c, _("minutes of cruise")), rest.to_list()),
+        caption,
+        _in_both_units("°C", lambda *c: charts.over_cruise(minutes, *c), *columns),
+        _in_both_units("K", lambda c: charts.about_zero(minutes, c, _("minutes of cruise")), rest.to_list()),
     )
 
 
 def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
-    """Cruise samples of the chosen flight with their own residuals."""
+    """Return cruise samples of the chosen flight with their residuals."""
     if facts.dsm is None or not facts.segment.height or not facts.twin_flight.height:
         return None
     cruise = facts.segment.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
-    found = outlet_residuals(cruise, facts.twin_flight, facts.dsm)
-    return found if found.height else None
+    samples = outlet_residuals(cruise, facts.twin_flight, facts.dsm)
+    return samples if samples.height else None
 
 
 def coefficient_drift(facts: Facts) -> Figure:
-    """Figure 16: conductance over the flights before a replacement, and after it."""
+    """Build figure 16: conductance over the flights before and after a replacement."""
     title = _("Figure 16: conductance before and after a replacement")
     shares = facts.twin.with_columns(ua_share=pl.col("ua_w_k") / pl.col("ua_expected_w_k")).drop_nulls("ua_share")
     chosen = around_replacement(shares, facts["maintenance"])
@@ -146,11 +147,11 @@ def coefficient_drift(facts: Facts) -> Figure:
         [(h["n"].to_list(), h["s"].to_list()) for h in halves],
         _("flights from the replacement"),
     )
-    says = told(
-        "{pack}, replaced {day}. Dots: each flight by itself; line: median of the last nine. 100 is the model's design "
-        "value under the same conditions. The two film coefficients cannot be told apart in cruise, so the conductance "
-        "that they make together is shown.",
+    caption = html_text(
+        "{pack}, replaced {day}. Dots: single flights; line: median of the last nine. 100 is the model's design value "
+        "under the same conditions. The two film coefficients are not separately identifiable in cruise; the chart has "
+        "the conductance of both.",
         pack=words.pack_name(work),
         day=words.day(work["done_on"]),
     )
-    return _figure(title, says, {"label": _("UA, % of design"), "si": chart})
+    return _figure(title, caption, {"label": _("UA, % of design"), "si": chart})

@@ -1,4 +1,4 @@
-"""What to do tonight, in words."""
+"""Write the report's first lines: what to do tonight."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 def headline(facts: Facts) -> dict[str, Any]:
-    """First what can't wait, with its action; then what to plan, what isn't known, and who is silent."""
+    """Return work due now with its action, work to plan, packs without an estimate, and silent aircraft."""
     rows = facts["ranking"].to_dicts()
     units = facts["components"].to_dicts()
     act, plan = ([r for r in rows if r["urgency"] == u] for u in ("act", "plan"))
@@ -27,7 +27,7 @@ def headline(facts: Facts) -> dict[str, Any]:
             _("{tail} since {day}", tail=g["tail"], day=words.day(g["from_at"]))
             for g in facts["gaps"].filter(gap="silent_now").to_dicts()
         ),
-        "heard": heard(facts),
+        "flights": flights_line(facts),
     }
 
 
@@ -45,16 +45,16 @@ def _summary(act: int, plan: int, n: int) -> str:
 
 
 def _item(facts: Facts, row: Row) -> Row:
-    """A pack with what was found, what is expected, and what to do."""
+    """Return a pack with its alerts, forecast and action."""
     key = words.unit_key(row)
     alerts = facts.of_pack("alerts", *key).filter(pl.col("closed_at").is_null()).to_dicts()
     wears = any(a["component"] in words.WEARS for a in alerts)
     return {
         "name": words.pack_name(row),
         "card": anchor("pack", *key),
-        "find": words.found_by(row, row["diagnoses"]),
+        "find": words.search_text(row, row["diagnoses"]),
         "outlook": _outlook(row) if wears or not alerts else "",
-        "found": "; ".join(
+        "alerts": "; ".join(
             _("{diagnosis} since {day}", diagnosis=words.diagnosis(a["diagnosis"]), day=words.day(a["raised_at"]))
             for a in alerts
         ),
@@ -63,7 +63,7 @@ def _item(facts: Facts, row: Row) -> Row:
 
 
 def _todo(alerts: list[Row]) -> Iterator[str]:
-    """What to do about each; what comes before all of it is said once."""
+    """Yield the action of each alert; a first step that they share appears once."""
     first = set[str]()
     for a in alerts:
         action = words.plain(a["recommended_action"]).rstrip(".")
@@ -84,11 +84,11 @@ def _outlook(row: Row) -> str:
     )
 
 
-def heard(facts: Facts) -> str:
-    """How many flights there are, and the last."""
+def flights_line(facts: Facts) -> str:
+    """Return the number of flights and the last one."""
     flights = facts["flights"]
     if not flights.height:
-        return _("No flight has arrived yet.")
+        return _("No flight yet.")
     return several(
         "{n} flight of {aircraft} aircraft; the last left on {last}.",
         "{n} flights of {aircraft} aircraft; the last left on {last}.",

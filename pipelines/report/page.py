@@ -1,4 +1,4 @@
-"""The page: what to do first, then the evidence, then how far to trust it."""
+"""Write the report: what to do first, then the evidence, then how reliable it is."""
 
 from collections.abc import Sequence
 from datetime import timedelta
@@ -20,25 +20,25 @@ from pipelines.storage.files import replacing
 from pipelines.storage.settings import changed_limits
 from pipelines.words import _
 
-CLOSED_DAYS = 180  # alerts closed longer ago are history: the catalog has them
+CLOSED_DAYS = 180  # alerts closed longer ago stand in the catalog only
 MONTHS = 12
 
 
 def write_report(home: Path, target: Path, units: str = "si", with_thresholds: bool = False) -> None:
     """Write the page over the catalog in `home` to `target`: same catalog, same bytes.
 
-    It opens in a system of units, `si` or `us`, and is in the language spoken (`pipelines.words.speaking`). How alerts
-    would have fared at other thresholds takes some three seconds for every aircraft.
+    It opens in a system of units, `si` or `us`, and is in the language in use. Counts at other thresholds take some
+    three seconds an aircraft.
     """
-    tried = thresholds(home) if with_thresholds else ()
+    rows = thresholds(home) if with_thresholds else ()
     with replacing(target.resolve()) as temporary:
-        temporary.write_text(page(read_facts(home), units, tried, changed_limits(home)), encoding="utf-8")
+        temporary.write_text(page(read_facts(home), units, rows, changed_limits(home)), encoding="utf-8")
 
 
 def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] = (), limits: Sequence[str] = ()) -> str:
     """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
-    drawn, data = figures(facts), _data(facts)
-    for k, chart in enumerate(c for f in drawn for c in f["charts"]):
+    paper_figures, data = figures(facts), _data(facts)
+    for k, chart in enumerate(c for f in paper_figures for c in f["charts"]):
         chart["name"] = f"figure-{k}"
         data["charts"] |= {f"figure-{k}-{system}": chart[system] for system in ("si", "us") if system in chart}
     scripts = [charts.chart_script(), _asset("page.js")] if data["charts"] else [_asset("page.js")]
@@ -53,7 +53,7 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
         tonight=headline(facts),
         ranking=facts["ranking"].to_dicts(),
         alerts=_alerts(facts),
-        drawn=data["charts"].keys(),
+        charted=data["charts"].keys(),
         recent=lambda row: tracks.recent(facts, row),
         components=facts["components"].to_dicts(),
         hit_rates={r["diagnosis"]: r for r in facts["hit_rates"].to_dicts()},
@@ -64,19 +64,19 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
         deliveries=facts["deliveries"].row(0, named=True),
         filter_yield=_filter_yield(facts),
         design=facts["design"].filter(pl.col("scope") != "tail").to_dicts(),
-        figures=drawn,
+        figures=paper_figures,
         card=facts.card,
     )
 
 
 def _data(facts: Facts) -> dict[str, Any]:
-    """What the browser draws from."""
-    drawn: dict[str, Any] = tracks.pack_tracks(facts) | tracks.unit_tracks(facts)
-    return {"charts": drawn, "track": charts.track(), "fleet": tracks.fleet_band(facts)} if drawn else {"charts": {}}
+    """Return the data of the charts."""
+    own: dict[str, Any] = tracks.pack_tracks(facts) | tracks.unit_tracks(facts)
+    return {"charts": own, "track": charts.track(), "fleet": tracks.fleet_band(facts)} if own else {"charts": {}}
 
 
 def _alerts(facts: Facts) -> dict[str, Any]:
-    """Open alerts in the ranking's order, those closed lately, and how many there are beside."""
+    """Return open alerts in the ranking's order, those closed lately, and the number of older ones."""
     rows, until = facts["alerts"], facts.until()
     closed = rows.filter(pl.col("closed_at").is_not_null())
     late = closed.filter(pl.col("closed_at") >= until - timedelta(days=CLOSED_DAYS)) if until else closed
@@ -90,7 +90,7 @@ def _alerts(facts: Facts) -> dict[str, Any]:
 
 
 def _gaps(facts: Facts) -> dict[str, list[dict[str, Any]]]:
-    """Aircraft that fell silent, and flights that never came, by aircraft."""
+    """Return silent aircraft, and missing flights by aircraft."""
     by = ["operator", "tail"]
     missing = facts["gaps"].filter(gap="missing_leg").group_by(by, maintain_order=True)
     legs = missing.agg(pl.col("n_flights").sum(), pl.col("after_flight_id").first())
@@ -101,7 +101,7 @@ def _gaps(facts: Facts) -> dict[str, list[dict[str, Any]]]:
 
 
 def _filter_yield(facts: Facts) -> dict[str, Any]:
-    """Share of legs fit to calibrate from, by operator, and by aircraft and month; and why the others were not."""
+    """Return the shares of legs admitted to calibration, by operator and by month, and the other reasons."""
     rows = facts["filter_yield"]
     total = rows.group_by("operator").agg(pl.col("n_admitted", "n_legs").sum()).sort("operator")
     of = {(r["operator"], r["tail"], r["month"]): r for r in rows.to_dicts()}

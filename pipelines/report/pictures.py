@@ -1,6 +1,6 @@
-"""Pictures of a night for Dagster: the packs most in need, how they wear, and Figure 16.
+"""Draw a night's pictures for Dagster: health and residuals of the packs most in need, and Figure 16.
 
-Dagster's page runs no script of ours, so they are still; small for a fleet of any size, for every night keeps its own.
+Dagster's page runs no script of ours, so they are images; they are small because every night stores its own.
 """
 
 from collections.abc import Sequence
@@ -17,46 +17,46 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PACKS, COLUMNS, POINTS = 6, 2, 80
-DRAWN = (
+PICTURE_FEATURES = (
     "hx_fouling", "hx_fouling_sd", "hx_fouling_flight", "cc_efficiency_loss", "cc_efficiency_loss_sd",
     "hx_out_sensor_minus_dsm_k", "hx_out_sensor_minus_twin_k",
 )  # fmt: skip
-"""Features that pictures show."""
+"""Features on the pictures."""
 Pack = tuple[str, pl.DataFrame]
 
 
 def night_pictures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, Any]:
-    """Health and outlet residuals of the packs most in need, and Figure 16, as Dagster shows them."""
+    """Return the figures of `night_figures` as Dagster's metadata."""
     return {name: as_markdown(f) for name, f in night_figures(features, prognoses, maintenance).items()}
 
 
 def night_figures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, "Figure"]:
-    """The same as figures; none where nothing has flown."""
+    """Draw health and outlet residuals of the packs most in need, and Figure 16; none without flights."""
     packs = _most_in_need(prognoses)
-    flown = features.select(*PACK, "departed_at", *DRAWN).sort("departed_at")
+    flown = features.select(*PACK, "departed_at", *PICTURE_FEATURES).sort("departed_at")
     own = [
         (f"{p['tail']} pack {p['pack']}", flown.filter(pl.all_horizontal(pl.col(k) == p[k] for k in PACK)))
         for p in packs
     ]
     grids = {"health_over_flights": _grid(own, _health), "outlet_residuals": _grid(own, _residuals)} if own else {}
-    seen = flown.drop_nulls("hx_fouling_flight").with_columns(ua_share=1.0 - pl.col("hx_fouling_flight"))
-    found = around_replacement(seen, maintenance)
-    return grids | ({"figure_16": _figure_16(*found)} if found else {})
+    shares = flown.drop_nulls("hx_fouling_flight").with_columns(ua_share=1.0 - pl.col("hx_fouling_flight"))
+    replacement = around_replacement(shares, maintenance)
+    return grids | ({"figure_16": _figure_16(*replacement)} if replacement else {})
 
 
 def _most_in_need(prognoses: pl.DataFrame) -> list[dict[str, Any]]:
-    """Packs whose exchanger is likeliest to raise a message soon, by its last prognosis."""
+    """Select the packs whose exchanger is likeliest to raise a message soon, by its last prognosis."""
     last = prognoses.filter(component="HX").sort("departed_at").group_by(PACK).last()
     return last.sort("p_event_50", *PACK, descending=True, nulls_last=True).head(PACKS).select(PACK).to_dicts()
 
 
 def _grid(own: Sequence[Pack], draw: Any) -> "Figure":
-    """A small chart for every pack."""
+    """Draw a small chart for every pack."""
     from matplotlib.figure import Figure
 
     rows = -(-len(own) // COLUMNS)
     figure = Figure(figsize=(8.6, 2.3 * rows))
-    figure.subplots_adjust(0.08, 0.05, 0.96, 1.0 - 0.12 / rows, 0.2, 0.35)  # what tells its layout by itself takes 1 s
+    figure.subplots_adjust(0.08, 0.05, 0.96, 1.0 - 0.12 / rows, 0.2, 0.35)  # automatic layout takes 1 s
     for axes, pack in zip(figure.subplots(rows, COLUMNS, squeeze=False).flat, own, strict=False):
         draw(axes, *pack)
     for axes in figure.axes[len(own) :]:
@@ -67,7 +67,7 @@ def _grid(own: Sequence[Pack], draw: Any) -> "Figure":
 
 
 def _days(axes: "Axes", rows: pl.DataFrame) -> pl.Series:
-    """Days of departure as numbers, with the first, the middle and the last named: to find ticks takes a second."""
+    """Return days of departure as numbers and label three of them; automatic ticks take 1 s."""
     days = rows["departed_at"].dt.epoch("us") / 86_400e6
     if rows.height:
         ends = rows["departed_at"][0], rows["departed_at"][-1]
@@ -78,32 +78,32 @@ def _days(axes: "Axes", rows: pl.DataFrame) -> pl.Series:
 
 
 def _health(axes: "Axes", name: str, rows: pl.DataFrame) -> None:
-    """Conductance lost with its 90 % band, and the compressor's efficiency lost."""
+    """Draw conductance lost with its 90 % band, and the compressor's efficiency lost."""
     hx, cc = (_thin(rows.drop_nulls([c, f"{c}_sd"])) for c in ("hx_fouling", "cc_efficiency_loss"))
-    lost, sd = 100 * hx["hx_fouling"], 100 * Z_90 * hx["hx_fouling_sd"]
+    loss, half_width = 100 * hx["hx_fouling"], 100 * Z_90 * hx["hx_fouling_sd"]
     day = _days(axes, hx)
-    axes.fill_between(day, lost - sd, lost + sd, color="C0", alpha=0.22, lw=0)
-    axes.plot(day, lost, color="C0", lw=1.2)
+    axes.fill_between(day, loss - half_width, loss + half_width, color="C0", alpha=0.22, lw=0)
+    axes.plot(day, loss, color="C0", lw=1.2)
     axes.plot(_days(axes, cc), 100 * cc["cc_efficiency_loss"], "--", color="C1", lw=1.2)
-    axes.set_ylim(-10.0, max([40.0, *(lost + 5).to_list()]))
+    axes.set_ylim(-10.0, max([40.0, *(loss + 5).to_list()]))
     axes.set_title(name, fontsize=8)
     axes.set_ylabel("% lost: exchanger,\ncompressor dashed", fontsize=7)
 
 
 def _residuals(axes: "Axes", name: str, rows: pl.DataFrame) -> None:
-    """Outlet temperature, sensor less model as built and sensor less twin."""
+    """Draw outlet temperature, sensor less model as built and sensor less twin."""
     model, twin = "hx_out_sensor_minus_dsm_k", "hx_out_sensor_minus_twin_k"
-    seen = _thin(rows.drop_nulls([model, twin]))
-    day = _days(axes, seen)
+    flights = _thin(rows.drop_nulls([model, twin]))
+    day = _days(axes, flights)
     axes.axhline(0.0, color="grey", lw=0.8)
-    axes.plot(day, seen[model], "--", color="C1", lw=1.2)
-    axes.plot(day, seen[twin], ".", color="C0", ms=2)
+    axes.plot(day, flights[model], "--", color="C1", lw=1.2)
+    axes.plot(day, flights[twin], ".", color="C0", ms=2)
     axes.set_title(name, fontsize=8)
     axes.set_ylabel("K: sensor less model\ndashed, less twin dots", fontsize=7)
 
 
 def _figure_16(work: dict[str, Any], rows: pl.DataFrame) -> "Figure":
-    """Conductance over the flights before a replacement and after it."""
+    """Draw conductance over the flights before and after a replacement."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 2.8))

@@ -1,4 +1,4 @@
-"""The calibration's figures for its materialization in Dagster: 12, 13 and 15 of the paper, on this fleet's flights."""
+"""Draw the calibration's figures for Dagster: 12, 13 and 15 of the paper, from this fleet's flights."""
 
 import base64
 import io
@@ -22,18 +22,18 @@ MOST_DOTS = 4_000
 FLIGHTS_BEFORE, FLIGHTS_AFTER = 200, 40
 DPI, COLOURS = 72, 24
 MARGINS = (0.12, 0.12, 0.98, 0.92)
-"""Left, bottom, right, top: a figure that finds its margins by itself is drawn twice."""
+"""Left, bottom, right, top; automatic margins draw the figure twice."""
 
 
 def calibration_metadata(
     samples: pl.DataFrame, twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
 ) -> dict[str, Any]:
-    """Figures, the comparison of equation (6)'s forms and the drift audit, as Dagster shows them.
+    """Return figures, the comparison of equation (6)'s forms and the drift audit as Dagster's metadata.
 
     Parameters
     ----------
     samples, twin_flights : DataFrame
-        Of the baseline: samples of the leg filter, and what `estimate_flights` makes of them.
+        Of the baseline: samples of the leg filter, and their estimates by `estimate_flights`.
     """
     audit = audit_drift(twin_flights, maintenance, dsm)
     figures = {
@@ -49,7 +49,7 @@ def calibration_metadata(
 
 
 def figure_12(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Compressor inlet: the identifiable group of each flight, and the fleet's."""
+    """Draw the compressor inlet's identifiable group of each flight, and the fleet's."""
     figure, axes = _figure()
     rows = _thinned(twin_flights.drop_nulls(["vda_counts", "group_m3"]))
     axes.plot(rows["vda_counts"], 1e3 * rows["group_m3"], ".", ms=3, alpha=0.4)
@@ -61,7 +61,7 @@ def figure_12(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
 
 
 def figure_13(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Effective diameter of each flight and equation (6)."""
+    """Draw the effective diameter of each flight and equation (6)."""
     figure, axes = _figure()
     rows = _thinned(twin_flights.drop_nulls(["vda_counts", "diameter_m"]))
     axes.plot(rows["vda_counts"], 1e3 * rows["diameter_m"], ".", ms=3, alpha=0.4)
@@ -78,25 +78,25 @@ def figure_13(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
 
 
 def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Exchanger outlet over one cruise, sensor against model, and the residual beneath."""
+    """Draw the exchanger outlet over one cruise, sensor against model, and the residual beneath."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 4.8))
     figure.subplots_adjust(*MARGINS, hspace=0.08)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     cruise = _segment(samples)
-    seen = outlet_residuals(
+    rows = outlet_residuals(
         cruise, twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1"), dsm
     )
-    if seen.height:
-        minute = (seen["time_utc"] - seen["time_utc"][0]).dt.total_seconds().to_numpy() / 60.0
-        sensor = seen["hx_out_k"].to_numpy() - 273.15
+    if rows.height:
+        minute = (rows["time_utc"] - rows["time_utc"][0]).dt.total_seconds().to_numpy() / 60.0
+        sensor = rows["hx_out_k"].to_numpy() - 273.15
         upper.plot(minute, sensor, ".", color="black", label="sensor")
-        upper.plot(minute, sensor - seen["sensor_minus_twin"].to_numpy(), label="twin")
-        upper.plot(minute, sensor - seen["sensor_minus_dsm"].to_numpy(), "--", label="model as built")
+        upper.plot(minute, sensor - rows["sensor_minus_twin"].to_numpy(), label="twin")
+        upper.plot(minute, sensor - rows["sensor_minus_dsm"].to_numpy(), "--", label="model as built")
         upper.legend()
-        lower.plot(minute, seen["sensor_minus_twin"].to_numpy(), ".")
-        upper.set_title(f"Figure 15: {seen['flight_id'][0]}, pack {seen['pack'][0]}")
+        lower.plot(minute, rows["sensor_minus_twin"].to_numpy(), ".")
+        upper.set_title(f"Figure 15: {rows['flight_id'][0]}, pack {rows['pack'][0]}")
     lower.axhline(0.0, color="grey", lw=0.8)
     upper.set_ylabel("exchanger outlet, °C")
     lower.set(xlabel="minutes of cruise", ylabel="sensor - twin, K")
@@ -104,22 +104,22 @@ def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "F
 
 
 def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """Cruise samples of one flight and pack with their own outlet residuals, `sensor_minus_twin` and `_dsm`. [K]
+    """Return cruise samples of one flight and pack with their outlet residuals, `sensor_minus_twin` and `_dsm`. [K]
 
-    To the core, each sample is a flight of one sample.
+    Each sample is passed to the core as a flight of one sample.
     """
     alone = cruise.with_columns(sample=pl.format("{}", pl.int_range(pl.len())))
     flights = alone.select("sample").join(twin_flight, how="cross")
     samples, twins = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
-    found = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
-    if not found.height:
+    rows = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
+    if not rows.height:
         return alone.clear()
-    wide = alone.join(found.rename({"flight_id": "sample"}), on="sample", validate="m:1")
+    wide = alone.join(rows.rename({"flight_id": "sample"}), on="sample", validate="m:1")
     return wide.drop_nulls(["sensor_minus_twin", "sensor_minus_dsm"]).sort("time_utc")
 
 
 def _segment(samples: pl.DataFrame) -> pl.DataFrame:
-    """Cruise of the flight and pack with the richest record: continuous logs first."""
+    """Select the cruise of the flight and pack with the most samples: continuous logs first."""
     cruise = samples.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
     ranked = cruise.group_by(FLIGHT_PACK).agg(pl.col("n_averaged").max(), pl.len().alias("n"))
     best = ranked.sort(pl.col("n_averaged") > 1, "n", *FLIGHT_PACK, descending=True).head(1)
@@ -139,26 +139,26 @@ def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def as_markdown(figure: "Figure") -> dg.MarkdownMetadataValue:
-    """A figure as Dagster shows it, in no more colours than it has need of."""
+    """Encode a figure as an image in Markdown, in few colours to stay small."""
     from PIL import Image
 
-    drawn, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=DPI)
-    Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
+    image, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(image, format="png", dpi=DPI)
+    Image.open(image).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
         small, format="png", optimize=True
     )
     return dg.MetadataValue.md(f"![figure](data:image/png;base64,{base64.b64encode(small.getvalue()).decode()})")
 
 
 def _table(frame: pl.DataFrame) -> str:
-    """Markdown of a small table."""
-    shown = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
-    lines = [frame.columns, ["---"] * frame.width, *shown]
+    """Format a small table as Markdown."""
+    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
+    lines = [frame.columns, ["---"] * frame.width, *cells]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tuple[dict[str, Any], pl.DataFrame] | None:
-    """The replacement of an exchanger with the deepest loss before it, and the flights around it.
+    """Find the replacement of an exchanger with the deepest loss before it, and the flights around it.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tupl
         )
         level = pl.col("ua_share").log().median()
         after, last = rows.filter(pl.col("n") >= 0).select(level), rows.filter(pl.col("n") < 0).tail(20).select(level)
-        gained = after.item() - last.item() if after.item() is not None and last.item() is not None else None
-        if gained is not None and rows.filter(pl.col("n") < 0).height >= 20 and (best is None or gained > best[0]):
-            best = gained, w, rows
+        gain = after.item() - last.item() if after.item() is not None and last.item() is not None else None
+        if gain is not None and rows.filter(pl.col("n") < 0).height >= 20 and (best is None or gain > best[0]):
+            best = gain, w, rows
     return None if best is None else best[1:]

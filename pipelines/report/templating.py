@@ -1,4 +1,4 @@
-"""Templates of all HTML pages of the project: whatever is not markup already is escaped on its way in."""
+"""Render the project's HTML pages with Jinja; every value that is not markup is escaped."""
 
 import re
 from base64 import b64encode
@@ -20,17 +20,17 @@ NOTHING_FETCHED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def render(template: str, **context: Any) -> str:
-    """The page that a template makes of a context."""
+    """Render a template of the report."""
     return _environment().get_template(template).render(language=language(), **context)
 
 
-def templates_of(*rooms: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
-    """Templates of packages, the first that has one; a name that is not given is an error, text may stay as it is."""
+def templates_of(*packages: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
+    """Return the templates of packages, the first that has a name; an undefined variable is an error."""
     return Environment(
-        loader=ChoiceLoader([PackageLoader(room) for room in rooms]),
+        loader=ChoiceLoader([PackageLoader(package) for package in packages]),
         autoescape=select_autoescape(["html"]),
         undefined=StrictUndefined,
-        finalize=finalize or shown,
+        finalize=finalize or printable,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -38,51 +38,51 @@ def templates_of(*rooms: str, finalize: Callable[[Any], Any] | None = None) -> E
 
 @cache
 def _environment() -> Environment:
-    made = templates_of("pipelines.report")
-    made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # in the order given: a chart's parts refer back
-    made.globals |= {
-        "_": told, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,
+    environment = templates_of("pipelines.report")
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # unsorted: a chart's parts refer back
+    environment.globals |= {
+        "_": html_text, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,
         "threshold": threshold, "words": words,
     }  # fmt: skip
-    return made
+    return environment
 
 
-def shown(value: Any) -> Any:
-    """A value as a page shows it; what is missing is nothing."""
+def printable(value: Any) -> Any:
+    """Return a value as a page prints it; nothing for None."""
     if value is None:
         return ""
     return unbroken(visible(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def unbroken(text: str) -> str:
-    """Text whose numbers keep their sign of per cent on their line."""
+    """Keep numbers and their percent signs on one line."""
     return text.replace(" %", "\N{NO-BREAK SPACE}%")
 
 
-def told(message: str, **values: Any) -> Markup:
-    """A message with its values, each escaped unless it is markup."""
-    said = Markup(escape(unbroken(visible(_(message)))))
-    return said.format(**{k: shown(v) for k, v in values.items()}) if values else said
+def html_text(message: str, **values: Any) -> Markup:
+    """Translate a message and fill in its values, each escaped unless it is markup."""
+    text = Markup(escape(unbroken(visible(_(message)))))
+    return text.format(**{k: printable(v) for k, v in values.items()}) if values else text
 
 
 def evidence(sentence: str) -> Markup:
-    """Why an alert stands, the role of each witness to be seen at a glance, differences in both systems of units."""
+    """Format an alert's evidence: the role of each cross check in bold, differences in both systems of units."""
     escaped = str(in_words(unbroken(visible(words.plain(sentence)))))
     roles = "|".join(_(f"{role}:") for role in (*ROLES, "Else"))
     return Markup(re.sub(rf"(?<!\w)({roles})", r"<b>\1</b>", escaped))
 
 
 def anchor(*parts: Any) -> str:
-    """An id made of `parts`, the same wherever it is asked for."""
+    """Build an element's id from `parts`."""
     return re.sub(r"[^A-Za-z0-9]+", "-", "-".join(str(p) for p in parts)).strip("-")
 
 
 def policy(*scripts: str) -> str:
-    """What a page may do: fetch nothing, and run these scripts and no other."""
+    """Build the content security policy of a page: no requests, and these scripts only."""
     hashes = " ".join(map(source_hash, scripts))
     return NOTHING_FETCHED + (f"; script-src {hashes}" if hashes else "")
 
 
 def source_hash(text: str) -> str:
-    """A script or a style as a content security policy names it."""
+    """Return the source expression of an inline script or style for a content security policy."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"

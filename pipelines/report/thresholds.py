@@ -1,4 +1,4 @@
-"""How alerts would have fared with a limit higher or lower: counts, outcomes and lead by the catalog's own views."""
+"""Count alerts, outcomes and lead at higher and lower limits, with the catalog's own views."""
 
 import re
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from pipelines.storage.headers import read_header
 from pipelines.storage.publication import ordered, views
 from pipelines.storage.settings import alert_limits
 
-JUDGED_BY = ("alert_hit_rates", "alert_lead_times")
+OUTCOME_VIEWS = ("alert_hit_rates", "alert_lead_times")
 _ALERTS = ("features_alerts", "features_component_alerts")
 _COUNTS = """
     select
@@ -29,45 +29,45 @@ Row = dict[str, Any]
 
 
 def thresholds(home: Path) -> list[Row]:
-    """One row a diagnosis and value of its limit.
+    """Return one row a diagnosis and value of its limit.
 
-    With `diagnosis, limit, value, in_service, alerts, confirmed, false, open`, `lead_flights` (median) and `missed`
-    (messages of the component that no alert foretold).
+    Columns `diagnosis, limit, value, in_service, alerts, confirmed, false, open`, `lead_flights` (median) and `missed`
+    (messages of the component without an alert before them).
     """
-    needed = _needed()
+    definitions = _view_definitions()
     with connect(home) as con:
-        names = sorted({t for _, sql in needed for t in re.findall(r"\btables\.(\w+)", sql)})
-        held = {t: con.sql(f"select * from tables.{t}").to_arrow_table() for t in names}
-        asked = ("features", "twin_health", "raw_maintenance")
-        features, health, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in asked)
-    with duckdb.connect() as trial:
-        trial.execute("set TimeZone = 'UTC'; create schema tables")
-        for name, rows in held.items():
-            _replace(trial, name, rows)
-        _replace(trial, _ALERTS[1], held[_ALERTS[1]].slice(0, 0))
-        for _, sql in needed:
-            trial.execute(sql)
-        return list(_told(trial, trials(features, health, maintenance, alert_limits(home))))
+        names = sorted({t for _, sql in definitions for t in re.findall(r"\btables\.(\w+)", sql)})
+        tables = {t: con.sql(f"select * from tables.{t}").to_arrow_table() for t in names}
+        inputs = ("features", "twin_health", "raw_maintenance")
+        features, health, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in inputs)
+    with duckdb.connect() as copy:
+        copy.execute("set TimeZone = 'UTC'; create schema tables")
+        for name, rows in tables.items():
+            _replace(copy, name, rows)
+        _replace(copy, _ALERTS[1], tables[_ALERTS[1]].slice(0, 0))
+        for _, sql in definitions:
+            copy.execute(sql)
+        return list(_outcomes(copy, trials(features, health, maintenance, alert_limits(home))))
 
 
-def _told(con: duckdb.DuckDBPyConnection, tried: Iterator[Trial]) -> Iterator[Row]:
-    for t in tried:
+def _outcomes(con: duckdb.DuckDBPyConnection, alert_sets: Iterator[Trial]) -> Iterator[Row]:
+    for t in alert_sets:
         _replace(con, _ALERTS[0], t.alerts.to_arrow())
         (row,) = con.sql(_COUNTS, params=[t.diagnosis]).pl().to_dicts()
         yield {"diagnosis": t.diagnosis, "limit": t.limit, "value": t.value, "in_service": t.in_service, **row}
 
 
-def _needed() -> list[tuple[str, str]]:
-    """The views that judge, with those they read, in order."""
-    known, wanted, left = views(), set[str](), list(JUDGED_BY)
-    while left:
-        name = left.pop()
-        wanted.add(name)
-        left += set(read_header(known[name]).reads) & set(known) - wanted
-    return ordered({name: known[name] for name in wanted})
+def _view_definitions() -> list[tuple[str, str]]:
+    """Return the outcome views and those they read, in order of dependence."""
+    definitions, names, queue = views(), set[str](), list(OUTCOME_VIEWS)
+    while queue:
+        name = queue.pop()
+        names.add(name)
+        queue += set(read_header(definitions[name]).reads) & set(definitions) - names
+    return ordered({name: definitions[name] for name in names})
 
 
 def _replace(con: duckdb.DuckDBPyConnection, name: str, rows: Any) -> None:
-    con.register("given", rows)
-    con.execute(f"create or replace table tables.{name} as select * from given")
-    con.unregister("given")
+    con.register("frame", rows)
+    con.execute(f"create or replace table tables.{name} as select * from frame")
+    con.unregister("frame")

@@ -1,4 +1,4 @@
-"""How each unit has worn, what was done to it, and what is expected: what its chart and its card show."""
+"""Collect the data of each unit's chart: loss over time, events and forecast."""
 
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -14,27 +14,27 @@ from pipelines.report.templating import anchor
 from pipelines.words import _
 
 POINTS = 180
-"""Flights that a chart draws: it is some 350 pixels wide."""
+"""Flights in a chart, which is some 350 pixels wide."""
 BANDS = 60
-"""Steps of the fleet's band in time."""
+"""Time steps of the fleet's band."""
 LEAST_PACKS = 4
-"""A band of fewer packs would only be those packs."""
+"""Packs that a band needs at each step."""
 DAY_S = 86_400.0
 Row = dict[str, Any]
 Columns = dict[str, list[Any]]
 
 
 def fleet_band(facts: Facts) -> Columns:
-    """What nine of ten packs had lost, by time: 5 and 95 % points over packs of each pack's median of a stretch."""
-    seen = facts["health"].filter(parameter="hx_fouling")
+    """Return the fleet's loss over time: 5 and 95 % points over packs of each pack's median in a time step."""
+    losses = facts["health"].filter(parameter="hx_fouling")
     pack = ["operator", "tail", "pack"]
-    if seen.select(pack).n_unique() < LEAST_PACKS:
+    if losses.select(pack).n_unique() < LEAST_PACKS:
         return {"x": [], "low": [], "high": []}
     at = _ms("departed_at")
-    first, last = seen.select(at.min().alias("a"), at.max().alias("b")).row(0)
+    first, last = losses.select(at.min().alias("a"), at.max().alias("b")).row(0)
     step = max(last - first, 1) / BANDS
     stretch = ((pl.col("at") - first) // step).cast(pl.Int64).alias("stretch")
-    of_pack = seen.with_columns(at=at).group_by(stretch, *pack).agg(pl.col("value").median())
+    of_pack = losses.with_columns(at=at).group_by(stretch, *pack).agg(pl.col("value").median())
     points = [(100 * pl.col("value").quantile(q, "linear")).alias(n) for q, n in ((0.05, "low"), (0.95, "high"))]
     band = of_pack.group_by("stretch").agg(*points, n=pl.len()).filter(pl.col("n") >= LEAST_PACKS).sort("stretch")
     middle = [round(first + (k + 0.5) * step) for k in band["stretch"]]
@@ -42,8 +42,8 @@ def fleet_band(facts: Facts) -> Columns:
 
 
 def pack_tracks(facts: Facts) -> dict[str, Row]:
-    """What each pack's chart shows, by the id of its card."""
-    drawn = {}
+    """Return the data of each pack's chart by the id of its card."""
+    tracks = {}
     for row in facts["ranking"].to_dicts():
         key = words.unit_key(row)
         parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
@@ -53,37 +53,37 @@ def pack_tracks(facts: Facts) -> dict[str, Row]:
         own = _track(hx, parts, row, _pace_ms(facts, row))
         cc = thin(parts["health"].filter(parameter="cc_efficiency_loss"))
         own["cc"] = {"x": cc.select(_ms("departed_at")).to_series().to_list(), "y": _percent(cc["value"])}
-        drawn[anchor("pack", *key)] = own | {"tail": f"{row['operator']} {row['tail']}"}
-    for tail in {t["tail"] for t in drawn.values()}:  # two packs, each with the other
-        for a, b in pairwise([*(names := [k for k, t in drawn.items() if t["tail"] == tail]), names[0]]):
+        tracks[anchor("pack", *key)] = own | {"tail": f"{row['operator']} {row['tail']}"}
+    for tail in {t["tail"] for t in tracks.values()}:  # each of two packs names the other
+        for a, b in pairwise([*(names := [k for k, t in tracks.items() if t["tail"] == tail]), names[0]]):
             if a != b:
-                drawn[a]["other"] = b
-    return drawn
+                tracks[a]["other"] = b
+    return tracks
 
 
 def unit_tracks(facts: Facts) -> dict[str, Row]:
-    """What the chart of each unit of another component shows."""
-    drawn = {}
+    """Return the data of the chart of each unit of another component."""
+    tracks = {}
     for row in facts["components"].to_dicts():
         own = facts.of_pack("component_losses", *words.unit_key(row)).filter(component=row["component"])
         alerts = facts.of_pack("alerts", *words.unit_key(row)).filter(component=row["component"])
         if own.height:
             none = {name: facts[name].clear() for name in ("maintenance", "messages")}
-            drawn[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, {"alerts": alerts} | none)
-    return drawn
+            tracks[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, {"alerts": alerts} | none)
+    return tracks
 
 
 def _track(
-    seen: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float | None = None
+    losses: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float | None = None
 ) -> Row:
-    """Columns of the chart's sources, and its ranges. Moments are ms since 1970, losses per cent."""
-    worn = thin(seen)
-    at = worn.select(_ms("departed_at")).to_series().to_list()
-    around = Z_90 * worn["loss_sd"].fill_null(0.0)
-    low, high = (_percent(worn["loss"] + side * around) for side in (-1, 1))
-    whole = parts.get("health", worn).select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
+    """Return the columns of the chart's sources, and its ranges. Times in ms since 1970, losses in percent."""
+    flights = thin(losses)
+    at = flights.select(_ms("departed_at")).to_series().to_list()
+    half_width = Z_90 * flights["loss_sd"].fill_null(0.0)
+    low, high = (_percent(flights["loss"] + side * half_width) for side in (-1, 1))
+    whole = parts.get("health", flights).select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
     start, now = whole.row(0)
-    own = {"x": at, "y": _percent(worn["loss"]), "low": low, "high": high}
+    own = {"x": at, "y": _percent(flights["loss"]), "low": low, "high": high}
     y = (-10.0, max([45.0, *(v + 5.0 for v in own["y"])]))
     ahead = _ahead(row, pace_ms, now, own["y"][-1] if own["y"] else 0.0) if row and pace_ms else {}
     span = now - start
@@ -93,7 +93,7 @@ def _track(
 
 
 def thin(rows: pl.DataFrame) -> pl.DataFrame:
-    """The last flight of each of `POINTS` stretches: values as they were said, and no more than can be seen."""
+    """Keep the last flight of each of `POINTS` groups of successive flights."""
     if rows.height <= POINTS:
         return rows
     return (
@@ -113,16 +113,16 @@ def _percent(shares: pl.Series) -> list[float]:
 
 
 def _events(parts: dict[str, pl.DataFrame], start: int, y: tuple[float, float]) -> Columns:
-    """Work, messages and alerts as marks with words."""
-    told: list[tuple[Any, ...]] = [
+    """Return work, messages and alerts as marks with texts."""
+    marks: list[tuple[Any, ...]] = [
         (1e3 * _midnight(w["done_on"]), "triangle", GREEN, w["action"][:1], _work(w))
         for w in parts["maintenance"].to_dicts()
     ]
-    told += [
+    marks += [
         (1e3 * m["message_time"].timestamp(), "x", VERMILLION, "", f"{words.clock(m['message_time'])}: {_message(m)}")
         for m in parts["messages"].to_dicts()
     ]
-    inside = [e for e in told if e[0] >= start - 1e3 * DAY_S]
+    inside = [e for e in marks if e[0] >= start - 1e3 * DAY_S]
     inside += [(1e3 * a["raised_at"].timestamp(), "diamond", PURPLE, "", _alert(a)) for a in parts["alerts"].to_dicts()]
     bottom, top = y[0] + 0.04 * (y[1] - y[0]), y[1] - 0.04 * (y[1] - y[0])
     return {
@@ -154,15 +154,15 @@ def _alert(a: Row) -> str:
 
 
 def _pace_ms(facts: Facts, row: Row) -> float | None:
-    """Time from flight to flight; None where the record is too short to tell."""
+    """Return the mean time between flights [ms]; None where the record is too short."""
     (per_day,) = facts["rates"].filter(operator=row["operator"], tail=row["tail"])["flights_per_day"]
     return None if per_day is None else 1e3 * DAY_S / per_day
 
 
 def _ahead(row: Row, pace_ms: float, now: int, loss: float) -> Columns:
-    """When the message is expected, flights turned into days.
+    """Return the time of the expected message, with flights converted to days.
 
-    At which loss it comes differs from flight to flight, so it has no line: only its time is drawn.
+    The loss at which it is raised differs between flights, so only its time is drawn.
     """
     points = {name: row[of] for name, of in (("low", "rul_low"), ("mid", "rul_flights"), ("high", "rul_high"))}
     p = row["p_event_50"]
@@ -172,7 +172,7 @@ def _ahead(row: Row, pace_ms: float, now: int, loss: float) -> Columns:
 
 
 def recent(facts: Facts, row: Row) -> list[str]:
-    """The last events in words, for who can't hover and for print."""
+    """Return the last three events as text, for touch screens and print."""
     parts = {name: facts.of_pack(name, *words.unit_key(row)) for name in ("alerts", "maintenance", "messages")}
     events = [(words.day(w["done_on"]), _work(w)) for w in parts["maintenance"].to_dicts()]
     events += [
@@ -183,4 +183,4 @@ def recent(facts: Facts, row: Row) -> list[str]:
         (words.day(m["message_time"]), f"{words.day(m['message_time'])}: {_message(m)}")
         for m in parts["messages"].to_dicts()
     ]
-    return [says for _when, says in sorted(set(events), reverse=True)[:3]]
+    return [text for _day, text in sorted(set(events), reverse=True)[:3]]

@@ -1,4 +1,4 @@
-"""Quantities in SI and, where the reader asks for them, in the units of a cockpit in the United States."""
+"""Format quantities in SI and in US cockpit units; the page shows one of the two."""
 
 import re
 from typing import Any
@@ -23,12 +23,12 @@ _US = {
     "10⁻³ m³": ("in³", 61.02374, 0.0),
     "Pa": ("psi", 1.450377e-4, 0.0),
 }
-"""What a unit becomes: its name, factor and offset. A temperature in K is a difference."""
+"""US name, factor and offset of a unit. A temperature in K is a difference."""
 _IN_WORDS = re.compile(r"([+\-\N{MINUS SIGN}]?\d+(?:[.,](\d+))?) (K|kg/s)(?!\w)")
 
 
 def to_us(value: float, unit: str) -> tuple[float, str]:
-    """A value and its unit in the other system; as they are where it has none of its own.
+    """Convert a value to US units; a unit without a US one stays.
 
     Examples
     --------
@@ -40,25 +40,25 @@ def to_us(value: float, unit: str) -> tuple[float, str]:
 
 
 def both(si: Any, us: Any) -> Markup:
-    """The same thing said in both systems; the page shows one of them."""
+    """Write a text in both systems of units; the page shows one of them."""
     one, other = escape(si), escape(us)
     return one if one == other else Markup('<span class="si">{}</span><span class="us">{}</span>').format(one, other)
 
 
 def quantity(value: float, unit: str, digits: int = 0) -> Markup:
-    """A number with its unit, in both systems."""
+    """Format a number with its unit in both systems."""
     other, name = to_us(value, unit)
     return both(f"{number(value, digits)} {unit}", f"{number(other, digits)} {name}")
 
 
 def threshold(limit: str, value: float) -> Markup:
-    """What an alert's rule asks for."""
+    """Format the limit of an alert's rule."""
     name, unit = THRESHOLDS[limit]
     return Markup("{} {}").format(_(name), percent(value, 1) if unit == "%" else quantity(value, unit, 1))
 
 
 def estimate(value: float | None, sd: float | None, unit: str) -> Markup:
-    """An estimate with its interval and unit, in both systems; what stands after the unit is said after all."""
+    """Format an estimate with its interval and unit in both systems; text after the unit follows at the end."""
     if value is None:
         return escape(figures(None))
     unit, at, condition = visible(unit).partition(" at ")
@@ -68,20 +68,20 @@ def estimate(value: float | None, sd: float | None, unit: str) -> Markup:
 
 
 def _estimate(ends: list[float], unit: str) -> str:
-    told = f"{figures(ends[0])} {unit}".removesuffix(" -")
-    return f"{told} ({_('{low} to {high}', low=figures(ends[1]), high=figures(ends[2]))})" if len(ends) > 1 else told
+    value = f"{figures(ends[0])} {unit}".removesuffix(" -")
+    return f"{value} ({_('{low} to {high}', low=figures(ends[1]), high=figures(ends[2]))})" if len(ends) > 1 else value
 
 
 def in_words(text: str) -> Markup:
-    """Text with the quantities in it in both systems; a temperature in K is a difference."""
+    """Write the quantities in a text in both systems; a temperature in K is a difference."""
     parts, last = [], 0
-    for found in _IN_WORDS.finditer(text):
-        parts += [escape(text[last : found.start()]), both(found[0], _other(*found.groups()))]
-        last = found.end()
+    for match in _IN_WORDS.finditer(text):
+        parts += [escape(text[last : match.start()]), both(match[0], _us_text(*match.groups()))]
+        last = match.end()
     return Markup("").join([*parts, escape(text[last:])])
 
 
-def _other(figures: str, decimals: str | None, unit: str) -> str:
+def _us_text(figures: str, decimals: str | None, unit: str) -> str:
     value, name = to_us(float(figures.replace("\N{MINUS SIGN}", "-").replace(",", ".")), unit)
     sign = "+" if figures.startswith("+") else ""
     return f"{sign}{number(value, len(decimals or ''))} {name}"

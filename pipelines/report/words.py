@@ -1,4 +1,4 @@
-"""Numbers and cases as the night shift says them. Every interval is one of 90 %."""
+"""Labels, numbers and sentences of report, digest and terminal. Every interval is one of 90 %."""
 
 import math
 import re
@@ -12,18 +12,18 @@ from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
 from pipelines.words import _, grouped, number, several
-from pipelines.words.evidence import retold
+from pipelines.words.evidence import translate_evidence
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "none": "No action", "unknown": "Not known"}
-"""In the order of every output: what is not known stands last, and says what is missing."""
+"""Labels of urgency, in the order of every output."""
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
 PARTS = {**{c.code: c.name for c in components().values()}, "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 SIDES = {1: "left", 2: "right"}
 WEARS = {c.code: (c.lost, int(c.warn_loss < 0.1)) for c in components().values()}
-"""Components that wear: what they lose, and the digits that its percentage is told with."""
+"""Components that wear: name of the loss, and decimals of its percentage."""
 NAMES = {**{c.diagnosis: f"{c.name} worn" for c in components().values()}, **{c: d.name for c, d in DIAGNOSES.items()}}
-"""Diagnoses as the night shift says them."""
+"""Labels of diagnoses."""
 THRESHOLDS = {
     "fouling": ("conductance lost above", "%"),
     "clog": ("lost within three flights above", "%"),
@@ -31,37 +31,37 @@ THRESHOLDS = {
     "compressor": ("efficiency lost above", "%"),
     "peg_k": ("outlet above its target by", "K"),
 }
-"""What the limit of each diagnosis is on, and its unit."""
+"""Quantity and unit of each alert limit."""
 FEW = 10
-"""Judged cases below which a share is told to rest on few."""
+"""Cases with an outcome below which a hit rate is marked as based on few; also the packs that one line names."""
 DASH = "\N{EN DASH}"
-# control characters and those that turn the direction of text: a name must not reorder the sentence it stands in
+# control characters and those that change the direction of text: a name must not reorder its sentence
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
 
 
 def pack_name(row: Row) -> str:
-    """`LX-AAC pack 2 (right)`."""
+    """Name a pack, such as `LX-AAC pack 2 (right)`."""
     name = _("{tail} pack {pack}", tail=row["tail"], pack=row["pack"])
     return f"{name} ({_(SIDES[row['pack']])})" if row["pack"] in SIDES else name
 
 
 def unit_name(row: Row) -> str:
-    """`LX-AAC hydraulic oil cooler 2`."""
+    """Name a unit, such as `LX-AAC hydraulic oil cooler 2`."""
     return f"{row['tail']} {_(row['name'])} {row['pack']}"
 
 
 def unit_key(row: Row) -> tuple[Any, ...]:
-    """Operator, tail and pack."""
+    """Return operator, tail and pack."""
     return row["operator"], row["tail"], row["pack"]
 
 
 def urgency(row: Row) -> str:
-    """How urgent it is."""
+    """Label the urgency of a row."""
     return _(URGENCY[row["urgency"]])
 
 
 def unknown(rows: Iterable[Row]) -> list[str]:
-    """A line for all packs, or units, that lack an estimate for the same reason."""
+    """Write a line for all packs, or units, that lack an estimate for the same reason."""
     same: dict[str, list[Row]] = {}
     for row in rows:
         if row["urgency"] == "unknown":
@@ -83,69 +83,69 @@ def _unknown(rows: list[Row], missing: str) -> str:
 
 
 def _missing(row: Row) -> str:
-    """Why there is no estimate, as far as the flights show it."""
+    """State why there is no estimate, as far as the flights show it."""
     reason, columns = REASONS.get(row["missing_reason"] or ""), row.get("missing_columns")
     why = [_(reason)] if reason else []
     return "".join(f"; {x}" for x in [*why, *([_("without values: {columns}", columns=columns)] if columns else [])])
 
 
-def found_by(row: Row, diagnoses: str | None = None) -> str:
-    """What the page's search finds a row or a card by."""
+def search_text(row: Row, diagnoses: str | None = None) -> str:
+    """Return the text by which the page's search finds a row or a card."""
     name = unit_name(row) if "name" in row else pack_name(row)
-    said = f"{diagnoses} {diagnosis(diagnoses)}" if diagnoses else ""
-    return f"{row['operator']} {name} {said} {urgency(row) if row.get('urgency') else ''}".lower()
+    labels = f"{diagnoses} {diagnosis(diagnoses)}" if diagnoses else ""
+    return f"{row['operator']} {name} {labels} {urgency(row) if row.get('urgency') else ''}".lower()
 
 
 def percent(value: float | None, digits: int = 0) -> str:
-    """A share in percent; a dash where there is none."""
+    """Format a share in percent; a dash for None."""
     return DASH if value is None else f"{number(100 * value, digits)} %"
 
 
 def chance(value: float | None) -> str:
-    """A probability; one in hundreds is not told from nothing."""
+    """Format a probability; below 1 % and above 99 % without further digits."""
     if value is None:
         return DASH
     return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else percent(value)
 
 
 def loss(row: Row) -> str:
-    """Conductance lost, with its interval."""
+    """Format conductance lost with its interval."""
     return share(row["hx_fouling"], row["hx_fouling_sd"])
 
 
 def share(value: float | None, sd: float | None, digits: int = 0) -> str:
-    """A share in percent with its interval: `34 % (32 to 36)`."""
+    """Format a share in percent with its interval: `34 % (32 to 36)`."""
     if value is None:
         return _("not known")
     return percent(value, digits) if sd is None else f"{percent(value, digits)} ({span(value, sd, digits, 100.0)})"
 
 
 def span(value: float, sd: float, digits: int, scale: float = 1.0) -> str:
-    """The interval about an estimate: `32 to 36`."""
+    """Format the interval of an estimate: `32 to 36`."""
     low, high = (number(scale * (value + side * Z_90 * sd), digits) for side in (-1, 1))
     return _("{low} to {high}", low=low, high=high)
 
 
 def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
-    """What an alert's component had lost, and what was expected of it, at `raised` or `now`: name and value.
+    """Return names and values of an alert's loss and forecast at `raised` or `now`.
 
-    Nothing for doors and sensors, which lose nothing that is measured.
+    Empty for doors and sensors, which have no measured loss.
     """
     if alert["component"] not in WEARS:
         return []
-    lost, digits = WEARS[alert["component"]]
+    loss_name, digits = WEARS[alert["component"]]
     outlook = {k: alert[f"{moment}_{k}"] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50")}
     return [
-        (_(lost), share(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
+        (_(loss_name), share(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
         (_("Flights left (90 %)"), flights_left(outlook)),
         (_("Message in 50 flights"), chance(outlook["p_event_50"])),
     ]
 
 
 def flights_left(row: Row) -> str:
-    """Flights left with the 90 % interval, or only what they surely exceed where no event is near.
+    """Format flights left with the 90 % interval, or only its lower end where no event is near.
 
-    300 stands for 300 or more: nobody looks further.
+    300 stands for 300 or more, the forecast's horizon.
     """
     rul, low, high, p = (row[k] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50"))
     if rul is None:
@@ -155,20 +155,20 @@ def flights_left(row: Row) -> str:
     if rul >= HORIZON or (p is not None and p < 0.05):
         return _("more than {n}", n=number(low))
     ends = {"low": number(low), "high": number(high)}
-    told = _("{low} to {high} or more", **ends) if high >= HORIZON else _("{low} to {high}", **ends)
-    return f"{number(rul)} ({told})"
+    interval = _("{low} to {high} or more", **ends) if high >= HORIZON else _("{low} to {high}", **ends)
+    return f"{number(rul)} ({interval})"
 
 
 def diagnosis(code: str) -> str:
-    """A diagnosis code, or several with commas between, in words."""
+    """Label a diagnosis code, or several separated by commas."""
     return ", ".join(_(NAMES.get(c, c)) for c in map(str.strip, code.split(",")))
 
 
 def hit_rate(row: Row | None) -> str:
-    """How often alerts of a kind were right: `3 of 4 confirmed (75 %, 37 to 94); 2 still open. Few cases.`"""
+    """Format how often alerts of a kind were right: `3 of 4 confirmed (75 %, 37 to 94); 2 still open; few cases`."""
     if row is None or not row["n_judged"]:
-        return _("no case of it has been judged yet")
-    told = _(
+        return _("no case has an outcome yet")
+    share_right = _(
         "{right} of {judged} confirmed ({share}, {low} to {high})",
         right=count(row["n_right"]),
         judged=count(row["n_judged"]),
@@ -176,23 +176,23 @@ def hit_rate(row: Row | None) -> str:
         low=number(100 * row["hit_rate_low"]),
         high=number(100 * row["hit_rate_high"]),
     )
-    left = several("; {n} still open", "; {n} still open", row["n_open"]) if row["n_open"] else ""
+    n_open = several("; {n} still open", "; {n} still open", row["n_open"]) if row["n_open"] else ""
     few = _("; few cases") if row["n_judged"] < FEW else ""
-    return told + left + few
+    return share_right + n_open + few
 
 
 def day(value: Any) -> str:
-    """`2024-06-17`."""
+    """Format a day: `2024-06-17`."""
     return DASH if value is None else f"{value:%Y-%m-%d}"
 
 
 def clock(value: Any) -> str:
-    """`2024-06-17 09:29 UTC`."""
+    """Format a time: `2024-06-17 09:29 UTC`."""
     return DASH if value is None else f"{value:%Y-%m-%d %H:%M} UTC"
 
 
 def figures(value: float | None, digits: int = 4) -> str:
-    """Some significant digits, without an exponent where the number is of common size."""
+    """Format to significant digits, without an exponent between 1e-4 and 1e6."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
@@ -201,30 +201,25 @@ def figures(value: float | None, digits: int = 4) -> str:
 
 
 def count(n: int) -> str:
-    """A number of things, thousands apart."""
+    """Format a count with thousands separators."""
     return grouped(n)
 
 
-def packs(n: int) -> str:
-    """`1 pack`, `3 packs`."""
-    return several("{n} pack", "{n} packs", n)
-
-
 def visible(text: str) -> str:
-    """Text whose hidden characters show."""
+    """Replace hidden characters by a visible one."""
     return _HIDDEN.sub("\ufffd", text)
 
 
 def tidy(sentence: str) -> str:
-    """Evidence or an action in the language spoken, with the signs a reader expects."""
-    return retold(sentence.replace("+-", "±"))
+    """Translate evidence or an action, with typographic signs."""
+    return translate_evidence(sentence.replace("+-", "±"))
 
 
 def plain(sentence: str) -> str:
-    """Evidence or an action without the names that columns have in the catalog."""
+    """Translate evidence or an action and drop the catalog's column names."""
     return re.sub(r" \((?:[a-z]+\d*_)+[a-z0-9]+\)", "", tidy(sentence))
 
 
 def finding(evidence: str) -> str:
-    """Evidence up to its witnesses: for where alternatives and cost are told beside it already."""
+    """Translate evidence without its alternatives, for where these are listed already."""
     return tidy(evidence.partition(" Else:")[0])

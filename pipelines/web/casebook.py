@@ -1,7 +1,6 @@
-"""The page of cases: who is signed in sees the open cases of the operators that are theirs, and may change them.
+"""Serve the page of cases: a signed-in person reads, and an engineer changes, the cases of their operators.
 
-Everything it shows is read from the catalog and the log of cases, read only; the one thing it writes is a line of that
-log. No script runs in it.
+The page reads the catalog and the log of cases and writes only lines of that log. No script runs in it.
 """
 
 import re
@@ -18,8 +17,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework.board import Board, Row
-from pipelines.casework.changes import DONE, FOUND, KINDS, change_case
+from pipelines.casework.board import Board, Row, component_key
+from pipelines.casework.changes import ACTIONS, FINDINGS, KINDS, change_case
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.postgres import DatabaseError
 from pipelines.web.guard import Guard
@@ -32,8 +31,8 @@ _UNREADABLE = (OSError, DatabaseError, duckdb.Error, sqlite3.Error)
 
 
 def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
-    """The page of a home for who comes by one of the `names` and is signed in."""
-    casebook = Casebook(home, may_leave=isinstance(sign_in, LocalToken))
+    """Build the page of a home, reachable by the host `names` after `sign_in`."""
+    casebook = Casebook(home, with_logout=isinstance(sign_in, LocalToken))
     routes = [
         Route("/", casebook.list, methods=["GET"]),
         Route("/case/{alert_id:str}", casebook.show, methods=["GET"]),
@@ -44,28 +43,30 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
 
 
 class Casebook:
-    """Answers of one home's page.
+    """Routes of one home's page.
 
     Parameters
     ----------
     home : Path
         Holds catalog and log of cases.
-    may_leave : bool
-        Whether a session is ours to end.
+    with_logout : bool
+        Whether this server holds the session and can end it.
     """
 
-    def __init__(self, home: Path, may_leave: bool) -> None:
-        self.home, self.board, self.may_leave = home, Board(home), may_leave
+    def __init__(self, home: Path, with_logout: bool) -> None:
+        self.home, self.board, self.with_logout = home, Board(home), with_logout
 
     async def list(self, request: Request) -> Response:
-        """The open cases, or all, of the person's operators."""
+        """Show the open cases, or all, of the person's operators."""
         person, every = request.state.person, "all" in request.query_params
-        board = await run_in_threadpool(self.board.read)
-        cases = [c for c in board.cases.values() if person.sees(c["operator"]) and (every or c["state"] != "closed")]
+        snapshot = await run_in_threadpool(self.board.read)
+        cases = [
+            c for c in snapshot.cases.values() if person.may_read(c["operator"]) and (every or c["state"] != "closed")
+        ]
         return self._page(request, "cases.html", title="Cases", cases=cases, every=every)
 
     async def show(self, request: Request) -> Response:
-        """One case."""
+        """Show one case."""
         return await self._case(request)
 
     async def change(self, request: Request) -> Response:
@@ -76,12 +77,13 @@ class Casebook:
         if not person.may_change:
             return self._message(request, 403, "A viewer changes nothing; ask an engineer.")
         async with request.form(max_files=0) as form:
-            kind, seen, fields = _word(form, "kind"), _word(form, "seen"), {k: _word(form, k) or None for k in _FIELDS}
-        if kind not in KINDS or not re.fullmatch(r"[0-9]{1,18}", seen):
-            return self._message(request, 400, "There is nothing of that kind to do.")
+            kind, line = _field(form, "kind"), _field(form, "seen")
+            fields = {k: _field(form, k) or None for k in _FIELDS}
+        if kind not in KINDS or not re.fullmatch(r"[0-9]{1,18}", line):
+            return self._message(request, 400, "This page has no such action.")
         try:
             message = await run_in_threadpool(
-                lambda: change_case(self.home, case, kind, person.name, int(seen), **fields)
+                lambda: change_case(self.home, case, kind, person.name, int(line), **fields)
             )
         except ConflictError as error:
             return await self._case(request, 409, f"Nothing was written: {error}.")
@@ -90,38 +92,38 @@ class Casebook:
         return await self._case(request, message=message)
 
     async def unreadable(self, request: Request, error: Exception) -> Response:
-        """Say in one line that there is nothing to show, and what mends it."""
+        """Report in one line why the catalog can't be read."""
         if isinstance(error, duckdb.CatalogException | duckdb.BinderException):
-            return self._message(request, 503, "The catalog was made by an earlier version; the next night renews it.")
+            return self._message(request, 503, "An earlier version wrote the catalog; the next night renews it.")
         return self._message(request, 503, f"{str(error).splitlines()[0]}.")
 
     async def _find(self, request: Request) -> Row | None:
-        """The case that the address names in full, if it is the person's to see."""
+        """Return the case of the full alert id in the address, if the person may read it."""
         case = (await run_in_threadpool(self.board.read)).cases.get(request.path_params["alert_id"])
-        return case if case and request.state.person.sees(case["operator"]) else None
+        return case if case and request.state.person.may_read(case["operator"]) else None
 
     async def _case(self, request: Request, status: int = 200, message: str = "") -> Response:
         board, case = await run_in_threadpool(self.board.read), await self._find(request)
         if case is None:
             return self._none(request)
-        due, choices = board.outlook.of(case)
+        component = component_key(case)
         return self._page(
             request, "case.html", status, title=f"{case['tail']} pack {case['pack']}: {case['diagnosis']}", case=case,
-            history=board.history.get(case["alert_id"], []), message=message, findings=list(FOUND), actions=DONE,
-            due=due, choices=choices,
+            history=board.history.get(case["alert_id"], []), message=message, findings=list(FINDINGS), actions=ACTIONS,
+            due=board.due.get(component), choices=board.choices.get(component, []),
         )  # fmt: skip
 
     def _none(self, request: Request) -> Response:
-        """The same for a case that there is not and for one of another operator."""
+        """Answer alike for a case that does not exist and for one of another operator."""
         return self._message(request, 404, "There is no such case.")
 
     def _message(self, request: Request, status: int, message: str) -> Response:
         return self._page(request, "message.html", status, title="Cases", message=message)
 
     def _page(self, request: Request, template: str, status: int = 200, **context: Any) -> Response:
-        return html_page(template, status, person=request.state.person, may_leave=self.may_leave, **context)
+        return html_page(template, status, person=request.state.person, with_logout=self.with_logout, **context)
 
 
-def _word(form: FormData, name: str) -> str:
+def _field(form: FormData, name: str) -> str:
     value = form.get(name)
     return value.strip() if isinstance(value, str) else ""

@@ -1,8 +1,8 @@
-"""What stands before a page: its own name and origin only, small bodies, and a sign-in.
+"""Guard a page: refuse foreign hosts, foreign origins and large bodies, and require a sign-in.
 
 Any page that is open in the same browser can send requests to this machine. It can choose neither the `Host` by which
-the browser reached this server nor the `Origin` that the browser adds, so both must be the page's own, and what changes
-anything must name its origin: no form or script of another page can.
+the browser reached this server nor the `Origin` that the browser adds, so both must be the page's own, and a request
+that changes anything must name its origin: no form or script of another page can.
 """
 
 import re
@@ -29,7 +29,7 @@ HEADERS = {
 
 
 class Guard:
-    """Lets through who comes by one of the page's names and is signed in; `request.state.person` is who that is.
+    """Middleware that passes requests to own host names from signed-in people; sets `request.state.person`.
 
     Parameters
     ----------
@@ -38,27 +38,27 @@ class Guard:
     names : collection of str
         Names, without a port, by which this machine or the proxy before it is called.
     sign_in : SignIn, optional
-        Says who asks; without one anybody may.
+        Identifies the person; without one anybody may use the page.
     max_body : int, optional
-        Bytes of a request; without it, any number.
-    by_post : collection of str
-        Paths at which nothing but POST is answered.
+        Limit of a request's body [bytes]; without it, none.
+    post_only : collection of str
+        Paths that answer POST alone.
     """
 
     def __init__(
         self, app: ASGIApp, names: Collection[str], sign_in: SignIn | None = None, max_body: int | None = None,
-        by_post: Collection[str] = (),
+        post_only: Collection[str] = (),
     ) -> None:  # fmt: skip
         self.app, self.names, self.sign_in = app, frozenset(names), sign_in
-        self.max_body, self.by_post = max_body, frozenset(by_post)
+        self.max_body, self.post_only = max_body, frozenset(post_only)
 
     def serve(self, sock: socket.socket) -> None:
-        """Serve the page until someone stops it."""
+        """Serve the page until the process is stopped."""
         config = uvicorn.Config(self, log_level="warning", server_header=False, proxy_headers=False)
         uvicorn.Server(config).run(sockets=[sock])
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or let the page do it."""
+        """Answer a refused request, or pass it to the page."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
@@ -79,7 +79,7 @@ class Guard:
             await answer(scope, receive, send_guarded)
 
     def _answer(self, scope: Scope) -> Response | None:
-        """What turns the request away or signs it in or out; None lets it through."""
+        """Return the answer to a request that the page must not get; None where it may."""
         connection = HTTPConnection(scope)
         if refusal := self._refusal(scope, connection.headers):
             return PlainTextResponse(f"{refusal[1]}\n", refusal[0])
@@ -90,26 +90,26 @@ class Guard:
         return None
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
-        """Why a request is refused whoever sends it."""
+        """Return status and reason where a request is refused whoever sends it."""
         method = scope.get("method", "GET")  # a web socket begins with one
-        if is_foreign(headers, self.names, names_origin=method == "POST" or scope["type"] == "websocket"):
+        if is_foreign(headers, self.names, needs_origin=method == "POST" or scope["type"] == "websocket"):
             return HTTPStatus.FORBIDDEN, "this page answers under its own address only; --name adds a proxy's"
-        if method not in METHODS or (method != "POST" and scope["type"] == "http" and scope["path"] in self.by_post):
-            return HTTPStatus.METHOD_NOT_ALLOWED, "this is asked by POST" if method in METHODS else "no such method"
+        if method not in METHODS or (method != "POST" and scope["type"] == "http" and scope["path"] in self.post_only):
+            return HTTPStatus.METHOD_NOT_ALLOWED, "use POST" if method in METHODS else "no such method"
         if self.max_body is not None and not _is_small(method, headers, self.max_body):
-            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request says its length and has {self.max_body} bytes"
+            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request declares its length, at most {self.max_body} bytes"
         return None
 
 
-def is_foreign(headers: Headers, names: Collection[str], *, names_origin: bool) -> bool:
-    """Whether a request came by another name than ours or from another page; or, where it must, names no origin."""
+def is_foreign(headers: Headers, names: Collection[str], *, needs_origin: bool) -> bool:
+    """Test for another host name than ours, another page's origin, or a missing origin where one is needed."""
     hosts, origin = headers.getlist("host"), headers.get("origin")
     if len(hosts) != 1 or re.sub(r":\d{1,5}$", "", hosts[0]).lower() not in names:
         return True
-    return names_origin if origin is None else origin not in {f"http://{hosts[0]}", f"https://{hosts[0]}"}
+    return needs_origin if origin is None else origin not in {f"http://{hosts[0]}", f"https://{hosts[0]}"}
 
 
 def _is_small(method: str, headers: Headers, max_body: int) -> bool:
-    """Whether the body's length is told beforehand and not above the limit."""
+    """Test that the declared length of the body is within the limit."""
     length = headers.get("content-length", "" if method == "POST" else "0")
     return re.fullmatch(r"[0-9]{1,9}", length) is not None and int(length) <= max_body

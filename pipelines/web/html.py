@@ -1,4 +1,4 @@
-"""Pages as they are sent: nothing in them runs, and nothing is fetched for them."""
+"""Render pages that run no script and fetch nothing."""
 
 import re
 from functools import cache
@@ -14,7 +14,7 @@ _POLICY = "default-src 'none'; style-src {}; img-src data:; form-action 'self'; 
 
 
 def html_page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
-    """A page with its content security policy, kept by no browser."""
+    """Render a page with its content security policy; browsers do not store it."""
     html = _environment().get_template(template).render(language="en", **context)
     (style,) = re.findall(r"<style>(.*?)</style>", html, flags=re.DOTALL)
     headers = {"content-security-policy": _POLICY.format(source_hash(style)), "cache-control": "no-store"}
@@ -24,5 +24,5 @@ def html_page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
 @cache
 def _environment() -> Environment:
     environment = templates_of("pipelines.web", "pipelines.report")
-    environment.filters["plainly"] = words.diagnosis
+    environment.filters["label"] = words.diagnosis
     return environment

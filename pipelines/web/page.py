@@ -1,4 +1,4 @@
-"""Dagster's page behind the guard, and Dagster's daemon beside it."""
+"""Serve Dagster's page behind the guard, with Dagster's daemon beside it where runs may be started."""
 
 import os
 import socket
@@ -20,52 +20,52 @@ def serve(
     home: Path,
     landing: Path,
     sock: socket.socket,
-    say: Callable[[str], None],
+    report_address: Callable[[str], None],
     names: tuple[str, ...] = (),
     read_only: bool = True,
     daemon: bool = True,
 ) -> None:
-    """Serve the page until someone stops it.
+    """Serve the page until the process is stopped.
 
-    Read only, anybody who reaches it may look. Else whoever comes must bring a token, and Dagster's daemon runs too.
+    A read-only page needs no sign-in; one that starts runs needs the printed token, with the daemon beside it.
 
     Parameters
     ----------
     home, landing : Path
-        What the page's assets work on.
+        Folders the page's assets work on.
     sock : socket
-        Where it listens.
-    say : callable
+        Listening socket.
+    report_address : callable
         Gets the address, with the token where one is needed.
     names : tuple of str
         Names, without a port, by which a proxy calls this machine.
     read_only : bool
-        Whether no run, schedule or sensor can be started.
+        Refuse to start runs, schedules and sensors.
     daemon : bool
-        Whether the daemon is started where the page is not read only.
+        Start the daemon where the page is not read only.
     """
     os.environ |= {"HDT_HOME": str(home), "HDT_LANDING": str(landing), "DAGSTER_HOME": str(home / "dagster")}
-    os.chdir(home)  # dagster would read a dagster.yaml that lies in the folder it is started from
+    os.chdir(home)  # dagster reads a dagster.yaml in its working directory
     sign_in = None if read_only else LocalToken(Person("local"))
     with (
         open_instance(home) as instance,
         application(instance, LOCATION, read_only) as app,
         _daemon() if daemon and not read_only else nullcontext(),
     ):
-        say(f"http://127.0.0.1:{sock.getsockname()[1]}/{f'?token={sign_in.token}' if sign_in else ''}")
-        # Dagster answers a GraphQL change that comes by GET, with which any page on this machine could begin one
-        Guard(app, LOCAL | set(names), sign_in, by_post=("/graphql",)).serve(sock)
+        report_address(f"http://127.0.0.1:{sock.getsockname()[1]}/{f'?token={sign_in.token}' if sign_in else ''}")
+        # Dagster carries out a GraphQL mutation sent by GET, which any page in this browser could send
+        Guard(app, LOCAL | set(names), sign_in, post_only=("/graphql",)).serve(sock)
 
 
 @contextmanager
 def _daemon() -> Iterator[None]:
-    """What runs schedules, sensors and queued runs."""
-    started = subprocess.Popen(daemon_command(LOCATION))
+    """Run the daemon for schedules, sensors and queued runs."""
+    process = subprocess.Popen(daemon_command(LOCATION))
     try:
         yield
     finally:
-        started.terminate()
+        process.terminate()
         try:
-            started.wait(_DAEMON_ENDS_S)
+            process.wait(_DAEMON_ENDS_S)
         except subprocess.TimeoutExpired:
-            started.kill()
+            process.kill()

@@ -1,6 +1,6 @@
-"""Who may do what on the page of cases: `roles.toml` of the home, a role a name.
+"""Read `roles.toml` of a home: who may read or change which operators' cases on the page.
 
-A viewer looks, an engineer changes cases. Who is given operators sees theirs alone.
+A viewer reads, an engineer also changes cases. A person with `operators` reads those operators' cases only.
 """
 
 import os
@@ -16,12 +16,12 @@ _MAX_NAME = 80
 
 
 class RolesError(ValueError):
-    """What is wrong with the file, in one line that names the entry."""
+    """A wrong `roles.toml`; one line that names the entry."""
 
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """Who asks; `operators` is empty for who sees all of them."""
+    """A signed-in person; an empty `operators` stands for all of them."""
 
     name: str
     role: str = "engineer"
@@ -29,27 +29,27 @@ class Person:
 
     @property
     def may_change(self) -> bool:
-        """Whether cases may be changed."""
+        """Test for a role that changes cases."""
         return self.role == "engineer"
 
-    def sees(self, operator: str) -> bool:
-        """Whether cases of an operator may be seen."""
+    def may_read(self, operator: str) -> bool:
+        """Test whether the person may read an operator's cases."""
         return not self.operators or operator in self.operators
 
 
 def read_people(home: Path) -> dict[str, Person]:
-    """Everybody below `[people]`, by name; nobody where there is no file.
+    """Return everybody below `[people]`, by name; nobody where there is no file.
 
     Raises
     ------
     RolesError
-        The file is no TOML, or an entry is unknown or can't be.
+        The file is not TOML, or an entry is unknown or invalid.
     """
     return {name: _person(name, entry) for name, entry in _read(home)["people"].items()}
 
 
 def local_person(home: Path) -> Person:
-    """Who comes with the token that the command prints: this account, an engineer unless `local` gives another role.
+    """Return the person of the printed token: this account, an engineer unless `local` sets another role.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def _read(home: Path) -> dict[str, Any]:
 
 
 def _person(name: str, entry: Any) -> Person:
-    """One entry: a role, or a table of `role` and `operators`."""
+    """Check one entry: a role, or a table of `role` and `operators`."""
     where, entry = f"{FILE}: {name!r}", entry if isinstance(entry, dict) else {"role": entry}
     if not (0 < len(name) <= _MAX_NAME and name.isprintable() and name == name.strip()):
         raise RolesError(f"{where}: a name has 1 to {_MAX_NAME} printable characters")
@@ -90,5 +90,5 @@ def _person(name: str, entry: Any) -> Person:
     if not isinstance(operators, list) or not all(isinstance(o, str) for o in operators):
         raise RolesError(f"{where}: operators is a list of texts, not {operators!r}")
     if "operators" in entry and not operators:
-        raise RolesError(f"{where}: operators is empty; leave it out for who sees all of them")
+        raise RolesError(f"{where}: operators is empty; leave it out to allow all of them")
     return Person(name, role, tuple(operators))

@@ -1,6 +1,6 @@
-"""All words that a reader meets, by their English text: gettext's catalogs, one a language.
+"""Translate messages by their English text with gettext's catalogs, one a language.
 
-The English text is the name of a message. Values stand in it as `{name}`; what is not translated is said in English.
+The English text is the message's id. Values stand in it as `{name}`; a message without a translation stays English.
 """
 
 from collections.abc import Iterator
@@ -12,78 +12,78 @@ from importlib import resources
 from typing import Any
 
 ENGLISH, DOMAIN = "en", "hdt"
-_spoken: ContextVar[str] = ContextVar("language", default=ENGLISH)
+_language: ContextVar[str] = ContextVar("language", default=ENGLISH)
 
 
 class NoLanguageError(ValueError):
-    """A language that there are no words of; names those there are."""
+    """An unknown language; the message lists the known ones."""
 
 
 def languages() -> list[str]:
-    """Languages there are, English first."""
-    found = (f.name.removesuffix(".mo") for f in resources.files("pipelines.words").iterdir() if f.name.endswith(".mo"))
-    return [ENGLISH, *sorted(found)]
+    """List the languages, English first."""
+    files = (f.name for f in resources.files("pipelines.words").iterdir())
+    return [ENGLISH, *sorted(name.removesuffix(".mo") for name in files if name.endswith(".mo"))]
 
 
 def language() -> str:
-    """The language spoken now."""
-    return _spoken.get()
+    """Return the language in use."""
+    return _language.get()
 
 
 @contextmanager
-def speaking(wanted: str | None) -> Iterator[None]:
-    """Speak a language for a while; English where none is named.
+def use_language(name: str | None) -> Iterator[None]:
+    """Use a language within the block; English without a name.
 
     Raises
     ------
     NoLanguageError
         There is no such language.
     """
-    chosen = wanted or ENGLISH
-    if chosen not in languages():
-        raise NoLanguageError(f"no language {chosen}; there are {', '.join(languages())}")
-    token = _spoken.set(chosen)
+    code = name or ENGLISH
+    if code not in languages():
+        raise NoLanguageError(f"no language {code}; there are {', '.join(languages())}")
+    token = _language.set(code)
     try:
         yield
     finally:
-        _spoken.reset(token)
+        _language.reset(token)
 
 
 @cache
-def catalog_of(chosen: str) -> NullTranslations:
-    """The catalog of a language, as gettext reads it."""
-    if chosen == ENGLISH:
+def catalog_of(code: str) -> NullTranslations:
+    """Load the catalog of a language."""
+    if code == ENGLISH:
         return NullTranslations()
-    with (resources.files("pipelines.words") / f"{chosen}.mo").open("rb") as file:
+    with (resources.files("pipelines.words") / f"{code}.mo").open("rb") as file:
         return GNUTranslations(file)
 
 
 def _(message: str, **values: Any) -> str:
-    """A message in the language spoken, with its values in it.
+    """Translate a message and fill in its values.
 
     Examples
     --------
     >>> _("{n} packs watched", n=16)
     '16 packs watched'
     """
-    said = catalog_of(language()).gettext(message) if message else ""
-    return said.format(**values) if values else said
+    text = catalog_of(language()).gettext(message) if message else ""
+    return text.format(**values) if values else text
 
 
 def several(one: str, many: str, n: int, **values: Any) -> str:
-    """A message of a number of things; `n` is among its values.
+    """Translate a message about `n` things and fill in its values, `n` among them.
 
     Examples
     --------
     >>> several("{n} pack", "{n} packs", 1)
     '1 pack'
     """
-    said = catalog_of(language()).ngettext(one, many, n)
-    return said.format(n=grouped(n), **values)
+    text = catalog_of(language()).ngettext(one, many, n)
+    return text.format(n=grouped(n), **values)
 
 
 def number(value: float, digits: int = 0) -> str:
-    """A number as the language writes it, with a true minus.
+    """Format a number as the language writes it, with a true minus sign.
 
     Examples
     --------

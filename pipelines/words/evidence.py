@@ -1,7 +1,7 @@
-"""What the catalog says in English - evidence and actions - said in another language, phrase by phrase.
+"""Translate the catalog's English evidence and actions phrase by phrase.
 
-Evidence is stored as the core wrote it. The core declares each phrase once (`hdt_core.alerts.phrases`), so a phrase is
-known again wherever it stands in a sentence, and its values are taken over; what is no such phrase stays as it is.
+Evidence is stored as the core wrote it. The core declares each phrase once (`hdt_core.alerts.phrases`), so each phrase
+of a sentence can be matched and translated with its values; text that matches no phrase stays as it is.
 """
 
 import re
@@ -25,66 +25,61 @@ _ENDS = r"(?=$|[;,.:)](?:\s|$)|;| \()"
 
 
 def phrases() -> list[str]:
-    """Every phrase that evidence and actions are made of, components of other packages included."""
+    """List every phrase of evidence and actions, those of installed components included."""
     declared = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
     named = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     roles = [f"{role}:" for role in (*ROLES, "Else")]
     return list(dict.fromkeys([*PHRASES.values(), *SIGNALS.values(), *CHECKS.values(), *named, *declared, *roles]))
 
 
-def retold(sentence: str) -> str:
-    """Evidence or an action in the language spoken."""
-    return sentence if language() == ENGLISH else _retold(sentence, language())
+def translate_evidence(sentence: str) -> str:
+    """Translate evidence or an action into the language in use."""
+    return sentence if language() == ENGLISH else _translate(sentence, language())
 
 
 @cache
-def _retold(sentence: str, spoken: str) -> str:
-    told, at = [], 0
-    while at < len(sentence):
-        found = next((hit for pattern, to in _patterns(spoken) if (hit := _at(pattern, to, sentence, at))), None)
-        if found is None:
-            told.append(sentence[at])
-            at += 1
-        else:
-            told.append(found[0])
-            at = found[1]
-    return "".join(told)
+def _translate(sentence: str, code: str) -> str:
+    parts, start = [], 0
+    while start < len(sentence):
+        hits = (_match(pattern, text, sentence, start) for pattern, text in _patterns(code))
+        part, start = next((hit for hit in hits if hit), (sentence[start], start + 1))
+        parts.append(part)
+    return "".join(parts)
 
 
-def _at(pattern: re.Pattern[str], to: str, sentence: str, at: int) -> tuple[str, int] | None:
-    """A phrase retold, and where it ends, where it begins at `at`; small where it stands within a sentence."""
-    found = pattern.match(sentence, at)
-    if found is None or (at and sentence[at].isalnum() and sentence[at - 1].isalnum()):
+def _match(pattern: re.Pattern[str], translation: str, sentence: str, start: int) -> tuple[str, int] | None:
+    """Translate the phrase that begins at `start`, in lower case within a sentence, and return it with its end."""
+    match = pattern.match(sentence, start)
+    if match is None or (start and sentence[start].isalnum() and sentence[start - 1].isalnum()):
         return None
-    told = to.format(**{n: value_retold(v) for n, v in found.groupdict().items() if n != "small"})
-    return (told[:1].lower() + told[1:] if sentence[at:].startswith(found["small"] or "\0") else told), found.end()
+    text = translation.format(**{n: translate_value(v) for n, v in match.groupdict().items() if n != "small"})
+    return (text[:1].lower() + text[1:] if sentence[start:].startswith(match["small"] or "\0") else text), match.end()
 
 
-def value_retold(value: str) -> str:
-    """What stands in a phrase: figures, a name with its code, or phrases of their own."""
+def translate_value(value: str) -> str:
+    """Translate a value within a phrase: figures, a name with its code, or phrases of their own."""
     if _FIGURES.fullmatch(value):
         return in_figures(value)
-    named = _CODE.fullmatch(value)
-    if named:
-        plain = named[1][:1].lower() + named[1][1:]
-        known = plain if plain in (*SIGNALS.values(), *CHECKS.values()) else named[1]
-        return f"{_(known)} {named[2]}"
-    return retold(value)
+    if named := _CODE.fullmatch(value):
+        lower = named[1][:1].lower() + named[1][1:]
+        name = lower if lower in (*SIGNALS.values(), *CHECKS.values()) else named[1]
+        return f"{_(name)} {named[2]}"
+    return translate_evidence(value)
 
 
 @cache
-def _patterns(spoken: str) -> list[tuple[re.Pattern[str], str]]:
-    """Phrases as they are looked for, the longest first, each with its translation."""
-    known = sorted(phrases(), key=lambda p: -len(re.sub(r"\{\w+\}", "", p)))
-    return [(pattern_of(p), catalog_of(spoken).gettext(p)) for p in known]
+def _patterns(code: str) -> list[tuple[re.Pattern[str], str]]:
+    """Compile each phrase, the longest first, with its translation."""
+    longest_first = sorted(phrases(), key=lambda p: -len(re.sub(r"\{\w+\}", "", p)))
+    return [(pattern_of(p), catalog_of(code).gettext(p)) for p in longest_first]
 
 
 def pattern_of(phrase: str) -> re.Pattern[str]:
-    """What finds a phrase whatever its values are, and where it begins with a small letter instead of its capital."""
+    """Compile a pattern that matches a phrase with any values, its first letter also in lower case."""
     parts = re.split(r"\{(\w+)\}", phrase)
-    looked_for = [re.escape(p) if k % 2 == 0 else f"(?P<{p}>{_NUMBERS.get(p, _VALUE)})" for k, p in enumerate(parts)]
+    pattern = [re.escape(p) if k % 2 == 0 else f"(?P<{p}>{_NUMBERS.get(p, _VALUE)})" for k, p in enumerate(parts)]
     if phrase[:1].isupper() and not phrase[1:2].isupper():
-        looked_for[0] = f"(?:{phrase[0]}|(?P<small>{phrase[0].lower()}))" + re.escape(parts[0][1:])
+        pattern[0] = f"(?:{phrase[0]}|(?P<small>{phrase[0].lower()}))" + re.escape(parts[0][1:])
     else:
-        looked_for[0] = "(?P<small>(?!))?" + looked_for[0]
-    return re.compile("".join(looked_for) + ("" if phrase.endswith((":", ": ")) else _ENDS))
+        pattern[0] = "(?P<small>(?!))?" + pattern[0]
+    return re.compile("".join(pattern) + ("" if phrase.endswith((":", ": ")) else _ENDS))

@@ -184,9 +184,9 @@ def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
 def test_what_the_doctor_finds_the_next_night_makes_again(whole, children, tmp_path):
     home = tmp_path / "home"
     rotten(whole, home, "features")
-    (said,) = [check.says for check in examine(None, home) if not check.well]
-    assert said.startswith("features/QQX/Z8/")
-    assert said.endswith("`hdt nightly` makes it again")
+    (message,) = [check.message for check in examine(None, home) if not check.well]
+    assert message.startswith("features/QQX/Z8/")
+    assert message.endswith("`hdt nightly` writes it again")
     ended, told = children.night(whole.landing, home)
     assert (ended, told) == (0, "1 of 3 files of features were missing or changed: made again")
     assert fingerprint(home) == whole.stored

@@ -137,7 +137,7 @@ def test_an_idle_night_mends_the_catalog(own_home):
     ill = json.loads(hdt("doctor", "--home", str(home), "--json").stdout)
     assert [c["check"] for c in ill if not c["well"]] == ["catalog"]
     done = hdt("nightly", "--landing", str(landing), "--home", str(home))
-    assert "Catalog made anew, for it could not be read" in done.stdout
+    assert "Catalog written again, for it could not be read" in done.stdout
     assert hdt("query", "--home", str(home), "select count(*) from flights").returncode == 0
     told = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
     assert told["catalog_fault"] is None
@@ -209,7 +209,7 @@ def test_history_may_be_forgotten_and_nothing_is_made_again(own_home):
     before = fingerprint(home)
     shards = {f.name for f in (home / "dagster" / "history").glob("*.db")}
     assert len(shards) > 5
-    assert hdt("tidy", "--home", str(home)).stdout == "0 runs forgotten\n"
+    assert hdt("tidy", "--home", str(home)).stdout == "0 runs deleted\n"
     done = hdt("tidy", "--home", str(home), "--keep-days", "0")
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[0]) > 5

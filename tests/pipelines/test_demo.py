@@ -6,14 +6,14 @@ import polars as pl
 
 from benchmarks.fleets import fly
 from hdt_core.simulate.design import FleetSettings
-from pipelines.cli.make import SHOWN
+from pipelines.cli.make import DEMO
 
 
 def test_its_last_night_has_open_alerts_and_a_history():
-    size = {name: value for name, value in SHOWN.items() if name != "seed"}
+    size = {name: value for name, value in DEMO.items() if name != "seed"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # samples of a pack that is off, as in every night
-        made = fly(SHOWN["seed"], FleetSettings(**size))
+        made = fly(DEMO["seed"], FleetSettings(**size))
     still = made["alerts"].filter(pl.col("closed_at").is_null(), component="HX")
     assert still.filter(severity="high").height >= 1
     assert still["tail"].n_unique() >= 1

@@ -16,11 +16,10 @@ from pipelines.digest import (
     as_json,
     as_text,
     compare,
-    told,
+    read_state,
     work_orders,
 )
 from pipelines.digest import changes_since as since
-from pipelines.digest.render import as_slack, as_teams
 from pipelines.storage.catalog import connect
 
 
@@ -47,7 +46,7 @@ def test_a_digest_tells_what_is_new_worse_closed_and_moved(two_nights):
 
 def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nights):
     with connect(two_nights) as con:
-        now = told.read_state(con)
+        now = read_state(con)
     assert compare(now, now).empty
     assert compare(EMPTY, now).of("AAA").changes == compare(EMPTY, now).changes
     assert compare(EMPTY, now).of("ZZZ").empty
@@ -70,17 +69,6 @@ def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, moved
 
     assert ("moved" in compare(state(then, 20), state(now, 20 + flown)).changes) is moved
     assert compare(state(then, 20), state(now, 20 + flown, life=1)).empty, "another unit has an outlook of its own"
-
-
-def test_slack_and_teams_get_what_they_take(two_nights):
-    digest = since(two_nights)
-    slack, teams = as_slack(digest), as_teams(digest)
-    assert slack["text"] == "Fleet: 1 new, 1 worse, 1 closed, 1 moved"
-    assert all(b["type"] == "section" and len(b["text"]["text"]) <= 3000 for b in slack["blocks"])
-    assert "&lt;now&gt;" in json.dumps(slack)
-    (card,) = teams["attachments"]
-    assert (teams["type"], card["contentType"]) == ("message", "application/vnd.microsoft.card.adaptive")
-    assert {block["type"] for block in card["content"]["body"]} == {"TextBlock"}
 
 
 def test_work_orders_say_by_when(two_nights, tmp_path):

@@ -24,10 +24,10 @@ from pipelines.cli import app
 from pipelines.digest import (
     NotifyError,
     declaration,
+    delivery,
     receivers_of,
+    send_digests,
     senders,
-    tell_night,
-    told,
 )
 from pipelines.storage.publication import publish
 
@@ -94,14 +94,14 @@ def declare(home: Path, *receivers: dict) -> None:
 def test_nothing_is_sent_when_nothing_changed_and_each_night_once(home):
     with webhook() as (url, posts):
         declare(home, {"name": "ops", "kind": "webhook", "url": url})
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         assert [set(p.body["changes"]) for p in posts] == [{"new"}]
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         publish(home)  # a night that changes nothing
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         assert len(posts) == 1
         publish_night(home, SECOND)
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         assert set(posts[-1].body["changes"]) == {"new", "worse", "closed", "moved"}
         assert len(list((home / "notify").iterdir())) == 2, "one state and the record"
 
@@ -109,41 +109,41 @@ def test_nothing_is_sent_when_nothing_changed_and_each_night_once(home):
 def test_a_receiver_that_fails_is_told_with_the_next_night_and_is_in_nobodys_way(home, monkeypatch):
     with webhook() as (url, posts), webhook(*[500] * 3) as (busy, late):
         monkeypatch.setenv("HDT_BUSY", busy)
-        declare(home, {"name": "busy", "kind": "slack", "url_env": "HDT_BUSY"}, {"name": "ops", "kind": "teams",
+        declare(home, {"name": "busy", "kind": "webhook", "url_env": "HDT_BUSY"}, {"name": "ops", "kind": "webhook",
                 "url": url})  # fmt: skip
-        (line,) = tell_night(home)
-        assert line.startswith("busy was not told")
+        (line,) = send_digests(home)
+        assert line.startswith("busy got no digest")
         assert SECRET not in line
         assert (len(posts), len(late)) == (1, 0)
         publish_night(home, SECOND)
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         assert (len(posts), len(late)) == (2, 1)
-        assert late[0].body["text"].startswith("Fleet: 2 new"), "both nights at once: what is open now"
+        assert late[0].body["text"].startswith("Fleet: 2 new"), "text for a chat; both nights at once"
 
 
 @pytest.mark.parametrize(("codes", "arrives"), [((503,), True), ((429, 500), True), ((400,), False), ((302,), False)])
 def test_what_may_pass_is_tried_again_and_a_redirect_is_not_followed(home, codes, arrives):
     with webhook(*codes) as (url, posts):
         declare(home, {"name": "ops", "kind": "webhook", "url": url})
-        assert (tell_night(home) == []) is arrives
+        assert (send_digests(home) == []) is arrives
         assert len(posts) == arrives
 
 
 def test_a_night_that_is_killed_while_it_tells_tells_nobody_twice(home, monkeypatch):
     with webhook() as (url, posts):
         declare(home, *({"name": n, "kind": "webhook", "url": f"{url}/{n}"} for n in ("one", "two", "three")))
-        send = told.send
+        send = delivery.send
 
         def killed(receiver, *rest):
             if receiver.name == "two":
                 raise KeyboardInterrupt
             send(receiver, *rest)
 
-        monkeypatch.setattr(told, "send", killed)
+        monkeypatch.setattr(delivery, "send", killed)
         with pytest.raises(KeyboardInterrupt):
-            tell_night(home)
-        monkeypatch.setattr(told, "send", send)
-        assert tell_night(home) == []
+            send_digests(home)
+        monkeypatch.setattr(delivery, "send", send)
+        assert send_digests(home) == []
         assert [p.path.rpartition("/")[2] for p in posts] == ["one", "two", "three"]
         assert len({p.headers["Idempotency-Key"] for p in posts}) == 3
 
@@ -199,13 +199,13 @@ def test_an_e_mail_goes_over_starttls_with_text_page_and_json(home, certificate,
                     "to": ["mcc@airline.example", "eng@airline.example"], "user_env": "HDT_SMTP_USER",
                     "password_env": "HDT_SMTP_PASSWORD"}  # fmt: skip
         declare(home, receiver)
-        (line,) = tell_night(home)
+        (line,) = send_digests(home)
         assert "certificate" in line, "nobody's certificate is taken on trust"
         declare(home, receiver | {"ca_file": str(certificate)})
-        assert tell_night(home) == []
+        assert send_digests(home) == []
         monkeypatch.setenv("HDT_SMTP_PASSWORD", f"{SECRET}-wrong")
         (home / "notify/sent.json").unlink()
-        (line,) = tell_night(home)
+        (line,) = send_digests(home)
         assert SECRET not in line
     (envelope,) = taken
     assert envelope.rcpt_tos == ["mcc@airline.example", "eng@airline.example"]
@@ -223,16 +223,16 @@ MAIL = {"name": "m", "kind": "mail", "host": "h", "from": "a@b", "to": ["a@b"]}
     ("receiver", "says"),
     [
         ({"kind": "mail"}, "receiver 1: name is missing"),
-        ({"name": "m", "kind": "fax"}, "receiver 1 (m): kind is 'fax'; there are mail, slack"),
+        ({"name": "m", "kind": "fax"}, "receiver 1 (m): kind is 'fax'; there are mail, webhook"),
         (MAIL | {"hots": "h"}, "receiver 1 (m): unknown key hots; a receiver of kind mail has host, port"),
         ({k: v for k, v in MAIL.items() if k != "host"}, "receiver 1 (m): host is missing"),
         (MAIL | {"port": "587"}, "receiver 1 (m): port is '587' and ought to be a number"),
         (MAIL | {"to": []}, "receiver 1 (m): to is a list of addresses"),
         (MAIL | {"security": "ssl3"}, "receiver 1 (m): security is 'ssl3'"),
         (MAIL | {"user_env": "U"}, "receiver 1 (m): give both user_env and password_env"),
-        (MAIL | {"user_env": "U", "password_env": "P", "security": "none"}, "encrypted line"),
-        ({"name": "w", "kind": "slack"}, "receiver 1 (w): give either url or url_env"),
-        ({"name": "w", "kind": "slack", "url": "http://hooks.example/abc"}, "has to begin with https://"),
+        (MAIL | {"user_env": "U", "password_env": "P", "security": "none"}, "encrypted connection"),
+        ({"name": "w", "kind": "webhook"}, "receiver 1 (w): give either url or url_env"),
+        ({"name": "w", "kind": "webhook", "url": "http://hooks.example/abc"}, "has to begin with https://"),
     ],
 )
 def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, says):
@@ -255,5 +255,5 @@ def test_a_night_goes_well_whoever_can_not_be_told(own_home):
             "folder": "digests"})  # fmt: skip
     answer = CliRunner().invoke(app, ["nightly", "--landing", str(landing), "--home", str(home)])
     assert answer.exit_code == 0, answer.output
-    assert answer.output.count("hdt: gone was not told") == 1
+    assert answer.output.count("hdt: gone got no digest") == 1
     assert {f.suffix for f in (home / "digests").iterdir()} == {".txt", ".html", ".json"}

@@ -65,7 +65,7 @@ def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
     done = look(command, landing, home, tmp_path)
     if command == "doctor":  # which is asked whether a night could run
         assert [line for line in done.stdout.splitlines() if "FAULT" in line] == [
-            f"FAULT  home: {home} cannot be written to"
+            f"FAULT  home: {home} is not writable"
         ]
     else:
         assert done.returncode == 0, done.stderr

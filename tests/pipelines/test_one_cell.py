@@ -104,7 +104,7 @@ def test_an_aircraft_that_was_stored_twice_is_told_and_made_again_by_the_next_ni
     (told,) = (check for check in examine(None, home) if check.name == "keys")
     assert (told.well, told.says) == (
         False,
-        f"stored more than once: {twice} of twin_flights; `hdt nightly` makes them again",
+        f"stored twice: {twice} of twin_flights; `hdt nightly` writes them again",
     )
     assert run(landing, home).mended == (f"{twice} keys of twin_flights stood more than once (AQX LX-AAB): made again",)
     assert changed(before, stored(home)) == []

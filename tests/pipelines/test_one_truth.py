@@ -12,7 +12,7 @@ from hdt_core.components import component_rows
 from pipelines.casework.board import Board
 from pipelines.casework.listing import list_cases
 from pipelines.cli import app
-from pipelines.cli.night import _ranking
+from pipelines.cli.night import print_ranking
 from pipelines.digest.changes import changes_since
 from pipelines.digest.orders import work_orders
 from pipelines.report.explain import explain
@@ -121,7 +121,7 @@ def test_seven_places_share_one_order_that_follows_the_prognosis(home, report, c
         packs = [f"{t} {p}" for t, p in con.sql("select tail, pack from fleet_ranking order by place").fetchall()]
         opened = [a for (a,) in con.sql("select alert_id from open_alerts order by place").fetchall()]
         orders = work_orders(con)["alert_id"].to_list()
-    _ranking(home)
+    print_ranking(home)
     assert re.findall(r"AAA (T-\d \d)", capsys.readouterr().out) == packs
     badges = re.findall(r"(T-\d) pack (\d) \(\w+\)\s+AAA\s+(?:Act now|Plan|No action)", part(report, "ranking"))
     assert [" ".join(b) for b in badges] == packs
@@ -185,7 +185,7 @@ def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
 
 
 def test_what_the_night_prints_can_be_asked_for(home, capsys):
-    _ranking(home)
+    print_ranking(home)
     printed = re.findall(r"AAA T-\d \d", capsys.readouterr().out)
     assert printed == ["AAA T-1 1", "AAA T-2 2", "AAA T-2 1", "AAA T-1 2"]
     for name in printed:

@@ -75,7 +75,7 @@ def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(
     assert f"Columns that fell silent\n- {line}" in as_text(digest)
     check = next(c for c in examine(None, home) if c.name == "units and wiring")
     assert not check.well
-    assert line in check.says
+    assert line in check.message
     drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS, as_it_is])
     night(landing, home)
     with connect(home) as con:
@@ -112,13 +112,13 @@ def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
     landing, _ = zone
     drop(landing, [as_it_is] * 4)
     checks = {c.name: c for c in examine(landing, None)}
-    assert checks["contents"].well, checks["contents"].says
+    assert checks["contents"].well, checks["contents"].message
     assert checks["landing zone"].well
     drop(landing, [as_it_is] * 4 + [KNOTS])
     check = {c.name: c for c in examine(landing, None)}["contents"]
     assert not check.well
-    assert "mach refused in 100 % of 42 rows since 2024-05-25 leg 05" in check.says
-    assert "It fits knots." in check.says
+    assert "mach refused in 100 % of 42 rows since 2024-05-25 leg 05" in check.message
+    assert "It fits knots." in check.message
 
 
 def test_of_each_folder_the_oldest_and_the_newest_are_looked_into(zone):
@@ -142,7 +142,7 @@ def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
     assert "2 to 8 capitals and digits, first a letter" in named["AQXLONGNAME, aqx"]
     check = {c.name: c for c in examine(landing, None)}["landing zone"]
     assert not check.well
-    assert "AQX/lx-aaa" in check.says
+    assert "AQX/lx-aaa" in check.message
     many = pl.DataFrame({"file": [f"F{n}" for n in range(9)], "detail": [f"so {n}" for n in range(9)]})
     assert len(not_read(many)) == MOST + 1
 

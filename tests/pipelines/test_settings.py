@@ -56,7 +56,7 @@ def test_a_port_is_a_port(tmp_path, value):
 
 @pytest.mark.parametrize("text", [
     "receiver = [1]", "receiver = 'x'", MAIL.replace("'m'", "'m\\n'"), MAIL.replace("'mail'", "['mail']"),
-    MAIL.replace("'h'", "'h\\u0000'"), "[[receiver]]\nname = 'w'\nkind = 'slack'\nurl = 'https://[x'",
+    MAIL.replace("'h'", "'h\\u0000'"), "[[receiver]]\nname = 'w'\nkind = 'webhook'\nurl = 'https://[x'",
 ])  # fmt: skip
 def test_a_receiver_that_is_none_is_told(tmp_path, text):
     (tmp_path / "notify.toml").write_text(text.replace("'h\\u0000'", '"h\\u0000"').replace("'m\\n'", '"m\\n"'))

@@ -15,7 +15,7 @@ from dagster._core.errors import DagsterExecutionInterruptedError
 from nights import run
 
 from pipelines.assets import features
-from pipelines.cli.stops import StoppedError, ends_in_order
+from pipelines.cli.stops import StoppedError, stop_in_order
 from pipelines.definitions import build_defs
 from pipelines.orchestration.around_night import holding
 from pipelines.orchestration.local_executor import deaf
@@ -27,7 +27,7 @@ SMALL = (
     "from pipelines.orchestration import batches, local_executor; batches.CELLS_A_RUN = 60;"
     " local_executor.FLIGHTS_TO_SHARE = 1; from pipelines.cli import main; main()"
 )
-LINE = "hdt: stopped; the next run goes on from here\n"
+LINE = "hdt: stopped; the next run continues from here\n"
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 QUICK_S = 10.0
 """What is stopped would go on for twice as long, on an idle machine; it ends in a second there."""
@@ -147,7 +147,7 @@ def _write_and_be_stopped(path: Path, number: signal.Signals) -> None:
 
 @pytest.mark.parametrize("number", CODES)
 def test_a_command_that_writes_a_file_tidies_up(number):
-    with TemporaryDirectory() as folder, pytest.raises(StoppedError) as stopped, ends_in_order():
+    with TemporaryDirectory() as folder, pytest.raises(StoppedError) as stopped, stop_in_order():
         _write_and_be_stopped(Path(folder, "report.html"), number)
     assert stopped.value.code == CODES[number]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

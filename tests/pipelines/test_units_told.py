@@ -48,7 +48,7 @@ def test_what_is_written_otherwise_than_agreed_is_told(sample_home, tmp_path):
         ("QQY/Z9", "tail_of_two_operators", None),
     }
     assert not check(home).well
-    assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check(home).says
+    assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check(home).message
 
 
 def test_a_sound_fleet_is_told_so(sample_home):

@@ -15,8 +15,8 @@ from hdt_core.tables.raw import Signals
 from pipelines import translations, words
 from pipelines.report.explain import explain
 from pipelines.storage.catalog import connect
-from pipelines.words import languages, speaking
-from pipelines.words.evidence import pattern_of, retold
+from pipelines.words import languages, use_language
+from pipelines.words.evidence import pattern_of, translate_evidence
 
 OTHERS = [language for language in languages() if language != "en"]
 FOLDER = Path(words.__file__).parent
@@ -46,7 +46,7 @@ def test_there_is_a_language_beside_english():
 @pytest.mark.parametrize("language", OTHERS)
 def test_no_message_is_missing_and_none_is_left_over(language):
     """`python -m pipelines.translations` finds them anew."""
-    said, kept = ({m.id for m in c if m.id} for c in (translations.found(), catalog(language)))
+    said, kept = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
     assert kept == said
 
 
@@ -84,8 +84,8 @@ def test_a_phrase_is_known_again_with_its_values(name):
 
 @pytest.mark.parametrize("name", PHRASES)
 def test_a_phrase_is_retold_as_it_was_translated(name):
-    with speaking("de"):
-        told = retold(filled(PHRASES[name]))
+    with use_language("de"):
+        told = translate_evidence(filled(PHRASES[name]))
     to = next(m.string for m in catalog("de") if m.id == PHRASES[name])
     assert re.fullmatch(
         "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), told
@@ -105,20 +105,20 @@ def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
         rows = con.execute("select evidence, evidence_now, recommended_action from alerts").fetchall()
         tails = [t for (t,) in con.execute("select distinct tail from alerts").fetchall()]
     assert rows
-    with speaking("de"):
+    with use_language("de"):
         for sentence in {s for row in rows for s in row}:
-            assert not ENGLISH_WORDS.search(retold(sentence)), retold(sentence)
+            assert not ENGLISH_WORDS.search(translate_evidence(sentence)), translate_evidence(sentence)
         for tail in tails:
             assert not ENGLISH_WORDS.search(str(explain(sample_home, tail)))
 
 
 def test_numbers_are_written_as_the_language_writes_them():
-    with speaking("de"):
+    with use_language("de"):
         assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
-        assert words.several("{n} pack", "{n} packs", 1) == "1 Pack"
-    assert words.several("{n} pack", "{n} packs", 1200) == "1,200 packs"
+        assert words.several("{n} flight", "{n} flights", 1) == "1 Flug"
+    assert words.several("{n} flight", "{n} flights", 1200) == "1,200 flights"
 
 
 def test_a_language_that_is_not_there_ends_in_one_line():
-    with pytest.raises(ValueError, match="no language xx; there are en, de"), speaking("xx"):
+    with pytest.raises(ValueError, match="no language xx; there are en, de"), use_language("xx"):
         pass

@@ -24,28 +24,26 @@ def reads(monkeypatch):
 
 
 def test_a_line_is_there_at_once_and_nothing_is_read_twice(home, reads):
-    held = Board(home)
-    assert list(held.read().cases) == ["wear", "clog", "other", "gone"]
-    assert held.read() is held.read()
+    cases = Board(home)
+    assert list(cases.read().cases) == ["wear", "clog", "other", "gone"]
+    assert cases.read() is cases.read()
     assert len(reads) == 1
-    change_case(home, held.read().cases["wear"], "assign", "Ada", assignee="Bo")
-    standing = held.read()
-    assert (standing.cases["wear"]["owner"], len(standing.history["wear"]), len(reads)) == ("Bo", 1, 2)
+    change_case(home, cases.read().cases["wear"], "assign", "Ada", assignee="Bo")
+    snapshot = cases.read()
+    assert (snapshot.cases["wear"]["owner"], len(snapshot.history["wear"]), len(reads)) == ("Bo", 1, 2)
 
 
 def test_a_night_is_there_at_once(home):
-    held = Board(home)
-    assert held.read().cases["wear"]["now_loss"] == 0.2
-    outlook = held.read().outlook
+    cases = Board(home)
+    assert cases.read().cases["wear"]["now_loss"] == 0.2
     case_home(home, loss=0.3)
-    assert held.read().cases["wear"]["now_loss"] == 0.3
-    assert held.read().outlook is not outlook
+    assert cases.read().cases["wear"]["now_loss"] == 0.3
 
 
 def test_a_mute_ends_by_the_clock(home, reads, monkeypatch):
-    held, until = Board(home), dt.datetime.now(dt.UTC).replace(microsecond=0) + dt.timedelta(days=2)
-    change_case(home, held.read().cases["wear"], "mute", "Ada", until=until.isoformat(), note="x")
-    assert (held.read().cases["wear"]["state"], held.read().ends_at, len(reads)) == ("muted", until, 2)
+    cases, until = Board(home), dt.datetime.now(dt.UTC).replace(microsecond=0) + dt.timedelta(days=2)
+    change_case(home, cases.read().cases["wear"], "mute", "Ada", until=until.isoformat(), note="x")
+    assert (cases.read().cases["wear"]["state"], cases.read().valid_until, len(reads)) == ("muted", until, 2)
 
     class Later(dt.datetime):
         @classmethod
@@ -53,5 +51,5 @@ def test_a_mute_ends_by_the_clock(home, reads, monkeypatch):
             return until
 
     monkeypatch.setattr(board, "datetime", Later)
-    held.read()
+    cases.read()
     assert len(reads) == 3

@@ -61,9 +61,9 @@ def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
 @pytest.mark.parametrize(
     ("finding", "action", "state_is", "says"),
     [
-        ("clean", None, "answered", "comes back as a case of the sensors"),
+        ("clean", None, "answered", "raised as a sensor case"),
         ("fouled", "inspected", "confirmed", "stays open"),
-        ("fouled", "cleaned", "answered", "renewed part"),
+        ("fouled", "cleaned", "answered", "restarts the part's estimate"),
     ],
 )
 def test_a_finding_answers_the_case(home, finding, action, state_is, says):
@@ -84,7 +84,7 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, says):
         ("close", {"finding": "clean", "on": "2020-01-01"}, "when it was raised"),
         ("close", {"finding": "clean", "on": "2199-01-01"}, "to today"),
         ("close", {"finding": "clean", "on": "soon"}, "on is a day"),
-        ("mute", {"until": SOON}, "say why"),
+        ("mute", {"until": SOON}, "needs a note"),
         ("mute", {"until": "2020-01-01", "note": "x"}, "until is a day within"),
         ("mute", {"until": "9999-12-31", "note": "x"}, "until is a day"),
         ("mute", {"until": "0001-01-01T00:00+14:00", "note": "x"}, "until is a day"),
@@ -92,7 +92,7 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, says):
         ("close", {"finding": "clean", "on": "9999-12-31T23:59-14:00"}, "on is a day"),
         ("assign", {"assignee": " "}, "to is a person's name"),
         ("assign", {"assignee": "x" * 81}, "to is a person's name"),
-        ("acknowledge", {"note": "x" * 1001}, "1000 are kept"),
+        ("acknowledge", {"note": "x" * 1001}, "the limit is 1000"),
         ("reopen", {"note": "x"}, "nothing to take back"),
     ],
 )

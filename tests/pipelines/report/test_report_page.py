@@ -142,7 +142,7 @@ def test_an_empty_home_says_so(read, tmp_path):
     found = read((tmp_path / "report.html").read_text(encoding="utf-8"))
     sound(found)
     text = found.text()
-    assert "No flight has arrived yet." in text
+    assert "No flight yet." in text
     assert "No alert has been raised." in text
     assert "data-chart" not in {name for _, name, _ in found.attributes}
 

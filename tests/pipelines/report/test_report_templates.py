@@ -4,7 +4,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from markupsafe import Markup
 
-from pipelines.report.templating import anchor, policy, render, shown, told
+from pipelines.report.templating import anchor, html_text, policy, printable, render
 from pipelines.report.units import estimate, in_words, quantity
 
 OTHERS = st.text(alphabet=st.characters(min_codepoint=32, exclude_categories=("Cs", "Cf", "Cc", "Cn")))
@@ -25,21 +25,21 @@ def test_text_and_attributes_are_escaped(read, hostile):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(words=OTHERS)
 def test_a_reader_sees_what_was_written(read, words):
-    told = document({"kind": "verbatim", "text": words}, {"kind": "bullets", "items": [words]})
+    page = document({"kind": "verbatim", "text": words}, {"kind": "bullets", "items": [words]})
     for name in ("pre", "li"):
-        within = read(told.partition(f"<{name}>")[2].partition(f"</{name}>")[0])
+        within = read(page.partition(f"<{name}>")[2].partition(f"</{name}>")[0])
         assert within.text() == words.replace("\N{NO-BREAK SPACE}", " ")
         assert within.tags == []
 
 
 def test_hidden_characters_show():
-    assert "\u202e" not in shown("A\u202eB")
-    assert "\x00" not in told("{a}", a="A\x00B")
+    assert "\u202e" not in printable("A\u202eB")
+    assert "\x00" not in html_text("{a}", a="A\x00B")
 
 
 def test_markup_is_not_escaped_twice():
-    assert told("a & {b}", b=Markup("<b>")) == "a &amp; <b>"
-    assert told("a & {b}", b="<b>") == "a &amp; &lt;b&gt;"
+    assert html_text("a & {b}", b=Markup("<b>")) == "a &amp; <b>"
+    assert html_text("a & {b}", b="<b>") == "a &amp; &lt;b&gt;"
     assert in_words("<b> 5 K") == Markup('&lt;b&gt; <span class="si">5 K</span><span class="us">9 °F</span>')
 
 

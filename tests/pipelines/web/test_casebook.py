@@ -79,7 +79,7 @@ def test_an_engineer_takes_a_case_through_its_life(page, home):
 
 def test_a_viewer_looks_and_changes_nothing(page, home):
     client = page("Vi")
-    assert "What to say" not in client.get("/case/wear").text
+    assert "Change this case" not in client.get("/case/wear").text
     assert say(client, "wear", "acknowledge").status_code == 403
     assert history_of(home, "wear") == []
 

@@ -105,7 +105,7 @@ def test_three_people_work_at_once_and_the_second_is_told(enter, home):
     ada, bo, vi = (enter(name) for name in ("Ada", "Bo", "Vi"))
     for page in (ada, bo, vi):
         page.click("a[href='/case/wear']")
-    expect(vi.get_by_role("heading", name="What to say")).to_have_count(0)
+    expect(vi.get_by_role("heading", name="Change this case")).to_have_count(0)
     for page, name in ((ada, "Ada"), (bo, "Bo")):
         page.locator("form", has=page.get_by_role("heading", name="Assign")).locator("[name=assignee]").fill(name)
         page.get_by_role("button", name="Assign").click()

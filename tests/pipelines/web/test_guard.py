@@ -16,7 +16,7 @@ async def page(scope, receive, send) -> None:
         await send({"type": "websocket.accept"})
 
 
-GUARD = Guard(page, LOCAL | {"hdt.example.com"}, max_body=10, by_post=["/graphql"])
+GUARD = Guard(page, LOCAL | {"hdt.example.com"}, max_body=10, post_only=["/graphql"])
 OWN = {"origin": ADDRESS}
 
 

@@ -29,7 +29,7 @@ def test_without_a_file_the_token_is_an_engineers_and_nobody_has_a_name(tmp_path
 
 def test_a_viewer_changes_nothing_and_operators_bound_what_is_seen():
     assert [Person("a", role).may_change for role in ("viewer", "engineer")] == [False, True]
-    assert [Person("a", operators=of).sees("AQX") for of in ((), ("AQX",), ("BZR",))] == [True, True, False]
+    assert [Person("a", operators=of).may_read("AQX") for of in ((), ("AQX",), ("BZR",))] == [True, True, False]
 
 
 @pytest.mark.parametrize(
