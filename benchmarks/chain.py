@@ -18,7 +18,7 @@ from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
-from hdt_core.health.sensor_checks import witnesses as testify
+from hdt_core.health.sensor_checks import cross_checks as testify
 from hdt_core.margin.control_schedules import learn_schedules
 from hdt_core.margin.exchanger_demand import CRITICAL, exchanger_demand
 from hdt_core.prognosis.feature_rows import ASKS
@@ -86,7 +86,7 @@ def features(
 ) -> Made:
     """Features with what each flight asked beside them."""
     compared = compare(samples, alone, dsm)
-    seen = describe(health, compared, verdicts, maintenance, twin_flights=alone, witnesses=witnesses, margin=margin)
+    seen = describe(health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin)
     key = [*PACK, "flight_id"]
     asks = margin.select(*key, *(c for c in (*CRITICAL, *ASKS) if c not in seen.columns))
     return {"features": seen.join(asks, on=key, how="left", maintain_order="left")}

@@ -146,7 +146,7 @@ def duel() -> None:
         values = sound.copy()
         values[:, onset:] += fault
         shift = watch(values[:, :, None], np.array([sd]), np.zeros((*values.shape, 1), dtype=bool), Cusum())
-        ours = first_calls(shift.called[:, :, 0], onset)
+        ours = first_calls(shift.alarm[:, :, 0], onset)
         odds, budget = strong_tracking_odds(values[:few], sd), max(ours[0], 0.01)
         ewma = at_equal_calls(lambda x, v=values: ewma_calls(v, sd, x), np.arange(3.0, 15.0, 0.1), onset, budget)
         tracking = at_equal_calls(lambda x, o=odds: o > x, np.arange(0.0, 34.0, 0.25), onset, budget)

@@ -58,7 +58,7 @@ def alarms(train: Array, asked: Array, settings: Cusum | None = None, tail: int 
     z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(asked)])[None] / scale
     prior = np.ones(z.shape[2])
     said = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
-    return np.asarray(said.called[0, -len(asked) :].any(axis=1)) if len(asked) else np.zeros(0, dtype=bool)
+    return np.asarray(said.alarm[0, -len(asked) :].any(axis=1)) if len(asked) else np.zeros(0, dtype=bool)
 
 
 def wander(residuals: Array) -> Array:

@@ -107,7 +107,7 @@ def _shift_cases(
     evidence = Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
-        for unit, first, end in runs(shift.called[:, :, channel], np.zeros_like(restart)):
+        for unit, first, end in runs(shift.alarm[:, :, channel], np.zeros_like(restart)):
             isolated = evidence.isolate(channel, (unit, first, end))
             if isolated is not None:
                 flight, facts = isolated

@@ -191,7 +191,7 @@ def _diameter(grid: Grid, restart: Array) -> Array:
     diameter = np.where(grid.flags("running"), grid.values("cc_effective_diameter_m"), np.nan)
     settings = Cusum(slack=0.75, clear=1.0, learn_flights=20, memory_flights=10**6)
     shift = watch(np.log(diameter)[:, :, None], np.array([DIAMETER_SD]), restart[:, :, None], settings)
-    smaller = shift.called & (shift.sum_low > shift.sum_high) & (shift.departure < -DIAMETER_LOSS)
+    smaller = shift.alarm & (shift.sum_low > shift.sum_high) & (shift.departure < -DIAMETER_LOSS)
     return np.concatenate([shift.departure, smaller.astype(float)], axis=2)
 
 

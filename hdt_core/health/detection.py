@@ -1,6 +1,6 @@
-"""When has a series moved? A two-sided CUSUM against an offset that each unit teaches it; persistence with hysteresis.
+"""Shift detection: a two-sided CUSUM against each unit's own learned offset, and persistence with hysteresis.
 
-Vectorised over units and channels; only the flights are walked one after the other, so that nothing looks ahead.
+Vectorised over units and channels; flights follow one another, so no result uses later flights.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[Any]
 """Floats, or booleans where the name says so."""
 
 PRIOR_FLIGHTS = 20.0
-"""Flights' worth of evidence that the expected scatter of a series counts for beside the unit's own."""
+"""Weight of a series' prior scatter beside the unit's own, in flights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,20 +23,21 @@ class Cusum:
     Attributes
     ----------
     slack : float
-        Half the shift worth finding, in standard deviations.
+        Half the shift to detect, in standard deviations.
     decide : float
-        Sum at which a shift is called. With `slack` 1 and 8 the in-control run length of normal, independent data is
-        above 1e7 flights a side: the budget of one false alarm in 1,000 flights is left to tails and learned offsets.
+        Sum at which the alarm sets. With `slack` 1 and 8 the in-control run length of normal, independent data is
+        above 1e7 flights a side, which leaves the budget of one false alarm in 1,000 flights to tails and learned
+        offsets.
     clear : float
-        Sum at which it is taken back.
+        Sum at which the alarm clears.
     ceiling : float
-        The sum goes no higher, so that a fault that ends is soon seen to end.
+        Upper bound of the sum, so that the alarm clears soon after a fault ends.
     clip : float
-        One flight says at most this many standard deviations: two flights never make a case.
+        Bound of one flight's innovation in standard deviations: two flights never raise an alarm.
     learn_flights : int
-        Flights before a unit's own offset is trusted.
+        Flights before a unit's own offset is used.
     memory_flights : int
-        The offset forgets with this time constant, so that what drifts with age or season is no fault.
+        Time constant of the offset, so that drifts with age or season raise no alarm.
     """
 
     slack: float = 1.0
@@ -50,10 +51,10 @@ class Cusum:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """What the detector says after each flight; every array is (units, flights, channels)."""
+    """Result of the detector after each flight; every array is (units, flights, channels)."""
 
-    called: Array
-    """A shift is believed. [bool]"""
+    alarm: Array
+    """Whether a shift is detected. [bool]"""
     z: Array
     """Innovation in standard deviations, not clipped; 0 where nothing was measured."""
     departure: Array
@@ -63,15 +64,15 @@ class Shift:
 
 
 def watch(values: Array, prior_sd: Array, restart: Array, settings: Cusum | None = None) -> Shift:
-    """Walk every series once and call the shifts.
+    """Detect the shifts of every series.
 
     Parameters
     ----------
     values : array
-        (units, flights, channels); NaN where a flight said nothing.
+        (units, flights, channels); NaN where not measured.
     prior_sd : array
         (channels,). Flight-to-flight standard deviation of a sound unit, in the series' unit. The unit's own scatter is
-        weighed against it, and never believed below half of it.
+        averaged with it and bounded below by half of it.
     restart : array
         (units, flights, channels), bool. True where work on the aircraft makes the unit new to the detector.
 
@@ -86,16 +87,16 @@ def watch(values: Array, prior_sd: Array, restart: Array, settings: Cusum | None
     settings = settings or Cusum()
     n_units, n_flights, n_channels = values.shape
     walk = _Walk.start(n_units, n_channels, np.asarray(prior_sd, dtype=float))
-    z, moved, high, low = (np.zeros(values.shape) for _ in range(4))
-    called = np.zeros(values.shape, dtype=bool)
-    renewed = np.asarray(restart.any(axis=(0, 2)))
+    z, departure, high, low = (np.zeros(values.shape) for _ in range(4))
+    alarm = np.zeros(values.shape, dtype=bool)
+    has_restart = np.asarray(restart.any(axis=(0, 2)))
     for k in range(n_flights):
-        if renewed[k]:
+        if has_restart[k]:
             walk.restart(restart[:, k])
         z[:, k] = walk.take(values[:, k], settings)
-        called[:, k], moved[:, k] = walk.on, walk.moved
+        alarm[:, k], departure[:, k] = walk.alarm, walk.departure
         high[:, k], low[:, k] = walk.high, walk.low
-    return Shift(called, z, moved, high, low)
+    return Shift(alarm, z, departure, high, low)
 
 
 @dataclass(slots=True)
@@ -109,33 +110,34 @@ class _Walk:
     spread_n: Array
     high: Array
     low: Array
-    on: Array
-    moved: Array
+    alarm: Array
+    departure: Array
 
     @classmethod
     def start(cls, n_units: int, n_channels: int, prior_sd: Array) -> "_Walk":
         shape = (n_units, n_channels)
         var = np.broadcast_to(prior_sd**2, shape)
-        n, spread_n, high, low, moved = (np.zeros(shape) for _ in range(5))
-        return cls(var, np.full(shape, np.nan), n, var.copy(), spread_n, high, low, np.zeros(shape, dtype=bool), moved)
+        n, spread_n, high, low, departure = (np.zeros(shape) for _ in range(5))
+        alarm = np.zeros(shape, dtype=bool)
+        return cls(var, np.full(shape, np.nan), n, var.copy(), spread_n, high, low, alarm, departure)
 
     def restart(self, new: Array) -> None:
         self.offset = np.where(new, np.nan, self.offset)
-        self.n, self.moved = np.where(new, 0.0, self.n), np.where(new, 0.0, self.moved)
+        self.n, self.departure = np.where(new, 0.0, self.n), np.where(new, 0.0, self.departure)
         self.high, self.low = np.where(new, 0.0, self.high), np.where(new, 0.0, self.low)
 
     def take(self, y: Array, s: Cusum) -> Array:
-        """One flight; returns its innovation in standard deviations."""
-        seen = np.isfinite(y)
-        self.offset = np.where(seen & np.isnan(self.offset), y, self.offset)
-        miss = np.where(seen, y - self.offset, 0.0)
+        """Process one flight and return its innovation in standard deviations."""
+        observed = np.isfinite(y)
+        self.offset = np.where(observed & np.isnan(self.offset), y, self.offset)
+        innovation = np.where(observed, y - self.offset, 0.0)
         sd = np.sqrt(self.variance() * (1.0 + 1.0 / np.maximum(self.n, 1.0)))
-        z = miss / sd
-        worst = self._sum(np.clip(z, -s.clip, s.clip), seen & (self.n >= s.learn_flights), s)
-        self.on = np.where(self.on, worst > s.clear, worst > s.decide)
-        smoothed = np.where(worst > 0.0, 0.8 * self.moved + 0.2 * miss, 0.0)
-        self.moved = np.where(seen, smoothed, self.moved)
-        self._learn(seen & ~self.on & (worst < 0.5 * s.decide), np.clip(miss, -3.0 * sd, 3.0 * sd), s)
+        z = innovation / sd
+        larger_sum = self._sum(np.clip(z, -s.clip, s.clip), observed & (self.n >= s.learn_flights), s)
+        self.alarm = np.where(self.alarm, larger_sum > s.clear, larger_sum > s.decide)
+        smoothed = np.where(larger_sum > 0.0, 0.8 * self.departure + 0.2 * innovation, 0.0)
+        self.departure = np.where(observed, smoothed, self.departure)
+        self._learn(observed & ~self.alarm & (larger_sum < 0.5 * s.decide), np.clip(innovation, -3.0 * sd, 3.0 * sd), s)
         return np.asarray(z)
 
     def variance(self) -> Array:
@@ -147,30 +149,30 @@ class _Walk:
         self.low = np.where(ripe, np.clip(self.low - z - s.slack, 0.0, s.ceiling), self.low)
         return np.maximum(self.high, self.low)
 
-    def _learn(self, calm: Array, miss: Array, s: Cusum) -> None:
+    def _learn(self, calm: Array, innovation: Array, s: Cusum) -> None:
         # the first offset is one flight's value, so the second flight already scatters about it
-        square = miss**2 * self.n / (self.n + 1.0)
+        square = innovation**2 * self.n / (self.n + 1.0)
         weight = np.where(calm & (self.n > 0), 1.0 / np.minimum(self.spread_n + 1.0, s.memory_flights), 0.0)
         self.spread = self.spread + weight * (square - self.spread)
         self.spread_n = np.minimum(self.spread_n + (weight > 0), s.memory_flights)
         gain = 1.0 / np.minimum(self.n + 1.0, s.memory_flights)
-        self.offset = np.where(calm, self.offset + gain * miss, self.offset)
+        self.offset = np.where(calm, self.offset + gain * innovation, self.offset)
         self.n = self.n + calm
 
 
 def persistent(
     flags: Array, k: int, n: int, hold: int, *, keep: Array | None = None, restart: Array | None = None
 ) -> Array:
-    """Whether at least `k` of the last `n` flights were flagged, held until `hold` flights passed without `keep`.
+    """Flag from `k` of the last `n` flights flagged until `hold` flights have passed without `keep`.
 
     Parameters
     ----------
     flags : array
         (units, flights), bool.
     keep : array, optional
-        The easier condition that holds a call once made (hysteresis); `flags` where not given.
+        Weaker condition that keeps the flag set (hysteresis); `flags` where not given.
     restart : array, optional
-        True on a flight from which on everything before is forgotten.
+        True on a flight before which nothing counts.
 
     Returns
     -------
@@ -184,21 +186,22 @@ def persistent(
     """
     keep = flags if keep is None else flags | keep
     restart = np.zeros_like(flags) if restart is None else restart
-    flight, begun = np.arange(flags.shape[1]), _last(restart)
-    flagged = np.pad(np.cumsum(flags, axis=1), ((0, 0), (1, 0)))
-    before = np.maximum(np.maximum(flight + 1 - n, begun), 0)  # what is older, or from before the end, counts no more
-    called = flagged[:, 1:] - np.take_along_axis(flagged, before, axis=1) >= k
-    let_go = restart | (flight - _last(keep) >= hold)
-    return np.asarray(_last(called) >= np.maximum(_last(let_go), 0))
+    flight = np.arange(flags.shape[1])
+    count = np.pad(np.cumsum(flags, axis=1), ((0, 0), (1, 0)))
+    # flights outside the window or before a restart do not count
+    before = np.maximum(np.maximum(flight + 1 - n, _last(restart)), 0)
+    reached = count[:, 1:] - np.take_along_axis(count, before, axis=1) >= k
+    release = restart | (flight - _last(keep) >= hold)
+    return np.asarray(_last(reached) >= np.maximum(_last(release), 0))
 
 
 def _last(events: Array) -> Array:
-    """The last flight, up to each, on which it was so; -1 before the first. (units, flights)"""
+    """Return the last event up to each flight; -1 before the first. (units, flights)"""
     return np.asarray(np.maximum.accumulate(np.where(events, np.arange(events.shape[1]), -1), axis=1))
 
 
 def since(events: Array) -> Array:
-    """Flights since the last event, 0 on it; a million before the first. (units, flights)"""
+    """Count flights since the last event, 0 on it; a million before the first. (units, flights)"""
     last = _last(events)
     return np.where(last < 0, 10**6, np.arange(events.shape[1]) - last)
 

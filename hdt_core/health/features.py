@@ -1,4 +1,4 @@
-"""Features of a pack after a flight: what health, residuals, witnesses, usage and weather say. Polars expressions only.
+"""Features of a pack after a flight: health, residuals, cross checks, usage and weather, in Polars expressions.
 
 Every column of a flight uses that flight and those before it. The unit ends the name.
 """
@@ -19,10 +19,10 @@ HORIZONS = (10, 30, 100)
 """Flights over which trends are taken."""
 HEALTH = ("hx_fouling", "cc_efficiency_loss", "cc_diameter_loss", "cc_effective_diameter_m")
 """Health parameters that get a column, an `_sd`, a `_status` and trends."""
-WORN = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
-ALONE = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
-"""What the margins stand on: losses as tracked, and what the flight alone says."""
-SHORT: dict[str, Any] = {
+LOSSES = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
+FLIGHT_ESTIMATES = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
+"""Inputs of the margins: tracked losses, and estimates from single flights."""
+KEY_SCHEMA: dict[str, Any] = {
     "operator": pl.String,
     "tail": pl.String,
     "flight_id": pl.String,
@@ -38,11 +38,11 @@ def features(
     maintenance: pl.DataFrame,
     *,
     twin_flights: pl.DataFrame | None = None,
-    witnesses: pl.DataFrame | None = None,
-    margin: pl.DataFrame | None = None,
+    cross_checks: pl.DataFrame | None = None,
+    demand: pl.DataFrame | None = None,
     health: Sequence[str] = HEALTH,
 ) -> pl.DataFrame:
-    """One row for each flight and pack, one column a feature.
+    """Compute the features: one row for each flight and pack, one column a feature.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ def features(
     maintenance : DataFrame
         operator, tail, pack, done_on, component, action.
     twin_flights : DataFrame, optional
-        What each flight alone says; gives the virtual sensors.
-    witnesses : DataFrame, optional
-        `sensor_checks.witnesses(samples)`; its columns are passed on under their own names.
-    margin : DataFrame, optional
-        `exchanger_demand(samples, ...)`: what each flight asked; gives the margin that is left.
+        Estimates from single flights, for the virtual sensors.
+    cross_checks : DataFrame, optional
+        `sensor_checks.cross_checks(samples)`, whose columns are copied.
+    demand : DataFrame, optional
+        `exchanger_demand(samples, ...)`, for the margins.
     health : sequence of str, optional
-        Health parameters to describe; the first is the loss that is watched for jumps. What stands before the first
-        underscore is the component's code in the maintenance log, in small letters.
+        Health parameters to include; jumps are those of the first, a loss. The part before the first underscore is the
+        component's code in the maintenance log, in small letters.
 
     Returns
     -------
@@ -73,48 +73,48 @@ def features(
         _residual_means(residuals), on=LEG, how="left", validate="m:1"
     )
     wide = _join_new(wide, None if twin_flights is None else virtual_sensors(twin_flights))
-    wide = _join_new(wide, witnesses)
+    wide = _join_new(wide, cross_checks)
     components = list(dict.fromkeys(_component(name) for name in health))
     wide = since_maintenance(wide, maintenance, components)
-    if margin is not None and twin_flights is not None:
-        wide = wide.join(_margins(wide, twin_flights, margin), on=LEG, how="left", validate="m:1")
+    if demand is not None and twin_flights is not None:
+        wide = wide.join(_margins(wide, twin_flights, demand), on=LEG, how="left", validate="m:1")
     trends = [e for name in health for e in trend(name, [*PACK, f"{_component(name)}_life"])]
     wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
-    if margin is not None and "hx_ln_ua_ratio" in wide.columns:
-        wide = wide.join(passages(wide, margin), on=LEG, how="left", validate="m:1")
+    if demand is not None and "hx_ln_ua_ratio" in wide.columns:
+        wide = wide.join(passages(wide, demand), on=LEG, how="left", validate="m:1")
     lives = [f"{component}_life" for component in components]
-    return finite(_usage(_beside(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
+    return finite(_usage(_pack_differences(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
 
 
 def _component(parameter: str) -> str:
-    """Code of the component a health parameter belongs to, in small letters."""
+    """Return the code of a health parameter's component, in small letters."""
     return parameter.partition("_")[0]
 
 
 def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
-    """Every flight and pack that either stage knows, numbered by departure within its tail."""
-    known = [f.select(*SHORT) for f in (legs, health_parameters) if f.height]
+    """Return every flight and pack of either table, numbered by departure within its tail."""
+    frames = [f.select(*KEY_SCHEMA) for f in (legs, health_parameters) if f.height]
     rows = (
-        (pl.concat(known) if known else pl.DataFrame(schema=SHORT))
+        (pl.concat(frames) if frames else pl.DataFrame(schema=KEY_SCHEMA))
         .unique(LEG, keep="first")
         .sort("operator", "tail", "departed_at", "flight_id", "pack")
     )
-    started = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
-    return rows.with_columns((started.cast(pl.Int64) - 1).alias("flight_index"))
+    order = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
+    return rows.with_columns((order.cast(pl.Int64) - 1).alias("flight_index"))
 
 
 def _health(long: pl.DataFrame, health: Sequence[str]) -> pl.DataFrame:
-    said = long.filter(pl.col("parameter").is_in(health))
+    rows = long.filter(pl.col("parameter").is_in(health))
     columns = [
         pl.col(c).filter(pl.col("parameter") == p).last().alias(p + end)
         for p in health
         for c, end in (("value", ""), ("sd", "_sd"), ("status", "_status"))
     ]
-    return said.group_by(LEG).agg(columns)
+    return rows.group_by(LEG).agg(columns)
 
 
 def _residual_means(long: pl.DataFrame) -> pl.DataFrame:
-    """Mean residual of every signal and kind: `<signal without its unit>_<kind>_<unit>`."""
+    """Return the mean residual of every signal and kind: `<signal without its unit>_<kind>_<unit>`."""
     pairs = long.select("signal", "kind").unique().sort("signal", "kind").rows()
     columns = [
         pl.col("mean").filter((pl.col("signal") == s) & (pl.col("kind") == k)).last().alias(residual_column(s, k))
@@ -124,7 +124,7 @@ def _residual_means(long: pl.DataFrame) -> pl.DataFrame:
 
 
 def residual_column(signal: str, kind: str) -> str:
-    """Name of the feature that holds a residual.
+    """Return the feature name of a residual.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def residual_column(signal: str, kind: str) -> str:
 
 
 def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
-    """Left join the columns that are not there yet."""
+    """Left join the columns that `wide` lacks."""
     if more is None:
         return wide
     return wide.join(
@@ -146,31 +146,31 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
     )
 
 
-def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, margin: pl.DataFrame) -> pl.DataFrame:
-    """Margin columns of each flight; rows of `wide` are in order of departure."""
-    alone = twin_flights.select(*LEG, pl.selectors.by_name(*ALONE, require_all=False))
-    seen = wide.select(*LEG, pl.selectors.by_name(*WORN, require_all=False)).join(
-        alone, on=LEG, how="left", maintain_order="left", validate="m:1"
+def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
+    """Return the margin columns of each flight; rows of `wide` are in order of departure."""
+    estimates = twin_flights.select(*LEG, pl.selectors.by_name(*FLIGHT_ESTIMATES, require_all=False))
+    inputs = wide.select(*LEG, pl.selectors.by_name(*LOSSES, require_all=False)).join(
+        estimates, on=LEG, how="left", maintain_order="left", validate="m:1"
     )
-    told = exchanger_margin(seen, margin).select(*LEG, *MARGIN_COLUMNS)
-    if "cc_flow_asked_kg_s" not in margin.columns:
-        return told
-    return told.join(
-        compressor_margin(seen, margin).select(*LEG, *DELIVERY_COLUMNS), on=LEG, how="left", validate="m:1"
+    margins = exchanger_margin(inputs, demand).select(*LEG, *MARGIN_COLUMNS)
+    if "cc_flow_asked_kg_s" not in demand.columns:
+        return margins
+    return margins.join(
+        compressor_margin(inputs, demand).select(*LEG, *DELIVERY_COLUMNS), on=LEG, how="left", validate="m:1"
     )
 
 
 def since_maintenance(
     flights: pl.DataFrame, maintenance: pl.DataFrame, components: Sequence[str] = ("hx", "cc")
 ) -> pl.DataFrame:
-    """Add the lives that the log knows, `<component>_life` (replacements so far), and flights since the first's last.
+    """Add `<component>_life`, the replacements so far in the log, and the flights since the first component's last one.
 
-    How many a unit has flown that came before the record's first flight is not known.
+    The age of a unit fitted before the record's first flight is unknown.
     """
-    numbered = flights
+    rows = flights
     for component in components:
-        numbered = number_units(numbered, maintenance, component.upper(), f"{component}_life")
-    ordered = numbered.sort(*PACK, "departed_at", "flight_id")
+        rows = number_units(rows, maintenance, component.upper(), f"{component}_life")
+    ordered = rows.sort(*PACK, "departed_at", "flight_id")
     lead = f"{components[0]}_life"
     age = pl.int_range(pl.len()).over([*PACK, lead])
     return ordered.with_columns(
@@ -180,9 +180,9 @@ def since_maintenance(
 
 
 def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
-    """Least-squares slope per flight over a unit's last flights, at every horizon; null with fewer than four values."""
+    """Return least-squares slopes per flight over a unit's last flights, by horizon; null below four values."""
     index = pl.when(pl.col(name).is_not_null()).then(pl.col("flight_index").cast(pl.Float64))
-    x = index - index.mean().over(by)  # keeps the sums of squares well conditioned; a shift leaves every slope as it is
+    x = index - index.mean().over(by)  # keeps the sums of squares well conditioned
     y = pl.col(name)
 
     def mean(e: pl.Expr, n: int) -> pl.Expr:
@@ -195,7 +195,7 @@ def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
 
 
 def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
-    """How far the loss moved of late: the track over ten flights; three flights against twelve before, less trend."""
+    """Return recent changes of the loss: the track over ten flights; three flights less the twelve before and trend."""
     life = [*PACK, f"{_component(loss)}_life"]
     track = pl.col(loss)
     now = pl.col(f"{loss}_flight") if f"{loss}_flight" in columns else track
@@ -208,12 +208,12 @@ def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
 
 
 def _step(now: pl.Expr) -> pl.Expr:
-    """Median of the last three flights less that of the twelve before them."""
+    """Return the median of the last three flights less that of the twelve before."""
     return now.rolling_median(3, min_samples=2) - now.rolling_median(12, min_samples=4).shift(3)
 
 
-def _beside(wide: pl.DataFrame) -> pl.DataFrame:
-    """Differences to the other pack of the same flight."""
+def _pack_differences(wide: pl.DataFrame) -> pl.DataFrame:
+    """Add differences to the other pack of the same flight."""
     names = [
         n for n in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median") if n in wide.columns
     ]
@@ -231,16 +231,16 @@ def _beside(wide: pl.DataFrame) -> pl.DataFrame:
 
 
 def _usage(wide: pl.DataFrame) -> pl.DataFrame:
-    """Names the consumers know, and running sums of work done."""
-    given = set(wide.columns)
+    """Add columns under the consumers' names, and cumulative usage."""
+    names = set(wide.columns)
     more = (
-        [pl.col("hx_out_sensor_minus_dsm_k").alias("hx_out_excess_k")] if "hx_out_sensor_minus_dsm_k" in given else []
+        [pl.col("hx_out_sensor_minus_dsm_k").alias("hx_out_excess_k")] if "hx_out_sensor_minus_dsm_k" in names else []
     )
-    if "door_median" in given:
+    if "door_median" in names:
         more += [
             pl.col("door_median").alias("ram_door_open_cruise"),
             (1.0 - pl.col("door_max")).alias("ram_door_margin"),
         ]
-    if "flight_hours" in given:
+    if "flight_hours" in names:
         more.append(pl.col("flight_hours").cum_sum().over(PACK).alias("usage_hours"))
     return wide.with_columns(more)

@@ -1,7 +1,7 @@
 """Residuals of each flight and pack: sensor against digital system model, model against twin, sensor against twin.
 
-The model says what the unit should show as built; the twin what it shows with the health of this flight. So the first
-residual holds the fault, the second the part of it that the health parameters explain, the third what is left over.
+The model predicts the unit as built, the twin with the health of this flight. So the first residual holds the fault,
+the second the part of it that the health parameters explain, the third the remainder.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ SCHEMA: dict[str, Any] = {
 
 
 def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """Statistics of every residual over a flight's monitored cruise samples.
+    """Compute statistics of every residual over a flight's monitored cruise samples.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     -------
     DataFrame
         One row a flight, pack, signal and kind: mean, sd, rms in `unit`, `mean_sigma` (mean over the scatter of one
-        reading), n. Sensor biases that the model knows are taken out of the sensor's side.
+        reading), n. The model's sensor biases are removed from the sensor's side.
     """
     packs = dsm.pack_table()
     corrections = packs.select("operator", "tail", "pack", "inlet_bias_k", "inlet_bias_ln")
@@ -63,20 +63,20 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left", validate="m:1")
     rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left", validate="m:1")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
-    return _summarised(rows, columns, SIGNALS)
+    return _summarise(rows, columns, SIGNALS)
 
 
 def component_residuals(
     samples: pl.DataFrame, twin_flights: pl.DataFrame, model: PhysicsModel, component: str
 ) -> pl.DataFrame:
-    """`residuals` of a component that is all declaration: every output that has a sensor and a record.
+    """Compute `residuals` of a declared component: every output with a sensor and a record.
 
     Parameters
     ----------
     samples : DataFrame
         Key and columns named as the model's inputs and outputs; the rows to compare.
     twin_flights : DataFrame
-        Key and the health parameters of each flight, as `flight_by_flight` gives them.
+        Key and the health parameters of each flight, as of `flight_by_flight`.
     model : PhysicsModel
         Calibrated: its nominal values are the digital system model.
     component : str
@@ -84,18 +84,18 @@ def component_residuals(
     """
     health = [p.name for p in model.free("health")]
     rows = samples.join(twin_flights.select(*LEG, *health), on=LEG, how="left", maintain_order="left", validate="m:1")
-    given = {s.name: rows[s.name].to_numpy() for s in model.inputs}
-    sound = model.predict({}, given)
-    twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, given)
-    seen = {s.name: (s.unit, s.sigma) for s in model.outputs if s.sigma is not None and s.name in rows.columns}
+    inputs = {s.name: rows[s.name].to_numpy() for s in model.inputs}
+    model_outputs = model.predict({}, inputs)
+    twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, inputs)
+    outputs = {s.name: (s.unit, s.sigma) for s in model.outputs if s.sigma is not None and s.name in rows.columns}
     columns: dict[str, Array] = {}
-    for name in seen:
-        columns |= _three(name, rows[name].cast(pl.Float64).to_numpy(), sound[name], twin[name])
-    return _summarised(rows, columns, {name: (component, *of) for name, of in seen.items()})
+    for name in outputs:
+        columns |= _differences(name, rows[name].cast(pl.Float64).to_numpy(), model_outputs[name], twin[name])
+    return _summarise(rows, columns, {name: (component, *of) for name, of in outputs.items()})
 
 
 def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
-    """What the flight alone says of the health: level of the conductance, diameter, efficiency and flow group."""
+    """Return each flight's own estimates: level of the conductance, diameter, efficiency and flow group."""
     return twin_flights.select(
         *LEG,
         pl.col("ln_ua_ratio").alias("twin_ln_ua"),
@@ -106,22 +106,22 @@ def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def _exchanger(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
-    """Outlet temperatures of both sides; the ram flow is that of the clean duct in model and twin alike."""
+    """Return residuals of both outlet temperatures, with the clean duct's ram flow in model and twin alike."""
     signals = {name: rows[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ram_out_k")}
     clean = hx.without_bias(signals, dsm.bias_of(rows))
     ram = clean_ram_flow_kg_s(clean, dsm.design)
     ln_clean = ln_clean_conductance(clean, ram, dsm.design)
-    given = clean["pack_flow_kg_s"], ram, clean["hx_in_k"], clean["tat_k"]
+    inputs = clean["pack_flow_kg_s"], ram, clean["hx_in_k"], clean["tat_k"]
     with np.errstate(all="ignore"):
-        model = outlets_k(*given, np.exp(ln_clean + dsm.clean_level))
-        twin = outlets_k(*given, np.exp(ln_clean + rows["twin_ln_ua"].to_numpy().astype(float)))
-    return _three("hx_out_k", clean["hx_out_k"], model[0], twin[0]) | _three(
+        model = outlets_k(*inputs, np.exp(ln_clean + dsm.clean_level))
+        twin = outlets_k(*inputs, np.exp(ln_clean + rows["twin_ln_ua"].to_numpy().astype(float)))
+    return _differences("hx_out_k", clean["hx_out_k"], model[0], twin[0]) | _differences(
         "ram_out_k", clean["ram_out_k"], model[1], twin[1]
     )
 
 
 def _compressor(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
-    """Effective diameter against equation (6), and what it, the efficiency and the flow group say of exit and flow."""
+    """Return residuals of the diameter to equation (6), and of exit and flow by diameter, efficiency and flow group."""
     names = ("cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_speed_rad_s", "cc_flow_kg_s", "vda_counts")
     s = {c: rows[c].to_numpy().astype(float) for c in (*names, "diameter_m", "inlet_bias_k", "inlet_bias_ln")}
     t = {c: rows[c].to_numpy().astype(float) for c in rows.columns if c.startswith("twin_")}
@@ -137,26 +137,26 @@ def _compressor(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:
         groups = (np.array(fit.group_m3), t["twin_group_m3"])
         flow = [inlet_flow_kg_s(g, inlet_pa, inlet_k, s["cc_speed_rad_s"]) for g in groups]
     return (
-        _three("cc_effective_diameter_m", s["diameter_m"], model_m, twin_m)
-        | _three("cc_out_pa", s["cc_out_pa"], *exit_pa)
-        | _three("cc_out_k", s["cc_out_k"], *exit_k)
-        | _three("cc_flow_kg_s", s["cc_flow_kg_s"], *flow)
+        _differences("cc_effective_diameter_m", s["diameter_m"], model_m, twin_m)
+        | _differences("cc_out_pa", s["cc_out_pa"], *exit_pa)
+        | _differences("cc_out_k", s["cc_out_k"], *exit_k)
+        | _differences("cc_flow_kg_s", s["cc_flow_kg_s"], *flow)
     )
 
 
-def _three(signal: str, sensor: Array, model: Array, twin: Array) -> dict[str, Array]:
+def _differences(signal: str, sensor: Array, model: Array, twin: Array) -> dict[str, Array]:
     differences = (sensor - model, model - twin, sensor - twin)
-    # all three speak of the same samples: those the sensor measured
+    # all three over the samples with a measurement
     return {
         f"{signal}|{kind}": np.where(np.isfinite(sensor) & np.isfinite(d), d, np.nan)
         for kind, d in zip(KINDS, differences, strict=True)
     }
 
 
-def _summarised(
+def _summarise(
     rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str, float]]
 ) -> pl.DataFrame:
-    """Differences of each row, named `signal|kind`, as statistics by flight and pack."""
+    """Summarise differences of each row, named `signal|kind`, by flight and pack."""
     wide = finite(rows.select(LEG).with_columns(pl.Series(name, np.asarray(v)) for name, v in columns.items()))
     parts = [_statistics(wide, signal, kind, *signals[signal]) for signal in signals for kind in KINDS]
     return finite(pl.concat(parts)).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*LEG, "signal", "kind")
@@ -164,12 +164,12 @@ def _summarised(
 
 def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str, sigma: float) -> pl.DataFrame:
     e = pl.col(f"{signal}|{kind}")
-    known = (
+    statistics = (
         wide.filter(e.is_not_null())
         .group_by(LEG)
         .agg(e.mean().alias("mean"), e.std().alias("sd"), (e**2).mean().sqrt().alias("rms"), pl.len().alias("n"))
     )
     labels: Mapping[str, str] = {"component": component, "signal": signal, "kind": kind, "unit": unit}
-    return known.with_columns(
+    return statistics.with_columns(
         (pl.col("mean") / sigma).alias("mean_sigma"), *(pl.lit(v).alias(k) for k, v in labels.items())
     )

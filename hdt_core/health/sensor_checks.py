@@ -1,8 +1,8 @@
-"""What each sensor and each ram door says of itself, flight by flight: counts, cross checks, and the controller's law.
+"""Sensor and ram door statistics, flight by flight: counts, cross checks, and the controller's schedules.
 
-A witness compares quantities that physics ties together, so that wear of the heat exchanger leaves it unmoved: total
-and compressor-inlet temperature, recorded and standard-atmosphere total pressure, the two flows of one pack, and left
-against right where both controllers hold the same target. None needs the digital system model.
+A cross check compares quantities that physics ties together, independent of the exchanger's wear: total and
+compressor-inlet temperature, recorded and standard-atmosphere total pressure, the two flows of one pack, and left
+against right where both controllers have the same target. None needs the digital system model.
 """
 
 import polars as pl
@@ -30,20 +30,20 @@ CRUISE_MEDIANS = {
     "pack_flow_kg_s": "pack_flow_cruise_kg_s",
     "cc_speed_rad_s": "cc_speed_cruise_rad_s",
 }
-FEWEST = 3
+MIN_SAMPLES = 3
 STILL_SAMPLES = 8
-"""Fewer readings than this may agree by chance and quantisation."""
+"""Readings below which one value may be chance and quantisation."""
 
 
-def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl.DataFrame:
-    """Witness statistics of every flight and pack.
+def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = None) -> pl.DataFrame:
+    """Compute counts, cross checks and door statistics of every flight and pack.
 
     Parameters
     ----------
     samples : DataFrame
         `legs_samples`: signals in SI with `phase`; invalid values are null. Snapshots with a phase serve as well.
-    laws : ControlSchedules, optional
-        The controllers' laws; learned from the first flights in `samples` where not given.
+    schedules : ControlSchedules, optional
+        Of the controllers; learned from the first flights in `samples` where not given.
 
     Returns
     -------
@@ -51,16 +51,16 @@ def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl
         One row a flight and pack: the key, `running` (pack on), `n_snapshots`; for each sensor `<signal>_lost_share`
         (empty values) and `<signal>_still` (one value all flight); for each cross check `w_<name>` (median) and
         `w_<name>_n`; for the door `door_span` (5 to 95 % of its travel in the flight), `door_max`, `door_peg_excess_k`
-        (how much warmer the outlet is, against its target, where the door is widest than where it is not) with its two
-        counts; and the flight's setting: cruise medians, door effort, hours.
+        (outlet above target where the door is widest, less the same elsewhere) with its two counts; and the flight's
+        conditions: cruise medians, door effort, hours.
     """
-    whole = _paired(_with_laws(samples, laws or learn_schedules(samples)))
+    whole = _pair_packs(_with_schedules(samples, schedules or learn_schedules(samples)))
     level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
     out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
     parts = (
         level.group_by(LEG).agg(*_checks(LEVEL_CHECKS), *_setting()),
         whole.group_by(LEG).agg(*_checks(FLIGHT_CHECKS)),
-        _pegged(whole),
+        _peg_excess(whole),
     )
     for part in parts:
         out = out.join(part, on=LEG, how="left", validate="m:1")
@@ -68,14 +68,14 @@ def witnesses(samples: pl.DataFrame, laws: ControlSchedules | None = None) -> pl
 
 
 def _counts() -> list[pl.Expr]:
-    """Empty and motionless sensors; a pack that is off says nothing of its sensors."""
+    """Return empty and motionless sensors, and whether the pack runs, without which they mean nothing."""
     flows = [(pl.col(c).median() > RUNNING_KG_S).fill_null(False) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
-    lost = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SENSORS]
+    lost_share = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SENSORS]
     still = [
         ((pl.col(c).max() == pl.col(c).min()) & (pl.col(c).count() >= STILL_SAMPLES)).alias(f"{c}_still")
         for c in SENSORS
     ]
-    return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost, *still]
+    return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost_share, *still]
 
 
 def _door() -> list[pl.Expr]:
@@ -90,31 +90,31 @@ def _door() -> list[pl.Expr]:
 
 
 def _setting() -> list[pl.Expr]:
-    """Where and how the flight cruised."""
+    """Return the conditions of the cruise."""
     door = pl.col("ram_door_open")
     median = [pl.col(c).median().alias(name) for c, name in CRUISE_MEDIANS.items()]
     return [*median, door.median().alias("door_median"), (door > DOOR_FREE[1]).mean().alias("door_full_open_share")]
 
 
-def _with_laws(samples: pl.DataFrame, laws: ControlSchedules) -> pl.DataFrame:
-    """What the controllers' schedules say of each sample."""
+def _with_schedules(samples: pl.DataFrame, schedules: ControlSchedules) -> pl.DataFrame:
+    """Add the scheduled parts of outlet temperature and exit pressure."""
     tail = samples["tail"].to_numpy()
     tat_k, altitude_m, flow = (samples[c].to_numpy().astype(float) for c in ("tat_k", "altitude_m", "pack_flow_kg_s"))
     return samples.with_columns(
-        laws.outlet.column(tail, tat_k).alias("target_shape_k"),
-        laws.delivery.column(tail, altitude_m, flow**2).alias("delivery_shape_ln"),
+        schedules.outlet.column(tail, tat_k).alias("target_shape_k"),
+        schedules.delivery.column(tail, altitude_m, flow**2).alias("delivery_shape_ln"),
     )
 
 
 def _with_pitot(level: pl.DataFrame) -> pl.DataFrame:
-    """Total pressure that pressure altitude and Mach number imply."""
-    expected = standard_pressure_pa(level["altitude_m"].to_numpy()) * total_to_static_pressure(level["mach"].to_numpy())
-    return level.with_columns(pl.Series("pitot_pa", expected).fill_nan(None))
+    """Add the total pressure by pressure altitude and Mach number."""
+    pitot_pa = standard_pressure_pa(level["altitude_m"].to_numpy()) * total_to_static_pressure(level["mach"].to_numpy())
+    return level.with_columns(pl.Series("pitot_pa", pitot_pa).fill_nan(None))
 
 
-def _paired(samples: pl.DataFrame) -> pl.DataFrame:
-    """Each sample beside the other pack's sample of the same instant."""
-    shared = ["tail", "flight_id", "time_utc", "source"]
+def _pair_packs(samples: pl.DataFrame) -> pl.DataFrame:
+    """Join each sample with the other pack's of the same time."""
+    key = ["tail", "flight_id", "time_utc", "source"]
     signals = [
         "tat_k",
         "total_pressure_pa",
@@ -126,14 +126,12 @@ def _paired(samples: pl.DataFrame) -> pl.DataFrame:
         "cc_out_k",
         "ram_door_open",
     ]
-    other = samples.select(
-        *shared, (3 - pl.col("pack")).alias("pack"), *(pl.col(c).alias(f"other_{c}") for c in signals)
-    )
-    return samples.join(other, on=[*shared, "pack"], how="left", validate="m:1")
+    other = samples.select(*key, (3 - pl.col("pack")).alias("pack"), *(pl.col(c).alias(f"other_{c}") for c in signals))
+    return samples.join(other, on=[*key, "pack"], how="left", validate="m:1")
 
 
 def _log_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:
-    """Natural logarithm of the ratio of two readings; null where one is missing or not above `least`."""
+    """Return the ln ratio of two readings; null where one is missing or not above `least`."""
     good = (pl.col(top) > least) & (pl.col(bottom) > least)
     return pl.when(good).then((pl.col(top) / pl.col(bottom)).log())
 
@@ -156,35 +154,35 @@ LEVEL_CHECKS: dict[str, pl.Expr] = {
     "hx_in_between_packs_k": pl.when(_BOTH_RUN).then(pl.col("hx_in_k") - pl.col("other_hx_in_k")),
     "cc_out_between_packs_k": pl.when(_BOTH_RUN).then(pl.col("cc_out_k") - pl.col("other_cc_out_k")),
 }
-"""Cross checks in level flight; each is constant, but for noise, while every sensor in it is sound."""
+"""Cross checks in cruise; each is constant up to noise while its sensors are sound."""
 
 _ABOVE_TARGET_K = pl.col("hx_out_k") - pl.col("target_shape_k")
 FLIGHT_CHECKS: dict[str, pl.Expr] = {
     "hx_out_minus_target_k": pl.when(has_authority()).then(_ABOVE_TARGET_K),
-    # both controllers hold the same target, whatever the wear
+    # both controllers have the same target, whatever the wear
     "hx_out_between_packs_k": pl.when(has_authority() & has_authority("other_")).then(
         pl.col("hx_out_k") - pl.col("other_hx_out_k")
     ),
 }
-"""Cross checks of the controllers, in climb and descent too: they are quick against a flight."""
+"""Cross checks of the controllers, which are fast enough for climb and descent."""
 
 CHECKS = (*LEVEL_CHECKS, *FLIGHT_CHECKS)
 
 
 def _checks(checks: dict[str, pl.Expr]) -> list[pl.Expr]:
-    """Median of each check and its count; fewer than three samples are no witness."""
-    medians = [pl.when(e.count() >= FEWEST).then(e.median()).alias(f"w_{name}") for name, e in checks.items()]
+    """Return the median of each check, null below three samples, and its count."""
+    medians = [pl.when(e.count() >= MIN_SAMPLES).then(e.median()).alias(f"w_{name}") for name, e in checks.items()]
     return medians + [e.count().alias(f"w_{name}_n") for name, e in checks.items()]
 
 
-def _pegged(whole: pl.DataFrame) -> pl.DataFrame:
-    """Outlet above target where the door rests at its widest, less the same elsewhere: the flight's trim drops out."""
+def _peg_excess(whole: pl.DataFrame) -> pl.DataFrame:
+    """Compute the outlet above target at the door's widest opening less elsewhere, without the flight's trim."""
     at_stop = pl.col("ram_door_open") > pl.col("ram_door_open").max().over(LEG) - PEG_BAND
     above = pl.when(has_authority()).then(_ABOVE_TARGET_K)
     return whole.group_by(LEG).agg(
         (above.filter(at_stop).median() - above.filter(~at_stop).median()).alias("door_peg_excess_k"),
         above.filter(at_stop).count().alias("door_peg_n"),
         above.filter(~at_stop).count().alias("door_off_peg_n"),
-        # straight lines follow their target both ways: a jammed door leaves it above in one hour and below in the next
+        # large behind a jammed door, which leaves the outlet now above, now below its target
         above.std().alias("hx_out_target_sd_k"),
     )

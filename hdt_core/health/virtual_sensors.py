@@ -1,4 +1,4 @@
-"""Virtual sensors: what no probe measures but the twin knows of a flight, with its uncertainty."""
+"""Virtual sensors: quantities without a probe, from the twin's estimates of a flight, with their uncertainty."""
 
 import polars as pl
 
@@ -6,13 +6,13 @@ from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.records.keys import LEG
 
-BALANCED = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "ram_flow_kg_s", "tat_k")
+BALANCE_SIGNALS = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "ram_flow_kg_s", "tat_k")
 RAM_MAP_SD = 0.05
 """Relative uncertainty of the clean duct's flow where no ram outlet probe anchors it: maps err by 4 to 10 %."""
 
 
 def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
-    """Quantities of each flight and pack from the twin's estimates of that flight.
+    """Compute the quantities of each flight and pack from the twin's estimates of that flight.
 
     Parameters
     ----------
@@ -23,13 +23,13 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
     -------
     DataFrame
         The key and, each with an `_sd` column of the same unit: `ram_flow_kg_s` (of the clean duct), `ram_outlet_k`,
-        `effectiveness`, `ua_w_k`, `ram_flow_loss` (share of the clean duct's flow that the heat balance misses; null
-        without a ram outlet probe); and `hx_fouling_flight` (1 less measured over expected conductance, undamped, its
-        unit's offset still in it), `cc_diameter_deficit` (share of the diameter that equation (6) expects). Cross
+        `effectiveness`, `ua_w_k`, `ram_flow_loss` (loss of the clean duct's flow by the heat balance; null
+        without a ram outlet probe); and `hx_fouling_flight` (1 less measured over expected conductance, undamped, with
+        its unit's offset), `cc_diameter_deficit` (deficit to the diameter of equation (6)). Cross
         checks that need the model: `w_hx_in_over_discharge_k`, or `w_hx_in_over_pressure_k` where the discharge
         temperature is not recorded, and `w_conductance_off_cruise_ln`.
     """
-    flow, hot_in_k, hot_out_k, ram_flow, tat_k = (twin_flights[c].cast(pl.Float64).to_numpy() for c in BALANCED)
+    flow, hot_in_k, hot_out_k, ram_flow, tat_k = (twin_flights[c].cast(pl.Float64).to_numpy() for c in BALANCE_SIGNALS)
     heat_j_kg = flow * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k) * (hot_in_k - hot_out_k) / ram_flow
     rise_k = pl.Series(warmed_k(tat_k, heat_j_kg) - tat_k)
     drop_k = pl.col("hx_in_k") - pl.col("tat_k")
@@ -57,9 +57,9 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def _cross_checks() -> list[pl.Expr]:
-    told = pl.col("efficiency").is_not_null()
+    has_efficiency = pl.col("efficiency").is_not_null()
     return [
-        pl.when(told).then("inlet_apart_k").alias("w_hx_in_over_discharge_k"),
-        pl.when(~told).then("inlet_apart_k").alias("w_hx_in_over_pressure_k"),
+        pl.when(has_efficiency).then("inlet_apart_k").alias("w_hx_in_over_discharge_k"),
+        pl.when(~has_efficiency).then("inlet_apart_k").alias("w_hx_in_over_pressure_k"),
         pl.col("door_apart_ln").alias("w_conductance_off_cruise_ln"),
     ]

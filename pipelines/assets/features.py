@@ -8,7 +8,7 @@ import polars as pl
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features as describe
-from hdt_core.health.sensor_checks import witnesses
+from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
@@ -23,7 +23,7 @@ def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) 
     """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
     norm = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
-    return leg_indicators(legs_samples, norm), witnesses(legs_samples, laws)
+    return leg_indicators(legs_samples, norm), cross_checks(legs_samples, laws)
 
 
 @stage
@@ -52,8 +52,8 @@ def features(
         legs_verdicts,
         raw_maintenance,
         twin_flights=twin_flights,
-        witnesses=features_cross_checks,
-        margin=features_margin,
+        cross_checks=features_cross_checks,
+        demand=features_margin,
     )
 
 

@@ -14,7 +14,7 @@ from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
-from hdt_core.health.sensor_checks import witnesses
+from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import SIGNALS, RawMaintenance, RawMessages
@@ -54,11 +54,11 @@ def recorded(store):
 def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     """Every table that is made of recorded rows."""
     verdicts, samples = judge_legs(raw, NO_WORK, NO_MESSAGES)
-    signs, seen = leg_indicators(samples, norm), witnesses(samples, laws)
+    signs, seen = leg_indicators(samples, norm), cross_checks(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
     health, chapters = track_on(flights, NO_WORK, dsm)
-    told = features(health, apart, verdicts, NO_WORK, twin_flights=flights, witnesses=seen)
+    told = features(health, apart, verdicts, NO_WORK, twin_flights=flights, cross_checks=seen)
     return {
         "legs_samples": samples,
         "legs_verdicts": verdicts,

@@ -21,7 +21,7 @@ def noise(units: int, flights: int, seed: int = 0, spread: float = 0.8) -> NDArr
 
 def test_false_calls_stay_within_the_budget() -> None:
     # 200 packs, 1,000 flights each; eleven channels share a budget of one call in 1,000 flights of an aircraft
-    calls = walked(noise(200, 1000)).called[:, :, 0]
+    calls = walked(noise(200, 1000)).alarm[:, :, 0]
     raised = (calls & ~np.pad(calls, ((0, 0), (1, 0)))[:, :-1]).sum()
     assert 1000 * raised / (200 * 1000) < 1.0 / 11 / 2
 
@@ -29,7 +29,7 @@ def test_false_calls_stay_within_the_budget() -> None:
 def test_heavy_tails_cost_little() -> None:
     rng = np.random.default_rng(1)
     tails = 0.8 * rng.standard_t(4, (200, 500)) / np.sqrt(2.0)
-    calls = walked(tails).called[:, :, 0]
+    calls = walked(tails).alarm[:, :, 0]
     assert (calls & ~np.pad(calls, ((0, 0), (1, 0)))[:, :-1]).sum() <= 5
 
 
@@ -37,7 +37,7 @@ def test_heavy_tails_cost_little() -> None:
 def test_step_is_called_soon(size: float, flights: int) -> None:
     values = noise(50, 120)
     values[:, 60:] += size * 0.8
-    called = walked(values).called[:, :, 0]
+    called = walked(values).alarm[:, :, 0]
     assert called[:, :60].sum() == 0
     assert called[:, 60 + flights].mean() > 0.9
 
@@ -46,24 +46,24 @@ def test_drift_is_called_but_ageing_is_not() -> None:
     flights = np.arange(400)
     drifting = noise(50, 400) + np.where(flights > 100, 0.1 * (flights - 100), 0.0)
     ageing = noise(50, 400) + 0.001 * flights  # 1 K per 1,000 flights
-    assert walked(drifting).called[:, 170, 0].all()
-    assert walked(ageing).called.mean() < 0.01
+    assert walked(drifting).alarm[:, 170, 0].all()
+    assert walked(ageing).alarm.mean() < 0.01
 
 
 def test_a_fault_that_ends_is_seen_to_end() -> None:
     values = noise(50, 200)
     values[:, 60:90] -= 4.0
-    called = walked(values).called[:, :, 0]
+    called = walked(values).alarm[:, :, 0]
     assert called[:, 80].all()
     assert not called[:, 115:].any()
-    assert not walked(values, Cusum(clear=0.0)).called[:, 199, 0].all()  # a sum at the limit is not above it
+    assert not walked(values, Cusum(clear=0.0)).alarm[:, 199, 0].all()  # a sum at the limit is not above it
 
 
 def test_nothing_leaks_from_the_future() -> None:
     values = noise(5, 150)
     values[:, 90:] += 3.0
     whole, part = walked(values), walked(values[:, :100])
-    np.testing.assert_array_equal(whole.called[:, :100], part.called)
+    np.testing.assert_array_equal(whole.alarm[:, :100], part.alarm)
     np.testing.assert_array_equal(whole.z[:, :100], part.z)
 
 
@@ -124,9 +124,9 @@ def test_the_walk_is_that_of_its_rule(seed: int, scatter: float, memory: int) ->
     restarts = frozenset({115} if seed == 3 else ())
     new = np.isin(np.arange(300), list(restarts))[None, :, None]
     shift = watch(values[None, :, None], SD, new, Cusum(memory_flights=memory))
-    one = [a[0, :, 0] for a in (shift.called, shift.z, shift.departure, shift.sum_high, shift.sum_low)]
+    one = [a[0, :, 0] for a in (shift.alarm, shift.z, shift.departure, shift.sum_high, shift.sum_low)]
     np.testing.assert_allclose(np.array(one, dtype=float).T, walked_by_hand(values, 0.8, restarts, memory), atol=1e-9)
-    assert shift.called.any()
+    assert shift.alarm.any()
 
 
 @pytest.mark.parametrize(("z", "calls_after"), [(3.5, 4), (4.5, 3), (40.0, 3), (1.0, None)])
@@ -134,7 +134,7 @@ def test_delay_of_a_call(z: float, calls_after: int | None) -> None:
     """A shift of z raises the sum by z - 1 a flight, 3.5 at most: it passes 8 with flight 8 / (z - 1), rounded up."""
     values = np.where(np.arange(200) < 100, 0.0, 1.0)
     sd = 0.4 * np.sqrt(1.0 + 1.0 / 100.0)  # never believed below half of the expected scatter
-    called = walked(values[None, :] * z * sd).called[0, :, 0]
+    called = walked(values[None, :] * z * sd).alarm[0, :, 0]
     assert (int(called.argmax()) - 99 if called.any() else None) == calls_after
 
 
@@ -143,7 +143,7 @@ def test_restart_forgets_the_old_unit() -> None:
     values[:, 60:] += 5.0
     new = np.zeros((20, 120, 1), dtype=bool)
     new[:, 60] = True
-    assert not watch(values[:, :, None], SD, new).called.any()
+    assert not watch(values[:, :, None], SD, new).alarm.any()
 
 
 def test_persistence_with_hysteresis_and_end() -> None:

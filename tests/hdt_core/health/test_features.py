@@ -154,7 +154,7 @@ def test_usage_door_and_the_other_pack(nothing_done) -> None:
             flight_hours=pl.lit(2.5), door_median=0.1 * pl.col("pack"), door_max=pl.lit(0.7), hx_fouling=pl.lit(9.0)
         )
     )
-    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, witnesses=checks)
+    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, cross_checks=checks)
     assert out["usage_hours"].to_list() == [2.5, 5.0, 7.5] * 2
     assert out["ram_door_margin"].to_list() == pytest.approx([0.3] * 6)
     assert out["ram_door_open_cruise"].to_list() == pytest.approx([0.1] * 3 + [0.2] * 3)

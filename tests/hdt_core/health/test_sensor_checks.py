@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from hand_pack import FLIGHT, LAWS
 
-from hdt_core.health.sensor_checks import CHECKS, SENSORS, witnesses
+from hdt_core.health.sensor_checks import CHECKS, SENSORS, cross_checks
 
 FROM = 30
 
@@ -17,12 +17,12 @@ def late(samples: pl.DataFrame, pack: int = 1) -> pl.Expr:
 
 def seen(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Witnesses of the pack before and after the fault began."""
-    out = witnesses(samples).filter(pl.col("pack") == pack).sort("departed_at")
+    out = cross_checks(samples).filter(pl.col("pack") == pack).sort("departed_at")
     return out.head(FROM), out.slice(FROM)
 
 
 def test_sound_aircraft_shows_nothing(fly) -> None:
-    out = witnesses(fly(40))
+    out = cross_checks(fly(40))
     assert out.height == 80
     assert out["running"].all()
     for sensor in SENSORS:
@@ -60,7 +60,7 @@ def both_packs() -> pl.DataFrame:
 
 
 def first(samples: pl.DataFrame) -> dict[str, object]:
-    return witnesses(samples, LAWS).row(by_predicate=pl.col("pack") == 1, named=True)
+    return cross_checks(samples, LAWS).row(by_predicate=pl.col("pack") == 1, named=True)
 
 
 def test_cross_checks_and_setting_by_hand() -> None:
@@ -198,7 +198,7 @@ def test_pack_off_is_no_witness(fly) -> None:
     samples = fly(40)
     off = late(samples)
     flows = [pl.when(off).then(0.0).otherwise(pl.col(c)).alias(c) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
-    out = witnesses(samples.with_columns(flows))
+    out = cross_checks(samples.with_columns(flows))
     assert not out.filter(pl.col("pack") == 1).sort("departed_at").slice(FROM)["running"].any()
     other = out.filter(pl.col("pack") == 2).sort("departed_at").slice(FROM)
     assert other["running"].all()
@@ -206,7 +206,7 @@ def test_pack_off_is_no_witness(fly) -> None:
 
 
 def test_a_lone_pack_has_no_partner_but_keeps_its_own_checks(fly) -> None:
-    out = witnesses(fly(12).filter(pl.col("pack") == 1))
+    out = cross_checks(fly(12).filter(pl.col("pack") == 1))
     assert out["w_hx_out_between_packs_k"].null_count() == out.height
     assert out["w_inlet_minus_tat_k"].null_count() == 0
     assert {f"w_{c}" for c in CHECKS} <= set(out.columns)
