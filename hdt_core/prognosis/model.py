@@ -109,9 +109,7 @@ class Prognosis:
     folds: tuple[Fold, ...] = ()
 
 
-def fit_prognosis(
-    features: pl.DataFrame, lives: pl.DataFrame, seed: int = 0, base: Prognosis | None = None
-) -> Prognosis:
+def fit_prognosis(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis) -> Prognosis:
     """Model for live use, from simulated lives and all of the fleet's own.
 
     Parameters
@@ -121,12 +119,10 @@ def fit_prognosis(
         empty.
     lives : DataFrame
         From `unit_lives.episodes`. May hold no failure.
-    seed : int
-        Same seed, same model.
-    base : Prognosis, optional
-        What `fit_base` gave, where it is kept; it depends on no fleet.
+    base : Prognosis
+        What `fit_base` gave; it depends on no fleet.
     """
-    return fit_tracks(base or fit_base(seed), {c: tracks(features, lives, c) for c in PRIOR_RULES})
+    return fit_tracks(base, {c: tracks(features, lives, c) for c in PRIOR_RULES})
 
 
 def fit_tracks(base: Prognosis, lived: Mapping[str, Tracks], groups: Sequence[str] = (), by: str = "tail") -> Prognosis:
@@ -234,19 +230,13 @@ def predict_prognosis(
     return pl.concat(parts).sort("component", *IN_ORDER)
 
 
-def out_of_fold(
-    features: pl.DataFrame,
-    lives: pl.DataFrame,
-    seed: int = 0,
-    base: Prognosis | None = None,
-    by: str = "tail",
-) -> pl.DataFrame:
+def out_of_fold(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis, by: str = "tail") -> pl.DataFrame:
     """Prognoses of each tail from a model that never saw that tail's own lives; the base saw simulated ones only.
 
     With `by="operator"` no life of the tail's whole operator was seen: what a new operator may expect.
     """
     lived = {c: tracks(features, lives, c) for c in PRIOR_RULES}
-    model = fit_tracks(base or fit_base(seed), lived, features[by].unique().to_list(), by)
+    model = fit_tracks(base, lived, features[by].unique().to_list(), by)
     return pl.concat(predict_by_fold(model, c, track, by=by) for c, track in lived.items()).sort("component", *IN_ORDER)
 
 
@@ -262,18 +252,10 @@ def predict_by_fold(
     return pl.concat(parts)
 
 
-def fit_base(seed: int = 0, members: int = MEMBERS, fleets: int = 50) -> Prognosis:
-    """Base learned from simulated lives alone: the same for every fleet, so it need be fitted once.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same base.
-    members, fleets : int
-        Models, and simulated fleets that each of them learns from.
-    """
-    learned = tuple(fit_member(members * seed + member, fleets) for member in range(members))
-    check = simulated_rows(members * seed + members, fleets=20)
+def fit_base() -> Prognosis:
+    """Base learned from simulated lives alone: the same for every fleet, so it need be fitted once."""
+    learned = tuple(fit_member(seed) for seed in range(MEMBERS))
+    check = simulated_rows(MEMBERS, fleets=20)
     by = event_by(hazards(learned, check.features))
     return Prognosis(learned, learn_levels(by, check.left, check.failed, check.life, prior_lives=0.0))
 

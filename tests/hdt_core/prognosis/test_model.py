@@ -208,6 +208,9 @@ def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
     fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
     scores = _lesson_scores(replace(base, base_levels=base_levels), track, "HX", outside, [fit, fit])
     assert LESSONS[int(np.argmin(scores.sum(axis=0)))] == kept
+    muted = replace(track, mute=track.mute | ~outside[1])  # a fold whose own lives tell nothing scores nothing
+    own = _lesson_scores(base, muted, "HX", outside, [fit, fit])
+    assert (own > 0.0).tolist() == [[True] * len(LESSONS), [False] * len(LESSONS)]
 
 
 def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatch):

@@ -12,10 +12,11 @@ from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.margin.margin import MessageRule
 from hdt_core.prognosis.component_life import component_prognoses, first_passage
 from hdt_core.prognosis.component_limits import learn_limit
-from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, tracks
+from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, simulated_rows, tracks
 from hdt_core.prognosis.hazard import quantile
 from hdt_core.prognosis.metrics import calibration, judge, score_prognoses
 from hdt_core.prognosis.unit_lives import episodes, flight_rows, told_lives, with_lives
+from hdt_core.simulate.training import draw_fleets
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
 HX_CODE, CC_CODE = "21-52-HXTEMP", "21-51-CCFLOW"
@@ -229,11 +230,27 @@ def test_the_rule_is_learned_from_flights_up_to_the_message():
     everyone = np.ones(100, bool)
     assert learn_rule(track, "HX", everyone)["AAA"].messages == 1
     assert learn_rule(track, "HX", track.at[:, 0] == 1)["AAA"].messages == 0
-    hotter = features.with_columns(
-        overheat_p20_k=pl.when(pl.int_range(100).is_between(18, 20)).then(15.0).otherwise("overheat_p20_k")
-    )
-    later = tracks(hotter, episodes(features, told((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
-    assert learn_rule(later, "HX", everyone) == learn_rule(track, "HX", everyone)
+    for message in (17, 0):  # what is hot after it, until the unit is replaced, is no evidence
+        hot = pl.int_range(100).is_between(message + 1, message + 3)
+        hotter = features.with_columns(overheat_p20_k=pl.when(hot).then(15.0).otherwise("overheat_p20_k"))
+        ended = episodes(features, told((message, HX_CODE)), log((message + 3, "HX", "REPLACED", "")))
+        warm, plain = (learn_rule(tracks(f, ended, "HX"), "HX", everyone) for f in (hotter, features))
+        assert warm == plain
+
+
+def test_of_a_simulated_life_every_twentieth_flight_is_a_row():
+    rows, n = simulated_rows(3, fleets=2, aircraft=2, flights=60), 0
+    begins = np.random.default_rng(4)
+    for lives, doubt in draw_fleets(3, 2, 2, 60):
+        left, failed = lives.left()
+        first = (-begins.integers(0, 20, len(left))) % 20
+        for unit, start in enumerate(first):
+            flights = [k for k in range(start, 60, 20) if left[unit, k] >= 1]
+            own = rows.take(rows.life == n + unit)
+            assert own.left.tolist() == left[unit, flights].tolist()
+            assert own.failed.tolist() == failed[unit, flights].tolist()
+            assert (own.features[:, -1] == doubt).all()
+        n += len(left)
 
 
 def test_a_compressors_loss_and_the_limit_of_its_message():
