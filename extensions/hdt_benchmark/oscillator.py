@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from hdt_benchmark.oscillator_kernels import oscillator_kernels
+from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
 from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.problem import Array, Belief, Problem
-from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
 
 DT_S, N_SAMPLES, SIGMA_M = 0.01, 1001, 0.05
 TRUTH = np.array([0.5, 2.0])

@@ -1,6 +1,6 @@
 """The spring-mass-damper of equation (1), compiled: forward Euler from rest, damping and stiffness unknown.
 
-The equations are those of `hdt_core.physics.spring_mass_damper`; a test holds both to the same answer.
+The equations are those of `hdt_benchmark.spring_mass_damper`; a test holds both to the same answer.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hdt_core.physics.integrators import Solver
-from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, taking
+from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, with_signature
 from hdt_fmi.fmu_unit import FATAL, FmuUnit, check_losses, lossless
 
 
@@ -77,9 +77,9 @@ def fmu_model(
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         params=tuple(params),
-        equations=taking(order, lambda **values: run("outputs", values)),
+        equations=with_signature(order, lambda **values: run("outputs", values)),
         states=states,
-        rates=taking(order, lambda **values: run("rates", values)) if states else None,
+        rates=with_signature(order, lambda **values: run("rates", values)) if states else None,
         solver=solver,
     )
 

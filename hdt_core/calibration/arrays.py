@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hdt_core.calibration.exchanger import SIGNALS
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.installed_exchanger import with_static_pressure
-from hdt_core.physics.terms import corrected
+from hdt_core.physics.terms import correct_signals
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 
 Array = NDArray[Any]
@@ -90,7 +90,7 @@ def as_met(cruise: pl.DataFrame, terms: Mapping[str, float]) -> pl.DataFrame:
     """Cruise samples with the accepted physical terms taken out of what was recorded."""
     if not terms:
         return cruise
-    met = corrected({name: cruise[name].to_numpy().astype(float) for name in SIGNALS}, terms)
+    met = correct_signals({name: cruise[name].to_numpy().astype(float) for name in SIGNALS}, terms)
     return cruise.with_columns(pl.Series(name, values).fill_nan(None) for name, values in met.items())
 
 

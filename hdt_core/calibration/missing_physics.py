@@ -18,7 +18,7 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.exchanger_fit import DESIGN_EFFECT, MAX_STEP, instruments_of
 from hdt_core.calibration.flight_estimates import MEDIANS, design_gradient
 from hdt_core.physics.installed_exchanger import with_static_pressure
-from hdt_core.physics.terms import TERMS, corrected, within
+from hdt_core.physics.terms import TERMS, correct_signals, within
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import huber_weights, spread
 
@@ -47,7 +47,7 @@ class _FlightSteps(NamedTuple):
 
     def ratio(self, terms: dict[str, float], design: Array) -> Array:
         """Ln conductance ratio were these terms and this design the truth. (n,)"""
-        return hx.ln_conductance_ratio(corrected(self.signals, terms), design, self.bias)
+        return hx.ln_conductance_ratio(correct_signals(self.signals, terms), design, self.bias)
 
     def left(self, terms: dict[str, float], design: Array) -> Array:
         """What changes from flight to flight beside that. (changes,)"""
@@ -158,7 +158,7 @@ def _fit(seen: _FlightSteps, dsm: Dsm, names: tuple[str, ...], among: Array | No
 
 def _columns(seen: _FlightSteps, terms: dict[str, float], design: Array) -> Array:
     """What is left falls by these a unit of each term and design value. (changes, terms + design)"""
-    met, here = corrected(seen.signals, terms), seen.ratio(terms, design)
+    met, here = correct_signals(seen.signals, terms), seen.ratio(terms, design)
     moved = [seen.ratio(terms | {name: value + STEP}, design) - here for name, value in terms.items()]
     by_design = design_gradient(met, design, seen.bias, here)
     every = np.c_[np.reshape(moved, (len(terms), len(here))).T / STEP, by_design]

@@ -11,8 +11,6 @@ R_J_KG_K = 287.05287
 """Specific gas constant of dry air. [J/kg/K] (ICAO Doc 7488/3)"""
 GAMMA = 1.4
 """Ratio of specific heats of the ICAO atmosphere and of pitot theory. [-]"""
-CP_J_KG_K = GAMMA / (GAMMA - 1.0) * R_J_KG_K
-"""Specific heat that belongs to `GAMMA` and `R_J_KG_K`. [J/kg/K]"""
 
 CP_300_J_KG_K, CP_SLOPE, CP_CURVE = 1004.66, 0.05216, 3.556e-4
 """Parabola of `specific_heat_j_kg_k` about 300 K. [J/kg/K], [J/kg/K2], [J/kg/K3]"""

@@ -1,4 +1,4 @@
-"""The heat exchanger at 1 Hz: in steady flow the cross-flow one, and between steady states a core that stores heat.
+"""Heat exchanger at 1 Hz: the cross-flow exchanger in steady state, and a core that stores heat in between.
 
 A wall of one temperature between two streams would have the same ceiling as the paper's equations (7)-(8). Here only
 the *departure* of the core from its steady temperature is lumped: the steady answer stays exact, and heat is conserved.
@@ -19,11 +19,11 @@ from hdt_core.physics.heat_exchanger import (
     film_resistance,
     steady_exchanger,
 )
-from hdt_core.physics.model import Array, Param, PhysicsModel, State, taking
+from hdt_core.physics.model import Array, Param, PhysicsModel, State, with_signature
 
 
 class Core(NamedTuple):
-    """What the steady exchanger says of this instant, and how a core off its steady temperature shows.
+    """Outlets of the steady exchanger, corrected for a core off its steady temperature.
 
     `hot_gain`, `cold_gain` are the degrees by which an outlet moves for each degree of the core, [-]; `settling_s` is
     the time constant of the core. [s]
@@ -118,8 +118,8 @@ CORE_EXCHANGER = PhysicsModel(
     outputs=OUTPUTS,
     params=_PARAMS,
     states=(State("core_k", "K", 300.0),),
-    equations=taking(_NAMES, _outlets_k),
-    rates=taking(_NAMES, _rate_k_s),
-    step=taking((*_NAMES, "dt_s"), _step_k),
+    equations=with_signature(_NAMES, _outlets_k),
+    rates=with_signature(_NAMES, _rate_k_s),
+    step=with_signature((*_NAMES, "dt_s"), _step_k),
 )
 """For 1 Hz logs. 15 to 30 kg of aluminium settle in 3 to 10 s."""

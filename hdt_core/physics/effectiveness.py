@@ -1,4 +1,4 @@
-"""How well an exchanger exchanges: effectiveness from transfer units, and back.
+"""Effectiveness of exchangers from transfer units, and back.
 
 A side's effectiveness is its temperature change over the difference of the inlet temperatures, and its transfer units
 are UA over its own heat-capacity rate; neither needs to know which side is the smaller.
@@ -12,14 +12,14 @@ SERIES_TOLERANCE = 1e-17
 SERIES_UNITS, MAX_TERMS = 25.0, 120
 """The series serves while the smaller number of transfer units is this or less; beyond it the contour does."""
 CHECK_EVERY = 4
-"""Terms of the series between two looks at which values are done: a look costs as much as a term."""
+"""Terms of the series between two checks of convergence: a check costs as much as a term."""
 CONTOUR_SHIFT, CONTOUR_STEP, CONTOUR_NODES = 2.5, 0.43, 22
 """Distance from the pole and spacing of the nodes, in widths of the saddle; nodes on each side of the real axis."""
 MAX_NEWTON_STEPS = 60
 
 
 def counterflow_effectiveness(ntu: Array, c_ratio: Array) -> Array:
-    r"""Effectiveness of a counterflow exchanger: the best there is. [-]
+    r"""Effectiveness of a counterflow exchanger, the upper bound of all. [-]
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _by_series(a: Array, b: Array) -> tuple[Array, Array]:
         term_a *= a / (n + 1.0)
         slope += term_a * term_b
         if n % CHECK_EVERY == CHECK_EVERY - 1:
-            # each ends for itself, so that its digits do not hang on its neighbours; a NaN has nothing to wait for
+            # each value ends by itself, so its digits do not depend on its neighbours; NaN ends at once
             on = (n < fewest) | (np.abs(added) > SERIES_TOLERANCE)
             if not on.any():
                 break
@@ -133,7 +133,7 @@ def _by_series(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def contour_sums(few: Array, many: Array) -> tuple[Array, Array]:
-    r"""What many transfer units leave undone, for any number of them: 0 < few <= many, and few above ten or so.
+    r"""Shortfall of effectiveness at many transfer units: 0 < few <= many, and few above about ten.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def contour_sums(few: Array, many: Array) -> tuple[Array, Array]:
     """
     width = (2.0 * np.sqrt(np.real(few) * np.real(many))) ** -0.5
     w = np.maximum(0.5 * np.log(np.real(many) / np.real(few)), CONTOUR_SHIFT * width)
-    away, grown, both, apart = np.sinh(w), np.exp(w), few + many, many - few
+    away, scale, both, apart = np.sinh(w), np.exp(w), few + many, many - few
     short, unequal = 0.0 * both, 0.0 * both
     for k in range(CONTOUR_NODES + 1):
         theta = CONTOUR_STEP * k * width
@@ -168,7 +168,7 @@ def contour_sums(few: Array, many: Array) -> tuple[Array, Array]:
         short = short + height * (np.cos(turn) * u + np.sin(turn) * v) / (u**2 + v**2)
         unequal = unequal + height * np.cos(turn + theta)
     spacing = CONTOUR_STEP * width / (2.0 * np.pi)
-    return 0.5 * short * spacing, unequal * grown * spacing
+    return 0.5 * short * spacing, unequal * scale * spacing
 
 
 def crossflow_effectiveness_approximate(ntu: Array, c_ratio: Array) -> Array:
@@ -185,7 +185,7 @@ def crossflow_effectiveness_approximate(ntu: Array, c_ratio: Array) -> Array:
     -----
     .. math:: \varepsilon = 1 - \exp\left[\frac{N^{0.22}}{C_r} \left(e^{-C_r N^{0.78}} - 1\right)\right]
 
-    Within 0.012 of the exact series for N up to 3, and 0.020 up to 10. Kept to compare with what others computed.
+    Within 0.012 of the exact series for N up to 3, and 0.020 up to 10. For comparison with results by that formula.
 
     References
     ----------
@@ -200,7 +200,7 @@ def crossflow_effectiveness_approximate(ntu: Array, c_ratio: Array) -> Array:
 
 
 def crossflow_ntu(effectiveness: Array, ntu_ratio: Array) -> Array:
-    r"""Transfer units of this side that give this effectiveness: `crossflow_effectiveness` turned round. [-]
+    r"""Transfer units of this side that give this effectiveness: the inverse of `crossflow_effectiveness`. [-]
 
     Parameters
     ----------
@@ -212,15 +212,15 @@ def crossflow_ntu(effectiveness: Array, ntu_ratio: Array) -> Array:
     Returns
     -------
     array
-        NaN where no exchanger can do it: below 0, or at 1 or the balance of heat and above.
+        NaN where no exchanger has it: below 0, or at or above 1 or the limit by the heat balance.
 
     Notes
     -----
-    Newton's method in the transfer units of the counterflow exchanger that does the same: nearly straight in ours, so
-    that three steps do at 1 transfer unit and a few at a million. Its error goes with the square of a step, so it stops
-    at the step whose square is under 1e-13 of the value's.
+    Newton's method in the transfer units of the equivalent counterflow exchanger, nearly linear in these: three steps
+    suffice at 1 transfer unit and a few at a million. Its error is quadratic in the step, so it stops at a step whose
+    square is under 1e-13 of the value's.
 
-    What rounding the effectiveness leaves is :math:`2^{-53} \varepsilon / s` of the answer, s the slope by ln UA: 4e-13
+    Rounding of the effectiveness leaves :math:`2^{-53} \varepsilon / s` of the answer, s the slope by ln UA: 4e-13
     at a million transfer units of balanced streams; but of streams of ratio 0.5 already 1e-12 at 73, and everything at
     350, where the effectiveness is 1 to the last digit.
 
@@ -233,16 +233,16 @@ def crossflow_ntu(effectiveness: Array, ntu_ratio: Array) -> Array:
     possible = (eps >= 0.0) & (eps * np.maximum(ratio, 1.0) < 1.0) & (ratio >= 0.0)
     eps, ratio = np.where(possible, eps, 0.0), np.where(possible, ratio, 1.0)
     with np.errstate(all="ignore"):
-        wanted = _counterflow_ntu(eps, ratio)
-    possible &= np.isfinite(wanted)
-    wanted = np.where(possible, wanted, 0.0)
-    ntu = wanted * _over_counterflow(wanted, np.sqrt(ratio))
+        target = _counterflow_ntu(eps, ratio)
+    possible &= np.isfinite(target)
+    target = np.where(possible, target, 0.0)
+    ntu = target * _over_counterflow(target, np.sqrt(ratio))
     on = np.ones(ntu.shape, bool)
     for _ in range(MAX_NEWTON_STEPS):
-        found, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
+        eps_now, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
         with np.errstate(all="ignore"):  # an effectiveness that rounds to its ceiling has no counterflow equal
-            by_ntu = slope / ntu / ((1.0 - found) * (1.0 - ratio * found))
-            step = (wanted - _counterflow_ntu(found, ratio)) / by_ntu
+            by_ntu = slope / ntu / ((1.0 - eps_now) * (1.0 - ratio * eps_now))
+            step = (target - _counterflow_ntu(eps_now, ratio)) / by_ntu
             near = np.fmax(1e-13, 2.0**-53 * eps / slope) * ntu**2
         step = on * np.clip(np.where(np.isfinite(step), step, 0.0), -0.5 * ntu, 4.0 * ntu)
         ntu = ntu + step
@@ -259,9 +259,9 @@ def _counterflow_ntu(eps: Array, ratio: Array) -> Array:
 
 
 def _over_counterflow(ntu: Array, root: Array) -> Array:
-    """Transfer units over those of the counterflow exchanger that does the same, within a sixth; `root` of the ratio.
+    """Transfer units over those of the equivalent counterflow exchanger, within a sixth; `root` of the ratio.
 
-    The three terms are right where units are few (R N^2 / 6, the first term in which the two differ), where they are
+    The three terms hold where units are few (R N^2 / 6, the first term in which the two differ), where they are
     many and balanced (N / pi), and where they are many and not.
     """
     mean = ntu * root

@@ -10,7 +10,7 @@ from hdt_core.physics.ram_duct import TAT
 
 REFERENCE_HOT_FLOW_KG_S = 0.9
 REFERENCE_RAM_FLOW_KG_S = 1.6
-"""Where `hx_ua_reference_w_k` is stated: the flows of a middling cruise."""
+"""Flows at which `hx_ua_reference_w_k` is stated: those of an average cruise. [kg/s]"""
 REFERENCE_HOT_FILM_K, REFERENCE_COLD_FILM_K = 355.0, 285.0
 """And its film temperatures, a quarter of the way from each inlet to the other, at inlets of 390 and 250 K."""
 FILM_EXPONENT = 0.38
@@ -205,7 +205,7 @@ INPUTS = (
     Signal("hot_flow_kg_s", "kg/s", sigma=0.01, gain_sd=0.02),
     Signal("ram_flow_kg_s", "kg/s"),
     Signal("hot_in_k", "K", sigma=0.4, bias_sd=1.0),
-    TAT.named("cold_in_k"),
+    TAT.rename("cold_in_k"),
 )
 OUTPUTS = (
     Signal("hot_out_k", "K", sigma=0.4, bias_sd=1.0),

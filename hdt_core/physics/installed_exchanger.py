@@ -1,7 +1,7 @@
-"""The exchanger on its ram duct, as the record of an aircraft shows it: the one declaration of what is estimated of it.
+"""The exchanger on its ram duct, in the signals of an aircraft's record: the declaration that calibration estimates.
 
-Its design is stated in the coordinates in which a belief is about normal: logarithms of what must stay positive, the
-logit of a share. Core and exit of the duct can't be told apart in flight: one resistance stands for both.
+Its design is in coordinates with a nearly normal distribution: logarithms of positive quantities, the logit of a share.
+Core and exit of the duct cannot be separated in flight, so one resistance represents both.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
-from hdt_core.physics.model import Array, Param, PhysicsModel, taking
+from hdt_core.physics.model import Array, Param, PhysicsModel, with_signature
 from hdt_core.physics.ram_duct import RAM_DUCT, REST_AREA_M2, clean_flow_kg_s, static_pressure_pa
 
 REFERENCE_FILM_K = 325.0
@@ -20,17 +20,17 @@ _HOT_FILM = _CORE["hx_hot_share"].nominal / (1.0 - _CORE["hx_wall_share"].nomina
 
 DESIGN = (
     _CORE["hx_ua_reference_w_k"].in_ln("ln_ua_reference", sd=0.5),
-    _CORE["hx_exponent_hot"].known_to(sd=0.05),
-    _CORE["hx_exponent_cold"].known_to(sd=0.05),
+    _CORE["hx_exponent_hot"].with_sd(sd=0.05),
+    _CORE["hx_exponent_cold"].with_sd(sd=0.05),
     Param("hot_share_logit", "-", float(np.log(_HOT_FILM / (1.0 - _HOT_FILM))), (-1.5, 1.5), "design", sd=0.3),
-    _CORE["hx_wall_share"].known_to(sd=0.05),
+    _CORE["hx_wall_share"].with_sd(sd=0.05),
     Param("film_temperature_exponent", "-", 0.15, (-0.5, 0.8), "design", sd=0.15),
     _DUCT["ram_area_closed_m2"].in_ln("ln_door_closed", sd=0.7),
     _DUCT["ram_area_open_m2"].in_ln("ln_door_open", sd=0.4),
-    _DUCT["ram_door_low"].known_to(sd=0.15),
-    _DUCT["ram_door_high"].known_to(sd=0.25),
+    _DUCT["ram_door_low"].with_sd(sd=0.15),
+    _DUCT["ram_door_high"].with_sd(sd=0.25),
     _REST.in_ln("ln_rest_area", sd=0.4),
-    _DUCT["ram_recovery"].known_to(sd=0.1),
+    _DUCT["ram_recovery"].with_sd(sd=0.1),
 )
 """Design knowledge before any flight: offset-strip fins (film exponents), balanced resistances, a duct for 1 to 2
 kg/s in cruise."""
@@ -38,7 +38,7 @@ NAMES = tuple(p.name for p in DESIGN)
 
 
 def duct_values(design: Array) -> dict[str, Array]:
-    """Parameters of `RAM_DUCT` that a design vector (in the order of `DESIGN`) stands for, the clean duct's."""
+    """Parameters of `RAM_DUCT` of the clean duct from a design vector in the order of `DESIGN`."""
     p = dict(zip(NAMES, design, strict=True))
     half = np.sqrt(2.0) * np.exp(p["ln_rest_area"])
     return {
@@ -53,7 +53,7 @@ def duct_values(design: Array) -> dict[str, Array]:
 
 
 def core_values(design: Array) -> dict[str, Array]:
-    """Parameters of `HEAT_EXCHANGER` that a design vector stands for, the clean core's."""
+    """Parameters of `HEAT_EXCHANGER` of the clean core from a design vector."""
     p = dict(zip(NAMES, design, strict=True))
     return {
         "hx_ua_reference_w_k": np.exp(p["ln_ua_reference"]),
@@ -78,7 +78,7 @@ def clean_ram_flow_kg_s(signals: Mapping[str, Array], design: Array) -> Array:
 
 
 def with_static_pressure(signals: Mapping[str, Array]) -> dict[str, Array]:
-    """Signals and the static pressure outside, for who asks for the ram flow more than once."""
+    """Add the static pressure outside, for repeated evaluations of the ram flow."""
     return {**signals, "static_pressure_pa": static_pressure_pa(*(signals[n] for n in _AIR_DATA))}
 
 
@@ -100,11 +100,11 @@ def installed_outlets_k(**values: Array) -> tuple[Array, Array]:
 
 INPUTS = (
     *(RAM_DUCT.signal(name) for name in ("altitude_m", "mach", "tat_k", "total_pressure_pa")),
-    HEAT_EXCHANGER.signal("hot_in_k").named("hx_in_k"),
+    HEAT_EXCHANGER.signal("hot_in_k").rename("hx_in_k"),
     RAM_DUCT.signal("ram_door_open"),
-    HEAT_EXCHANGER.signal("hot_flow_kg_s").named("pack_flow_kg_s"),
+    HEAT_EXCHANGER.signal("hot_flow_kg_s").rename("pack_flow_kg_s"),
 )
-OUTPUTS = (HEAT_EXCHANGER.signal("hot_out_k").named("hx_out_k"), HEAT_EXCHANGER.signal("ram_out_k"))
+OUTPUTS = (HEAT_EXCHANGER.signal("hot_out_k").rename("hx_out_k"), HEAT_EXCHANGER.signal("ram_out_k"))
 PARAMS = (*DESIGN, _CORE["hx_fouling"])
 
 INSTALLED = PhysicsModel(
@@ -112,6 +112,6 @@ INSTALLED = PhysicsModel(
     inputs=INPUTS,
     outputs=OUTPUTS,
     params=PARAMS,
-    equations=taking([*(s.name for s in INPUTS), *(p.name for p in PARAMS)], installed_outlets_k),
+    equations=with_signature([*(s.name for s in INPUTS), *(p.name for p in PARAMS)], installed_outlets_k),
 )
-"""What the night calibrates (`design`) and follows (`health`), and what a notebook hands to an `Estimator`."""
+"""Model that the night calibrates (`design`) and tracks (`health`), and that a notebook passes to an `Estimator`."""

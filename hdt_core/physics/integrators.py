@@ -1,7 +1,7 @@
-"""States one sample later from their rates, inputs held: with the error watched, or by Euler where that is asked for.
+"""Integrate states over one sample with constant inputs: with error control, or by a fixed step of RK4 or Euler.
 
-Everything broadcasts: a whole swarm of parameter sets takes the same steps, so differences between its members are
-derivatives of the solver's own steps (internal numerical differentiation), not of its step control.
+All parameter sets of a batch take the same steps, so differences between them are derivatives of the solver's own
+steps (internal numerical differentiation), not of its step control.
 """
 
 from collections.abc import Callable
@@ -17,15 +17,15 @@ RTOL = 1e-8  # of every state's size, per step
 MANY_STEPS = 200  # in one sample: from here the rates are stiff for an explicit method
 
 
-def advanced(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array:
-    """States (s, ...) after `dt_s`.
+def advance_states(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array:
+    """Return the states (s, ...) after `dt_s`.
 
     Parameters
     ----------
     rates : function of the states (s, ...) giving their rates, of the same shape
     solver : str
-        `adaptive`: Dormand and Prince's steps as short as an error of 1e-8 asks for, SciPy's implicit Radau where they
-        grow too many; `rk4`: one step of Runge and Kutta; `euler`: one step of Euler.
+        `adaptive`: Dormand and Prince's steps for an error of 1e-8, SciPy's implicit Radau where they would be too
+        many; `rk4`: one step of Runge and Kutta; `euler`: one step of Euler.
 
     Notes
     -----
@@ -33,7 +33,7 @@ def advanced(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array:
 
     Examples
     --------
-    >>> print(advanced(lambda x: -x, np.array([1.0]), 0.5, "adaptive").round(7))
+    >>> print(advance_states(lambda x: -x, np.array([1.0]), 0.5, "adaptive").round(7))
     [0.6065307]
     """
     if solver == "euler":
@@ -47,12 +47,12 @@ def advanced(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array:
 
 
 def _adaptive(rates: Rates, x: Array, dt_s: float) -> Array:
-    """Steps of Dormand and Prince, the same for all columns; columns that want too many go to an implicit method."""
+    """Take steps of Dormand and Prince, the same for all columns; stiff columns go to an implicit method."""
     start, done, step = x, 0.0, dt_s
     with np.errstate(all="ignore"):
         slope = rates(x)
         for _ in range(MANY_STEPS):
-            later, slope_later, ratios = _tried(rates, x, slope, step)
+            later, slope_later, ratios = _trial_step(rates, x, slope, step)
             worst = float(ratios.max())
             if worst <= 1.0:
                 x, slope, done = later, slope_later, done + step
@@ -66,26 +66,27 @@ def _adaptive(rates: Rates, x: Array, dt_s: float) -> Array:
         return np.where(hard, stiff, _adaptive(rates, np.where(hard, np.nan, start), dt_s))
 
 
-def _tried(rates: Rates, x: Array, slope: Array, step: float) -> tuple[Array, Array, Array]:
-    """One step: states and rates after it, and every column's error to that allowed; 0 where it has no answer."""
-    from scipy.integrate import RK45  # half a second to load, which a component without rates need not wait for
+def _trial_step(rates: Rates, x: Array, slope: Array, step: float) -> tuple[Array, Array, Array]:
+    """Take one step; return states, rates and each column's error over its tolerance, 0 where not finite before it."""
+    from scipy.integrate import RK45  # loads for half a second, which models without rates save
 
     stages = [slope]
     for row in RK45.A[1:]:
-        stages.append(rates(x + step * _weighted(row, stages)))
-    later = x + step * _weighted(RK45.B, stages)
+        stages.append(rates(x + step * _weighted_sum(row, stages)))
+    later = x + step * _weighted_sum(RK45.B, stages)
     stages.append(rates(later))
-    error, size = np.abs(step * _weighted(RK45.E, stages)), np.maximum(np.abs(x), np.abs(later))
-    alive = np.isfinite(x).all(axis=0) & np.isfinite(slope).all(axis=0)
+    error, size = np.abs(step * _weighted_sum(RK45.E, stages)), np.maximum(np.abs(x), np.abs(later))
+    start_finite = np.isfinite(x).all(axis=0) & np.isfinite(slope).all(axis=0)
     finite = np.isfinite(error).all(axis=0) & np.isfinite(size).all(axis=0)
-    known = np.where(finite, size, 0.0)
-    floor = known.reshape(len(x), -1).max(axis=1).reshape(-1, *(1,) * (x.ndim - 1))
-    allowed = RTOL * np.maximum(known, 1e-3 * floor) + 1e-14
-    ratio = np.where(finite, error / allowed, np.where(alive, 1e30, 0.0)).max(axis=0)  # out of the finite: too far
+    finite_size = np.where(finite, size, 0.0)
+    floor = finite_size.reshape(len(x), -1).max(axis=1).reshape(-1, *(1,) * (x.ndim - 1))
+    allowed = RTOL * np.maximum(finite_size, 1e-3 * floor) + 1e-14
+    # 1e30, too long a step, where the step left the finite
+    ratio = np.where(finite, error / allowed, np.where(start_finite, 1e30, 0.0)).max(axis=0)
     return later, stages[-1], ratio
 
 
-def _weighted(weights: Array, stages: list[Array]) -> Array:
+def _weighted_sum(weights: Array, stages: list[Array]) -> Array:
     total: Array = weights[0] * stages[0]
     for weight, stage in zip(weights[1:], stages[1:], strict=False):
         total = total + weight * stage
@@ -93,11 +94,11 @@ def _weighted(weights: Array, stages: list[Array]) -> Array:
 
 
 def _stiff(rates: Rates, x: Array, dt_s: float, hard: NDArray[np.bool_]) -> Array:
-    """SciPy's Radau over the columns that are `hard`, as one system of blocks; NaN where even that ends nowhere."""
+    """Integrate the columns `hard` by SciPy's Radau as one block system; NaN where it fails."""
     from scipy.integrate import solve_ivp
     from scipy.sparse import eye_array, kron
 
-    answer = np.full(x.shape, np.nan)
+    states = np.full(x.shape, np.nan)
     first = x[:, hard]
 
     def flat(_t: float, y: Array) -> Array:
@@ -108,11 +109,11 @@ def _stiff(rates: Rates, x: Array, dt_s: float, hard: NDArray[np.bool_]) -> Arra
     blocks = kron(np.ones((len(x), len(x))), eye_array(first.shape[1]))
     allowed = RTOL * np.maximum(np.abs(first).ravel(), 1e-6)
     try:
-        found = solve_ivp(
+        solution = solve_ivp(
             flat, (0.0, dt_s), first.ravel(), method="Radau", rtol=RTOL, atol=allowed, jac_sparsity=blocks
         )
-    except (ValueError, ArithmeticError, RuntimeError):  # rates that leave the finite on the way
-        return answer
-    if found.success:
-        answer[:, hard] = found.y[:, -1].reshape(first.shape)
-    return answer
+    except (ValueError, ArithmeticError, RuntimeError):  # rates not finite on the way
+        return states
+    if solution.success:
+        states[:, hard] = solution.y[:, -1].reshape(first.shape)
+    return states

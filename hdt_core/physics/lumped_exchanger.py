@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, taking
+from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, with_signature
 
 Factors = tuple[Array, Array, Array, Array]
 """Entries of a 2 x 2 matrix, row by row: the state x, with x' = [[p, q], [r, s]] x, is multiplied by it each step."""
@@ -98,7 +98,7 @@ def steady_outlets_k(
     hx_h_hot_w_k: Array,
     hx_h_cold_w_k: Array,
 ) -> tuple[Array, Array]:
-    """Outlet temperatures at which equations (7) and (8) stand still, hot then cold. [K]
+    """Outlet temperatures in the steady state of equations (7) and (8), hot then cold. [K]
 
     Examples
     --------
@@ -167,28 +167,28 @@ _FACTORS: dict[str, Callable[..., Factors]] = {
 
 
 def lumped_exchanger(form: Form = "exact") -> PhysicsModel:
-    """Equations (7)-(8), declared, in the form asked for; `hx_h_loss` is the share that both coefficients have lost.
+    """Declare equations (7)-(8) in a form; `hx_h_loss` is the relative loss of both coefficients.
 
     Parameters
     ----------
     form : {"quasi_steady", "exact", "euler", "tustin"}
-        `quasi_steady` has no states and needs no masses: at 1 Hz in cruise it loses nothing. `exact` propagates by the
-        matrix exponential with the inputs held. `euler` and `tustin` are the sequential forms; Euler needs a step well
+        `quasi_steady` has no states and needs no masses: at 1 Hz in cruise it is as accurate. `exact` propagates by the
+        matrix exponential with constant inputs. `euler` and `tustin` are the sequential forms; Euler needs a step well
         below the fastest time constant.
     """
     if form == "quasi_steady":
         names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS))
-        return PhysicsModel("lumped_exchanger", _INPUTS, _OUTPUTS, _COEFFICIENTS, _worn(names, steady_outlets_k))
+        return PhysicsModel("lumped_exchanger", _INPUTS, _OUTPUTS, _COEFFICIENTS, _with_loss(names, steady_outlets_k))
     names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS, *_MASSES, *_STATES))
     return PhysicsModel(
         "lumped_exchanger",
         _INPUTS,
         _OUTPUTS,
         _COEFFICIENTS + _MASSES,
-        _worn(names, _read_volumes),
+        _with_loss(names, _read_volumes),
         _STATES,
-        _worn(names, rates_k_s),
-        _worn((*names, "dt_s"), partial(_step, _FACTORS[form])),
+        _with_loss(names, rates_k_s),
+        _with_loss((*names, "dt_s"), partial(_step, _FACTORS[form])),
     )
 
 
@@ -200,24 +200,24 @@ def _step(
     hx_mass_hot_kg: Array,
     hx_mass_cold_kg: Array,
     dt_s: float,
-    **held: Any,
+    **inputs: Any,
 ) -> tuple[Array, Array]:
-    """Departure from the steady state multiplied by the factors; `held` are inputs and coefficients."""
-    hot_k, cold_k = steady_outlets_k(**held)
-    matrix = _matrix_per_s(hx_mass_hot_kg=hx_mass_hot_kg, hx_mass_cold_kg=hx_mass_cold_kg, **held)
+    """Multiply the departure from the steady state by the factors; `inputs` are inputs and coefficients."""
+    hot_k, cold_k = steady_outlets_k(**inputs)
+    matrix = _matrix_per_s(hx_mass_hot_kg=hx_mass_hot_kg, hx_mass_cold_kg=hx_mass_cold_kg, **inputs)
     hh, hc, ch, cc = factors_of(*matrix, dt_s)
     above_hot_k, above_cold_k = hot_volume_k - hot_k, cold_volume_k - cold_k
     return hot_k + hh * above_hot_k + hc * above_cold_k, cold_k + ch * above_hot_k + cc * above_cold_k
 
 
-def _worn(names: tuple[str, ...], equation: Equation) -> Equation:
-    """The equation with both coefficients less the loss: what tracking frees."""
+def _with_loss(names: tuple[str, ...], equation: Equation) -> Equation:
+    """Return the equation with both coefficients reduced by the loss, the health parameter."""
 
-    def worn(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
-        kept = 1.0 - hx_h_loss
-        return equation(hx_h_hot_w_k=kept * hx_h_hot_w_k, hx_h_cold_w_k=kept * hx_h_cold_w_k, **others)
+    def reduced(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
+        share = 1.0 - hx_h_loss
+        return equation(hx_h_hot_w_k=share * hx_h_hot_w_k, hx_h_cold_w_k=share * hx_h_cold_w_k, **others)
 
-    return taking(names, worn)
+    return with_signature(names, reduced)
 
 
 def _read_volumes(*, hot_volume_k: Array, cold_volume_k: Array, **_: Any) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""How a physics model is declared: once, in one place, for every estimator, check and table that reads it."""
+"""Declaration of a physics model, read by every estimator, check and table."""
 
 import inspect
 import math
@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hdt_core.physics.integrators import Solver, advanced
+from hdt_core.physics.integrators import Solver, advance_states
 
 Array = NDArray[np.float64]  # complex128 passes through too, where a derivative is taken by complex step
 Role = Literal["design", "health"]
@@ -18,7 +18,7 @@ Equation = Callable[..., Any]
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """What goes in or comes out: name (it ends in its unit), unit, and the sensor's errors if it has one.
+    """Input or output: name (ending in its unit), unit, and the sensor's errors if it has one.
 
     `sigma` is the standard deviation of its noise; `bias_sd` and `gain_sd` those of its calibration, one draw an
     installation: a constant in the signal's unit, and a share of the value.
@@ -30,8 +30,8 @@ class Signal:
     bias_sd: float | None = None
     gain_sd: float | None = None
 
-    def named(self, name: str) -> "Signal":
-        """The same signal under the name that a record or another model has for it."""
+    def rename(self, name: str) -> "Signal":
+        """Return the signal under its name in a record or another model."""
         return replace(self, name=name)
 
 
@@ -40,10 +40,9 @@ class Param:
     """A constant of the component.
 
     `role` is the only switch between calibrating the digital system model (free `design`) and tracking the twin
-    (free `health`). A health parameter is a loss: 0 as built, larger is worse. `drift` is the standard deviation
-    it may gain per square root of a flight, `unit_sd` how far units as made, sensors and all, lie from the fleet's: so
-    much of a loss may be how a unit was built. `sd` of a design parameter is how far one aircraft may be from nominal,
-    where that is known before any flight.
+    (free `health`). A health parameter is a loss: 0 as built, larger is worse. `drift` is its random-walk
+    standard deviation per square root of a flight, `unit_sd` the spread of new units, sensors included, about the
+    fleet's. `sd` of a design parameter is the prior spread of aircraft about nominal, where known.
     """
 
     name: str
@@ -66,19 +65,19 @@ class Param:
         if self.role == "health" and (self.nominal < 0.0 or low >= 0.0):
             raise ValueError(f"{self.name}: a loss is 0 or more as declared, and its lower bound lies below 0")
 
-    def known_to(self, *, sd: float) -> "Param":
-        """The same parameter with what is known of it before any flight."""
+    def with_sd(self, *, sd: float) -> "Param":
+        """Return the parameter with a prior standard deviation."""
         return replace(self, sd=sd)
 
     def in_ln(self, name: str, *, sd: float) -> "Param":
-        """The natural logarithm of the parameter, for what must stay positive; `sd` is the logarithm's."""
+        """Return the natural logarithm of a positive parameter; `sd` is the logarithm's."""
         low, high = map(math.log, self.bounds)
         return Param(name, f"ln {self.unit}", float(np.log(self.nominal)), (low, high), self.role, sd=sd)
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What the component remembers from one instant to the next, and its value at the start."""
+    """State of the component, and its initial value."""
 
     name: str
     unit: str
@@ -97,10 +96,10 @@ class PhysicsModel:
     rates : callable, optional
         Same argument names; returns the time derivative of each state, in the declared order. Needed with states.
     step : callable, optional
-        Same argument names and `dt_s`; returns each state one step later with the inputs held. The solver's where
-        absent.
+        Same argument names and `dt_s`; returns each state one step later with constant inputs. By the solver
+        where absent.
     solver : str
-        How states advance without a `step`: `adaptive`, with the error watched; `rk4`; or `euler`, by name only.
+        Integration without a `step`: `adaptive`, with error control; `rk4`; or `euler`.
     """
 
     name: str
@@ -127,11 +126,11 @@ class PhysicsModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every argument of the equations: inputs, parameters, states."""
+        """Names of all arguments of the equations: inputs, parameters, states."""
         return tuple(x.name for group in (self.inputs, self.params, self.states) for x in group)
 
     def signal(self, name: str) -> Signal:
-        """The declared input or output of this name."""
+        """Return the declared input or output of this name."""
         return next(s for s in (*self.inputs, *self.outputs) if s.name == name)
 
     @property
@@ -149,16 +148,16 @@ class PhysicsModel:
         return tuple(p for p in self.params if p.role == role)
 
     def param(self, name: str) -> Param:
-        """The declared parameter of this name."""
+        """Return the declared parameter of this name."""
         return next(p for p in self.params if p.name == name)
 
     def bounds(self, role: Role | None = None) -> Array:
-        """Lower and upper bound of each parameter (of a role). (n, 2)"""
-        chosen = self.params if role is None else self.free(role)
-        return np.array([p.bounds for p in chosen]).reshape(-1, 2)
+        """Return lower and upper bound of each parameter (of a role). (n, 2)"""
+        params = self.params if role is None else self.free(role)
+        return np.array([p.bounds for p in params]).reshape(-1, 2)
 
     def calibrated(self, values: Mapping[str, float]) -> "PhysicsModel":
-        """Return the same model with these parameters' nominal values: how a calibration becomes a declaration."""
+        """Return the model with these nominal values, as after a calibration."""
         unknown = sorted(set(values) - set(self.nominal))
         if unknown:
             raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}")
@@ -170,9 +169,9 @@ class PhysicsModel:
         inputs: Mapping[str, ArrayLike],
         states: Mapping[str, ArrayLike] | None = None,
     ) -> dict[str, Array]:
-        """Outputs by name, broadcast over parameters, inputs and states.
+        """Return the outputs by name, broadcast over parameters, inputs and states.
 
-        Parameters not given take their nominal value; states not given their initial value.
+        Missing parameters take their nominal value; missing states their initial value.
         """
         return dict(
             zip(
@@ -189,7 +188,7 @@ class PhysicsModel:
         states: Mapping[str, ArrayLike],
         dt_s: float,
     ) -> dict[str, Array]:
-        """States one step later, the inputs held over the step."""
+        """Return the states one step later with constant inputs."""
         values = self._values(params, inputs, states)
         names = [s.name for s in self.states]
         if self.step is not None:
@@ -201,10 +200,10 @@ class PhysicsModel:
 
         def rates(x: Array) -> Array:
             assert self.rates is not None
-            found = as_tuple(self.rates(**(values | dict(zip(names, x, strict=True)))))
-            return np.stack([np.broadcast_to(rate, shape) for rate in found])
+            derivatives = as_tuple(self.rates(**(values | dict(zip(names, x, strict=True)))))
+            return np.stack([np.broadcast_to(rate, shape) for rate in derivatives])
 
-        return dict(zip(names, advanced(rates, now, dt_s, self.solver), strict=True))
+        return dict(zip(names, advance_states(rates, now, dt_s, self.solver), strict=True))
 
     def simulate(
         self,
@@ -214,25 +213,25 @@ class PhysicsModel:
         states: Mapping[str, ArrayLike] | None = None,
         n_samples: int | None = None,
     ) -> dict[str, Array]:
-        """Outputs over time; inputs are (n_samples, ...), the first axis is time, and so are the outputs.
+        """Simulate the outputs over time; time is the first axis of inputs (n_samples, ...) and outputs.
 
-        Sample k is computed from the states at k; the states at k + 1 follow from the inputs held at k. `n_samples`
-        says how many where no input does.
+        Sample k is computed from the states at k; the states at k + 1 follow from the inputs at k. `n_samples`
+        is required where no input has a time axis.
 
         Raises
         ------
         ValueError
-            Neither an input nor `n_samples` says how many.
+            Neither an input nor `n_samples` determines the number of samples.
         """
-        held = {name: np.asarray(value) for name, value in inputs.items()}
-        told = [len(v) for v in held.values() if v.ndim]
-        if n_samples is None and not told:
+        series = {name: np.asarray(value) for name, value in inputs.items()}
+        lengths = [len(v) for v in series.values() if v.ndim]
+        if n_samples is None and not lengths:
             raise ValueError(f"{self.name}: no input over time; say n_samples")
-        n_samples = max(told) if n_samples is None else n_samples
+        n_samples = max(lengths) if n_samples is None else n_samples
         now: dict[str, Any] = {s.name: s.initial for s in self.states} | dict(states or {})
         rows: list[dict[str, Array]] = []
         for k in range(n_samples):
-            at_k = {name: value[k] if value.ndim else value for name, value in held.items()}
+            at_k = {name: value[k] if value.ndim else value for name, value in series.items()}
             rows.append(self.predict(params, at_k, now))
             if k + 1 < n_samples:
                 now = dict(self.advance(params, at_k, now, dt_s))
@@ -242,20 +241,20 @@ class PhysicsModel:
         self, params: Mapping[str, ArrayLike], inputs: Mapping[str, ArrayLike], states: Mapping[str, ArrayLike] | None
     ) -> dict[str, Array]:
         initial = {s.name: s.initial for s in self.states}
-        given: dict[str, Any] = self.nominal | initial | dict(params) | dict(inputs) | dict(states or {})
-        missing = [n for n in self.names if n not in given]
+        values: dict[str, Any] = self.nominal | initial | dict(params) | dict(inputs) | dict(states or {})
+        missing = [n for n in self.names if n not in values]
         if missing:
             raise KeyError(f"{self.name} needs {', '.join(missing)}")
-        return {name: np.asarray(given[name]) for name in self.names}
+        return {name: np.asarray(values[name]) for name in self.names}
 
 
 def declared(value: float | None) -> float:
-    """A number that a declaration may leave out and that is needed here.
+    """Return a number that a declaration may omit and that is required here.
 
     Raises
     ------
     ValueError
-        It is left out.
+        It is omitted.
     """
     if value is None:
         raise ValueError("the declaration leaves out a number that is needed")
@@ -263,11 +262,11 @@ def declared(value: float | None) -> float:
 
 
 def as_tuple(value: Any) -> tuple[Any, ...]:
-    """Return what equations gave, one array or several, as a tuple."""
+    """Return the result of equations, one array or several, as a tuple."""
     return tuple(value) if isinstance(value, (tuple, list)) else (value,)
 
 
-def taking(names: Sequence[str], function: Equation) -> Equation:
+def with_signature(names: Sequence[str], function: Equation) -> Equation:
     """Give a function of ``**values`` the signature that a declaration is checked against."""
     keyword_only = inspect.Parameter.KEYWORD_ONLY
     signature = inspect.Signature([inspect.Parameter(n, keyword_only) for n in names])

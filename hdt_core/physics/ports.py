@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from hdt_core.physics.model import PhysicsModel, Signal, as_tuple, taking
+from hdt_core.physics.model import PhysicsModel, Signal, as_tuple, with_signature
 
 Kind = Literal["equations", "rates", "step"]
 
@@ -14,7 +14,7 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
     Parameters
     ----------
     parts : sequence of PhysicsModel
-        In the order the air meets them: an output can only feed a part that comes later.
+        In order of the air's path: an output can only feed a later part.
     connections : mapping
         Input port, as ``part.signal``, to what feeds it: the output port of an earlier part, also ``part.signal``, or
         an input of the whole by its bare name:
@@ -38,46 +38,48 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
     order = (*inputs, *(p.name for part in parts for p in part.params), *(s.name for s in states))
 
     def run(kind: Kind, values: dict[str, Any]) -> tuple[Any, ...]:
-        known = dict(values)  # the whole's own inputs by bare name, outputs as they are made by `part.signal`
-        found: list[Any] = []
+        signals = dict(values)  # the whole's inputs by bare name, outputs by `part.signal`
+        results: list[Any] = []
         for part in parts:
-            arguments = {n: known[connections.get(f"{part.name}.{n}", n)] for n in part.names}
-            made = as_tuple(part.equations(**arguments))
-            known |= {f"{part.name}.{s.name}": value for s, value in zip(part.outputs, made, strict=True)}
-            found += made if kind == "equations" else _moved(part, kind, arguments, values)
-        return tuple(found)
+            arguments = {n: signals[connections.get(f"{part.name}.{n}", n)] for n in part.names}
+            outputs = as_tuple(part.equations(**arguments))
+            signals |= {f"{part.name}.{s.name}": value for s, value in zip(part.outputs, outputs, strict=True)}
+            results += outputs if kind == "equations" else _states_of(part, kind, arguments, values)
+        return tuple(results)
 
     return PhysicsModel(
         name=name,
         inputs=tuple(inputs.values()),
         outputs=tuple(s for part in parts for s in part.outputs),
         params=tuple(p for part in parts for p in part.params),
-        equations=taking(order, lambda **values: run("equations", values)),
+        equations=with_signature(order, lambda **values: run("equations", values)),
         states=states,
-        rates=taking(order, lambda **values: run("rates", values)) if states else None,
-        step=taking((*order, "dt_s"), lambda **values: run("step", values)) if states else None,
+        rates=with_signature(order, lambda **values: run("rates", values)) if states else None,
+        step=with_signature((*order, "dt_s"), lambda **values: run("step", values)) if states else None,
     )
 
 
 def _check(parts: Sequence[PhysicsModel], connections: Mapping[str, str], inputs: Mapping[str, Signal]) -> None:
-    made = set(inputs)
+    available = set(inputs)
     unknown = set(connections)
     outputs = [s.name for part in parts for s in part.outputs]
-    doubled = sorted({n for n in outputs if outputs.count(n) > 1})
-    if doubled:
-        raise ValueError(f"two parts put out {', '.join(doubled)}")
+    duplicates = sorted({n for n in outputs if outputs.count(n) > 1})
+    if duplicates:
+        raise ValueError(f"two parts put out {', '.join(duplicates)}")
     for part in parts:
         for port in (f"{part.name}.{s.name}" for s in part.inputs):
-            if port in connections and connections[port] not in made:
+            if port in connections and connections[port] not in available:
                 raise ValueError(f"{port} is fed by {connections[port]}, which no earlier part puts out")
             unknown.discard(port)
-        made |= {f"{part.name}.{s.name}" for s in part.outputs}
+        available |= {f"{part.name}.{s.name}" for s in part.outputs}
     if unknown:
         raise ValueError(f"no such input port: {', '.join(sorted(unknown))}")
 
 
-def _moved(part: PhysicsModel, kind: Kind, arguments: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Rates of a part's states, or the states a step later."""
+def _states_of(
+    part: PhysicsModel, kind: Kind, arguments: Mapping[str, Any], values: Mapping[str, Any]
+) -> tuple[Any, ...]:
+    """Return rates of a part's states, or the states a step later."""
     if not part.states or part.rates is None:
         return ()
     if kind == "rates":

@@ -1,4 +1,4 @@
-"""The ram air duct: how much outside air the door lets through the cold side of the exchanger."""
+"""The ram air duct: flow of outside air through the door and the cold side of the exchanger."""
 
 import numpy as np
 
@@ -164,7 +164,7 @@ def clean_flow_kg_s(
 
 
 TAT = Signal("tat_k", "K", sigma=0.3, bias_sd=0.5)
-"""Total air temperature: what the ram air is met with, one probe an aircraft."""
+"""Total air temperature, with one probe an aircraft."""
 REST_AREA_M2 = 0.025
 """Of core and exit in series."""
 RAM_DUCT = PhysicsModel(
@@ -189,4 +189,4 @@ RAM_DUCT = PhysicsModel(
     outputs=(Signal("ram_flow_kg_s", "kg/s"),),
     equations=ram_flow,
 )
-"""No sensor reads the ram flow: its map is known to 4 to 10 %, and that uncertainty belongs in every conductance."""
+"""The ram flow has no sensor; its map errs by 4 to 10 %, which belongs to the uncertainty of every conductance."""

@@ -1,7 +1,7 @@
-"""Physical terms that an exchanger's model may lack: what a recorded signal is really, with one coefficient each.
+"""Physical terms that an exchanger's model may lack: corrections of recorded signals with one coefficient each.
 
-The model itself stays as declared. A term says of one of its inputs that the exchanger meets another value than the one
-recorded, by `coefficient` times a shape that physics gives. It does nothing until an engineer accepts it by name.
+The model itself stays as declared. A term corrects one of its inputs by `coefficient` times a physical shape. It has no
+effect until an engineer accepts it by name.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,23 +13,23 @@ from hdt_core.physics.air import standard_pressure_pa
 from hdt_core.physics.model import Array
 
 VAPORISATION_K = 2.5e6 / 1005.0
-"""Latent heat of water over specific heat of air: what a kg of vapour in a kg of air cools it by. [K]"""
+"""Latent heat of water over specific heat of air: cooling by a kg of vapour in a kg of air. [K]"""
 CABIN_PA, HOT_K = 80e3, 390.0
 REVERSAL_ROUNDS = 30
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """The exchanger meets ``recorded - coefficient * shape``.
+    """Correction of an input: its actual value is ``recorded - coefficient * shape``.
 
     Attributes
     ----------
     signal : str
-        Which recorded signal it concerns.
+        Recorded signal to correct.
     shape : callable
         Signals by name -> array (n,), in the signal's unit.
     bounds : tuple
-        What a coefficient can be.
+        Of the coefficient.
     unit, meaning : str
         Of the coefficient, in words.
     """
@@ -106,37 +106,37 @@ TERMS = {
         ),
     )
 }
-"""The library, by name. Constant errors are sensor biases and what goes as a power of a flow is a film exponent: both
-are the calibration's already."""
+"""The library, by name. Constant errors and powers of a flow are not among them: the calibration has sensor biases and
+film exponents."""
 
 
-def corrected(signals: Mapping[str, Array], coefficients: Mapping[str, float]) -> dict[str, Array]:
-    """Signals as the exchanger meets them, every term's shape taken from the recorded ones.
+def correct_signals(signals: Mapping[str, Array], coefficients: Mapping[str, float]) -> dict[str, Array]:
+    """Return the actual signals, with every term's shape taken from the recorded ones.
 
     Raises
     ------
     KeyError
-        A term that the library does not have.
+        Unknown term.
     """
-    met = dict(signals)
+    corrected = dict(signals)
     for name, coefficient in coefficients.items():
         term = TERMS[name]
-        met[term.signal] = met[term.signal] - coefficient * term.shape(signals)
-    return met
+        corrected[term.signal] = corrected[term.signal] - coefficient * term.shape(signals)
+    return corrected
 
 
-def recorded(met: Mapping[str, Array], coefficients: Mapping[str, float]) -> dict[str, Array]:
-    """`corrected` turned round, for simulation: what sensors record where the exchanger meets these signals."""
-    seen = dict(met)
+def record_signals(actual: Mapping[str, Array], coefficients: Mapping[str, float]) -> dict[str, Array]:
+    """Invert `correct_signals` for simulation: return the recorded signals for the actual ones."""
+    record = dict(actual)
     for _ in range(REVERSAL_ROUNDS):
-        shifts = {TERMS[name]: value * TERMS[name].shape(seen) for name, value in coefficients.items()}
-        seen = dict(met)
+        shifts = {TERMS[name]: value * TERMS[name].shape(record) for name, value in coefficients.items()}
+        record = dict(actual)
         for term, shift in shifts.items():
-            seen[term.signal] = seen[term.signal] + shift
-    return seen
+            record[term.signal] = record[term.signal] + shift
+    return record
 
 
 def within(name: str, coefficient: float) -> float:
-    """Hold a coefficient within its term's bounds."""
+    """Clip a coefficient to its term's bounds."""
     low, high = TERMS[name].bounds
     return min(max(coefficient, low), high)

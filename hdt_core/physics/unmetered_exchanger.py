@@ -1,4 +1,4 @@
-r"""A ram-cooled exchanger whose flows nobody measures: what its two hot temperatures, air data and airspeed say.
+r"""A ram-cooled exchanger without flow sensors, from its two hot temperatures, air data and airspeed.
 
 Many aircraft record neither pack flow nor ram door. What is left is the effectiveness, and that the aircraft's motion
 drives ram air through the core.
@@ -11,17 +11,17 @@ from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 from hdt_core.physics.terms import TERMS
 
 REFERENCE_FLUX_KG_S_M2 = 100.0
-"""About that of 150 kt at 3,000 ft."""
+"""About that of 150 kt at 3,000 ft. [kg/s/m2]"""
 SPEED_OF_SOUND_M_S_K = float(np.sqrt(1.4 * 287.05287))
 SPRAY = Param("hxt_water_spray", "-", 0.3, (-0.2, 1.0), "design", sd=0.2)
 NTU = Param("hxt_ntu", "-", 1.6, (0.3, 8.0), "design", sd=0.4)
 EXPONENT = Param("hxt_exponent", "-", 0.27, (0.0, 1.0), "design", sd=0.05)
-"""A film exponent of 0.6, of which the cold side's share of the resistance is left."""
+"""Film exponent of 0.6 times the cold side's share of the resistance."""
 LOSS = Param("hxt_loss", "-", 0.0, (-1.0, 0.95), "health", drift=0.01)
 
 
 def ram_flux_kg_s_m2(mach: Array, total_pressure_pa: Array, tat_k: Array) -> Array:
-    """Outside air that meets the aircraft, by area. [kg/s/m2]
+    """Mass flux of outside air past the aircraft. [kg/s/m2]
 
     Examples
     --------
@@ -51,7 +51,7 @@ def hot_out_k(
     hxt_exponent: Array,
     hxt_loss: Array,
 ) -> Array:
-    r"""Hot outlet, flows known by the airspeed alone. [K]
+    r"""Hot outlet with flows by the airspeed alone. [K]
 
     Notes
     -----
@@ -81,8 +81,8 @@ def sprayed_hot_out_k(
 
 def _outlet(hot_in_k: Array, sink_k: Array, flux: Array, core: tuple[Array, Array, Array]) -> Array:
     ntu, exponent, loss = core
-    left = np.exp(-(1.0 - loss) * ntu * (flux / REFERENCE_FLUX_KG_S_M2) ** exponent)
-    return np.asarray(sink_k + left * (hot_in_k - sink_k))
+    remainder = np.exp(-(1.0 - loss) * ntu * (flux / REFERENCE_FLUX_KG_S_M2) ** exponent)
+    return np.asarray(sink_k + remainder * (hot_in_k - sink_k))
 
 
 _INPUTS = (

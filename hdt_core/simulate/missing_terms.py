@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.physics.terms import TERMS, recorded
+from hdt_core.physics.terms import TERMS, record_signals
 from hdt_core.simulate.flight_conditions import Conditions
 
 Array = NDArray[np.float64]
@@ -16,13 +16,13 @@ PACK_SIGNALS = {"hx_in_k": "hot_in_k", "hx_out_k": "hot_out_k", "pack_flow_kg_s"
 def recorded_air(now: Conditions, missing: Mapping[str, float]) -> Conditions:
     """Outside conditions as the air data probes read them; terms of the packs left out."""
     own = {name: value for name, value in missing.items() if TERMS[name].signal == "tat_k"}
-    return replace(now, tat_k=recorded(_air(now), own)["tat_k"])
+    return replace(now, tat_k=record_signals(_air(now), own)["tat_k"])
 
 
 def recorded_pack(true: dict[str, Array], now: Conditions, missing: Mapping[str, float]) -> dict[str, Array]:
     """A pack's signals as recorded before the sensors' own errors; `now` as the probes read it."""
     own = {name: value for name, value in missing.items() if TERMS[name].signal != "tat_k"}
-    seen = recorded(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, own)
+    seen = record_signals(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, own)
     return true | {of: seen[name] for name, of in PACK_SIGNALS.items()}
 
 

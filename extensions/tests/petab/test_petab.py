@@ -140,7 +140,7 @@ def test_what_petab_cannot_hold_is_refused(tmp_path):
     tilted = Belief(PRIOR.mean, np.array([[0.25, 0.1], [0.1, 4.0]]))
     with pytest.raises(ValueError, match="no correlations"):
         files(tmp_path, STATIC, ["conductance_kg_s", "lift_k"], static_record(), prior=tilted)
-    from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER
+    from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER
 
     swung = {"force_n": np.sin(np.arange(50.0))}, {"measured_m": np.zeros(50)}
     with pytest.raises(ValueError, match="inputs change"):

@@ -12,7 +12,7 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.calibration.missing_physics import propose
-from hdt_core.physics.terms import TERMS, recorded
+from hdt_core.physics.terms import TERMS, record_signals
 from hdt_core.records.keys import IN_ORDER, PACK
 
 SPRAY = 0.3
@@ -21,7 +21,7 @@ SPRAY = 0.3
 def lacking_term(fleet, name, value):
     """The fleet as its sensors record it where the exchanger meets what the term says."""
     met, signal = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}, TERMS[name].signal
-    seen = pl.Series(signal, recorded(met, {name: value})[signal])
+    seen = pl.Series(signal, record_signals(met, {name: value})[signal])
     return replace(fleet, samples=fleet.samples.with_columns(seen))
 
 

@@ -6,7 +6,7 @@ from scipy.integrate import RK45, solve_ivp
 
 from hdt_core.estimation import NonlinearLeastSquares, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.integrators import advanced
+from hdt_core.physics.integrators import advance_states
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 
@@ -54,7 +54,7 @@ def test_a_stiff_oscillator_goes_to_an_implicit_method():
 
 def test_a_member_that_explodes_leaves_the_others_alone():
     start = np.array([[1.0, 1.0, np.nan]])
-    later = advanced(
+    later = advance_states(
         lambda x: np.array([[0.0, 1.0, 0.0]]) * x**2 - x * np.array([[1.0, 0.0, 1.0]]), start, 2.0, "adaptive"
     )
     assert later[0, 0] == pytest.approx(np.exp(-2.0), rel=1e-7)  # x' = -x
@@ -65,7 +65,7 @@ def test_the_orders_are_those_of_the_names():
     def error(solver, dt_s):
         x = np.array([1.0, 0.0])
         for _ in range(round(2.0 / dt_s)):
-            x = advanced(lambda y: np.array([y[1], -y[0]]), x, dt_s, solver)
+            x = advance_states(lambda y: np.array([y[1], -y[0]]), x, dt_s, solver)
         return abs(x[0] - np.cos(2.0))
 
     assert np.log2(error("euler", 0.01) / error("euler", 0.005)) == pytest.approx(1.0, abs=0.1)
@@ -98,7 +98,7 @@ def test_steps_are_as_short_as_the_error_asks():
         return np.concatenate([np.where(x[:, :1] > 0.5, -40.0 * x[:, :1], -0.5 - 0.01 * x[:, :1]), -60.0 * x[:, 1:]], 1)
 
     start = np.array([[1.0, 2e-4]])
-    np.testing.assert_allclose(advanced(rates, start, 2.0, "adaptive"), walked(rates, start, 2.0), rtol=1e-9)
+    np.testing.assert_allclose(advance_states(rates, start, 2.0, "adaptive"), walked(rates, start, 2.0), rtol=1e-9)
 
 
 def record(seed=0, solver="adaptive"):

@@ -10,7 +10,6 @@ from hdt_core.physics.lumped_exchanger import lumped_exchanger
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 from hdt_core.physics.pack import PACK
 from hdt_core.physics.ram_duct import RAM_DUCT
-from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER
 from hdt_core.physics.unmetered_exchanger import SPRAYED
 
 MODELS = [
@@ -19,7 +18,6 @@ MODELS = [
     HEAT_EXCHANGER,
     PACK,
     RAM_DUCT,
-    SPRING_MASS_DAMPER,
     lumped_exchanger("quasi_steady"),
     lumped_exchanger("exact"),
     lumped_exchanger("euler"),
@@ -109,8 +107,6 @@ DESIGN = {
     "ram_core_area_m2": (0.05 / 2.0**0.5, 0.0035, 0.85, None), "ram_recovery": (0.8, 0.4, 1.0, None),
     "ram_exit_area_m2": (0.05 / 2.0**0.5, 0.0035, 0.85, None),
     "hx_h_hot_w_k": (2500.0, 1.0, 1e6, None), "hx_h_cold_w_k": (2500.0, 1.0, 1e6, None),
-    "mass_kg": (1.0, 0.1, 10.0, None), "damping_n_s_m": (0.5, 0.0, 10.0, None),
-    "stiffness_n_m": (2.0, 0.0, 50.0, None),
     "hxt_ntu": (1.6, 0.3, 8.0, 0.4), "hxt_exponent": (0.27, 0.0, 1.0, 0.05), "hxt_water_spray": (0.3, -0.2, 1.0, 0.2),
     "hx_mass_hot_kg": (8.0, 0.01, 50.0, None), "hx_mass_cold_kg": (8.0, 0.01, 50.0, None),
 }  # fmt: skip
@@ -127,11 +123,7 @@ def test_sensors_and_ranges_are_those_on_paper():
     installed = (COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT)
     sensors = {(s.name, (s.sigma, s.bias_sd, s.gain_sd)) for m in installed for s in (*m.inputs, *m.outputs)}
     assert sensors == set(SENSORS.items())
-    params = {
-        p
-        for m in (*installed, lumped_exchanger("exact"), lumped_exchanger("tustin"), SPRAYED, SPRING_MASS_DAMPER)
-        for p in m.params
-    }
+    params = {p for m in (*installed, lumped_exchanger("exact"), lumped_exchanger("tustin"), SPRAYED) for p in m.params}
     design = {p.name: (p.nominal, *p.bounds, p.sd) for p in params if p.role == "design"}
     assert design == {name: pytest.approx(value) for name, value in DESIGN.items()}
     assert {p.name: (*p.bounds, p.drift, p.unit_sd) for p in params if p.role == "health"} == LOSSES

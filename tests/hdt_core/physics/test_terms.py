@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from CoolProp.CoolProp import PropsSI
 
-from hdt_core.physics.terms import TERMS, corrected, recorded, saturation_pressure_pa, within
+from hdt_core.physics.terms import TERMS, correct_signals, record_signals, saturation_pressure_pa, within
 
 MET = {
     "altitude_m": np.array([9500.0, 11000.0]),
@@ -19,19 +19,19 @@ MET = {
 
 @pytest.mark.parametrize("name", TERMS)
 def test_what_sensors_record_is_turned_back(name):
-    seen = recorded(MET, {name: 0.1})
+    seen = record_signals(MET, {name: 0.1})
     signal = TERMS[name].signal
     assert np.all(np.abs(seen[signal] - MET[signal]) > 0.0)
-    back = corrected(seen, {name: 0.1})
+    back = correct_signals(seen, {name: 0.1})
     for of, values in MET.items():
         np.testing.assert_allclose(back[of], values, rtol=1e-12)
 
 
 def test_without_a_term_nothing_changes():
-    assert corrected(MET, {}) == MET
+    assert correct_signals(MET, {}) == MET
     assert TERMS["water_spray"].name == "water_spray"
     with pytest.raises(KeyError):
-        corrected(MET, {"unheard_of": 1.0})
+        correct_signals(MET, {"unheard_of": 1.0})
 
 
 def test_vapour_pressure_is_water_s():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hdt_core.physics.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
+from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
 
 TIME_S = np.arange(1001) * 0.01
 FORCE_N = np.sin(2.0 * np.pi * 0.5 * TIME_S)
@@ -25,6 +25,12 @@ def test_euler_tends_to_the_closed_solution():
     errors = [abs(euler_position_m(np.ones(10 * n + 1), 1.0 / n, 0.5, 2.0)[-1] - exact) for n in (1000, 2000)]
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.02)
     assert errors[1] < 2e-3
+
+
+def test_ranges_are_those_on_paper():
+    assert {p.name: (p.nominal, *p.bounds) for p in SPRING_MASS_DAMPER.params} == {
+        "mass_kg": (1.0, 0.1, 10.0), "damping_n_s_m": (0.5, 0.0, 10.0), "stiffness_n_m": (2.0, 0.0, 50.0),
+    }  # fmt: skip
 
 
 def test_energy_is_kept_by_the_equation():
