@@ -26,7 +26,7 @@ from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.service import update_model
 from hdt_core.records.keys import PACK
 from hdt_core.tracking.track import track
-from pipelines.baseline import told_by_then
+from pipelines.baseline import records_until
 from pipelines.learned import shipped_base
 
 Made = dict[str, Any]
@@ -43,7 +43,7 @@ def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.Dat
     """From the commissioning window of each tail, and what the logs said until it ended."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
-    logs = [told_by_then(log, verdicts) for log in (maintenance, messages)]
+    logs = [records_until(log, verdicts) for log in (maintenance, messages)]
     norm = learn_baseline(verdicts, samples, *logs)
     admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), *logs)
     return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_schedules(samples)}

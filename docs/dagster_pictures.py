@@ -18,20 +18,20 @@ ROW = "main a[href*='/assets/'], a[href^='/assets/']"
 
 @contextmanager
 def served(landing: str, home: str) -> Iterator[str]:
-    """Address of Dagster's page of a home, for as long as it is looked at."""
+    """Serve Dagster's page of a home within the block; yield its address."""
     command = [Path(sys.executable).with_name("hdt"), "ui", "--port", "0"]
     command += ["--landing", landing, "--home", home]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as page:
         try:
             yield next(
-                found[0] for line in page.stdout or () if (found := re.search(r"http://127\.0\.0\.1:\d+/", line))
+                match[0] for line in page.stdout or () if (match := re.search(r"http://127\.0\.0\.1:\d+/", line))
             )
         finally:
             page.terminate()
 
 
 def group(page: Page, address: str) -> Path:
-    """The list of the group's assets, how far each is filled."""
+    """Photograph the list of the group's assets with their progress."""
     page.goto(address + GROUP)
     page.get_by_text("partitions").or_(page.get_by_text("Materialized")).first.wait_for()
     page.wait_for_timeout(4000)  # numbers come after names
@@ -47,5 +47,5 @@ def group(page: Page, address: str) -> Path:
 
 
 if __name__ == "__main__":
-    with served(*sys.argv[1:3]) as address, started_browser() as shown:
-        print(group(shown.new_page(viewport=WINDOW), address))
+    with served(*sys.argv[1:3]) as address, started_browser() as browser:
+        print(group(browser.new_page(viewport=WINDOW), address))

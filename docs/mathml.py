@@ -9,7 +9,7 @@ _FENCE = re.compile(r"^```math\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """A page's text with its formulas drawn."""
+    """Replace the LaTeX formulas of a page by MathML."""
     return _FENCE.sub(
-        lambda found: f'<div class="formula">{convert(found[1].strip(), display="block")}</div>', markdown
+        lambda match: f'<div class="formula">{convert(match[1].strip(), display="block")}</div>', markdown
     )

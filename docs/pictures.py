@@ -19,7 +19,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 @contextmanager
 def started_browser() -> Iterator[Browser]:
-    """A Chromium that shows nothing.
+    """Start a headless Chromium.
 
     Raises
     ------
@@ -29,22 +29,22 @@ def started_browser() -> Iterator[Browser]:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise FileNotFoundError(f"none of {', '.join(BROWSERS)} is installed")
-    with sync_playwright() as started:
-        yield started.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+    with sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path=browser, args=["--no-sandbox"])
 
 
 def take(home: Path, folder: Path) -> list[Path]:
-    """Pictures of the page's head and of a pack with its alert."""
-    with TemporaryDirectory() as scratch, started_browser() as shown:
-        page = Path(scratch) / "report.html"
-        write_report(home, page)
-        told = shown.new_page(viewport={"width": WIDTH, "height": 900})
-        told.goto(page.as_uri())
-        return [small(_head(told, folder / "report.png")), small(_alert(told, folder / "alert.png"))]
+    """Photograph the page's head and a pack with its alert."""
+    with TemporaryDirectory() as scratch, started_browser() as browser:
+        file = Path(scratch) / "report.html"
+        write_report(home, file)
+        page = browser.new_page(viewport={"width": WIDTH, "height": 900})
+        page.goto(file.as_uri())
+        return [small(_head(page, folder / "report.png")), small(_alert(page, folder / "alert.png"))]
 
 
 def small(picture: Path) -> Path:
-    """In as few colours as it has need of."""
+    """Reduce a picture's colours and file size."""
     few = Image.open(picture).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(picture, optimize=True)
     return picture
@@ -56,10 +56,10 @@ def _head(page: Page, target: Path) -> Path:
 
 
 def _alert(page: Page, target: Path) -> Path:
-    """The first alert, and under it its pack's chart."""
+    """Photograph the first alert, and under it its pack's chart."""
     page.evaluate(
         """() => {
-            const alert = document.querySelector(".alert"), link = document.querySelector("#tonight li a");
+            const alert = document.querySelector(".alert"), link = document.querySelector("#ranking td a");
             document.querySelector("main").replaceChildren(alert, document.querySelector(link.hash));
             document.querySelector("header").remove();
             scrollTo(0, 0);
@@ -73,5 +73,5 @@ def _alert(page: Page, target: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for made in take(Path(sys.argv[1]), Path(*sys.argv[2:]) if sys.argv[2:] else IMAGES):
-        print(made)
+    for picture in take(Path(sys.argv[1]), Path(*sys.argv[2:]) if sys.argv[2:] else IMAGES):
+        print(picture)

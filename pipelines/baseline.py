@@ -1,4 +1,4 @@
-"""What the Digital System Model may learn from, and a hash of just that: nothing recorded later makes it stale."""
+"""Select the data the Digital System Model is fitted to; records of later flights do not make it stale."""
 
 import polars as pl
 
@@ -9,19 +9,19 @@ from pipelines.storage.store import Store
 
 
 def baseline_cells(ledger: Ledger) -> pl.DataFrame:
-    """Cells of the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
+    """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
     done = ledger.done("legs_samples")
     chosen = baseline_flights(done.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
     return done.filter(pl.col("flight_id").is_in(chosen))
 
 
 def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
-    """Messages, maintenance or printed reports up to the day of each aircraft's last baseline flight."""
-    return told_by_then(store.read(table), cells)
+    """Read messages, maintenance or printed reports up to the day of each aircraft's last baseline flight."""
+    return records_until(store.read(table), cells)
 
 
-def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
-    """Messages, maintenance or printed reports that were on record by the day of each aircraft's last flight."""
+def records_until(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
+    """Return the records up to the day of each aircraft's last flight in `cells`."""
     on = next(pl.col(c).cast(pl.Date) for c in ("message_time", "reported_at", "done_on") if c in records.columns)
     day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
     last = cells.group_by("operator", "tail").agg(day)
@@ -29,7 +29,7 @@ def told_by_then(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
 
 
 def baseline_inputs(ledger: Ledger) -> list[str]:
-    """What the model is made of, as lines to be hashed."""
+    """Return the model's inputs as lines to be hashed."""
     store, cells = Store(ledger.home), baseline_cells(ledger)
     records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance", "raw_reports")]
     terms = [f"term {name}" for name in accepted_terms(ledger.home)]

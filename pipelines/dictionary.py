@@ -1,6 +1,6 @@
-"""The data dictionary: every view and table, column by column, from the declarations and the headers of the views.
+"""Write the data dictionary: every view and table, column by column, from declarations and view headers.
 
-`python -m pipelines.dictionary docs/data-dictionary.md` writes it; a test holds the file to it.
+`python -m pipelines.dictionary docs/data-dictionary.md` writes it; a test compares the file.
 """
 
 import re
@@ -31,7 +31,7 @@ _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', t
 
 
 def dictionary() -> str:
-    """The page."""
+    """Build the page."""
     explained: dict[str, set[tuple[str, str]]] = {}
     parts = [
         _TITLE,
@@ -46,14 +46,14 @@ def dictionary() -> str:
 
 
 def view_columns() -> dict[str, list[tuple[str, str, str]]]:
-    """Of every view its columns as name, type and meaning with unit; the meaning is empty where nothing says it."""
+    """Return every view's columns as name, type and meaning with unit; the meaning may be empty."""
     with tempfile.TemporaryDirectory() as home:
         publish(Path(home))
         with connect(Path(home)) as con:
             described = {v: con.sql(f"describe {v}").fetchall() for v, _ in ordered(views())}
-    known = {name: read_header(sql) for name, sql in views().items()}
+    headers = {name: read_header(sql) for name, sql in views().items()}
     return {
-        view: [(str(row[0]), str(row[1]).lower(), meaning(view, str(row[0]), known)) for row in rows]
+        view: [(str(row[0]), str(row[1]).lower(), meaning(view, str(row[0]), headers)) for row in rows]
         for view, rows in described.items()
     }
 
@@ -87,27 +87,28 @@ def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
 
 
 def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict[str, set[tuple[str, str]]]) -> str:
-    """A line for what no section above has explained in the same words, and the names of the others.
+    """Write a line for each column that no section above explains in the same words, and the names of the others.
 
-    Columns beside each other that differ by a number stand in one line, with the words of the first.
+    Neighbouring columns that differ by a number share a line, with the words of the first.
     """
     here = {(name, meaning) for name, _, meaning in rows}
-    known = set().union(*explained.values())
+    above = set().union(*explained.values())
     whole = max((s for s in explained if explained[s] <= here), key=lambda s: len(explained[s]), default="")
-    fresh = [row for row in rows if (row[0], row[2]) not in known]
-    alike = [list(group) for _, group in groupby(fresh, key=_family)]
+    fresh = [row for row in rows if (row[0], row[2]) not in above]
+    families = [list(group) for _, group in groupby(fresh, key=_family)]
     lines = [
         f"- {', '.join(f'`{name}`' for name, _, _ in group)} ({_type(group[0][1])}): {group[0][2].removesuffix(' [-]')}"
-        for group in alike
+        for group in families
     ]
-    named = known - explained.get(whole, set())
-    above = [f"all of `{whole}`"] * bool(whole) + [f"`{name}`" for name, _, said in rows if (name, said) in named]
+    by_name = above - explained.get(whole, set())
+    names = [f"all of `{whole}`"] * bool(whole)
+    names += [f"`{name}`" for name, _, meaning in rows if (name, meaning) in by_name]
     explained[section] = here
-    return "\n".join([*lines, *([f"- As above: {', '.join(above)}"] if above else [])]) + "\n"
+    return "\n".join([*lines, *([f"- As above: {', '.join(names)}"] if names else [])]) + "\n"
 
 
 def _family(row: tuple[str, str, str]) -> tuple[str, ...]:
-    """What columns share that say the same, or differ by a number in their names."""
+    """Return the key of columns with the same meaning, or with names that differ by a number."""
     name, kind, meaning = row
     bare = re.sub(r"\d+", "", meaning)
     return (kind, meaning) if bare == meaning else (kind, bare, re.sub(r"\d+", "", name))
@@ -118,13 +119,13 @@ def _type(kind: str) -> str:
 
 
 def _revised() -> list[str]:
-    """What does not stand as the night of its flight left it."""
+    """List what later nights may change."""
     rows = [(", ".join(f"`{t}`" for t in r.tables), ", ".join(f"`{n}`" for n in r.names), r.why) for r in REVISIONS]
     return [f"{hindsight.__doc__}\n{DESIGN}\n", _table(("table or view", "column or parameter", "why"), rows)]
 
 
 def _span(column: Any) -> str:
-    """Least and greatest value, or the pattern of a text."""
+    """Return least and greatest value, or the pattern of a text."""
     low, high, pattern = (getattr(column, name, None) for name in ("min", "max", "regex"))
     if pattern:
         return f"`{pattern}`"

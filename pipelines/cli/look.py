@@ -114,9 +114,9 @@ def query(
     where = home_folder(home)
     with stop_at_once(lambda: print_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
         try:
-            answer = ask(con, sql)
-            if answer is not None:
-                answer.show(max_width=10_000 if not sys.stdout.isatty() else out.width, max_rows=1_000)
+            result = ask(con, sql)
+            if result is not None:
+                result.show(max_width=10_000 if not sys.stdout.isatty() else out.width, max_rows=1_000)
         except (duckdb.Error, ValueError) as error:
             raise StopError(str(error).strip().splitlines()[0]) from None
 
@@ -168,9 +168,9 @@ def terms(
     from pipelines.storage.store import Store
 
     where = home_folder(home)
-    unknown = sorted({*(accept or ()), *(drop or ())} - set(TERMS))
-    if unknown:
-        raise StopError(f"no term {', '.join(unknown)}; there are {', '.join(sorted(TERMS))}")
+    extra = sorted({*(accept or ()), *(drop or ())} - set(TERMS))
+    if extra:
+        raise StopError(f"no term {', '.join(extra)}; there are {', '.join(sorted(TERMS))}")
     if accept or drop:
         write(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
         out.print(f"Terms from the next night on: {', '.join(accepted_terms(where)) or 'none'}")

@@ -39,8 +39,8 @@ def export(
     from pipelines.storage.publication import views
 
     where, names = home_folder(home), views()
-    if unknown := [v for v in view or () if v not in names]:
-        raise StopError(f"no view {unknown[0]}; the catalog has {', '.join(sorted(names))}")
+    if unknown_views := [v for v in view or () if v not in names]:
+        raise StopError(f"no view {unknown_views[0]}; the catalog has {', '.join(sorted(names))}")
     if view and form == Format.duckdb:
         raise StopError("a DuckDB file holds every view; leave --view out")
     if key_file and not pseudonymise:

@@ -104,13 +104,13 @@ def _alert(row: Row) -> str:
     return f"{head}: {words.plain(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
 
 
-def _changed(row: Row) -> str:
+def _alert_change(row: Row) -> str:
     was = row["was"]
     steps = [f"{was[k]} to {row[k]}" for k in ("severity", "urgency") if was[k] != row[k]]
     return f"{', '.join(steps)}. {_alert(row)}"
 
 
-def _ended(row: Row) -> str:
+def _closed_alert(row: Row) -> str:
     when = f" on {row['closed_on']}" if row["closed_on"] else ""
     work = f", {row['work_orders']}" if row.get("work_orders") else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
@@ -131,5 +131,5 @@ def _refused(row: Row) -> str:
     return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
 
 
-_SENTENCE = {"new": _alert, "worse": _changed, "closed": _ended, "moved": _outlook, "eased": _changed,
+_SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closed_alert, "moved": _outlook, "eased": _alert_change,
              "silent": silence, "gap": _gap, "refused": _refused}  # fmt: skip

@@ -119,8 +119,8 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 def _post(url: str, body: bytes, name: str) -> None:
     headers = {"Content-Type": "application/json", "Idempotency-Key": name, "User-Agent": "hybrid-digital-twin"}
     request = urllib.request.Request(url, data=body, headers=headers, method="POST")
-    with urllib.request.build_opener(_NoRedirect).open(request, timeout=TIMEOUT_S) as answer:
-        answer.read(1000)
+    with urllib.request.build_opener(_NoRedirect).open(request, timeout=TIMEOUT_S) as response:
+        response.read(1000)
 
 
 def _write(folder: Path, digest: Digest) -> None:

@@ -1,8 +1,8 @@
-"""The base that prognosis starts from, learned once from simulated lives and shipped: it knows no fleet.
+"""The base model that prognosis starts from, learned once from simulated lives and shipped, without any fleet's data.
 
-`python -m pipelines.learned` learns it again and writes it, some minutes of one core. A change of the simulator, of the
-features or of the learner calls for it. `recipe.json` says what it reads, and of which sources it was learned or found
-to be the same: a test learns a part again and compares where they are others.
+`python -m pipelines.learned` learns and writes it again, some minutes of one core, after a change of the simulator, the
+features or the learner. `recipe.json` holds its inputs and the digest of the sources it was learned from, or compared
+with: where the sources differ, a test learns a part again and compares.
 """
 
 import json
@@ -15,7 +15,7 @@ from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.model_card import from_parts
 
 FILE, RECIPE = "base.skops", "recipe.json"
-# what a model file may hold besides what skops trusts by itself; a name beyond these refuses the file
+# types that a model file may hold beyond those skops trusts; any other refuses the file
 TRUSTED = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
 
 
@@ -24,17 +24,17 @@ class StaleBaseError(Exception):
 
 
 def shipped_base() -> Prognosis:
-    """Base that came with this installation. Raises `StaleBaseError`."""
+    """Load the base of this installation. Raises `StaleBaseError`."""
     return loaded(shipped_bytes())
 
 
 def shipped_bytes() -> bytes:
-    """The same, as it is stored.
+    """Read the stored bytes of the base.
 
     Raises
     ------
     StaleBaseError
-        It reads other inputs than the present code gives.
+        It reads other inputs than the present code provides.
     """
     if shipped_recipe()["inputs"] != list(INPUTS):
         raise StaleBaseError("the shipped base was learned from other inputs: run python -m pipelines.learned")
@@ -42,13 +42,13 @@ def shipped_bytes() -> bytes:
 
 
 def shipped_recipe() -> dict[str, Any]:
-    """`inputs` that the base reads and a digest of the `sources` that it was learned from."""
+    """Read `inputs` of the base and the digest of the `sources` it was learned from."""
     return dict(json.loads(files(__name__).joinpath(RECIPE).read_text()))
 
 
 @lru_cache(maxsize=2)
 def loaded(stored: bytes) -> Prognosis:
-    """A base from skops bytes, read once a process; those that name a type beyond `TRUSTED` are refused."""
-    import skops.io  # a second to load, and most processes of a night read no model
+    """Load a base from skops bytes, once a process; a type beyond `TRUSTED` is refused."""
+    import skops.io  # takes a second, and most processes of a night read no model
 
     return from_parts(skops.io.loads(stored, trusted=TRUSTED))

@@ -14,7 +14,7 @@ from pipelines.learned.recipe import learns_the_same, sources
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m pipelines.learned", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="learn a third and keep the base if it says the same")
+    parser.add_argument("--check", action="store_true", help="learn a third and keep the base if it predicts the same")
     place = Path(__file__).parent
     if parser.parse_args().check and learns_the_same():
         print("the present sources learn the same base")

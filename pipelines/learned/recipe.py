@@ -1,4 +1,4 @@
-"""What the shipped base was learned from, and whether the present sources still learn the same."""
+"""Digest the sources the shipped base was learned from, and check that the present ones learn the same."""
 
 import ast
 import hashlib
@@ -21,11 +21,11 @@ MEAN, FAR = 0.002, 0.03
 
 
 def sources() -> str:
-    """Digest of the code that learns a base, its comments and docstrings left out, and of the libraries it uses."""
+    """Digest the code that learns a base, without comments and docstrings, and the libraries it uses."""
     graph = grimp.build_graph("hdt_core", cache_dir=None)
     used = sorted({model.__name__} | graph.find_upstream_modules(model.__name__))
-    told = [f"{name} {code_of(_text(name))}" for name in used] + [f"{name} {version(name)}" for name in LIBRARIES]
-    return hashlib.sha256("\n".join(told).encode()).hexdigest()[:16]
+    lines = [f"{name} {code_of(_text(name))}" for name in used] + [f"{name} {version(name)}" for name in LIBRARIES]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
 def _text(module: str) -> str:
@@ -33,7 +33,7 @@ def _text(module: str) -> str:
 
 
 def code_of(text: str) -> str:
-    """A module without its comments and docstrings."""
+    """Return a module's syntax tree without comments and docstrings."""
     tree = ast.parse(text)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
@@ -46,16 +46,16 @@ def _is_text(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
 
 
-def apart() -> tuple[float, float]:
-    """A third of the base learned again: how far what it says differs, on average and at the 99th percentile."""
+def differences() -> tuple[float, float]:
+    """Learn a third of the base again; return its differences in probability, mean and 99th percentile."""
     rows = simulated_rows(SEED, FLEETS)
     members = shipped_base().hazard[0], model.fit_member(0)
-    shipped, again = (event_by(hazards([m], rows.features)) for m in members)
-    differs = np.abs(shipped - again)
-    return float(differs.mean()), float(np.quantile(differs, 0.99))
+    shipped, relearned = (event_by(hazards([m], rows.features)) for m in members)
+    difference = np.abs(shipped - relearned)
+    return float(difference.mean()), float(np.quantile(difference, 0.99))
 
 
 def learns_the_same() -> bool:
-    """Trees may turn at another cut on another machine; what they say may not."""
-    mean, far = apart()
+    """Compare predictions, since cuts of trees may differ between machines."""
+    mean, far = differences()
     return mean < MEAN and far < FAR

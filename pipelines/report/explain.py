@@ -84,8 +84,8 @@ def _pack_text(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> s
 
 
 def _before(last: Row) -> str:
-    named = {"diagnosis": words.diagnosis(last["diagnosis"]), "day": words.day(last["closed_at"])}
-    return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **named)
+    values = {"diagnosis": words.diagnosis(last["diagnosis"]), "day": words.day(last["closed_at"])}
+    return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **values)
 
 
 def _last(row: Row) -> Row:
@@ -116,12 +116,12 @@ def _beside(row: Row) -> str:
 
 def _alert_lines(a: Row) -> list[str]:
     """Describe an alert: its state, its evidence when raised and now, and what to do."""
-    ended = a["closed_at"] is not None
-    state = _("closed {time}", time=words.clock(a["closed_at"])) if ended else words.urgency(a)
+    is_closed = a["closed_at"] is not None
+    state = _("closed {time}", time=words.clock(a["closed_at"])) if is_closed else words.urgency(a)
     same, severity, at_first = a["evidence"] == a["evidence_now"], a["severity"], a["raised_severity"]
     then = words.tidy(a["evidence"]) if same else words.finding(a["evidence"])
     now = _("unchanged.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
-    at_last = _("At its end") if ended else _("Now")
+    at_last = _("At its end") if is_closed else _("Now")
     return [
         _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.pack_name(a)}", state=state,
           diagnosis=f"{words.diagnosis(a['diagnosis'])} ({a['diagnosis']})", id=a["alert_id"]),

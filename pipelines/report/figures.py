@@ -123,7 +123,7 @@ def outlet_temperature(facts: Facts) -> Figure:
 
 
 def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
-    """Return cruise samples of the chosen flight with their residuals."""
+    """Return cruise samples of the replacement flight with their residuals."""
     if facts.dsm is None or not facts.segment.height or not facts.twin_flight.height:
         return None
     cruise = facts.segment.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
@@ -135,10 +135,10 @@ def coefficient_drift(facts: Facts) -> Figure:
     """Build figure 16: conductance over the flights before and after a replacement."""
     title = _("Figure 16: conductance before and after a replacement")
     shares = facts.twin.with_columns(ua_share=pl.col("ua_w_k") / pl.col("ua_expected_w_k")).drop_nulls("ua_share")
-    chosen = around_replacement(shares, facts["maintenance"])
-    if chosen is None:
+    replacement = around_replacement(shares, facts["maintenance"])
+    if replacement is None:
         return _figure(title, _("No heat exchanger was replaced with flights on record before it."))
-    work, rows = chosen
+    work, rows = replacement
     smooth = rows.with_columns(s=(100 * pl.col("ua_share")).rolling_median(9, min_samples=3).over(pl.col("n") >= 0))
     halves = [smooth.filter(side).drop_nulls("s") for side in (pl.col("n") < 0, pl.col("n") >= 0)]
     chart = charts.before_and_after(

@@ -33,13 +33,13 @@ def night_pictures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance:
 def night_figures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, "Figure"]:
     """Draw health and outlet residuals of the packs most in need, and Figure 16; none without flights."""
     packs = _most_in_need(prognoses)
-    flown = features.select(*PACK, "departed_at", *PICTURE_FEATURES).sort("departed_at")
+    flights = features.select(*PACK, "departed_at", *PICTURE_FEATURES).sort("departed_at")
     own = [
-        (f"{p['tail']} pack {p['pack']}", flown.filter(pl.all_horizontal(pl.col(k) == p[k] for k in PACK)))
+        (f"{p['tail']} pack {p['pack']}", flights.filter(pl.all_horizontal(pl.col(k) == p[k] for k in PACK)))
         for p in packs
     ]
     grids = {"health_over_flights": _grid(own, _health), "outlet_residuals": _grid(own, _residuals)} if own else {}
-    shares = flown.drop_nulls("hx_fouling_flight").with_columns(ua_share=1.0 - pl.col("hx_fouling_flight"))
+    shares = flights.drop_nulls("hx_fouling_flight").with_columns(ua_share=1.0 - pl.col("hx_fouling_flight"))
     replacement = around_replacement(shares, maintenance)
     return grids | ({"figure_16": _figure_16(*replacement)} if replacement else {})
 

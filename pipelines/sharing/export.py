@@ -1,4 +1,4 @@
-"""The catalog's views as files to give away: Parquet, CSV, or a DuckDB file; a whole folder or none of it."""
+"""Write the catalog's views as Parquet, CSV or one DuckDB file; a complete folder or none."""
 
 import json
 import tempfile
@@ -23,52 +23,52 @@ _BATCH_ROWS = 100_000
 _TIME = "%Y-%m-%dT%H:%M:%S%.fZ"
 
 
-def export(home: Path, folder: Path, sight: AccessScope, form: str, chosen: list[str] | None = None) -> dict[str, int]:
+def export(home: Path, folder: Path, scope: AccessScope, form: str, names: list[str] | None = None) -> dict[str, int]:
     """Write views (all by default) as files `<folder>/<view>.<form>`, or all of them as one `catalog.duckdb`.
 
     Returns
     -------
     dict
-        Rows by view, which `<folder>/export.json` also says.
+        Rows by view, as in `<folder>/export.json`.
 
     Raises
     ------
     FileExistsError
-        The folder holds what no export wrote.
+        The folder holds files that no export wrote.
     ValueError
-        The folder lies in the home, whose tables are found by their names.
+        The folder lies in the home, whose tables are identified by their paths.
     """
     folder = folder.resolve()
     if folder.is_relative_to(home.resolve()):
         raise ValueError(f"{folder} lies in the home; name a folder outside of it")
-    names = chosen or sorted(views())
-    written = {MANIFEST, CATALOG, *(f"{v}.{f}" for v in views() for f in FORMATS)}
-    with replacing_folder(folder, written) as temporary:
-        with _window(home, sight, temporary / CATALOG if form == "duckdb" else None) as con:
+    names = names or sorted(views())
+    own_files = {MANIFEST, CATALOG, *(f"{v}.{f}" for v in views() for f in FORMATS)}
+    with replacing_folder(folder, own_files) as temporary:
+        with _window(home, scope, temporary / CATALOG if form == "duckdb" else None) as con:
             write = {"parquet": _parquet, "csv": _csv, "duckdb": _count}[form]
             rows = {view: write(con, view, temporary / f"{view}.{form}") for view in names}
-        told = {"operator": sight.operator, "pseudonyms": sight.key is not None, "format": form, "rows": rows}
-        (temporary / MANIFEST).write_text(json.dumps(told, indent=1) + "\n")
+        manifest = {"operator": scope.operator, "pseudonyms": scope.key is not None, "format": form, "rows": rows}
+        (temporary / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
     return rows
 
 
 @contextmanager
-def _window(home: Path, sight: AccessScope, keep: Path | None) -> Iterator[duckdb.DuckDBPyConnection]:
-    """The home's catalog where all may be seen; else, or to keep it, a database that holds nothing more."""
-    if keep is None and sight.operator is None and sight.key is None:
+def _window(home: Path, scope: AccessScope, keep: Path | None) -> Iterator[duckdb.DuckDBPyConnection]:
+    """Open the home's catalog for an unlimited scope; else, or to write to `keep`, a database of the scope's rows."""
+    if keep is None and scope.operator is None and scope.key is None:
         with connect(home) as con:
             yield con
         return
     with tempfile.TemporaryDirectory() as scratch, duckdb.connect(str(keep or Path(scratch, CATALOG))) as con:
-        build(con, home, sight)
+        build(con, home, scope)
         yield con
 
 
 def _batches(con: duckdb.DuckDBPyConnection, view: str) -> Iterator[pl.DataFrame]:
-    """A view's rows, at least one frame; sums of counts as whole numbers and not as DuckDB's 128 bits."""
-    answer = con.sql(f"select * from {view}").to_arrow_reader(_BATCH_ROWS)
-    yield _plain(pl.DataFrame(pl.from_arrow(answer.schema.empty_table())))
-    for batch in answer:
+    """Yield a view's rows in at least one frame, with DuckDB's 128-bit sums of counts as integers."""
+    reader = con.sql(f"select * from {view}").to_arrow_reader(_BATCH_ROWS)
+    yield _plain(pl.DataFrame(pl.from_arrow(reader.schema.empty_table())))
+    for batch in reader:
         yield _plain(pl.DataFrame(pl.from_arrow(batch)))
 
 
@@ -98,7 +98,8 @@ def _csv(con: duckdb.DuckDBPyConnection, view: str, path: Path) -> int:
 
 
 def safe(frame: pl.DataFrame) -> pl.DataFrame:
-    """Text that a spreadsheet would take for a formula begins with an apostrophe; numbers stay numbers."""
+    """Write lists as text, and put an apostrophe before text that a spreadsheet would read as a formula."""
+    frame = frame.with_columns(cs.list().cast(pl.List(pl.String)).list.join(" ", ignore_nulls=True))
     formula = cs.string().str.contains(_FORMULA)
     return frame.with_columns(pl.when(formula).then("'" + cs.string()).otherwise(cs.string()).name.keep())
 

@@ -1,8 +1,8 @@
-"""A catalog that one reader may have: one operator's rows and no others', tails told by names that only a key can tell.
+"""Build a catalog for one reader: rows of one operator only, with tails replaced by keyed pseudonyms on request.
 
-Its `tables` hold rows and not views over files, so the file can be given away; its views are the catalog's own, so a
-fleet's median in it is that of the rows it holds. Rows of no operator (the fleet list's faults, design parameters of
-the whole fleet) and the models, which were fitted to everybody's flights, stay at home.
+Its `tables` hold rows instead of views over files, so the file can be shared; its views are the catalog's own, so a
+fleet median is that of the rows it holds. Rows without an operator (the fleet list's faults, design parameters of the
+whole fleet) and the models, which are fitted to all operators' flights, are left out.
 """
 
 import base64
@@ -23,29 +23,29 @@ WITHHELD = "[withheld]"
 _TAILS = ("tail",)
 _FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id", "first_flight_id", "end_flight_id")
 _IDENTITIES = ("alert_id", "follows", "closes_alert_id", "reference", "msn", "file", "serial_off", "serial_on")
-"""Told by a keyed hash: names of parts, papers and files, each of which leads to one aircraft."""
+"""Replaced by a keyed hash: names of parts, documents and files, each of which identifies an aircraft."""
 _VERBATIM = ("detail", "content", "delivered_on", "origin", "destination", "person", "assignee", "note")
-"""Left out under pseudonyms: what a rejected file held, word for word; the day an aircraft was
-delivered; from where to where it flew; who did something about an alert, and why."""
-_OUR_WORDS = (
+"""Left out under pseudonyms: contents of a rejected file; an aircraft's day of delivery; its route; the people and
+notes of a case."""
+_CODES = (
     "operator", "scope", "component", "parameter", "unit", "signal", "kind", "estimator", "source", "phase",
     "phase_code", "reason", "severity", "raised_severity", "severity_then", "urgency", "diagnosis", "action", "finding",
     "ended_by", "closed_reason", "split", "dsm_version", "model_version",
 )  # fmt: skip
-"""Text columns that hold the project's own codes and no name of anything. All others are searched for tails."""
+"""Text columns of the project's own codes. All others are searched for tails."""
 _OF_NO_AIRCRAFT = {"components"}
 """Tables that hold declarations and no operator's rows. Any other without an operator is refused."""
 _STAYS_HOME = {"raw_costs"}
-"""Tables of which no row is given to an operator: what the home's owner pays."""
+"""Tables of which an operator gets no row: the owner's costs."""
 _BATCH_ROWS = 200_000
 KEY_BYTES = 16
 
 
 @dataclass(frozen=True)
 class AccessScope:
-    """What may be seen: of one operator or, with None, of all; under pseudonyms where there is a key.
+    """Rows a reader gets: of one operator or, with None, of all; under pseudonyms where there is a key.
 
-    `own` and `foreign` are the tails that text may name, `others` the operators it may not.
+    `own` are the tails that text may name, `foreign` the tails and `others` the operators that it may not.
     """
 
     operator: str | None
@@ -55,25 +55,25 @@ class AccessScope:
     others: frozenset[str]
 
     def pseudonym(self, name: str, length: int = 9) -> str:
-        """Stands for `name`, always the same under one key, and in the form of a tail: P and letters or digits 2 to 7.
+        """Return the pseudonym of `name` under the key, in the form of a tail: P and letters or digits 2 to 7.
 
         45 bits at the default length: two of 10,000 aircraft share a pseudonym once in a million keys.
         """
         if self.key is None:
             raise ValueError("a pseudonym needs a key")
-        told = hmac.new(self.key, name.encode(), hashlib.sha256).digest()
-        return "P" + base64.b32encode(told).decode()[:length]
+        digest = hmac.new(self.key, name.encode(), hashlib.sha256).digest()
+        return "P" + base64.b32encode(digest).decode()[:length]
 
-    def of(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """`frame` as it may be seen."""
+    def redact(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return `frame` with names replaced and free text searched for tails."""
         if self.key is not None:
             frame = frame.with_columns(pl.lit(None, frame.schema[c]).alias(c) for c in _VERBATIM if c in frame.columns)
             for columns, rename in ((_TAILS, self.pseudonym), (_FLIGHTS, self._flight), (_IDENTITIES, self._identity)):
                 frame = frame.with_columns(_renamed(frame[c], rename) for c in columns if c in frame.columns)
         hashed = _IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")
-        told = {*_TAILS, *_FLIGHTS, *_OUR_WORDS, *hashed}
-        words = [c for c, t in frame.schema.items() if t == pl.String and c not in told and not c.endswith("_status")]
-        return frame.with_columns(self._said(pl.col(c)) for c in words) if words else frame
+        exempt = {*_TAILS, *_FLIGHTS, *_CODES, *hashed}
+        texts = [c for c, t in frame.schema.items() if t == pl.String and c not in exempt and not c.endswith("_status")]
+        return frame.with_columns(self._redact_text(pl.col(c)) for c in texts) if texts else frame
 
     def _flight(self, flight_id: str) -> str:
         parts = re.fullmatch(r"(.+)(_\d{8}_\d{2})", flight_id)
@@ -82,30 +82,31 @@ class AccessScope:
     def _identity(self, name: str) -> str:
         return self.pseudonym(name, 19)
 
-    def _said(self, text: pl.Expr) -> pl.Expr:
-        """A text with the tails it names put otherwise, however they are spelt; the longest that fits counts."""
-        stands = {t: t if self.key is None else self.pseudonym(t) for t in self.own} | dict.fromkeys(
+    def _redact_text(self, text: pl.Expr) -> pl.Expr:
+        """Replace the tails in a text, in any spelling; the longest match counts."""
+        to_text = {t: t if self.key is None else self.pseudonym(t) for t in self.own} | dict.fromkeys(
             self.foreign, WITHHELD
         )
-        stands |= {t.replace("-", ""): name for t, name in stands.items()}
-        tails = sorted(stands, key=lambda t: (-len(t), t))
-        said = text.str.replace_many(tails, [stands[t] for t in tails], ascii_case_insensitive=True, leftmost=True)
-        return said.str.replace_all(rf"\b({'|'.join(sorted(self.others))})\b", WITHHELD) if self.others else said
+        to_text |= {t.replace("-", ""): name for t, name in to_text.items()}
+        tails = sorted(to_text, key=lambda t: (-len(t), t))
+        redacted = text.str.replace_many(tails, [to_text[t] for t in tails], ascii_case_insensitive=True, leftmost=True)
+        others = rf"\b({'|'.join(sorted(self.others))})\b"
+        return redacted.str.replace_all(others, WITHHELD) if self.others else redacted
 
 
 def _renamed(column: pl.Series, rename: Callable[[str], str]) -> pl.Series:
-    """Each distinct name renamed once; missing stays missing."""
+    """Rename each distinct name once; null stays null."""
     names = column.drop_nulls().unique()
     return column.replace_strict(names, pl.Series([rename(n) for n in names], dtype=pl.String), default=None)
 
 
 def access_scope(home: Path, operator: str | None, key: bytes | None) -> AccessScope:
-    """What of a home an operator may see.
+    """Return the rows of a home that an operator gets.
 
     Raises
     ------
     ValueError
-        The home knows no such operator, or the key is short enough to be guessed.
+        The home has no such operator, or the key is short enough to be guessed.
     """
     if key is not None and len(key) < KEY_BYTES:
         raise ValueError(
@@ -113,50 +114,50 @@ def access_scope(home: Path, operator: str | None, key: bytes | None) -> AccessS
         )
     aircraft = _aircraft(home)
     if operator is not None and operator not in {o for o, _ in aircraft}:
-        known = ", ".join(sorted({o for o, _ in aircraft})) or "none yet"
-        raise ValueError(f"no operator {operator} in {home}; it holds {known}")
+        operators = ", ".join(sorted({o for o, _ in aircraft})) or "none yet"
+        raise ValueError(f"no operator {operator} in {home}; it holds {operators}")
     own = frozenset(t for o, t in aircraft if operator in (None, o))
     others = frozenset(o for o, _ in aircraft if operator not in (None, o))
     return AccessScope(operator, key, own, frozenset(t for _, t in aircraft) - own, others)
 
 
 def _aircraft(home: Path) -> set[tuple[str, str]]:
-    """Every aircraft that left a trace in the home: on the fleet list, among the flights, among the rejected files."""
+    """List every aircraft in the home: on the fleet list, among the flights, among the rejected files."""
     with connect(home) as con:
-        held = [
+        queries = [
             f"select operator, tail from tables.{t}"
             for t in tables_read()
             if t.startswith("raw_") and t not in _STAYS_HOME
         ]
-        return {(o, t) for o, t in con.execute(" union ".join(held)).fetchall() if o and t}
+        return {(o, t) for o, t in con.execute(" union ".join(queries)).fetchall() if o and t}
 
 
-def build(con: duckdb.DuckDBPyConnection, home: Path, sight: AccessScope) -> None:
-    """Fill an empty database with what may be seen, table by table and batch by batch, and the catalog's views."""
+def build(con: duckdb.DuckDBPyConnection, home: Path, scope: AccessScope) -> None:
+    """Fill an empty database with the scope's rows, table by table and batch by batch, and the catalog's views."""
     con.execute("set TimeZone = 'UTC'")
     con.begin()
     con.execute("create schema tables")
     with connect(home) as source:
         for table in tables_read():
-            _copy(source, con, table, sight)
+            _copy(source, con, table, scope)
             add_meanings(con, table)
     add_views(con)
     con.commit()
 
 
-def _copy(source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, sight: AccessScope) -> None:
+def _copy(source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, scope: AccessScope) -> None:
     everything = source.sql(f"select * from tables.{table}")
-    seen = everything
-    if sight.operator is not None and table in _STAYS_HOME:
-        seen = everything.limit(0)
-    elif sight.operator is not None and table not in _OF_NO_AIRCRAFT:
+    rows = everything
+    if scope.operator is not None and table in _STAYS_HOME:
+        rows = everything.limit(0)
+    elif scope.operator is not None and table not in _OF_NO_AIRCRAFT:
         own = "operator = $1"
-        if "file" in everything.columns:  # files refused before anyone knew whose they are lie in the operator's folder
+        if "file" in everything.columns:  # files refused before their operator was known lie in its folder
             own = "operator = $1 or (coalesce(operator, '') = '' and starts_with(file, $1 || '/'))"
-        seen = source.sql(f"select * from tables.{table} where {own}", params=[sight.operator])
+        rows = source.sql(f"select * from tables.{table} where {own}", params=[scope.operator])
     columns = ", ".join(f'"{n}" {t}' for n, t in zip(everything.columns, everything.types, strict=True))
     con.execute(f"create table tables.{table} ({columns})")
-    for batch in seen.to_arrow_reader(_BATCH_ROWS):
-        con.register("frame", sight.of(pl.DataFrame(pl.from_arrow(batch))))
+    for batch in rows.to_arrow_reader(_BATCH_ROWS):
+        con.register("frame", scope.redact(pl.DataFrame(pl.from_arrow(batch))))
         con.execute(f"insert into tables.{table} by name select * from frame")
         con.unregister("frame")

@@ -70,15 +70,15 @@ class Guard:
                     headers.setdefault(name, value)
             await send(message)
 
-        answer = self._answer(scope)
-        if answer is None:
+        response = self._response(scope)
+        if response is None:
             await self.app(scope, receive, send_guarded)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await answer(scope, receive, send_guarded)
+            await response(scope, receive, send_guarded)
 
-    def _answer(self, scope: Scope) -> Response | None:
+    def _response(self, scope: Scope) -> Response | None:
         """Return the answer to a request that the page must not get; None where it may."""
         connection = HTTPConnection(scope)
         if refusal := self._refusal(scope, connection.headers):

@@ -45,7 +45,7 @@ def read_people(home: Path) -> dict[str, Person]:
     RolesError
         The file is not TOML, or an entry is unknown or invalid.
     """
-    return {name: _person(name, entry) for name, entry in _read(home)["people"].items()}
+    return {name: _person(name, entry) for name, entry in _read_file(home)["people"].items()}
 
 
 def local_person(home: Path) -> Person:
@@ -56,10 +56,10 @@ def local_person(home: Path) -> Person:
     RolesError
         As `read_people`.
     """
-    return _person(os.environ.get("USER", "").strip() or "local", _read(home)["local"])
+    return _person(os.environ.get("USER", "").strip() or "local", _read_file(home)["local"])
 
 
-def _read(home: Path) -> dict[str, Any]:
+def _read_file(home: Path) -> dict[str, Any]:
     try:
         text = (home / FILE).read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -45,9 +45,9 @@ class LocalToken:
             return _sign_in_page(401, "")
         if request.scope["path"] == "/logout" and method == "POST":
             del self._ends[session]
-            answer = _sign_in_page(200, "Signed out.")
-            answer.delete_cookie(cookie)
-            return answer
+            response = _sign_in_page(200, "Signed out.")
+            response.delete_cookie(cookie)
+            return response
         return self.person
 
     def _begin(self, request: HTTPConnection, cookie: str) -> Response:
@@ -59,11 +59,11 @@ class LocalToken:
         session = secrets.token_urlsafe(32)
         self._ends[session] = time.monotonic() + HOURS * 3600
         path = "/" + request.scope["path"].lstrip("/")  # a path with two slashes would redirect to another machine
-        answer = RedirectResponse(path, 303, {"cache-control": "no-store"})
-        answer.set_cookie(
+        response = RedirectResponse(path, 303, {"cache-control": "no-store"})
+        response.set_cookie(
             cookie, session, max_age=HOURS * 3600, httponly=True, samesite="strict", secure=self.https, path="/"
         )
-        return answer
+        return response
 
 
 class ProxyHeader:

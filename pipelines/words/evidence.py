@@ -27,9 +27,9 @@ _ENDS = r"(?=$|[;,.:)](?:\s|$)|;| \()"
 def phrases() -> list[str]:
     """List every phrase of evidence and actions, those of installed components included."""
     declared = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
-    named = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
+    names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     roles = [f"{role}:" for role in (*ROLES, "Else")]
-    return list(dict.fromkeys([*PHRASES.values(), *SIGNALS.values(), *CHECKS.values(), *named, *declared, *roles]))
+    return list(dict.fromkeys([*PHRASES.values(), *SIGNALS.values(), *CHECKS.values(), *names, *declared, *roles]))
 
 
 def translate_evidence(sentence: str) -> str:
@@ -60,10 +60,10 @@ def translate_value(value: str) -> str:
     """Translate a value within a phrase: figures, a name with its code, or phrases of their own."""
     if _FIGURES.fullmatch(value):
         return in_figures(value)
-    if named := _CODE.fullmatch(value):
-        lower = named[1][:1].lower() + named[1][1:]
-        name = lower if lower in (*SIGNALS.values(), *CHECKS.values()) else named[1]
-        return f"{_(name)} {named[2]}"
+    if code := _CODE.fullmatch(value):
+        lower = code[1][:1].lower() + code[1][1:]
+        name = lower if lower in (*SIGNALS.values(), *CHECKS.values()) else code[1]
+        return f"{_(name)} {code[2]}"
     return translate_evidence(value)
 
 
