@@ -121,6 +121,7 @@ def fill(con: duckdb.DuckDBPyConnection, store: Store, held: dict[str, tuple[int
     refill(con, held)
     for former, table in FORMER_NAMES.items():
         con.execute(f"create view tables.{former} as from tables.{table}")
+        add_meanings(con, table, former)
     add_views(con)
 
 
@@ -212,7 +213,7 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> 
     add_meanings(con, table)
 
 
-def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
-    """What each declared column of `tables.<table>` means, as its comment."""
-    told = (f"comment on column tables.{table}.{c} is {quote(m)}" for c, m in MEANINGS[table].items())
-    con.execute("; ".join(told))
+def add_meanings(con: duckdb.DuckDBPyConnection, table: str, name: str | None = None) -> None:
+    """Comment each column of `tables.<name>`, by default of the table's own name, with its declared meaning."""
+    meanings = MEANINGS[table].items()
+    con.execute("; ".join(f"comment on column tables.{name or table}.{c} is {quote(m)}" for c, m in meanings))

@@ -10,13 +10,26 @@
 -- place: 1 is the most urgent; what is not known stands last
 -- missing_since: departure of the first flight without an estimate, where nothing was seen
 -- missing_reason: why most legs since were not admitted; a code, as in component_legs
+-- work_action: CLEANED or REPLACED, where that was done since the last flight
+-- work_on: day of that work
 -- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, unit_urgencies,
--- unobserved_units, alert_urgencies, tables.components.
+-- unobserved_units, renewed_units, alert_urgencies, tables.components.
 create or replace view component_ranking as
 with unobserved as (
-    select *
+    select
+        operator,
+        tail,
+        pack,
+        component
     from unobserved_units
     where counts_to is null
+    union
+    select
+        operator,
+        tail,
+        pack,
+        component
+    from renewed_units
 ),
 
 latest as (
@@ -78,16 +91,20 @@ judged as (
         case
             when coalesce(a.any_act, false) or o.urgency = 'act' then 'act'
             when a.diagnoses is not null or o.urgency = 'plan' then 'plan'
-            when l.loss is null or u.component is not null then 'unknown'
+            when w.component is null and (l.loss is null or u.component is not null) then 'unknown'
             else 'none'
         end as urgency,
         m.since as missing_since,
-        m.reason as missing_reason
+        m.reason as missing_reason,
+        w.work_action,
+        w.work_on
     from latest as l
     left join unobserved as u
         on l.operator = u.operator and l.tail = u.tail and l.pack = u.pack and l.component = u.component
     left join missing_estimates as m
         on l.operator = m.operator and l.tail = m.tail and l.pack = m.pack and l.component = m.component
+    left join renewed_units as w
+        on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and l.component = w.component
     left join tables.components as c on l.component = c.component
     left join outlook as o
         on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack and l.component = o.component

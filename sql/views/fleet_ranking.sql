@@ -18,7 +18,10 @@
 -- missing_since: departure of the first flight without an estimate, where nothing was seen
 -- missing_reason: why most legs since were not admitted; a code, as in legs
 -- missing_columns: columns that the estimate needs and that hold no value since
--- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unobserved_units,
+-- work_action: CLEANED or REPLACED, where that was done to the exchanger since the last flight: its columns are null
+-- until the next
+-- work_on: day of that work
+-- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unobserved_units, renewed_units,
 -- alert_urgencies, tables.components.
 create or replace view fleet_ranking as
 with others as (
@@ -28,9 +31,20 @@ with others as (
 ),
 
 unobserved as (
-    select *
+    select
+        operator,
+        tail,
+        pack,
+        component
     from unobserved_units
     where counts_to is null
+    union
+    select
+        operator,
+        tail,
+        pack,
+        component
+    from renewed_units
 ),
 
 estimates as (
@@ -134,11 +148,16 @@ judged as (
         o.cc_p_event_50,
         o.chance,
         o.message_cost,
+        w.component as renewed,
+        w.work_action,
+        w.work_on,
         coalesce(o.urgencies, []) as urgencies,
         coalesce(a.any_act, false) as any_act
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
     left join alerted as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
+    left join renewed_units as w
+        on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and w.component = 'HX'
 ),
 
 urgent as (
@@ -147,7 +166,7 @@ urgent as (
         case
             when any_act or 'act' in urgencies then 'act'
             when diagnoses is not null or 'plan' in urgencies then 'plan'
-            when hx_fouling is null then 'unknown'
+            when hx_fouling is null and renewed is null then 'unknown'
             else 'none'
         end as urgency
     from judged
@@ -185,7 +204,9 @@ select
     ) as place,
     m.since as missing_since,
     m.reason as missing_reason,
-    m.columns as missing_columns
+    m.columns as missing_columns,
+    u.work_action,
+    u.work_on
 from urgent as u
 left join missing_estimates as m
     on u.operator = m.operator and u.tail = m.tail and u.pack = m.pack and m.component = 'HX';

@@ -1,21 +1,24 @@
 -- What was the last prognosis of each unit?
 -- departed_at: departure of the flight it was made after
 -- points: chance of a message within 0, 25, 50, 100, 200 and 300 flights [-]
--- Grain: operator, tail, pack, component. Reads: prognoses.
+-- status: as in prognoses, or renewed (washed or replaced since: no prognosis of the unit as it is)
+-- Grain: operator, tail, pack, component. Reads: prognoses, renewed_units.
 create or replace view last_prognoses as
 select
-    operator,
-    tail,
-    pack,
-    component,
-    departed_at,
-    rul_flights,
-    rul_low,
-    rul_high,
-    coalesce(beyond_horizon, false) as beyond_horizon,
-    p_event_50,
-    [0.0, p_event_25, p_event_50, p_event_100, p_event_200, p_event_300] as points,
-    status
-from prognoses
-where p_event_50 is not null
-qualify row_number() over (partition by operator, tail, pack, component order by departed_at desc) = 1;
+    p.operator,
+    p.tail,
+    p.pack,
+    p.component,
+    p.departed_at,
+    p.rul_flights,
+    p.rul_low,
+    p.rul_high,
+    coalesce(p.beyond_horizon, false) as beyond_horizon,
+    p.p_event_50,
+    [0.0, p.p_event_25, p.p_event_50, p.p_event_100, p.p_event_200, p.p_event_300] as points,
+    if(r.component is null, p.status, 'renewed') as status
+from prognoses as p
+left join renewed_units as r
+    on p.operator = r.operator and p.tail = r.tail and p.pack = r.pack and p.component = r.component
+where p.p_event_50 is not null
+qualify row_number() over (partition by p.operator, p.tail, p.pack, p.component order by p.departed_at desc) = 1;

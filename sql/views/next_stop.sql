@@ -23,7 +23,7 @@ create or replace view next_stop as
 with units as (
     select *
     from check_chances
-    where status != 'prior_only' -- money needs more than what the prior says of any unit
+    where status not in ('prior_only', 'renewed') -- money needs more than what the prior says of any unit
 ),
 
 renewals as (

@@ -301,3 +301,23 @@ def test_views_and_rules_of_alerts_agree_on_what_an_estimate_rests_on():
                                                                     *UNOBSERVED))]  # fmt: skip
     con = catalog(twin_health=health)
     assert {s for (s,) in rows(con, "select status from health_parameters where not is_observed")} == set(UNOBSERVED)
+
+
+def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():
+    tails = ("T-1", "T-2", "T-3")
+    washed = replaced(5) | {"action": "CLEANED", "tail": "T-1"}
+    tables = {
+        "raw_flights": [flight(n, tail=t) for n in range(6) for t in tails],
+        "twin_health": [fouling(n, 0.3, tail=t) for n in range(6) for t in tails],
+        "prognoses": [flight(5, tail=t) | BELIEVED | {"p_event_50": 0.7} for t in tails],
+        "raw_maintenance": [washed, replaced(5) | {"tail": "T-2"}, replaced(3) | {"tail": "T-3", "component": "CC"}],
+    }
+    con = catalog(**tables)
+    ranking = "select tail, urgency, hx_fouling, rul_flights, work_action from fleet_ranking order by tail"
+    act = ("T-3", "act", 0.3, 126.0, None)
+    assert rows(con, ranking) == [("T-1", "none", None, None, "CLEANED"), ("T-2", "none", None, None, "REPLACED"), act]
+    for view in ("due_dates", "next_stop"):
+        assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-3"}
+    later = {"raw_flights": flight(9), "twin_health": fouling(9, 0.02), "prognoses": flight(9) | BELIEVED}
+    con = catalog(**tables | {name: [*tables[name], row] for name, row in later.items()})
+    assert rows(con, ranking)[::2] == [("T-1", "plan", 0.02, 126.0, None), act]
