@@ -23,8 +23,8 @@ Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the dec
 headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
 is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". Columns that
 differ by a number are explained once. Behind a type of a table, `?` says that it may be NULL, `0..1` its least and
-greatest value. Six views to start with are in [the catalog](catalog.md), which has every column's meaning as its comment;
-`describe tables.features` also lists the columns of components of your own.
+greatest value. Six views to start with are in [the catalog](catalog.md); every column's meaning is also its comment
+there, and `describe tables.features` lists the columns of components of your own.
 """
 
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
