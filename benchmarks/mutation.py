@@ -178,7 +178,7 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
     everything = [(name, source, *place) for name, source in sorted(sources.items()) for place in places(source)]
     sampled = random.Random(seed).sample(everything, min(sample, len(everything)))
     drawn = [(name, source, mutate_code(source, *place)) for name, source, *place in sampled]
-    equivalent = {(e["module"], e["before"], e["after"]) for e in register["equivalent"]}
+    equivalent = {(e["module"], e["before"], after) for e in register["equivalent"] for after in e["after"]}
     tried = [(name, *texts) for name, *texts in drawn if (name, *edit(*texts)) not in equivalent]
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy_tree(Path(folder))

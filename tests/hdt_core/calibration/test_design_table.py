@@ -74,8 +74,11 @@ def test_the_compressor_as_built_is_identified_within_a_tenth():
     assert found["cc_blade_angle_rad"]["unit"] == (
         "rad, given a blade angle of 36 ± 3 degrees and a hub of 0.4 eye diameters"
     )
-    edge = replace(DSM, compressor=replace(DSM.compressor, slope_sd_m_per_count=2.01e-6))
+    edge = replace(
+        DSM, compressor=replace(DSM.compressor, slope_sd_m_per_count=2.01e-6, efficiency=0.5, efficiency_sd=0.05)
+    )
     assert not row("cc_diameter_vda_slope", edge)["identifiable"]
+    assert not row("cc_efficiency", edge)["identifiable"]  # a tenth itself
 
 
 def test_levels_and_biases_by_operator_and_pack():

@@ -92,11 +92,14 @@ def test_an_as_built_line_is_that_of_machines_as_seen_raised():
     rows = machine_rows(40)
     frames = [
         frame(list(rows.x[rows.block == b]), list(rows.flight[rows.block == b] % 20), tail=tail).with_columns(
-            diameter_m=pl.Series(rows.y[rows.block == b]), group_m3=pl.lit(None, pl.Float64), efficiency=pl.lit(0.8)
+            diameter_m=pl.Series(rows.y[rows.block == b]), group_m3=pl.lit(9e-4), efficiency=pl.lit(0.8)
         )
         for b, tail in enumerate("AB")
     ]
     fit, line = fit_compressor(pl.concat(frames)), shared_line(rows)
+    # a flow sensor's 2 % and .3 % of an efficiency are no pack's own
+    group = _pooled(pl.concat(frames), "group_m3", "cc_area_diameter_tan_beta_m3", 0.02, wear=False)[2]
+    assert fit.levels == (*group, *_pooled(pl.concat(frames), "efficiency", "cc_efficiency", 0.003, wear=True)[2])
     as_built, as_built_sd = _as_built(line.level, 0.004, 0.008)
     slope = line.slope * as_built / line.level.mean()
     slope_sd = np.hypot(line.slope_sd, slope * as_built_sd / as_built)

@@ -122,7 +122,7 @@ def points() -> Points:
     two = two | {n: two[n] * apart for n in ("hx_in_k", "pack_flow_kg_s", "tat_k")}
     flight, pack = np.repeat(found.flight, 2), np.repeat(found.pack, 2)
     late = (pack == 1) & (flight >= 9)
-    two["hx_out_k"] = two["hx_out_k"] + np.where(late, 6.0, 0.0)
+    two["hx_out_k"] = two["hx_out_k"] + np.where(late, 15.0, 0.0)
     return Points(two, pack, flight + (flight > 4), np.tile([4.0, 9.0], len(found)))
 
 

@@ -1,17 +1,23 @@
 """The missing-physics assistant: it proposes what was left out, nothing else, and accepting it mends the model."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
 import pytest
+from by_hand import DSM
+from by_hand import flights as days
 from made import made_fleet
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.calibration.missing_physics import propose
+from hdt_core.calibration.missing_physics import coefficients, propose
+from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.terms import TERMS, record_signals
 from hdt_core.records.keys import IN_ORDER, PACK
 
@@ -96,6 +102,34 @@ def test_worn_packs_speak_too(sprayed, lacking):
     """Wear moves slowly: the left packs, half of their conductance gone, tell as much of the weather's doing."""
     worn = estimate_flights(sprayed.samples, lacking).filter(pack=1)
     assert propose(worn, lacking).filter("proposed")["term"].to_list() == ["water_spray"]
+
+
+@pytest.mark.parametrize(("flights", "value"), [(60, 0.0), (61, SPRAY)])
+def test_sixty_changes_without_noise_give_the_coefficient_itself(flights, value):
+    """A core of the model's own conductance in air that spray has cooled; by medians alone."""
+    rng = np.random.default_rng(2)
+    ranges = {
+        "altitude_m": (10e3, 12e3), "mach": (0.78, 0.86), "tat_k": (238.0, 262.0), "hx_in_k": (380.0, 420.0),
+        "ram_door_open": (0.2, 0.6), "pack_flow_kg_s": (0.6, 0.9),
+    }  # fmt: skip
+    met = {name: rng.uniform(*limits, flights) for name, limits in ranges.items()}
+    met["total_pressure_pa"] = standard_pressure_pa(met["altitude_m"]) * total_to_static_pressure(met["mach"])
+    ram = clean_ram_flow_kg_s(met, DSM.design)
+    ua = np.exp(ln_clean_conductance(met, ram, DSM.design))
+    met["hx_out_k"] = outlets_k(met["pack_flow_kg_s"], ram, met["hx_in_k"], met["tat_k"], ua)[0]
+    seen = record_signals(met, {"water_spray": SPRAY})
+    ratio = hx.ln_conductance_ratio(seen, DSM.design, np.zeros((len(hx.BIASES), flights)))
+    twin = days(flights, **{name: list(v) for name, v in seen.items()}, ram_out_k=330.0, ln_ua_ratio=list(ratio))
+    assert coefficients(twin, DSM, ("water_spray",))["water_spray"] == pytest.approx(value, abs=0.01)
+
+
+def test_an_accepted_coefficient_is_found_in_three_rounds(monkeypatch):
+    monkeypatch.setattr("hdt_core.calibration.calibrate._calibrated", lambda *args: SimpleNamespace(terms=args[-1]))
+    for name in ("estimate_flights", "baseline_samples"):
+        monkeypatch.setattr(f"hdt_core.calibration.calibrate.{name}", lambda *_: None)
+    monkeypatch.setattr("hdt_core.calibration.calibrate.coefficients", lambda *_: {"water_spray": 0.1})
+    assert calibrate(None, None, None, ("water_spray",)).terms["water_spray"] == pytest.approx(0.3)
+    assert calibrate(None, None, None).terms == {}
 
 
 def test_too_few_flights_say_so(sprayed, lacking):

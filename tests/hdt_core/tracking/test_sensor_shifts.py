@@ -47,9 +47,10 @@ def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doub
     assert found.fault.tolist() == [False] * 11 + [True]
 
 
-@pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.01, False), (-1, False)])
+@pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.0, False), (-1, False)])
 def test_the_ratio_must_move_with_it(share, blamed):
     assert any(shift("exit_apart_k", [4.0] * 3, [-0.2 * share] * 3)) == blamed
+    assert not any(shift("exit_apart_k", [5.0] * 3, [-0.1] * 3))  # 0.4 of what 5 K do is not more than that
 
 
 def test_the_level_is_the_mean_of_eight_departures_and_moves_on_by_an_eighth():
@@ -97,6 +98,13 @@ def test_a_fault_is_over_on_the_second_flight_that_is_usual_again():
     np.testing.assert_allclose(found, [0.0, -0.2, 0.0, -0.05 * 13.0 / 3.0, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize(("fall", "blamed"), [(0.0795, False), (0.0805, True)])
+def test_the_first_usual_flight_after_a_fault_moves_no_level(fall, blamed):
+    """Its ratio of 0.06 would raise the level to 0.01; the second's does count."""
+    found = shift("exit_apart_k", [4.0, 4.0, 0.0, 0.0, 4.0, 4.0], [-0.2, -0.2, 0.06, 0.0, -fall, -fall])
+    assert (found[-1] != 0.0) == blamed
+
+
 def test_what_a_fault_leaves_is_held_on_to():
     """A pack that fouls while its sensor is off: the corrected ratio is what the next departure is measured from."""
     apart = [*QUIET, *[4.0] * 30, 0.0, 0.0, 4.0, 4.0]
@@ -124,6 +132,9 @@ def test_tat_is_at_fault_where_both_packs_see_it_leave_alike(other, blamed):
     assert [found.fault[:22].any(), found.fault[22:].any()] == blamed
     if blamed[0]:
         np.testing.assert_allclose(found.shift[11:22], 0.026 * -3.0)
+    for edge, own_blamed, other_blamed in ((-2.0, 0, 0), (-10.0, 0, 1)):  # 0.4 and 2 of 5 K
+        at_edge = both_packs(-5.0, edge).fault
+        assert [at_edge[:22].any(), at_edge[22:].any()] == [own_blamed, other_blamed]
     assert not both_packs(-0.8, -0.8).fault.any()
     assert both_packs(-0.81, -0.81).fault.any()
 
@@ -139,6 +150,22 @@ def test_the_other_pack_is_heard_twice_and_on_the_mean(other, begins):
         flights("tat_apart_k", [*before, *(v if v is None else v + 0.3 for v in other)], [0.0] * 13, 2),
     ]
     assert np.flatnonzero(corrections(pl.concat(packs)).fault[:13])[0] == begins
+
+
+def other_says(quiet: list[float | None], departs: list[float | None], own: list[float]) -> bool:
+    """Whether the first pack's TAT is at fault by what the other pack says of it."""
+    packs = [
+        flights("tat_apart_k", [*QUIET, *own], [0.0] * (10 + len(own)), 1),
+        flights("tat_apart_k", [*quiet, *departs], [0.0] * (10 + len(own)), 2),
+    ]
+    return bool(corrections(pl.concat(packs)).fault[: 10 + len(own)].any())
+
+
+def test_the_other_pack_must_have_a_level_and_each_departure_is_heard_anew():
+    assert not other_says([0.0, *[None] * 9], [-3.0] * 3, [-3.0] * 3)
+    assert other_says([0.0, 0.0, *[None] * 8], [-3.0] * 3, [-3.0] * 3)
+    # what it said of a flight long over has no part: half of 3 K is enough
+    assert other_says(QUIET, [0.0, 0.0, 0.0, -1.5, -1.5], [-3.0, 0.0, 0.0, -3.0, -3.0])
 
 
 @pytest.mark.parametrize(("beyond", "blamed"), [(0.79, False), (0.81, True)])
@@ -173,6 +200,7 @@ def test_wear_and_missing_values_are_nobodys_fault():
     silent = flights("exit_apart_k", [*QUIET, 4.0, 4.0], [0.0] * 10 + [-0.2] * 2)
     assert not corrections(silent.with_columns(ratio_per_exit_k=None)).fault.any()
     assert not corrections(silent.with_columns(exit_apart_k=None)).fault.any()
+    assert not corrections(silent.with_columns(ratio_per_exit_k=0.0)).fault.any()
     assert corrections(silent.clear()).shift.shape == (0,)
 
 
@@ -180,3 +208,8 @@ def test_each_pack_walks_by_itself():
     """Five quiet flights of one pack are no level of the next one's."""
     packs = [flights("exit_apart_k", [0.0] * 12, [0.0] * 12, 1), flights("exit_apart_k", [4.0] * 12, [-0.2] * 12, 2)]
     assert not corrections(pl.concat(packs)).fault.any()
+    last, first = (
+        flights("exit_apart_k", [*QUIET, 4.0], [0.0] * 10 + [-0.2], 1),
+        flights("exit_apart_k", [4.0], [-0.2], 2),
+    )
+    assert not corrections(pl.concat([last, first])).fault.any()
