@@ -113,7 +113,7 @@ class History:
         made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
         told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
-        log.represents(run_id, empty.key, keys)
+        log.group_partitions(run_id, empty.key, keys)
         log.store_event_batch([event._replace(run_id=run_id, dagster_event=told)])
 
     @staticmethod

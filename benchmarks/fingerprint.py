@@ -16,7 +16,7 @@ def fingerprint(home: Path, *url: str) -> dict[str, str]:
     card and service what was in service before.
     """
     store = Store(home, *url)
-    return {table: _hash(store.read(table).drop("card", "service", strict=False)) for table in TABLES}
+    return {table: _hash(store.read_table(table).drop("card", "service", strict=False)) for table in TABLES}
 
 
 def _hash(frame: pl.DataFrame) -> str:

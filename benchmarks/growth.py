@@ -40,7 +40,7 @@ def multiply(store: Store, originals: list[Aircraft], first: int, last: int) -> 
             _multiply_fleet(store, table, len(originals), first, last)
             continue
         for k, (operator, tail) in enumerate(originals):
-            frame = store.read(table, [(operator, tail)]).filter(pl.col("tail") == tail)
+            frame = store.read_table(table, [(operator, tail)]).filter(pl.col("tail") == tail)
             for number in range(first, last):
                 if number % len(originals) == k:
                     _keep(store, table, (operator, f"N{number:05}"), _renamed(frame, tail, f"N{number:05}"))
@@ -56,7 +56,7 @@ def _keep(store: Store, table: str, aircraft: Aircraft, frame: pl.DataFrame) -> 
 
 def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int) -> None:
     """Rows of aircraft in a table of the whole fleet; a model stays the one row it is."""
-    held = store.read(table)
+    held = store.read_table(table)
     if "tail" not in held.columns or not held.height or table == "raw_fleet":
         return
     own = held.filter(~pl.col("tail").str.starts_with("N")).partition_by("tail", as_dict=True)
@@ -121,7 +121,7 @@ def main() -> None:
             pass
         measured("night", root / "landing", home)
         store = Store(home)
-        originals = sorted(store.read("raw_flights").select("operator", "tail").unique().rows())
+        originals = sorted(store.read_table("raw_flights").select("operator", "tail").unique().rows())
         there = len(originals)
         for aircraft in given.aircraft:
             multiply(store, originals, there, aircraft)

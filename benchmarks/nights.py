@@ -86,7 +86,7 @@ def held(home: Path) -> dict[str, float]:
 
 def pass_day(home: Path) -> None:
     """Let upkeep be due again."""
-    os.utime(home / upkeep.DONE, (0, 0))
+    os.utime(home / upkeep.MARKER, (0, 0))
 
 
 @contextmanager

@@ -35,7 +35,7 @@ from pipelines.intake.simulated import write_fleet
 from pipelines.lineage import LINEAGE
 from pipelines.orchestration import around_night, nightly, runs
 from pipelines.storage.ledger import Ledger
-from pipelines.versions import expected
+from pipelines.versions import expected_versions
 
 PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 AIRCRAFT = [(operator, f"T-{operator}{n:02d}") for operator in ("QAA", "QBB", "QCC", "QDD", "QEE") for n in range(10)]
@@ -78,7 +78,7 @@ def grow(landing: Path, home: Path, flights: int) -> None:
             held[name] = [flight]
     ledger.register(files, held)
     for table in LINEAGE:  # parents stand before their children
-        cells = expected(ledger, table)
+        cells = expected_versions(ledger, table)
         ledger.mark(table, cells.filter(pl.col("tail").is_in(["", *(t for _, t in AIRCRAFT)])))
     _fill_store(home, days)
     _fill_history(home, ids)

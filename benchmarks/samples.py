@@ -17,11 +17,11 @@ from pipelines.storage.store import Store
 def record(home: Path) -> Made:
     """What a chain begins with."""
     store = Store(home)
-    snapshots = pl.concat([store.read("raw_snapshots"), store.read("raw_logs")])
+    snapshots = pl.concat([store.read_table("raw_snapshots"), store.read_table("raw_logs")])
     return {
         "snapshots": snapshots,
-        "maintenance": store.read("raw_maintenance"),
-        "messages": store.read("raw_messages"),
+        "maintenance": store.read_table("raw_maintenance"),
+        "messages": store.read_table("raw_messages"),
     }
 
 

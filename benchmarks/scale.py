@@ -78,7 +78,7 @@ class Bare:
 
     def known(self, wanted: pl.DataFrame | None = None) -> PartitionIndex:
         """Partitions as they are now, and who flew which."""
-        return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flown()))
+        return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flights_on_file()))
 
     def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
         """Make the tables, store them, mark them."""
@@ -89,7 +89,7 @@ class Bare:
         for node in _nodes(self.defs, tables):
             for made in node.op.compute_fn.decorated_fn(context, home):
                 if isinstance(made, dg.Output):
-                    keeper.keep(made.output_name, asked, made.value)
+                    keeper.store_frame(made.output_name, asked, made.value)
         return BatchResult(batch.size, 1)
 
 

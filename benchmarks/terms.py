@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
 def residual(home: Path) -> float:
     """Robust sd of the change of ln conductance from flight to flight, of flights after the commissioning window."""
     window = baseline_cells(Ledger(home))["flight_id"].unique()
-    flights = Store(home).read("twin_flights").drop_nulls("ln_ua_ratio").sort(IN_ORDER)
+    flights = Store(home).read_table("twin_flights").drop_nulls("ln_ua_ratio").sort(IN_ORDER)
     held_out = flights.filter(~pl.col("flight_id").is_in(window.implode()))
     change = held_out.select(pl.col("ln_ua_ratio").diff().over(PACK))["ln_ua_ratio"].drop_nulls().to_numpy()
     return spread(change) / 2.0**0.5
@@ -47,7 +47,7 @@ def residual(home: Path) -> float:
 
 def errors(store: Store, truth: Path) -> tuple[float, float]:
     """Bias and mean absolute error of the loss against what an observer sees who takes the duct for clean."""
-    told = store.read("twin_health").filter(parameter="hx_fouling").drop_nulls("value")
+    told = store.read_table("twin_health").filter(parameter="hx_fouling").drop_nulls("value")
     both = told.join(pl.read_parquet(truth / "health.parquet"), on=["tail", "flight_id", "pack"])
     off = (both["value"] - (1.0 - both["apparent_ua_ratio"])).to_numpy()
     return float(off.mean()), float(np.abs(off).mean())
@@ -58,7 +58,7 @@ def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
     home = folder / "home"
     nightly.run_night(folder / "landing", home, Silent())
     store = Store(home)
-    dsm = Dsm.from_dict(json.loads(store.read("calibration_dsm")["model"][0]))
+    dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))
     now, found = Outcome(residual(home), *errors(store, folder / "truth")), proposals(home, dsm).filter("proposed")
     terms = {name: round(value, 3) for name, value in dsm.terms.items()}
     print(f"  has {terms}: residual {now.residual:.4f}, loss off by {now.bias:+.4f}, {now.error:.4f} absolute")

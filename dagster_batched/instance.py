@@ -1,4 +1,4 @@
-"""An instance of Dagster in one folder whose event log is batched."""
+"""Open an instance of Dagster in one folder with a batched event log."""
 
 import os
 from pathlib import Path
@@ -10,14 +10,14 @@ from dagster_batched.partitions import make_keys_quickly, skip_input_versions
 BATCH_EVENTS = 1000
 
 _SETTINGS = """\
-{mark} {says}
+{mark} {note}
 telemetry:
   enabled: false
 nux:
   enabled: false
 freshness:
   enabled: true
-compute_logs:  # the assets print nothing, and catching what they print would start two processes a step
+compute_logs:  # the assets print nothing, and capturing output would start two processes a step
   module: dagster._core.storage.noop_compute_log_manager
   class: NoOpComputeLogManager
 event_log_storage:
@@ -29,25 +29,25 @@ event_log_storage:
 
 
 def batch_events() -> None:
-    """Make Dagster hand over asset events in batches; a user's own setting stays."""
+    """Have Dagster pass asset events in batches; a user's own setting stays."""
     os.environ.setdefault("DAGSTER_EVENT_BATCH_SIZE", str(BATCH_EVENTS))
 
 
-def open_instance(base: Path, mark: str, says: str) -> dg.DagsterInstance:
-    """The instance of a folder; a `dagster.yaml` there that does not begin with `mark` is used as it is.
+def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
+    """Open the instance of a folder; a `dagster.yaml` there that does not begin with `mark` is used unchanged.
 
     Parameters
     ----------
     base : Path
-        Folder, absolute; it is made where it is missing, and may have been moved.
-    mark, says : str
-        First line of the settings that are written here: by whom, and what to know about them.
+        Absolute folder; it is created where it is missing, and may have been moved.
+    mark, note : str
+        First line of the settings that are written here: by whom, and a note about them.
     """
     batch_events()
     skip_input_versions()
     make_keys_quickly()
     base.mkdir(parents=True, exist_ok=True)
-    settings, ours = base / "dagster.yaml", _SETTINGS.format(base=base, mark=mark, says=says)
+    settings, ours = base / "dagster.yaml", _SETTINGS.format(base=base, mark=mark, note=note)
     if not settings.exists() or settings.read_text().startswith(mark):
         settings.write_text(ours)
     return dg.DagsterInstance.from_config(str(base))

@@ -1,4 +1,4 @@
-"""Partitions along several dimensions of which a run takes a range of ten thousand cells."""
+"""Define partitions along several dimensions of which a run takes a range of ten thousand cells."""
 
 import gc
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -15,45 +15,45 @@ from dagster._core.definitions.partitions.utils.multi import PartitionDimensionK
 from dagster._core.execution.context.data_version_cache import DataVersionCache
 from dagster._core.instance import DynamicPartitionsStore
 
-_cached: list[dict[dg.PartitionKeyRange, Sequence[Any]]] = []
+_ranges: list[dict[dg.PartitionKeyRange, Sequence[Any]]] = []
 
 
 @contextmanager
-def cached_ranges(scattered: Mapping[tuple[str, str], Sequence[str]] | None = None) -> Iterator[None]:
-    """While a run is planned and made its range stays as it is, whatever partitions are added elsewhere.
+def cached_ranges(cells_of_range: Mapping[tuple[str, str], Sequence[str]] | None = None) -> Iterator[None]:
+    """Fix the cells of a run's range while it is planned and executed, whatever partitions are added elsewhere.
 
-    Dagster asks for the cells of a run's range some fifteen times an asset: within the block they are made once. What a
-    range (first, last) is `scattered` to is all of it, and no other cell between: a run may take what lies far apart.
+    Dagster requests the cells of a run's range some fifteen times an asset: within the block they are computed once. A
+    range (first, last) in `cells_of_range` has those cells and none between: a run may take cells that are far apart.
     """
-    _cached.append({dg.PartitionKeyRange(*ends): cells for ends, cells in (scattered or {}).items()})
+    _ranges.append({dg.PartitionKeyRange(*bounds): cells for bounds, cells in (cells_of_range or {}).items()})
     try:
         yield
     finally:
-        _cached.pop()
+        _ranges.pop()
 
 
 class RangeKeys(dg.DynamicPartitionsDefinition):
-    """Partitions along one dimension, of which a run may take some that are not neighbours."""
+    """Partitions along one dimension, of which a run may take some that are not adjacent."""
 
     def get_partition_keys_in_range(self, partition_key_range: dg.PartitionKeyRange) -> Sequence[str]:
-        """All keys between two, or those that the run was given."""
-        found = _cached[-1].get(partition_key_range) if _cached else None
-        return found or super().get_partition_keys_in_range(partition_key_range)
+        """List the keys between two, or those that were set for the run."""
+        keys = _ranges[-1].get(partition_key_range) if _ranges else None
+        return keys or super().get_partition_keys_in_range(partition_key_range)
 
 
 class RangePartitions(dg.MultiPartitionsDefinition):
-    """Partitions along several dimensions, ranges of which stand for a run's length."""
+    """Partitions along several dimensions whose ranges are fixed during a run."""
 
     def get_partition_keys_in_range(
         self,
         partition_key_range: dg.PartitionKeyRange,
         dynamic_partitions_store: DynamicPartitionsStore | None = None,
     ) -> Sequence[dg.MultiPartitionKey]:
-        """All cells between two, in every dimension, or those that the run was given."""
-        known = _cached[-1] if _cached else {}
-        if partition_key_range not in known:
-            known[partition_key_range] = self._between(partition_key_range, dynamic_partitions_store)
-        return known[partition_key_range]
+        """List the cells between two, in every dimension, or those that were set for the run."""
+        ranges = _ranges[-1] if _ranges else {}
+        if partition_key_range not in ranges:
+            ranges[partition_key_range] = self._between(partition_key_range, dynamic_partitions_store)
+        return ranges[partition_key_range]
 
     def _between(
         self, partition_key_range: dg.PartitionKeyRange, dynamic_partitions_store: DynamicPartitionsStore | None
@@ -71,7 +71,7 @@ class RangePartitions(dg.MultiPartitionsDefinition):
             return list(_product(tuple(d.name for d in self.partitions_defs), *along))
 
     def subset_with_partition_keys(self, partition_keys: Iterable[str]) -> PartitionsSubset:
-        """The same for all assets of a run."""
+        """Build the subset, once for all assets of a run."""
         return _subset(self, tuple(partition_keys))
 
 
@@ -86,28 +86,28 @@ def _subset(definition: RangePartitions, keys: tuple[str, ...]) -> PartitionsSub
 
 
 def multi_keys(dimensions: Sequence[str], cells: Iterable[tuple[str, ...]]) -> list[dg.MultiPartitionKey]:
-    """Partition keys of cells, each a key in each dimension; dimensions in order of their names.
+    """Make partition keys of cells, each a key in each dimension; dimensions in order of their names.
 
-    Dagster's own way to make one checks and sorts, and a run's range is ten thousand of them.
+    Dagster's own constructor checks and sorts, and a run's range has ten thousand keys.
     """
-    made = []
-    with uncollected():
+    result = []
+    with without_garbage_collection():
         for keys in cells:
             key = str.__new__(dg.MultiPartitionKey, "|".join(keys))
             key.dimension_keys = list(map(_along, dimensions, keys))
-            made.append(key)
-    return made
+            result.append(key)
+    return result
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """Look for no circles of objects within the block: among ever more keys that takes up to three quarters of it."""
-    collects = gc.isenabled()
+def without_garbage_collection() -> Iterator[None]:
+    """Switch the garbage collector off within the block: it would take up to three quarters of the time."""
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if collects:
+        if was_enabled:
             gc.enable()
 
 
@@ -115,7 +115,7 @@ _along = lru_cache(maxsize=100_000)(PartitionDimensionKey)
 
 
 class _UnpartitionedContext:
-    """A step's context to which what it reads has no partitions."""
+    """A step's context without partitions of its inputs."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -124,51 +124,51 @@ class _UnpartitionedContext:
         return getattr(self._context, name)
 
     def has_asset_partitions_for_input(self, _: str) -> bool:
-        """Of no asset."""
+        """Return False for every asset."""
         return False
 
 
 def skip_input_versions() -> None:
-    """Let Dagster look up the version of what a step reads without a list of its cells.
+    """Have Dagster look up the version of a step's inputs without listing their cells.
 
-    It would make all cells of those aircraft, a hundred thousand keys, for every asset, and then leave it, for there
-    are more than a hundred. There is no public way to say so beforehand.
+    It would make a hundred thousand keys for every asset, and then give up, since there are more than a hundred. There
+    is no public way to prevent that.
     """
     stock = DataVersionCache.__init__
     if hasattr(stock, "__wrapped__"):
         return
 
     @wraps(stock)
-    def unlisted(self: DataVersionCache, context: Any) -> None:
+    def init_without_cells(self: DataVersionCache, context: Any) -> None:
         stock(self, _UnpartitionedContext(context))  # type: ignore[arg-type]
 
-    DataVersionCache.__init__ = unlisted  # type: ignore[method-assign]
+    DataVersionCache.__init__ = init_without_cells  # type: ignore[method-assign]
 
 
 def make_keys_quickly() -> None:
-    """Let Dagster make a key of each cell that an asset's page counts without checking and sorting its parts.
+    """Have Dagster make the keys that an asset's page counts without checking and sorting their parts.
 
-    The page knows no subclass of Dagster's definition, so the method is replaced in Dagster's own class.
+    The page ignores subclasses of Dagster's definition, so the method is replaced in Dagster's own class.
     """
     stock = dg.MultiPartitionsDefinition.filter_valid_partition_keys
     if not hasattr(stock, "__wrapped__"):
         dg.MultiPartitionsDefinition.filter_valid_partition_keys = wraps(stock)(valid_keys)  # type: ignore[method-assign]
 
 
-@uncollected()
+@without_garbage_collection()
 def valid_keys(self: dg.MultiPartitionsDefinition, partition_keys: Iterable[str]) -> set[dg.MultiPartitionKey]:
-    """Of some keys those whose parts are keys of the dimensions, as Dagster finds them."""
+    """Select keys whose parts are keys of the dimensions, as Dagster does."""
     dimensions = self.partitions_defs
-    parted = [parts for key in partition_keys if len(parts := tuple(key.split("|"))) == len(dimensions)]
+    split_keys = [parts for key in partition_keys if len(parts := tuple(key.split("|"))) == len(dimensions)]
     valid = [
-        _known(dimension.partitions_def, set(parts))
-        for dimension, parts in zip(dimensions, zip(*parted, strict=True), strict=False)  # no parts of no keys
+        _existing_keys(dimension.partitions_def, set(parts))
+        for dimension, parts in zip(dimensions, zip(*split_keys, strict=True), strict=False)  # no parts of no keys
     ]
     names = [dimension.name for dimension in dimensions]
-    return set(multi_keys(names, (parts for parts in parted if all(map(contains, valid, parts)))))
+    return set(multi_keys(names, (parts for parts in split_keys if all(map(contains, valid, parts)))))
 
 
-def _known(definition: dg.PartitionsDefinition[str], keys: set[str]) -> Set[str]:
-    """Of some keys those that the definition knows; Dagster 1.12 can't ask storage for these alone."""
-    ask = getattr(definition, "filter_valid_partition_keys", None)
-    return ask(keys) if ask else keys.intersection(definition.get_partition_keys())
+def _existing_keys(definition: dg.PartitionsDefinition[str], keys: set[str]) -> Set[str]:
+    """Select keys that the definition has; Dagster 1.12 can't query storage for these alone."""
+    query = getattr(definition, "filter_valid_partition_keys", None)
+    return query(keys) if query else keys.intersection(definition.get_partition_keys())

@@ -1,8 +1,8 @@
-"""Dagster's PostgreSQL event log, with one event standing for those that differ in nothing but the partition.
+"""Write Dagster's event log in PostgreSQL with one event for those that differ only in the partition.
 
-Stock plans a run with an event and two transactions for every cell, 25 ms each, and writes what it made cell by cell.
-Schema is unchanged, so stock reads what this class wrote; a test compares the tables with stock's. It leans on private
-API as `dagster_batched.event_log` does. Needs the extra `postgres`.
+Stock plans a run with an event and two transactions for every cell, 25 ms each, and writes materializations one by one.
+The schema is unchanged, so stock reads it; a test compares the tables with stock's. It depends on private API as
+`dagster_batched.event_log` does. Needs the extra `postgres`.
 """
 
 import threading
@@ -35,7 +35,7 @@ _ALIKE_TAGS = text(
 
 
 class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage):
-    """For a fleet whose history is in PostgreSQL: same tables as stock."""
+    """Event log in PostgreSQL: stock's tables."""
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         self._open = threading.local()
@@ -43,19 +43,19 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
 
     @classmethod
     def from_config_value(cls, inst_data: ConfigurableClassData | None, config_value: Mapping[str, Any]) -> Self:
-        """Built from `dagster.yaml`; stock names its own class here."""
+        """Build from `dagster.yaml`; stock names its own class here."""
         own = {k: v for k, v in config_value.items() if k == "should_autocreate_tables"}
         if tokens := getattr(settings_of, "get_token_provider_from_config", None):  # not in every version
             own["token_provider"] = tokens(config_value)
         return cls(settings_of.pg_url_from_config(config_value), inst_data=inst_data, **own)
 
     def _store(self, groups: Sequence[EventGroup]) -> None:
-        """All in the one table that stock has for them."""
-        self._mirror(groups)
+        """Store groups in the one table that stock has for them."""
+        self._write_index(groups)
 
     @contextmanager
     def _index(self) -> Iterator[Connection]:
-        """Stock's engine commits every statement on its own."""
+        """Open a transaction; stock's engine commits every statement on its own."""
         with self._engine.connect() as conn, conn.execution_options(isolation_level="READ COMMITTED").begin():
             self._open.conn = conn
             try:
@@ -64,12 +64,12 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
                 del self._open.conn
 
     def _connect(self) -> AbstractContextManager[Connection]:
-        """A connection of the pool; within a transaction on the index, that one."""
+        """Return a connection of the pool, or that of an open transaction on the index."""
         conn = getattr(self._open, "conn", None)
         return super()._connect() if conn is None else nullcontext(conn)
 
-    def _written(self, conn: Connection, one: EventGroup) -> int:
-        """Id of the group's last row."""
+    def _insert(self, conn: Connection, one: EventGroup) -> int:
+        """Insert a group; the id of its last row."""
         into = SqlEventLogStorageTable.insert().values(one.row).returning(SqlEventLogStorageTable.c.id)
         first = int(conn.execute(into).scalar_one())
         self.store_asset_event_tags([one.event], [first])  # within the same transaction
@@ -77,11 +77,10 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
         if not others:
             return first
         partitions, events, tags, times = (list(column) for column in zip(*others, strict=True))
-        asked = {"events": events, "partitions": partitions, "times": times, "first": first}
-        made = conn.execute(_ALIKE, asked)
-        ids = {partition: int(event_id) for event_id, partition in made}
+        values = {"events": events, "partitions": partitions, "times": times, "first": first}
+        ids = {partition: int(event_id) for event_id, partition in conn.execute(_ALIKE, values)}
         rows = [(ids[p], key, value) for p, own in zip(partitions, tags, strict=True) for key, value in own.items()]
         if rows:
-            of, keys, values = (list(column) for column in zip(*rows, strict=True))
-            conn.execute(_ALIKE_TAGS, {"ids": of, "keys": keys, "values": values})
+            event_ids, keys, texts = (list(column) for column in zip(*rows, strict=True))
+            conn.execute(_ALIKE_TAGS, {"ids": event_ids, "keys": keys, "values": texts})
         return max(ids.values())

@@ -1,4 +1,4 @@
-"""Dagster's page as an ASGI application, and the command of its daemon. Needs `dagster-webserver`."""
+"""Build Dagster's page as an ASGI application, and the command of its daemon. Needs `dagster-webserver`."""
 
 import sys
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from starlette.types import ASGIApp
 
 @contextmanager
 def application(instance: dg.DagsterInstance, module: str, read_only: bool) -> Iterator[ASGIApp]:
-    """The page over the definitions of a module."""
+    """Open the page over the definitions of a module."""
     target = ModuleTarget(module, attribute=None, working_directory=None, location_name=None)
     instance.optimize_for_webserver(statement_timeout=15_000, pool_recycle=3_600, max_overflow=20)
     with WorkspaceProcessContext(instance, target, version=__version__, read_only=read_only) as context:
@@ -22,5 +22,5 @@ def application(instance: dg.DagsterInstance, module: str, read_only: bool) -> I
 
 
 def daemon_command(module: str) -> list[str]:
-    """What runs schedules, sensors and queued runs of a module's definitions."""
+    """Build the command that runs schedules, sensors and queued runs of a module's definitions."""
     return [sys.executable, "-m", "dagster._daemon", "run", "-m", module]

@@ -10,14 +10,14 @@ from pipelines.storage.store import Store
 
 def baseline_cells(ledger: Ledger) -> pl.DataFrame:
     """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
-    done = ledger.done("legs_samples")
+    done = ledger.cells("legs_samples")
     chosen = baseline_flights(done.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
     return done.filter(pl.col("flight_id").is_in(chosen))
 
 
 def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
     """Read messages, maintenance or printed reports up to the day of each aircraft's last baseline flight."""
-    return records_until(store.read(table), cells)
+    return records_until(store.read_table(table), cells)
 
 
 def records_until(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:

@@ -14,8 +14,8 @@ from typing import Any
 from hdt_core.tables import TABLES, hindsight
 from hdt_core.tables.hindsight import DESIGN, REVISIONS
 from pipelines.storage.catalog import connect
-from pipelines.storage.headers import declared, meaning, read_header
-from pipelines.storage.publication import ordered, publish, views
+from pipelines.storage.headers import describe_column, find_meaning, read_header
+from pipelines.storage.publication import order_views, publish, views
 
 _TITLE = """# Data dictionary
 
@@ -50,10 +50,10 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     with tempfile.TemporaryDirectory() as home:
         publish(Path(home))
         with connect(Path(home)) as con:
-            described = {v: con.sql(f"describe {v}").fetchall() for v, _ in ordered(views())}
+            described = {v: con.sql(f"describe {v}").fetchall() for v, _ in order_views(views())}
     headers = {name: read_header(sql) for name, sql in views().items()}
     return {
-        view: [(str(row[0]), str(row[1]).lower(), meaning(view, str(row[0]), headers)) for row in rows]
+        view: [(str(row[0]), str(row[1]).lower(), find_meaning(view, str(row[0]), headers)) for row in rows]
         for view, rows in described.items()
     }
 
@@ -78,7 +78,7 @@ def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
             (
                 column,
                 f"{_type(str(c.dtype))}{'?' * c.nullable} {_span(c)}".strip(),
-                declared(c),
+                describe_column(c),
             )
             for column, c in entry.schema.columns().items()
         ]

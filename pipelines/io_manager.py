@@ -1,4 +1,4 @@
-"""Between Dagster and the store: what an asset returns is written, marked as done, reported cell by cell."""
+"""Store what an asset returns, mark its cells as stored, and report them to Dagster."""
 
 import time
 
@@ -16,25 +16,25 @@ from pipelines.versions import CELL
 
 
 class FrameIO(dg.IOManager):
-    """Writes frames to the store of one home."""
+    """IO manager that writes frames to the store of one home."""
 
     def __init__(self, store: Store, ledger: Ledger) -> None:
         self.store, self.ledger = store, ledger
         self._due: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
 
     def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
-        """Store, then mark as done, then tell what each cell of the run holds."""
-        began = time.monotonic()
+        """Store a frame, mark its cells as stored, and report the rows of each cell."""
+        start_s = time.monotonic()
         scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
-        cells = self.keep(context.asset_key.path[-1], scope, frame)
+        cells = self.store_frame(context.asset_key.path[-1], scope, frame)
         if scope.aircraft is None:
-            stored_s = round(time.monotonic() - began, 3)
+            stored_s = round(time.monotonic() - start_s, 3)
             context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
         else:
             report(context, frame, cells)
 
-    def keep(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
-        """Store a frame and mark as done the cells that were due, which are returned."""
+    def store_frame(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
+        """Store a frame and mark the cells that were due, which are returned, as stored."""
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
@@ -44,38 +44,38 @@ class FrameIO(dg.IOManager):
         return cells
 
     def _due_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
-        """Asked once for all tables of a recipe, which are stored one after the other when their parents are made."""
+        """List the due cells, once for all tables of a recipe, which are stored one after the other."""
         recipe = LINEAGE[table]
-        if not (recipe.parents or recipe.files):  # made of nothing but its name
+        if not (recipe.parents or recipe.files):  # has no inputs
             return scope.due(self.ledger, table)
-        asked, cells = self._due.get(recipe, (None, None))
-        if cells is None or asked != scope:
+        cached_scope, cells = self._due.get(recipe, (None, None))
+        if cells is None or cached_scope != scope:
             cells = scope.due(self.ledger, table)
             self._due[recipe] = scope, cells
         return cells
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:
-        """Whole table, for a notebook or `dg`; assets read what they need through their stage."""
-        return self.store.read(context.asset_key.path[-1])
+        """Read a whole table, for a notebook or `dg`; assets read what they need through their stage."""
+        return self.store.read_table(context.asset_key.path[-1])
 
 
 def report(context: dg.OutputContext, frame: pl.DataFrame, due: pl.DataFrame) -> None:
     """Report cells of a run, each with its own number of rows, in order of departure.
 
-    Most aircraft fly some days only and few flights leave a log, and an event for each cell without rows would cost as
-    much as for one with. So a night reports flights that hold rows or, where none does, those that are `due`. Whoever
-    asks from Dagster's page is told of every cell: one that is empty has `rows` 0, and one that no file asks for, such
-    as a flight that the aircraft never flew, has `expected` 0.
+    Most aircraft fly some days only and few flights have a log, and an event for a cell without rows costs as much as
+    for one with. So a night reports flights with rows or, where there are none, those that are `due`. A run from
+    Dagster's page reports every cell: an empty one has `rows` 0, and one without files, such as a flight that the
+    aircraft never flew, has `expected` 0.
     """
-    asked = partitions.cells_of(tuple(context.asset_partition_keys))
-    by_flight = any(flight for *_, flight in asked)
+    keys = partitions.cells_of(tuple(context.asset_partition_keys))
+    by_flight = any(flight for *_, flight in keys)
     flight = pl.col("flight_id") if by_flight else pl.lit("").alias("flight_id")
     rows = {(o, t, f): n for o, t, f, n in frame.group_by("operator", "tail", flight).len().rows()}
-    wanted = set(due.select(CELL).rows())
+    due_cells = set(due.select(CELL).rows())
     if by_flight and NIGHT.items() <= context.step_context.run_tags.items():
-        told = [cell for cell in asked if cell in rows] or [cell for cell in asked if cell in wanted]
+        cells = [cell for cell in keys if cell in rows] or [cell for cell in keys if cell in due_cells]
     else:
-        told = list(asked)
-    told.sort(key=lambda cell: (cell[2][-11:], cell))  # day and leg end a flight
-    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in wanted else {"expected": 0}) for cell in told]
-    report_partitions(context, [asked[cell] for cell in told], numbers)
+        cells = list(keys)
+    cells.sort(key=lambda cell: (cell[2][-11:], cell))  # a flight id ends in day and leg
+    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in due_cells else {"expected": 0}) for cell in cells]
+    report_partitions(context, [keys[cell] for cell in cells], numbers)

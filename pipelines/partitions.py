@@ -1,4 +1,4 @@
-"""Partitions: aircraft x flight below, aircraft above, the fleet on top; and what of them a run is asked to make."""
+"""Define the partitions (aircraft and flight, aircraft, fleet) and the cells of a run."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,39 +12,39 @@ from hdt_core.tables import TABLES
 from pipelines.lineage import MAKER
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import FLEET, Store
-from pipelines.versions import CELL, expected, narrowed
+from pipelines.versions import CELL, expected_versions, restrict_ledger
 
 AIRCRAFT = RangeKeys(name="aircraft")
 FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
 AIRCRAFT_FLIGHTS = RangePartitions({"aircraft": AIRCRAFT, "flight": FLIGHTS})
 NIGHT = {"hdt/night": "yes"}
-"""Tag of a run of the chain, which takes cells that files fill; who starts one from the page may ask for any."""
+"""Tag of a run of the chain, which takes cells with files; a run from Dagster's page may take any."""
 
 
 def aircraft_key(operator: str, tail: str) -> str:
-    """Partition key of an aircraft."""
+    """Format the partition key of an aircraft."""
     return f"{operator}:{tail}"
 
 
 def flight_key(flight_id: str) -> str:
-    """Partition key of a flight, `YYYYMMDD_LEG`, shared by all aircraft."""
+    """Format the partition key of a flight, `YYYYMMDD_LEG`, shared by all aircraft."""
     return flight_id[-11:]
 
 
 def cell_keys(cells: Iterable[tuple[str, str]]) -> list[dg.MultiPartitionKey]:
-    """Partition keys of flights of aircraft, of the keys of both."""
+    """Combine keys of aircraft and flights into partition keys."""
     return multi_keys(("aircraft", "flight"), cells)
 
 
 def aircraft_of(key: str) -> tuple[str, str]:
-    """Operator and tail of an aircraft's key."""
+    """Split an aircraft's key into operator and tail."""
     operator, tail = key.split(":", 1)
     return operator, tail
 
 
 @lru_cache(maxsize=2)
 def cells_of(keys: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
-    """Operator, tail and flight id, empty above flights, of each of some keys; all tables of a run have the same."""
+    """Map cells (operator, tail, flight id, empty above flights) to their keys; the same for all tables of a run."""
     return {_cell_of(key): key for key in keys}
 
 
@@ -56,13 +56,13 @@ def _cell_of(key: str) -> tuple[str, str, str]:
 
 @dataclass(frozen=True)
 class PartitionScope:
-    """What a run is asked to make: None for the whole fleet, else aircraft and, by flight, the flights of each."""
+    """Cells of a run: None for the whole fleet, else aircraft and, by flight, the flights of each."""
 
     aircraft: dict[tuple[str, str], list[str]] | None
 
     @classmethod
     def of(cls, keys: list[str] | None) -> "PartitionScope":
-        """From partition keys, of aircraft or of aircraft and flight."""
+        """Build a scope from partition keys, of aircraft or of aircraft and flight."""
         if keys is None:
             return cls(None)
         if "|" not in keys[0]:
@@ -73,25 +73,25 @@ class PartitionScope:
         return cls(aircraft)
 
     def cells(self) -> pl.DataFrame:
-        """The cells asked for: operator, tail, flight_id (empty above flights)."""
+        """List the cells: operator, tail, flight_id (empty above flights)."""
         rows = [(o, t, f) for (o, t), flights in (self.aircraft or {FLEET: []}).items() for f in flights or [""]]
         return pl.DataFrame(rows, schema=dict.fromkeys(CELL, pl.String), orient="row")
 
     def due(self, ledger: Ledger, table: str) -> pl.DataFrame:
-        """The cells that `table` should have, of those asked for, each with the version it should be."""
+        """List the cells of the run that `table` should have, each with its expected version."""
         if self.aircraft is None:
-            return expected(ledger, table).join(self.cells(), on=CELL, how="semi")
-        flights = {f for asked in self.aircraft.values() for f in asked}
-        own = narrowed(ledger, MAKER[table], self.aircraft, flights)
-        return expected(own, table).join(self.cells(), on=CELL, how="semi")
+            return expected_versions(ledger, table).join(self.cells(), on=CELL, how="semi")
+        flights = {f for ids in self.aircraft.values() for f in ids}
+        own = restrict_ledger(ledger, MAKER[table], self.aircraft, flights)
+        return expected_versions(own, table).join(self.cells(), on=CELL, how="semi")
 
-    def read(self, store: Store, table: str) -> pl.DataFrame:
-        """What `table` holds for the aircraft, and the flights where both are by flight, that are asked for."""
+    def read_table(self, store: Store, table: str) -> pl.DataFrame:
+        """Read the rows of `table` of the run's aircraft, and of its flights where both are by flight."""
         if self.aircraft is None or TABLES[table].grain == "fleet":
-            return store.read(table)
-        flights = [f for asked in self.aircraft.values() for f in asked]
+            return store.read_table(table)
+        flights = [f for ids in self.aircraft.values() for f in ids]
         if not flights or TABLES[table].grain != "flight":
-            return store.read(table, self.aircraft)
+            return store.read_table(table, self.aircraft)
         rows = store.scan(table, self.aircraft, flights).filter(pl.col("flight_id").is_in(flights)).collect()
-        # two operators may fly one registration on one day, and only one of the flights be asked for
+        # two operators may fly one registration on one day, and the run have only one of the flights
         return rows.join(self.cells(), on=CELL, how="semi", maintain_order="left")

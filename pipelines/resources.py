@@ -1,4 +1,4 @@
-"""Where a run reads from and writes to."""
+"""Define the resources of a run: landing zone, store and ledger of one home."""
 
 from functools import cached_property
 from pathlib import Path
@@ -19,17 +19,17 @@ class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
 
     @cached_property
     def store(self) -> Store:
-        """The Parquet store, which remembers what it has read of its tables' logs."""
+        """Store of the tables; it caches which files it has checked."""
         return Store(Path(self.home))
 
     @property
     def ledger(self) -> Ledger:
-        """What was delivered and what was made of it."""
+        """Ledger of delivered files and stored cells."""
         return Ledger(Path(self.home))
 
 
 @dg.io_manager(config_schema={"home": dg.StringSource})
 def frame_io(context: dg.InitResourceContext) -> FrameIO:
-    """The IO manager of one home."""
+    """Build the IO manager of one home."""
     home = Path(context.resource_config["home"])
     return FrameIO(Store(home), Ledger(home))

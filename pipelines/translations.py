@@ -31,12 +31,12 @@ def collect_messages() -> Catalog:
         method = "python" if path.suffix == ".py" else "jinja2"
         for _line, message, _comments, _context in extract_from_file(method, path, keywords=KEYWORDS):
             catalog.add(message)
-    for message in declared():
+    for message in declared_messages():
         catalog.add(message)
     return catalog
 
 
-def declared() -> list[str]:
+def declared_messages() -> list[str]:
     """List messages that stand in tables and declarations instead of calls."""
     limits = [name for name, _unit in words.THRESHOLDS.values()]
     tables = (words.URGENCY, words.REASONS, words.PARTS, words.SIDES, words.NAMES, CHOICES, STATUSES, STATES)
@@ -44,7 +44,7 @@ def declared() -> list[str]:
     return [*phrases(), *labels, *limits, *DATA_VALUES, *(d.name for d in DIAGNOSES.values())]
 
 
-def translated(language: str, messages: Catalog) -> Catalog:
+def update_catalog(language: str, messages: Catalog) -> Catalog:
     """Return a language's catalog of these messages with the translations it has; unused ones are dropped."""
     path = HERE / f"{language}.po"
     catalog = Catalog(locale=language, charset="utf-8")
@@ -60,7 +60,7 @@ def translated(language: str, messages: Catalog) -> Catalog:
     return catalog
 
 
-def write(language: str, catalog: Catalog) -> None:
+def write_catalog(language: str, catalog: Catalog) -> None:
     """Write both forms: `.po` for translators, `.mo` for gettext."""
     with (HERE / f"{language}.po").open("wb") as file:
         write_po(file, catalog, width=120, no_location=True, omit_header=False, sort_output=True, ignore_obsolete=True)
@@ -71,7 +71,7 @@ def write(language: str, catalog: Catalog) -> None:
 if __name__ == "__main__":
     messages = collect_messages()
     for code in sorted({p.stem for p in HERE.glob("*.po")} - {ENGLISH}):
-        catalog = translated(code, messages)
-        write(code, catalog)
+        catalog = update_catalog(code, messages)
+        write_catalog(code, catalog)
         missing = [m.id for m in catalog if m.id and not m.string]
         print(f"{code}: {len(catalog)} messages, {len(missing)} not translated")

@@ -1,13 +1,13 @@
-"""Whether a folder can be a landing zone; nothing heavy is loaded to say that it can't."""
+"""Check whether a folder can be a landing zone, without heavy imports."""
 
 from pathlib import Path
 
 
-def fault_of(landing: Path) -> str | None:
-    """Why a folder can't be a landing zone, and what to do; None where it may be one.
+def find_landing_fault(landing: Path) -> str | None:
+    """Explain why a folder can't be a landing zone, and the remedy; None where it may be one.
 
-    Without its list of the fleet it is an empty mount point or another folder, and a night over it would take silence
-    for a day without flights.
+    Without a fleet list it is an empty mount point or another folder, and a night over it would look like a day
+    without flights.
     """
     if (landing / "fleet.csv").is_file():
         return None
@@ -15,9 +15,9 @@ def fault_of(landing: Path) -> str | None:
         return (
             f"no landing zone at {landing}; give --landing the folder that holds fleet.csv and one folder per operator"
         )
-    below = next(iter(sorted(landing.glob("*/fleet.csv"))), None)
-    if below is not None:
-        return f"{landing} is no landing zone, but {below.parent} is; give --landing {below.parent}"
+    subfolder = next(iter(sorted(landing.glob("*/fleet.csv"))), None)
+    if subfolder is not None:
+        return f"{landing} is no landing zone, but {subfolder.parent} is; give --landing {subfolder.parent}"
     if not any(landing.iterdir()):
         return f"{landing} is empty; mount the landing zone there, or give --landing the folder that holds fleet.csv"
     return f"no fleet.csv in {landing}; give --landing the folder that holds it and one folder per operator"

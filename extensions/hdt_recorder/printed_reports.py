@@ -14,10 +14,10 @@ from hdt_recorder.decoding.report_layouts import A330
 from hdt_recorder.recordings import MOST_BYTES, read_recording, unpacked_bytes
 from hdt_recorder.types_of_zone import types_of
 from pipelines.intake.columns import SIGNAL_COLUMNS
+from pipelines.intake.faults import Fault, quarantine
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.ledger import Fault, quarantine
 from pipelines.intake.log_lines import Log, printable
-from pipelines.intake.logs import bad_moment
+from pipelines.intake.logs import time_fault
 
 MESSAGE_FILE = "message.dat"
 """What an archive of a recorder calls them."""
@@ -81,7 +81,7 @@ def _judge(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> t
     if head.aircraft != file.tail:
         said += f" is of {printable(head.aircraft) or 'no aircraft'}."
         return Fault("other_aircraft", head.line, "acid", said, 1)
-    if fault := bad_moment(head.printed_at, now, "date, utc"):
+    if fault := time_fault(head.printed_at, now, "date, utc"):
         return Fault(fault.reason, head.line, fault.column_name, f"{said}.", 1)
     altitude_m = None if head.altitude_ft is None else head.altitude_ft * _FOOT_M
     return (file.operator, file.tail, head.printed_at, head.number, altitude_m, head.mach, *head.pack_flow_kg_s,

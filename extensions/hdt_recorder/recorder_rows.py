@@ -15,8 +15,8 @@ from hdt_recorder.decoding.fit import decode
 from hdt_recorder.decoding.layout import Damage, MapError, Parameter
 from hdt_recorder.recordings import MOST_BYTES, open_recording, unpacked_bytes
 from hdt_recorder.types_of_zone import types_of
+from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.ledger import Fault
 from pipelines.intake.names import flight_of_file
 
 Floats = npt.NDArray[np.float64]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from hdt_core.packages import brought
 from hdt_recorder.aircraft_types import AircraftType, AircraftTypeError, read_type
+from pipelines.intake.faults import Fault
 from pipelines.intake.fleet_list import FleetLine, fleet_lines
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile
-from pipelines.intake.ledger import Fault
-from pipelines.intake.readers import REPORTS, TYPES, Judge, ReaderError
+from pipelines.intake.readers import REPORTS, TYPES, KindOf, ReaderError
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Types:
         found = self.known[name]
         return "" if found.map_file.is_file() else f"{found.file.name} names the map {found.map_file.name}: not there"
 
-    def judge(self, operator: str, tail: str, folder: str) -> tuple[str, Judge]:
-        """Hash of what a folder's files are read by, empty where nothing says it; and how they are judged by name."""
+    def kinds(self, operator: str, tail: str, folder: str) -> tuple[str, KindOf]:
+        """Hash of the description that a folder's files are read by, or empty; and the kind of a file by its name."""
         kind, fault = self.of(operator, tail), self.fault_of(operator, tail)
         other = {RECORDER: kind.map_file, REPORTS: kind.reports_file}.get(folder) if kind else None
         by = _hash_of(kind.file, other) if kind and other else ""

@@ -190,7 +190,7 @@ def _configuration(now: dict[str, object]) -> Part:
 
 def _nights(home: Path) -> Part:
     """The last hundred nights, and every one that failed."""
-    told = Ledger(home, looks=True).nights().rows()
+    told = Ledger(home, read_only=True).nights().rows()
     kept = [row for k, row in enumerate(told) if k >= len(told) - 100 or row[-1] not in ("{}", "")]
     return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), kept)
 

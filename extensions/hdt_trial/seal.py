@@ -12,7 +12,7 @@ import polars as pl
 from hdt_trial.declaration import Declaration, Rule, TrialError, read_declaration
 from hdt_trial.frozen import changes, frozen
 from hdt_trial.log import LogEntry, append, entries
-from pipelines.storage.catalog import ask, connect
+from pipelines.storage.catalog import connect, run_select
 
 FOLDER = "trial"
 OURS = "hdt"
@@ -121,7 +121,7 @@ def _said(
 
 def _by_rule(con: duckdb.DuckDBPyConnection, rule: Rule) -> pl.DataFrame:
     try:
-        answer = ask(con, str(rule.sql))
+        answer = run_select(con, str(rule.sql))
         frame = answer.pl() if answer else pl.DataFrame()
     except (ValueError, duckdb.Error) as error:
         raise TrialError(f"rule {rule.name}: {str(error).splitlines()[0]}") from None

@@ -56,7 +56,7 @@ def _of_cells(
 
     In one order, whoever wrote the rows when: sums round by it, and the laws would differ from machine to machine.
     """
-    parts = [store.read(table, []).select(columns)]
+    parts = [store.read_table(table, []).select(columns)]
     for (operator, tail), own in cells.sort("operator", "tail").group_by("operator", "tail", maintain_order=True):
         rows = store.scan(table, [(str(operator), str(tail))], own["flight_id"]).select(columns)
         parts.append(rows.filter(pl.col("flight_id").is_in(own["flight_id"].implode())).collect().sort(order))

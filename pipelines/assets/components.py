@@ -44,14 +44,14 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
     wanted = pl.struct("operator", "tail").is_in([{"operator": o, "tail": t} for o, t in scope.aircraft or {}])
     files = landing_files(Path(home.landing), listed.filter(wanted))
     files = [f for f in files if f.is_recording or f.folder in recorded_components()]
-    stored = scope.read(home.store, "raw_components")
+    stored = scope.read_table(home.store, "raw_components")
     packs = dict(stored.group_by("file").agg(pl.col("pack").max()).iter_rows())
     files = [replace(f, packs_stored=packs.get(f.path, 0)) for f in files]
     read = read_components(files, datetime.now(UTC))
     present, good = [f.path for f in files], [f.path for f, d in read if d.n_good]
     old = left("raw_components_deliveries", present, scope, home.store)
     silent = [path for path in present if path in packs and path not in good]  # they take nothing away
-    before = scope.read(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(silent))
+    before = scope.read_table(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(silent))
     before = before.with_columns(delivered=pl.col("loaded") + pl.col("duplicate"), quarantined=pl.lit(0, pl.Int64))
     accounts = pl.concat([before, *(of_aircraft(f, account(f, d)) for f, d in read)], how="diagonal_relaxed")
     gone = [path for path in present if path not in silent]

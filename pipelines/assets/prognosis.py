@@ -46,7 +46,7 @@ def prognosis(
     asks = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *ASKS)
     # what a flight asked is kept beside the features, of which it would be a fifth
     features = described.join(asks, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
-    stored = home.store.read("prognosis_model").sort("month")
+    stored = home.store.read_table("prognosis_model").sort("month")
     candidate, last = loaded(prognosis_base["model"][0]), _served(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
     update = update_model(candidate, last, record, _design(calibration_dsm, calibration_schedules))
@@ -82,7 +82,7 @@ def _served(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
         )
         for row in stored.iter_rows(named=True)
     }
-    return ModelUpdate(months, store.read("prognoses"))
+    return ModelUpdate(months, store.read_table("prognoses"))
 
 
 def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:

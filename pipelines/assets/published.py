@@ -12,7 +12,7 @@ from pipelines.report.facts import views_read
 from pipelines.resources import Home
 from pipelines.storage.catalog import CATALOG
 from pipelines.storage.headers import ViewHeader, read_header
-from pipelines.storage.publication import ordered, publish, views
+from pipelines.storage.publication import order_views, publish, views
 
 REPORT = "report.html"
 
@@ -23,7 +23,7 @@ def view_key(view: str) -> dg.AssetKey:
 
 
 def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
-    read = [dg.AssetKey(n.removeprefix("tables.")) if n.startswith("tables.") else view_key(n) for n in header.reads]
+    read = [dg.AssetKey(n.removeprefix("tables.")) if n.startswith("tables.") else view_key(n) for n in header.sources]
     return dg.AssetSpec(
         view_key(view),
         deps=read,
@@ -36,7 +36,7 @@ def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
     )
 
 
-VIEWS = [_spec(name, read_header(sql)) for name, sql in ordered(views())]
+VIEWS = [_spec(name, read_header(sql)) for name, sql in order_views(views())]
 
 
 @dg.multi_asset(specs=VIEWS, name="catalog", description=f"Publishes {CATALOG}: all views over one night's tables.")

@@ -12,11 +12,11 @@ from pipelines.assets.stage import stage
 from pipelines.intake.components import ComponentIntake
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.costs import costs_or_fault
+from pipelines.intake.faults import quarantine
 from pipelines.intake.findings import CASE, with_findings
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.ledger import quarantine
 from pipelines.intake.log_lines import Log
 from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
@@ -41,10 +41,12 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
     refused = [list_landing(landing).quarantine, rejected.quarantine]
     return (
-        fleet if fleet.height else home.store.read("raw_fleet"),  # a list that is gone or broken takes nothing away
+        fleet
+        if fleet.height
+        else home.store.read_table("raw_fleet"),  # a list that is gone or broken takes nothing away
         pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
-        readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read("raw_coverage"),
+        readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read_table("raw_coverage"),
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
         costs,
     )
@@ -86,7 +88,7 @@ def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
 def _logs(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
     """Messages and maintenance: one file an aircraft; a pack that is stored of it stays one."""
     files, now = landing_files(Path(home.landing), listed.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
-    stored = {kind: scope.read(home.store, table) for kind, (table, _) in RECORDS.items()}
+    stored = {kind: scope.read_table(home.store, table) for kind, (table, _) in RECORDS.items()}
     packs = {
         (kind, *row[:2]): row[2] or 0
         for kind, frame in stored.items()
@@ -99,7 +101,7 @@ def _logs(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple
 def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
     """Files of printed reports that are not stored as they are now: there is one a flight."""
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
-    known = scope.read(home.store, "raw_reports").select(path="file", version="file_version")
+    known = scope.read_table(home.store, "raw_reports").select(path="file", version="file_version")
     unread = listed.filter(pl.col("kind") == REPORTS).with_columns(version)
     unread = unread.join(known, on=["path", "version"], how="anti")
     versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
@@ -110,7 +112,7 @@ def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tu
 def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
     table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
-    stored = scope.read(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
+    stored = scope.read_table(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
     if kind == "maintenance":
         stored = stored.filter(pl.col("source") != CASE)
     return pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
@@ -118,14 +120,14 @@ def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionSco
 
 def told_cases(scope: PartitionScope, home: Home) -> pl.DataFrame:
     """What people did about alerts of these aircraft: the log of cases, and what is stored should the log be lost."""
-    told, stored = CaseLog(Path(home.home)).entries(), scope.read(home.store, "raw_cases")
+    told, stored = CaseLog(Path(home.home)).entries(), scope.read_table(home.store, "raw_cases")
     both = pl.concat([told, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
     return both.filter(pl.struct("operator", "tail").is_in(_keys(list(scope.aircraft or {})))).sort("line", "at")
 
 
 def left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
     """What is stored of files that have left the landing zone."""
-    return scope.read(store, table).filter(~pl.col("file").is_in(present))
+    return scope.read_table(store, table).filter(~pl.col("file").is_in(present))
 
 
 def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:

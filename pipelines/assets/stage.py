@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import dagster as dg
 import polars as pl
 
-from dagster_batched.checks import CheckBeforeStorage
+from dagster_batched.materialization import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.assets.automation import condition_of
-from pipelines.intake.set_aside import set_aside
+from pipelines.intake.broken_rows import store_broken_rows
 from pipelines.lineage import FOLLOWED, MAKER, STAGE, Stage
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
@@ -83,12 +83,12 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         offered: dict[str, Any] = {"scope": scope, "home": home}
         began = time.monotonic()
         with panics_as_errors():
-            made = fn(**{p: offered[p] if p in offered else scope.read(home.store, p) for p in wanted})
+            made = fn(**{p: offered[p] if p in offered else scope.read_table(home.store, p) for p in wanted})
         took = {"seconds": round(time.monotonic() - began, 3)}
         result, store, ledger = _as_result(made), home.store, home.ledger
         for place, (table, frame) in enumerate(zip(own.tables, result.frames, strict=True)):
             shown = result.metadata if place == result.on else {}
-            keep = partial(set_aside, store, ledger, scope, table)
+            keep = partial(store_broken_rows, store, ledger, scope, table)
             yield from _checked(table, frame, took, shown, keep)
 
     return run

@@ -36,5 +36,5 @@ def twin_health(
 
     It goes on from the last checkpoint before what is new; a checkpoint says which flights it has seen.
     """
-    known = TrackResult(*(scope.read(home.store, table) for table in ("twin_health", "twin_checkpoints")))
+    known = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
     return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, LINEAGE["twin_health"].code)

@@ -6,7 +6,7 @@ from typing import Any
 import polars as pl
 
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import connect, rows
+from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.storage.publication import views
 
 _DEFINITION = "create or replace view cases as"
@@ -36,7 +36,7 @@ def list_cases(home: Path, where: str = OPEN, arguments: dict[str, Any] | None =
             order by o.place nulls last, c.raised_at, c.alert_id""",
             arguments or {},
         )
-        return rows(result)
+        return fetch_dicts(result)
 
 
 def find_case(home: Path, alert_id: str) -> dict[str, Any]:
@@ -56,8 +56,8 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
 def outlooks(home: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return rows of `due_dates`, and of `next_stop` with the best choice first."""
     with connect(home) as con:
-        due = rows(con.execute("select * from due_dates"))
-        return due, rows(con.execute("select * from next_stop order by place nulls last, choice"))
+        due = fetch_dicts(con.execute("select * from due_dates"))
+        return due, fetch_dicts(con.execute("select * from next_stop order by place nulls last, choice"))
 
 
 def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:

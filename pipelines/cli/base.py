@@ -81,10 +81,10 @@ def print_error(message: str) -> None:
 
 def landing_folder(path: Path | None) -> Path:
     """Return the landing zone; stop with a line on what is wrong with it."""
-    from pipelines.zone import fault_of
+    from pipelines.zone import find_landing_fault
 
     landing = _required(path, "--landing", "HDT_LANDING")
-    if fault := fault_of(landing):
+    if fault := find_landing_fault(landing):
         raise StopError(fault)
     return landing
 

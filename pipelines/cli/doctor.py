@@ -10,26 +10,25 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hdt_core.tables import TABLES
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_sample import silent_in_landing
 from pipelines.intake.readers import TYPES, readers
-from pipelines.intake.refusals import not_read, silent_columns, silent_lines
+from pipelines.intake.refusals import ignored_entries, silent_columns, silent_lines
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_copy import fault_of as ledger_fault
+from pipelines.storage.ledger_copy import find_ledger_fault
 from pipelines.storage.ledger_tables import FILE
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import views
-from pipelines.storage.seal import CYCLE, NAME, changed, named, read
+from pipelines.storage.seal import CYCLE, NAME, changed_files, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
-from pipelines.zone import fault_of
+from pipelines.zone import find_landing_fault
 
 _NEEDED_GB = 1.0
 
@@ -70,13 +69,13 @@ def _packages() -> Iterator[Check]:
 
 def _landing(landing: Path) -> Iterator[Check]:
     """Check names in the landing zone, and the contents of a few files of each aircraft."""
-    if fault := fault_of(landing):
+    if fault := find_landing_fault(landing):
         yield Check("landing zone", False, fault)
         return
     listing = list_landing(landing)
     files, refused = len(listing.files), listing.quarantine
     message = f"{files} files to read, {refused.height} with unknown names"
-    message += f": {'; '.join(not_read(refused))}" if refused.height else ""
+    message += f": {'; '.join(ignored_entries(refused))}" if refused.height else ""
     well = files > 0 and refused.is_empty()
     yield Check("landing zone", well, message if files else f"{message}; `hdt docs raw-data` shows the layout")
     n_sampled, silent = silent_in_landing(landing, datetime.now(UTC))
@@ -122,30 +121,27 @@ def _costs(home: Path) -> Check:
 
 def _stored(home: Path) -> Iterator[Check]:
     """Check ledger, case log, history and tables against their seals; reads every file."""
-    ledger = Ledger(home, looks=True)
+    ledger = Ledger(home, read_only=True)
     if (home / FILE).exists() or (home / NAME).exists():
-        fault = ledger_fault(ledger)
+        fault = find_ledger_fault(ledger)
         yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} repairs it" if fault else "ok")
     yield from _cases(home)
     if (home / "dagster").is_dir():
-        fault = history.fault_of(home)
+        fault = history.find_history_fault(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
-    store, seal = Store(home.resolve()), read(home)
+    store, seal = Store(home.resolve()), read_seal(home)
     if not store.place.remote and (seal or (home / CATALOG).exists()):
-        damaged = changed(store, seal, seal.files, whole=True) if seal else [NAME]
-        message = f"{named(damaged)} missing or changed since written; {_repair_by_night(store)}" if damaged else ""
+        damaged = changed_files(store, seal, seal.files, whole=True) if seal else [NAME]
+        message = (
+            f"{name_files(damaged)} missing or changed since written; {_repair_by_night(store)}" if damaged else ""
+        )
         yield Check("tables", not damaged, message or f"all {len(seal.files) if seal else 0} files unchanged")
-        if damaged:
-            return
-    twice = {table: sum(n.values()) for table in TABLES if (n := store.doubled(table))}
-    rows = ", ".join(f"{n} of {table}" for table, n in twice.items())
-    yield Check("keys", not twice, f"stored twice: {rows}; {_NIGHT} writes them again" if twice else "all unique")
 
 
 def _cases(home: Path) -> Iterator[Check]:
     """Check the log of cases against the copy that the tables hold up to the last night."""
     try:
-        fault = CaseLog(home).fault(Store(home.resolve()).read("raw_cases"))
+        fault = CaseLog(home).fault(Store(home.resolve()).read_table("raw_cases"))
     except StoreError as error:
         fault = f"can't be compared ({error})"
     if fault:
@@ -154,8 +150,8 @@ def _cases(home: Path) -> Iterator[Check]:
 
 def _repair_by_night(store: Store) -> str:
     """Mark the store for a full check in the next night; return when that repairs it."""
-    store.place.doubt()
-    when = "" if store.place.doubted else f" within {CYCLE} nights, as this user can't write the mark into the home"
+    store.place.mark_suspect()
+    when = "" if store.place.suspect else f" within {CYCLE} nights, as this user can't write the mark into the home"
     return f"{_NIGHT} writes it again{when}"
 
 

@@ -52,11 +52,11 @@ def _status(home: Path) -> dict[str, Any]:
     from pipelines.lineage import LINEAGE
     from pipelines.storage.catalog import CATALOG, connect
     from pipelines.storage.ledger import Ledger
-    from pipelines.versions import expected, undone
+    from pipelines.versions import expected_versions, stale_cells_of
 
-    ledger, assets = Ledger(home, looks=True), {}
+    ledger, assets = Ledger(home, read_only=True), {}
     for table in LINEAGE:
-        cells, waiting = expected(ledger, table).height, undone(ledger, [table]).height
+        cells, waiting = expected_versions(ledger, table).height, stale_cells_of(ledger, [table]).height
         assets[table] = {"cells": cells, "up_to_date": cells - waiting, "waiting": waiting}
     nights = ledger.nights().rows(named=True)
     good = [n for n in nights if n["failed"] == "{}"]
@@ -108,13 +108,13 @@ def query(
     """
     import duckdb
 
-    from pipelines.storage.catalog import ask, connect
+    from pipelines.storage.catalog import connect, run_select
     from pipelines.storage.publication import connect_as_of
 
     where = home_folder(home)
     with stop_at_once(lambda: print_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
         try:
-            result = ask(con, sql)
+            result = run_select(con, sql)
             if result is not None:
                 result.show(max_width=10_000 if not sys.stdout.isatty() else out.width, max_rows=1_000)
         except (duckdb.Error, ValueError) as error:
@@ -175,7 +175,7 @@ def terms(
         write(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
         out.print(f"Terms from the next night on: {', '.join(accepted_terms(where)) or 'none'}")
         return
-    models = Store(where).read("calibration_dsm")
+    models = Store(where).read_table("calibration_dsm")
     if not models.height:
         raise StopError("no model yet; run `hdt nightly` first")
     dsm = Dsm.from_dict(json.loads(models["model"][0]))

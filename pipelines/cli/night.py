@@ -28,7 +28,7 @@ from pipelines.cli.base import (
 )
 from pipelines.cli.stops import stop_at_once
 from pipelines.orchestration.local_executor import cores
-from pipelines.storage.settings import MOST_DAYS
+from pipelines.storage.settings import MAX_DAYS
 
 MAX_ROWS = 10
 """Packs, and units, that the terminal lists."""
@@ -121,7 +121,7 @@ def backfill(
 def tidy(
     home: HomeDir = None,
     keep_days: Annotated[
-        int, typer.Option("--keep-days", min=0, max=MOST_DAYS, help="Keep runs younger than this. [days]")
+        int, typer.Option("--keep-days", min=0, max=MAX_DAYS, help="Keep runs younger than this. [days]")
     ] = 90,
 ) -> None:
     """Delete old runs, or a damaged file, of Dagster's history.
@@ -129,25 +129,25 @@ def tidy(
     Tables are not touched and nothing is computed again; cells that only those runs computed appear as not materialized
     on Dagster's page.
     """
-    from dagster_batched.history import forget
+    from dagster_batched.event_log import delete_runs
     from pipelines.orchestration.around_night import holding
     from pipelines.orchestration.runs import open_instance
-    from pipelines.storage.history import set_aside
+    from pipelines.storage.history import replace_damaged_history
 
     where = home_folder(home)
     with holding(where):
-        if message := set_aside(where):
+        if message := replace_damaged_history(where):
             out.print(message, soft_wrap=True)
     with holding(where), open_instance(where) as instance:
-        runs = forget(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
+        runs = delete_runs(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
     out.print(f"{runs} runs deleted")
 
 
 def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
-    from pipelines.intake.scan import unseen
+    from pipelines.intake.scan import list_new_files
     from pipelines.storage.ledger import Ledger
 
-    files, new = unseen(landing, Ledger(home, looks=True))
+    files, new = list_new_files(landing, Ledger(home, read_only=True))
     if as_json:
         out.print_json(json.dumps({"files": files, "new_files": [f.path for f in new]}))
         return
@@ -176,7 +176,7 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         err.print(f"repaired: {line}", markup=False, soft_wrap=True)
     if as_json:
         values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.after
-        values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("came", "after")}
+        values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("new_paths", "after")}
         out.print_json(json.dumps(values))
     else:
         _print_night(landing, home, night, fault, seconds)
@@ -209,17 +209,17 @@ def _print_results(home: Path, night: Any, seconds: float) -> None:
     out.print(
         f"{night.new_files} new of {night.files} files, {night.cells} cells in {night.runs} runs, {seconds:.0f} s."
     )
-    _print_refusals(home, night.came)
+    _print_refusals(home, night.new_paths)
     out.print(f"Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
 
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
     """Print what of tonight's files was quarantined, and the silent columns of their aircraft."""
-    from pipelines.intake.refusals import set_aside, silent_columns, silent_lines
+    from pipelines.intake.refusals import quarantine_line, silent_columns, silent_lines
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        quarantined, silent = set_aside(con, files), silent_columns(con)
+        quarantined, silent = quarantine_line(con, files), silent_columns(con)
     if quarantined:
         err.print(f"set aside: {quarantined}", markup=False, soft_wrap=True)
     own = {tuple(path.split("/")[:2]) for path in files}

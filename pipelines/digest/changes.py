@@ -57,7 +57,7 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
     """
     with connect(home) as con:
         now = read_state(con)
-    nights = sorted(Ledger(home, looks=True).snapshots())
+    nights = sorted(Ledger(home, read_only=True).snapshots())
     if night is None and len(nights) < 2:
         return compare(EMPTY, now)
     with connect_as_of(home, night or nights[-2]) as con:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.digest.changes import Digest, Row
-from pipelines.intake.refusals import silence
+from pipelines.intake.refusals import describe_silence
 from pipelines.report import words
 from pipelines.report.templating import templates_of
 from pipelines.storage.files import replacing
@@ -132,4 +132,4 @@ def _refused(row: Row) -> str:
 
 
 _SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closed_alert, "moved": _outlook, "eased": _alert_change,
-             "silent": silence, "gap": _gap, "refused": _refused}  # fmt: skip
+             "silent": describe_silence, "gap": _gap, "refused": _refused}  # fmt: skip

@@ -1,4 +1,4 @@
-"""The recorder's columns: name in the contract, name and scale in SI, and what they can show at all."""
+"""Declare the recorder's columns: name in the contract, name and scale in SI, possible values."""
 
 from dataclasses import dataclass
 from math import pi
@@ -16,10 +16,10 @@ WORDS = (PHASE, *AIRPORTS)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One signal: SI value = recorded * scale + offset; outside `low`..`high`, as recorded, it is a reading of nothing.
+    """One signal: SI value = recorded * scale + offset; a recorded value outside `low`..`high` is not stored.
 
-    The span is what any airliner's sensor could show, noise about zero included: frozen, drifting and spiked values
-    within it are stored, and judged where flights are judged.
+    The span is what any airliner's sensor can show, noise about zero included: frozen, drifting and spiked values
+    within it are stored, and assessed by flight later.
     """
 
     name: str
@@ -51,13 +51,13 @@ SIGNAL_COLUMNS = (
 SIGNAL_NAMES = tuple(c.name for c in SIGNAL_COLUMNS)
 """Any of these may be missing for an operator; the keys may not."""
 CORE_NAMES = SIGNAL_NAMES[:8]
-"""What nearly every operator records; two of them gone and strangers in their place means renamed columns."""
+"""Signals that nearly every operator records; two missing and as many unknown names mean renamed columns."""
 SI_NAMES = tuple(c.si_name for c in SIGNAL_COLUMNS)
 
 
 @dataclass(frozen=True, slots=True)
 class Contract:
-    """Names that a file may hold: those it must, those of text, those of numbers, and those nearly every file has."""
+    """Columns of a file: required ones, text, numbers, and those that nearly every file has."""
 
     keys: tuple[str, ...]
     words: tuple[str, ...]
@@ -66,4 +66,4 @@ class Contract:
 
 
 PACK_FILES = Contract(KEYS, WORDS, SIGNAL_NAMES, CORE_NAMES)
-"""Files of the pack, as the data contract has them."""
+"""Files of the pack by the data contract."""

@@ -1,4 +1,4 @@
-"""Files of declared components become judged rows in SI, one a flight, pack, time and signal."""
+"""Read files of declared components into validated rows in SI, one a flight, pack, time and signal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ import polars as pl
 from hdt_core.components import Channel, Component, recorded_components
 from hdt_core.tables.components import COMPONENT_FLIGHT_ID
 from pipelines.intake.columns import Contract
-from pipelines.intake.header import judge_header
+from pipelines.intake.faults import Fault, limit_values, quarantine
+from pipelines.intake.header import match_header
 from pipelines.intake.landing_file import RECORDER, LandingFile
-from pipelines.intake.ledger import Fault, quarantine, shortened
 from pipelines.intake.names import EARLIEST, MAX_PACKS
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.readers import readers
@@ -32,7 +32,7 @@ SCHEMA = {
 
 @dataclass(frozen=True, slots=True)
 class ComponentIntake:
-    """What came of one file: rows in long form (`SCHEMA`), what is wrong with it, and where its lines went."""
+    """Result of one file: rows in long form (`SCHEMA`), quarantine rows, and the count of its lines."""
 
     rows: pl.DataFrame
     quarantine: pl.DataFrame
@@ -42,12 +42,12 @@ class ComponentIntake:
 
     @property
     def n_good(self) -> int:
-        """Lines that could be stored, were there no other delivery."""
+        """Lines that could be stored if there were no other delivery."""
         return self.n_loaded + self.n_duplicate + self.quarantine.filter(reason="conflicting_delivery").height
 
 
 def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[LandingFile, ComponentIntake]]:
-    """What came of each file, of a recording once for each component; deliveries of one flight are settled among them.
+    """Read each file, a recording once for each component, and choose among deliveries of one flight.
 
     Parameters
     ----------
@@ -58,25 +58,27 @@ def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[L
 
     Returns
     -------
-    list of (LandingFile, Delivered)
-        In the order of `files`. Counts are of lines; each line is stored, kept aside or said nothing new. Never raises
-        for what a file holds.
+    list of (LandingFile, ComponentIntake)
+        In the order of `files`. Counts are of lines; each line is stored, quarantined or a duplicate. Never raises for
+        the content of a file.
     """
-    held = [(file, code) for file in files for code in _components_in(file)]
-    read = [_one_file(file, code, now) for file, code in held]
+    pairs = [(file, code) for file in files for code in _components_in(file)]
+    parts = [_read_file(file, code, now) for file, code in pairs]
     keys = pl.DataFrame(schema={**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64(), "index": pl.Int64()})
-    wide = pl.concat([keys, *(_placed(f.rows, i, held[i][0]) for i, f in enumerate(read))], how="diagonal")
-    won = _settled(wide)
-    mine, kept = (f.partition_by("index", as_dict=True) for f in (wide, won))
-    return [
-        (held[i][0], _delivered(held[i][0], f, mine.get((i,), wide.clear()), kept.get((i,), won.clear()), won))
-        for i, f in enumerate(read)
-    ]
+    frames = (_with_aircraft(part.rows, i, pairs[i][0]) for i, part in enumerate(parts))
+    rows = pl.concat([keys, *frames], how="diagonal")
+    rows_to_store = _choose_deliveries(rows)
+    by_file, stored_by_file = (frame.partition_by("index", as_dict=True) for frame in (rows, rows_to_store))
+    results = []
+    for i, (file, _) in enumerate(pairs):
+        rows, stored_rows = by_file.get((i,), rows.clear()), stored_by_file.get((i,), rows_to_store.clear())
+        results.append((file, _intake_of(file, parts[i], rows, stored_rows, rows_to_store)))
+    return results
 
 
 @dataclass(slots=True)
-class _Read:
-    """A file's rows, one column a signal, and what is wrong with it."""
+class _OpenFile:
+    """A file's rows, one column a signal, and its faults."""
 
     rows: pl.DataFrame
     faults: list[Fault]
@@ -84,60 +86,62 @@ class _Read:
 
 
 def _components_in(file: LandingFile) -> tuple[str, ...]:
-    """Folders of the components that a file describes: its own folder's, or those of its aircraft's type."""
+    """List the folders of the components that a file describes: its own, or those of its aircraft's type."""
     if not file.is_recording:
         return (file.folder,)
     return readers()[RECORDER].components_in(file) if RECORDER in readers() else ()
 
 
-def _one_file(file: LandingFile, folder: str, now: datetime) -> _Read:
+def _read_file(file: LandingFile, folder: str, now: datetime) -> _OpenFile:
     component = recorded_components()[folder]
     try:
         with panics_as_errors():
             if file.is_recording:
                 frame, n_rows, faults = readers()[RECORDER].rows(file, component.code)
-                return _judged(frame, _Read(pl.DataFrame(), faults, n_rows), None, component, now, MAX_PACKS)
-            frame, text, found = _opened(file, component)
-            return _judged(frame, found, text, component, now, file.packs)
+                return _validate(frame, _OpenFile(pl.DataFrame(), faults, n_rows), None, component, now, MAX_PACKS)
+            frame, text, open_file = _open_file(file, component)
+            return _validate(frame, open_file, text, component, now, file.packs)
     except Exception as error:
-        return _Read(pl.DataFrame(), [Fault("cannot_process", detail=first_line(error))])
+        return _OpenFile(pl.DataFrame(), [Fault("cannot_process", detail=first_line(error))])
 
 
-def _opened(file: LandingFile, component: Component) -> tuple[pl.DataFrame, Text | None, _Read]:
-    """Known columns of a file in recorded units, `report_time` in UTC, `row` its line."""
+def _open_file(file: LandingFile, component: Component) -> tuple[pl.DataFrame, Text | None, _OpenFile]:
+    """Read the known columns of a file in recorded units, `report_time` in UTC, `row` its line."""
     names = tuple(c.column for c in _channels(component))
-    content, faults = file.read()
+    content, faults = file.read_content()
     if content is None:
-        return pl.DataFrame(), None, _Read(pl.DataFrame(), faults)
+        return pl.DataFrame(), None, _OpenFile(pl.DataFrame(), faults)
     if file.is_text:
-        text = open_text(content, lambda found: judge_header(found, REQUIRED, ("pack", *names)))
-        frame, found = to_columns([text], ("pack", *names))
-        told = _Read(pl.DataFrame(), [*text.faults, *found[0]], text.n_rows)
+        text = open_text(content, lambda faults_of_text: match_header(faults_of_text, REQUIRED, ("pack", *names)))
+        frame, faults_of_text = to_columns([text], ("pack", *names))
+        open_file = _OpenFile(pl.DataFrame(), [*text.faults, *faults_of_text[0]], text.n_rows)
     else:
         text = None
         frame, n_rows, faults = open_parquet(content, None, Contract(REQUIRED, (), ("pack", *names)))
-        told = _Read(pl.DataFrame(), faults, n_rows)
+        open_file = _OpenFile(pl.DataFrame(), faults, n_rows)
     if frame.height:
         frame, naive = to_utc(frame, "report_time")
-        told.faults += zone_note(naive, "report_time")
-    return frame, text, told
+        open_file.faults += zone_note(naive, "report_time")
+    return frame, text, open_file
 
 
-def _judged(
-    frame: pl.DataFrame, told: _Read, text: Text | None, component: Component, now: datetime, packs: int
-) -> _Read:
-    """Rows that can be stored, in SI; the others and the values at fault among the faults."""
+def _validate(
+    frame: pl.DataFrame, open_file: _OpenFile, text: Text | None, component: Component, now: datetime, packs: int
+) -> _OpenFile:
+    """Select the rows that can be stored, in SI; the others and the values at fault become faults."""
     if frame.is_empty():
-        return told
+        return open_file
     if "pack" not in frame.columns:
         frame = frame.with_columns(pack=pl.lit(1.0))
     reasons = frame.select(_reason(now, packs).alias("reason"))["reason"]
     for row, reason in zip(frame["row"].filter(reasons.is_not_null()), reasons.drop_nulls(), strict=True):
-        told.faults.append(Fault(reason, row, n_rows=1, content=text.line(row) if text else None))
+        open_file.faults.append(Fault(reason, row, n_rows=1, content=text.line(row) if text else None))
     good = frame.filter(reasons.is_null())
-    values, faults = _in_si(good, _channels(component))
-    refused = {f.row for f in told.faults if f.n_rows}
-    told.faults = [f for f in told.faults if f.reason != "not_a_number" or f.row not in refused] + shortened(faults)
+    values, faults = _to_si(good, _channels(component))
+    rejected_rows = {f.row for f in open_file.faults if f.n_rows}
+    open_file.faults = [
+        f for f in open_file.faults if f.reason != "not_a_number" or f.row not in rejected_rows
+    ] + limit_values(faults)
     key = good.select(
         pl.lit(component.code).alias("component"),
         pl.col("flight_id").str.strip_chars(),
@@ -145,16 +149,16 @@ def _judged(
         pl.col("report_time").alias("time_utc"),
         "row",
     )
-    return _Read(key.hstack(values), told.faults, told.n_rows)
+    return _OpenFile(key.hstack(values), open_file.faults, open_file.n_rows)
 
 
 def _reason(now: datetime, packs: int) -> pl.Expr:
-    """Why a row is refused; null where it is not."""
+    """Give the reason why a row is rejected; null where it is not."""
     moment, pack = pl.col("report_time"), pl.col("pack")
-    named = pl.col("flight_id").str.strip_chars().str.contains(COMPONENT_FLIGHT_ID)
+    has_id = pl.col("flight_id").str.strip_chars().str.contains(COMPONENT_FLIGHT_ID)
     of_aircraft = (pack.is_between(1, packs) & (pack == pack.floor())).fill_null(False)
     return (
-        pl.when(~named.fill_null(False)).then(pl.lit("bad_cycle_id"))
+        pl.when(~has_id.fill_null(False)).then(pl.lit("bad_cycle_id"))
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
         .when(moment < pl.lit(EARLIEST).cast(pl.Datetime("us", "UTC"))).then(pl.lit("too_early"))
         .when(moment > pl.lit(now).dt.cast_time_unit("us")).then(pl.lit("future_time"))
@@ -162,18 +166,18 @@ def _reason(now: datetime, packs: int) -> pl.Expr:
     )  # fmt: skip
 
 
-def _in_si(rows: pl.DataFrame, channels: Sequence[Channel]) -> tuple[pl.DataFrame, list[Fault]]:
-    """Signals in SI, null where the value can't be; a fault for each such value."""
+def _to_si(rows: pl.DataFrame, channels: Sequence[Channel]) -> tuple[pl.DataFrame, list[Fault]]:
+    """Convert signals to SI, null where the value is impossible; a fault for each such value."""
     columns, faults = [], []
     for channel in channels:
-        recorded = rows[channel.column] if channel.column in rows.columns else pl.Series([None] * rows.height)
-        value = recorded.cast(pl.Float64) * channel.scale + channel.offset
+        values = rows[channel.column] if channel.column in rows.columns else pl.Series([None] * rows.height)
+        value = values.cast(pl.Float64) * channel.scale + channel.offset
         strange = value.is_not_null() & ~value.is_finite()
         outside = value.is_finite() & ~value.is_between(channel.low, channel.high)
         for reason, bad in (("not_a_number", strange), ("out_of_range", outside)):
-            found = rows.filter(bad.fill_null(False)).select("row", channel.column) if bad.any() else None
-            told = found.rows() if found is not None else []
-            faults += [Fault(reason, row, channel.column, f"Found {v:g}.") for row, v in told]
+            bad_rows = rows.filter(bad.fill_null(False)).select("row", channel.column) if bad.any() else None
+            rows_and_values = bad_rows.rows() if bad_rows is not None else []
+            faults += [Fault(reason, row, channel.column, f"Found {v:g}.") for row, v in rows_and_values]
         columns.append(value.set((strange | outside).fill_null(False), None).alias(channel.signal))
     return pl.DataFrame(columns), faults
 
@@ -182,8 +186,8 @@ def _channels(component: Component) -> Sequence[Channel]:
     return component.record.channels if component.record else ()
 
 
-def _placed(rows: pl.DataFrame, index: int, file: LandingFile) -> pl.DataFrame:
-    """Rows of one file with the aircraft they belong to: another's flights may bear the same names."""
+def _with_aircraft(rows: pl.DataFrame, index: int, file: LandingFile) -> pl.DataFrame:
+    """Add a file's aircraft to its rows: another's flights may have the same names."""
     keys = {**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64()}
     frame = rows if rows.width else pl.DataFrame(schema=keys)
     return frame.with_columns(
@@ -191,28 +195,28 @@ def _placed(rows: pl.DataFrame, index: int, file: LandingFile) -> pl.DataFrame:
     )
 
 
-def _settled(wide: pl.DataFrame) -> pl.DataFrame:
-    """Rows that are stored: of each flight those of one file, the one with most rows, then the last by name."""
+def _choose_deliveries(wide: pl.DataFrame) -> pl.DataFrame:
+    """Select the rows to store: of each flight those of one file, the one with most rows, then the last by name."""
     sizes = wide.group_by(*FLIGHT, "index").len().sort("len", "index", descending=True)
     first = sizes.unique(FLIGHT, keep="first", maintain_order=True).drop("len")
     own = wide.join(first, on=[*FLIGHT, "index"], how="semi").sort("index", "row")
     return own.unique([*KEY, "index"], keep="first", maintain_order=True)
 
 
-def _delivered(
-    file: LandingFile, read: _Read, mine: pl.DataFrame, kept: pl.DataFrame, won: pl.DataFrame
+def _intake_of(
+    file: LandingFile, part: _OpenFile, rows: pl.DataFrame, own_stored: pl.DataFrame, all_stored: pl.DataFrame
 ) -> ComponentIntake:
-    """What became of `mine`, the rows of one file, of which `kept` are stored; `won` are those stored of any file."""
-    lost = mine.join(kept.select("row"), on="row", how="anti")
-    signals = [c for c in mine.columns if c not in (*KEY, "row", "index")]
-    same = lost.join(won, on=[*KEY, *signals], how="semi", nulls_equal=True) if lost.height else lost
-    differ = lost.join(same.select("row"), on="row", how="anti")
+    """Sort the rows of one file into stored rows, duplicates and conflicts with the rows stored of any file."""
+    others = rows.join(own_stored.select("row"), on="row", how="anti")
+    signals = [c for c in rows.columns if c not in (*KEY, "row", "index")]
+    same = others.join(all_stored, on=[*KEY, *signals], how="semi", nulls_equal=True) if others.height else others
+    differ = others.join(same.select("row"), on="row", how="anti")
     conflicts = [
         Fault("conflicting_delivery", row, detail="Another row of this flight and time is stored.", n_rows=1,
               flight_id=flight)
         for row, flight in differ.select("row", "flight_id").rows()
     ]  # fmt: skip
-    rows = kept.unpivot(signals, index=KEY, variable_name="signal", value_name="value").drop_nulls("value")
-    told = quarantine(file.path, file.received_at, [*read.faults, *conflicts])
-    stored = rows.with_columns(file=pl.lit(file.path)).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
-    return ComponentIntake(stored, told, read.n_rows, kept.height, same.height)
+    long = own_stored.unpivot(signals, index=KEY, variable_name="signal", value_name="value").drop_nulls("value")
+    long = long.with_columns(file=pl.lit(file.path)).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
+    quarantine_rows = quarantine(file.path, file.received_at, [*part.faults, *conflicts])
+    return ComponentIntake(long, quarantine_rows, part.n_rows, own_stored.height, same.height)

@@ -1,6 +1,6 @@
-"""What a stop, a part and a message cost: `costs.toml` in the home, over defaults that stand here.
+"""Read what a stop, a part and a message cost: `costs.toml` in the home, over defaults.
 
-The defaults are round figures of ours to be replaced, in no operator's books; `source` says which a figure is.
+The defaults are round figures to be replaced, from no operator's books; the column `source` distinguishes them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,24 +12,24 @@ import polars as pl
 from hdt_core.components import components
 from hdt_core.tables import TABLES
 from hdt_core.toml_text import parse_toml
-from pipelines.intake.ledger import Fault
+from pipelines.intake.faults import Fault
 
 NAME, COSTS = "costs.toml", "costs"
-"""File in the home, and the kind under which the ledger knows it."""
+"""File in the home, and its kind in the ledger."""
 ITEMS = ("wash", "replace", "at_check", "message")
 """A wash or a replacement at the next stop; the same work when it waits for a check; what one message costs."""
-MOST_COST = 1e12
+MAX_COST = 1e12
 DEFAULTS: dict[str, Any] = {
     "currency": "USD",
     "horizon_days": 30,
     "HX": {"wash": 3_000, "replace": 30_000, "at_check": 2_000, "message": 40_000},
     "CC": {"replace": 90_000, "at_check": 75_000, "message": 40_000},
 }
-"""`horizon_days`: how far ahead is looked where no check is planned. [days]"""
+"""`horizon_days`: planning horizon where no check is planned. [days]"""
 
 
 class CostError(ValueError):
-    """The cost table can't be used; says the file, the key and what it must be."""
+    """The cost table can't be used; the message names the file, the key and what it must be."""
 
     def __init__(self, key: str, why: str) -> None:
         super().__init__(f"{NAME}: {key}: {why}" if key else f"{NAME}: {why}")
@@ -37,22 +37,22 @@ class CostError(ValueError):
 
 
 def read_costs(home: Path) -> pl.DataFrame:
-    """Rows of `raw_costs`: the home's file over the defaults.
+    """Read the rows of `raw_costs`: the home's file over the defaults.
 
     Raises
     ------
     CostError
-        The file is no TOML, or holds a key or value that means nothing.
+        The file is no TOML, or holds an unknown key or an invalid value.
     """
-    file, told = home / NAME, dict[str, Any]()
+    file, declared_costs = home / NAME, dict[str, Any]()
     if file.exists():
         try:
-            told = parse_toml(file.read_text(encoding="utf-8"))
+            declared_costs = parse_toml(file.read_text(encoding="utf-8"))
         except (ValueError, OSError) as error:
             raise CostError("", f"can't be read: {error}") from None
-    own = list(_rows(told, {}, NAME))  # judged before anything is read from it
-    rows = [*own, *_rows(DEFAULTS, told, "default")]
-    general = {k: told.get(k, DEFAULTS[k]) for k in ("currency", "horizon_days")}
+    own = list(_rows(declared_costs, {}, NAME))  # validated before anything is read from it
+    rows = [*own, *_rows(DEFAULTS, declared_costs, "default")]
+    general = {k: declared_costs.get(k, DEFAULTS[k]) for k in ("currency", "horizon_days")}
     _check_general(general)
     frame = pl.DataFrame(rows, schema=["component", "item", "cost", "source"], orient="row")
     return TABLES["raw_costs"].schema.conform(
@@ -60,9 +60,11 @@ def read_costs(home: Path) -> pl.DataFrame:
     )
 
 
-def _rows(told: Mapping[str, Any], over: Mapping[str, Any], source: str) -> Iterator[tuple[str, str, float, str]]:
-    """Component, item, cost, source of what one table says and none says `over` it."""
-    for component, costs in told.items():
+def _rows(
+    costs_of: Mapping[str, Any], override: Mapping[str, Any], source: str
+) -> Iterator[tuple[str, str, float, str]]:
+    """Yield component, item, cost and source of a table, without the items in `override`."""
+    for component, costs in costs_of.items():
         if component in {"currency", "horizon_days"}:
             continue
         if component not in components() or not isinstance(costs, dict):
@@ -70,9 +72,9 @@ def _rows(told: Mapping[str, Any], over: Mapping[str, Any], source: str) -> Iter
         for item, cost in costs.items():
             if item not in ITEMS:
                 raise CostError(f"{component}.{item}", f"means nothing; there are {', '.join(ITEMS)}")
-            if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost <= MOST_COST:
-                raise CostError(f"{component}.{item}", f"is a number from 0 to {MOST_COST:.0e}, not {cost!r}")
-            if item not in over.get(component, {}):
+            if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost <= MAX_COST:
+                raise CostError(f"{component}.{item}", f"is a number from 0 to {MAX_COST:.0e}, not {cost!r}")
+            if item not in override.get(component, {}):
                 yield component, item, float(cost), source
 
 
@@ -85,7 +87,7 @@ def _check_general(general: Mapping[str, Any]) -> None:
 
 
 def costs_or_fault(home: Path) -> tuple[pl.DataFrame, list[Fault]]:
-    """The cost table; where the file is wrong none, and why: a night goes on without costs, not with others."""
+    """Read the cost table; with a fault and no rows where the file is wrong: a night uses no other costs instead."""
     try:
         return read_costs(home), []
     except CostError as error:

@@ -1,4 +1,4 @@
-"""What engineers found when they closed alerts, as lines of the maintenance log: one road for both."""
+"""Convert the findings of closed alerts into lines of the maintenance log."""
 
 from datetime import timedelta
 
@@ -9,21 +9,21 @@ from hdt_core.tables import TABLES
 from pipelines.versions import digest
 
 CASES, FINDINGS = "cases", "findings"
-"""Kinds under which the ledger knows what a home's log of cases says of an aircraft: all of it, and the work in it."""
+"""Kinds in the ledger of an aircraft's lines in the log of cases: all of them, and the work in them."""
 LOG, CASE = "log", "case"
 SAME_WORK = timedelta(days=3)
-"""A line of the log and an engineer's word about the same work may be so far apart, for a log is some flights late."""
+"""Largest distance of a line of the log and a finding about the same work: a log is some flights late."""
 
 
-def work_found(cases: pl.DataFrame) -> pl.DataFrame:
-    """Rows of `raw_maintenance` from rows of `raw_cases`: of each alert the last closing that was not taken back."""
+def work_from_cases(cases: pl.DataFrame) -> pl.DataFrame:
+    """Convert rows of `raw_cases` to `raw_maintenance`: of each alert the last closing, unless it was reopened."""
     last = cases.filter(pl.col("kind").is_in(["close", "reopen"])).sort("line").unique("alert_id", keep="last")
-    found = last.filter(pl.col("kind") == "close").with_columns(source=pl.lit(CASE), closes_alert_id="alert_id")
-    return TABLES["raw_maintenance"].schema.conform(found.sort("line"))
+    closings = last.filter(pl.col("kind") == "close").with_columns(source=pl.lit(CASE), closes_alert_id="alert_id")
+    return TABLES["raw_maintenance"].schema.conform(closings.sort("line"))
 
 
 def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
-    """The maintenance log and what engineers found; work that both tell of stands once, as the log has it.
+    """Add engineers' findings to the maintenance log; work in both is listed once, as in the log.
 
     Parameters
     ----------
@@ -32,25 +32,25 @@ def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
     cases : DataFrame
         Rows of `raw_cases` of the same aircraft.
     """
-    schema, found = TABLES["raw_maintenance"].schema, work_found(cases)
+    schema, work = TABLES["raw_maintenance"].schema, work_from_cases(cases)
     rows = (
         schema.conform(log)
         .with_columns(source=pl.lit(LOG), closes_alert_id=pl.lit(None, pl.String))
         .with_row_index("n")
     )
-    both = found.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
+    both = work.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
         (pl.col("done_on") - pl.col("done_on_log")).abs() <= SAME_WORK
     )
-    told = both.unique("n", keep="last").select("n", said="closes_alert_id", saw="finding")
-    rows = rows.join(told, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
+    matches = both.unique("n", keep="last").select("n", said="closes_alert_id", saw="finding")
+    rows = rows.join(matches, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
         closes_alert_id=pl.col("said"), finding=pl.coalesce("finding", "saw")
     )
-    alone = found.join(both, on="closes_alert_id", how="anti", maintain_order="left")
+    alone = work.join(both, on="closes_alert_id", how="anti", maintain_order="left")
     return pl.concat([schema.conform(rows), alone])
 
 
 def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, str]]:
-    """What the log of cases says of each aircraft, as the ledger knows a delivered file.
+    """List each aircraft's lines in the log of cases as the ledger lists a delivered file.
 
     Returns
     -------
@@ -58,10 +58,10 @@ def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, 
         path, operator, tail, kind, number of lines, 0, digest.
     """
     files = []
-    for (o, t), own in sorted(cases.partition_by("operator", "tail", as_dict=True).items()):
-        # an acknowledgement must not make the twin anew: work counts from the first closing on
-        closed = own.filter((pl.col("kind") == "close").any())
-        for kind, told in ((CASES, own), (FINDINGS, work_found(closed))):
-            if kind == CASES or closed.height:
-                files.append((f"{kind}/{o}/{t}", o, t, kind, told.height, 0, digest(*map(str, told.rows()))))
+    for (o, t), cases_of_aircraft in sorted(cases.partition_by("operator", "tail", as_dict=True).items()):
+        # an acknowledgement must not have the twin computed again: work counts from the first closing on
+        closed_cases = cases_of_aircraft.filter((pl.col("kind") == "close").any())
+        for kind, rows in ((CASES, cases_of_aircraft), (FINDINGS, work_from_cases(closed_cases))):
+            if kind == CASES or closed_cases.height:
+                files.append((f"{kind}/{o}/{t}", o, t, kind, rows.height, 0, digest(*map(str, rows.rows()))))
     return files

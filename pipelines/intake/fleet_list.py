@@ -1,4 +1,4 @@
-"""The fleet list, `fleet.csv`: what its line says of an aircraft. Of an aircraft's good lines the first counts."""
+"""Read the fleet list, `fleet.csv`. Of an aircraft's good lines the first counts."""
 
 from dataclasses import dataclass
 from datetime import date, datetime
@@ -8,13 +8,13 @@ from typing import Any
 
 import polars as pl
 
-from pipelines.intake.ledger import Fault
-from pipelines.intake.log_lines import Columns, Lines, Row, Words, judge_lines
+from pipelines.intake.faults import Fault
+from pipelines.intake.log_lines import Columns, Lines, Row, Words, parse_list
 from pipelines.intake.names import MAX_PACKS, is_operator, is_tail
 from pipelines.intake.times import to_day
 
 PACKS = 2
-"""Packs of an aircraft that the fleet list does not know."""
+"""Packs of an aircraft that is not in the fleet list."""
 FLEET: dict[str, type[pl.DataType]] = {
     "operator": pl.String, "tail": pl.String, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32,
     "type": pl.String,
@@ -24,7 +24,7 @@ COLUMNS = Columns(("operator", "tail"), ("msn", "delivered_on", "packs", "type")
 
 @dataclass(frozen=True, slots=True)
 class FleetLine:
-    """What the list says of one aircraft; `type` is empty where its files are the default record."""
+    """The list's entry of one aircraft; `type` is empty where its files are the default record."""
 
     delivered_on: date | None = None
     packs: int = PACKS
@@ -35,12 +35,12 @@ FleetLines = dict[tuple[str, str], FleetLine]
 """By operator and tail."""
 
 
-def judge_fleet(content: bytes) -> Lines:
-    """Lines of the list in the order of `FLEET`, and what is wrong with the others."""
-    return judge_lines(content, COLUMNS, _judge)
+def parse_fleet(content: bytes) -> Lines:
+    """Parse the lines of the list in the order of `FLEET`, and the faults of the others."""
+    return parse_list(content, COLUMNS, _validate)
 
 
-def _judge(words: Words, _: datetime | None) -> Row | Fault:
+def _validate(words: Words, _: datetime | None) -> Row | Fault:
     if not is_operator(words["operator"]) or not is_tail(words["tail"]):
         return Fault("bad_key", column_name="operator, tail")
     day = to_day(words["delivered_on"])
@@ -53,7 +53,7 @@ def _judge(words: Words, _: datetime | None) -> Row | Fault:
 
 
 def fleet_lines(landing: Path) -> FleetLines:
-    """Line of each aircraft by operator and tail; none where the list can't be read, which its intake reports."""
+    """Read each aircraft's line by operator and tail; none where the list can't be read, which its intake reports."""
     path = landing / "fleet.csv"
     return _lines(path, path.stat().st_ctime_ns) if path.is_file() else {}
 
@@ -61,7 +61,7 @@ def fleet_lines(landing: Path) -> FleetLines:
 @lru_cache(maxsize=8)
 def _lines(path: Path, _changed_ns: int) -> FleetLines:
     try:
-        rows: list[Any] = judge_fleet(path.read_bytes()).rows
+        rows: list[Any] = parse_fleet(path.read_bytes()).rows
     except OSError:
         return {}
     return {(operator, tail): FleetLine(day, packs, kind or "") for operator, tail, _, day, packs, kind in rows}

@@ -1,11 +1,11 @@
-"""One file of the landing zone: whose it is, of what kind, and what it is judged by beside itself."""
+"""Describe one file of the landing zone: its aircraft, its kind, and what determines how it is read."""
 
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from typing import Literal
 
+from pipelines.intake.faults import Fault
 from pipelines.intake.fleet_list import PACKS
-from pipelines.intake.ledger import Fault
 
 Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
@@ -14,7 +14,7 @@ RECORDER = "recorder"
 """Folder of an aircraft that holds recordings."""
 MAX_TEXT_BYTES = 64 << 20
 MAX_PARQUET_BYTES = 256 << 20
-"""A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; more is refused before it is read."""
+"""A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; larger files are not read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,20 +23,20 @@ class LandingFile:
 
     landing: str
     path: str
-    """Path below the landing zone, with forward slashes: how ledger and quarantine name the file."""
+    """Path below the landing zone, with forward slashes: the file's name in ledger and quarantine."""
     operator: str
     tail: str
     kind: Kind
     size: int
     mtime_ns: int
     touched_ns: int = 0
-    """When content or modification time were last set, by the file system's own clock, which no program sets back."""
-    judged_by: str = ""
-    """What it is judged by beside itself, see `landing.judged_by`."""
-    listed: bool = True
-    """Whether the fleet list has a line of its aircraft; else what is on record of a file goes on to count."""
+    """When content or modification time were last set, by the file system's clock, which no program sets back."""
+    context: str = ""
+    """What determines, beside its content, how it is read; see `landing.reading_context`."""
+    in_fleet_list: bool = True
+    """Whether the fleet list has a line of its aircraft; otherwise the recorded context of a file stays valid."""
     packs_stored: int = 0
-    """Packs that are stored of it, which no line of the fleet list takes away."""
+    """Packs that are stored of it; the fleet list can't reduce them."""
 
     @property
     def packs(self) -> int:
@@ -45,7 +45,7 @@ class LandingFile:
 
     @property
     def packs_listed(self) -> int:
-        """Packs by the fleet list; two where it says nothing."""
+        """Packs by the fleet list; two where it names none."""
         return int(self._word("packs") or PACKS)
 
     @property
@@ -55,12 +55,12 @@ class LandingFile:
         return date.fromisoformat(day) if day else None
 
     @property
-    def unlisted(self) -> str | None:
+    def other_operators(self) -> str | None:
         """None where the fleet list has the aircraft; else operators under which it has the tail."""
         return self._word("unlisted")
 
     def _word(self, name: str) -> str | None:
-        return dict(word.split("=", 1) for word in self.judged_by.split()).get(name)
+        return dict(word.split("=", 1) for word in self.context.split()).get(name)
 
     @property
     def name(self) -> str:
@@ -69,7 +69,7 @@ class LandingFile:
 
     @property
     def is_text(self) -> bool:
-        """Whether it is read as text and not as Parquet: its name says so, whatever became of its kind."""
+        """Whether it is read as text and not as Parquet, by its name."""
         return self.path.lower().endswith(".csv")
 
     @property
@@ -89,15 +89,15 @@ class LandingFile:
 
     @property
     def full_path(self) -> str:
-        """Where to open it."""
+        """Absolute path."""
         return f"{self.landing}/{self.path}"
 
-    def read(self) -> tuple[bytes | None, list[Fault]]:
-        """Content, or None and the fault that kept it out."""
+    def read_content(self) -> tuple[bytes | None, list[Fault]]:
+        """Read the content; None and the fault where that fails."""
         limit = MAX_TEXT_BYTES if self.is_text else MAX_PARQUET_BYTES
         try:
             with open(self.full_path, "rb") as source:
-                content = source.read(limit + 1)  # the size listed is that of another moment
+                content = source.read(limit + 1)  # it may have grown since it was listed
         except OSError as error:
             return None, [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
         if len(content) > limit:
@@ -107,9 +107,9 @@ class LandingFile:
     @property
     def received_at(self) -> datetime:
         """When it was last written."""
-        return received(self.mtime_ns)
+        return modified_at(self.mtime_ns)
 
 
-def received(mtime_ns: int) -> datetime:
-    """Modification time of a file, to the second."""
+def modified_at(mtime_ns: int) -> datetime:
+    """Convert the modification time of a file to UTC, to the second."""
     return datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)

@@ -1,4 +1,4 @@
-"""Lines of a short list in CSV: each judged by itself, each stored once."""
+"""Parse a short list in CSV: each line validated by itself, each stored once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from datetime import datetime
 
 import polars as pl
 
-from pipelines.intake.header import judge_header
-from pipelines.intake.ledger import Fault
+from pipelines.intake.faults import Fault
+from pipelines.intake.header import match_header
 from pipelines.intake.text import Text, open_text
 from pipelines.intake.text_columns import to_columns
 from pipelines.intake.times import to_utc, zone_note
@@ -19,12 +19,12 @@ Words = dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a list: those it must have, those it may lack, and `extra` ones that nobody misses."""
+    """Columns of a list: required ones, optional ones, and `extra` ones whose absence is never a sign of renaming."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...] = ()
     extra: tuple[str, ...] = ()
-    timed: str | None = None
+    time: str | None = None
     """Column of times, which are parsed in bulk."""
     unique: int = 0
     """Leading fields that are a key: of several lines with one key the first counts. 0: whole lines are compared."""
@@ -32,7 +32,7 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """Rows of a log, each once; what is wrong with it; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
+    """Rows of a log, each once; quarantine rows; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
 
     rows: pl.DataFrame
     quarantine: pl.DataFrame
@@ -47,7 +47,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Good lines, each once; what is wrong with the others; lines delivered, and those that repeat another."""
+    """Good lines, each once; faults of the others; the numbers of delivered and duplicate lines."""
 
     rows: list[Row]
     faults: list[Fault]
@@ -55,22 +55,22 @@ class Lines:
     n_duplicate: int
 
 
-def judge_lines(content: bytes, columns: Columns, judge: Callable[[Words, datetime | None], Row | Fault]) -> Lines:
-    """Open a list, judge its lines and drop those that stand twice."""
+def parse_list(content: bytes, columns: Columns, validate: Callable[[Words, datetime | None], Row | Fault]) -> Lines:
+    """Open a list, validate its lines and drop duplicates."""
     required, optional, extra = columns.required, columns.optional, columns.extra
-    text = open_text(content, lambda names: judge_header(names, required, optional, extra=extra))
+    text = open_text(content, lambda names: match_header(names, required, optional, extra=extra))
     lines, line_faults = to_columns([text], ())
     nothing_happened = () if columns.unique else ("no_rows",)  # an aircraft without messages has a header alone
     faults = [f for f in (*text.faults, *line_faults[0]) if f.reason not in nothing_happened]
     good: dict[Row, int] = {}
     for row, words, moment in _words(lines, columns, faults):
-        verdict = judge(words, moment)
-        if isinstance(verdict, Fault):
-            faults.append(_placed(verdict, row, text))
+        result = validate(words, moment)
+        if isinstance(result, Fault):
+            faults.append(_row_fault(result, row, text))
         else:
-            good.setdefault(verdict, row)
+            good.setdefault(result, row)
     n_duplicate = text.n_rows - len(good) - sum(f.n_rows for f in faults)
-    rows = _first_of_key(good, columns.unique, text, faults) if columns.unique else sorted(good, key=_in_order)
+    rows = _first_of_key(good, columns.unique, text, faults) if columns.unique else sorted(good, key=_sort_key)
     return Lines(rows, faults, text.n_rows, n_duplicate)
 
 
@@ -78,35 +78,35 @@ def _words(lines: pl.DataFrame, columns: Columns, faults: list[Fault]) -> list[t
     if lines.is_empty():
         return []
     moments: list[datetime | None] = [None] * lines.height
-    if columns.timed is not None:
-        parsed, naive = to_utc(lines.select(columns.timed, "row"), columns.timed)
-        moments = parsed.get_column(columns.timed).to_list()
-        faults.extend(zone_note(naive, columns.timed))
+    if columns.time is not None:
+        times, naive = to_utc(lines.select(columns.time, "row"), columns.time)
+        moments = times.get_column(columns.time).to_list()
+        faults.extend(zone_note(naive, columns.time))
     names = (*columns.required, *columns.optional, *columns.extra)
     rows = lines.iter_rows(named=True)
     return [(r["row"], {c: printable(r.get(c)) for c in names}, m) for r, m in zip(rows, moments, strict=True)]
 
 
 def printable(field: str | None) -> str:
-    """A field without what can't be printed, cut at 500 characters."""
+    """Strip a field of non-printable characters and cut it at 500."""
     return "".join(c for c in (field or "").strip() if c.isprintable())[:500]
 
 
-def _placed(fault: Fault, row: int, text: Text) -> Fault:
+def _row_fault(fault: Fault, row: int, text: Text) -> Fault:
     return Fault(fault.reason, row, fault.column_name, fault.detail, 1, content=text.line(row))
 
 
-def _in_order(row: Row) -> tuple[tuple[bool, str], ...]:
+def _sort_key(row: Row) -> tuple[tuple[bool, str], ...]:
     return tuple((field is None, str(field)) for field in row)
 
 
 def _first_of_key(good: dict[Row, int], n_key: int, text: Text, faults: list[Fault]) -> list[Row]:
-    """Of rows with the same leading fields the first in the file; the others go to the faults."""
+    """Keep the first of rows with the same leading fields; the others go to the faults."""
     first: dict[Row, Row] = {}
     for row, line in sorted(good.items(), key=lambda item: item[1]):
         if row[:n_key] in first:
             detail = f"Listed twice with other values; line {good[first[row[:n_key]]]} counts."
-            faults.append(_placed(Fault("bad_key", detail=detail), line, text))
+            faults.append(_row_fault(Fault("bad_key", detail=detail), line, text))
         else:
             first[row[:n_key]] = row
     return list(first.values())

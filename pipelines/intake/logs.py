@@ -1,4 +1,4 @@
-"""The logs beside the recorder files: messages, maintenance, and the fleet list."""
+"""Read the logs beside the recorder files: messages, maintenance, fleet list and planned checks."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -8,10 +8,10 @@ from datetime import date, datetime, timedelta
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
-from pipelines.intake.fleet_list import FLEET, judge_fleet
+from pipelines.intake.faults import Fault, quarantine
+from pipelines.intake.fleet_list import FLEET, parse_fleet
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.ledger import Fault, quarantine
-from pipelines.intake.log_lines import Columns, Lines, Log, Row, Words, judge_lines
+from pipelines.intake.log_lines import Columns, Lines, Log, Row, Words, parse_list
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.times import to_day
@@ -33,11 +33,11 @@ FARTHEST = timedelta(days=3660)
 
 
 def read_messages(file: LandingFile, now: datetime) -> Log:
-    """Maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
+    """Read maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
 
-    def judge(words: Words, moment: datetime | None) -> Row | Fault:
-        pack = _pack(words["pack"], file.packs)
-        if fault := bad_moment(moment, now, "message_time") or _bad_flight(words["flight_id"], file.tail):
+    def validate(words: Words, moment: datetime | None) -> Row | Fault:
+        pack = _pack_number(words["pack"], file.packs)
+        if fault := time_fault(moment, now, "message_time") or _flight_fault(words["flight_id"], file.tail):
             return fault
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
@@ -46,52 +46,52 @@ def read_messages(file: LandingFile, now: datetime) -> Log:
         flight, text = words["flight_id"] or None, words["text"] or None
         return file.operator, file.tail, moment, flight, pack, words["code"], text
 
-    columns = Columns(("message_time", "flight_id", "pack", "code"), ("text",), timed="message_time")
-    return _read(file, MESSAGES, lambda content: judge_lines(content, columns, judge))
+    columns = Columns(("message_time", "flight_id", "pack", "code"), ("text",), time="message_time")
+    return _read_log(file, MESSAGES, lambda content: parse_list(content, columns, validate))
 
 
 def read_maintenance(file: LandingFile, now: datetime) -> Log:
-    """Work done on one aircraft: the columns of `MAINTENANCE`.
+    """Read the work done on one aircraft: the columns of `MAINTENANCE`.
 
-    `done_on` may give a day or a time of day; `done_at` keeps the time. Work from before the first flight in store is
-    as good as any; from before the aircraft was delivered it is noted.
+    `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
+    any other; work before the aircraft's delivery gets a note.
     """
     delivered_on, early = file.delivered_on, list[date]()
 
-    def judge(words: Words, moment: datetime | None) -> Row | Fault:
-        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack(words["pack"], file.packs)
-        if fault := bad_moment(moment, now, "done_on") if moment else bad_moment(day, now.date(), "done_on"):
+    def validate(words: Words, moment: datetime | None) -> Row | Fault:
+        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack_number(words["pack"], file.packs)
+        if fault := time_fault(moment, now, "done_on") if moment else time_fault(day, now.date(), "done_on"):
             return fault
         early.extend([day] if delivered_on and day and day < delivered_on else [])
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
         codes = {c: words[c].upper() for c in ("component", "action", "finding")}
-        agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
-        if odd := [c for c, code in codes.items() if code not in agreed[c]]:
+        allowed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
+        if odd := [c for c, code in codes.items() if code not in allowed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
         finding, reference = codes["finding"] or None, words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials)  # fmt: skip
 
-    columns = Columns(("done_on", "pack", "component", "action"), ("finding", "reference"), SERIALS, timed="done_on")
-    log = _read(file, MAINTENANCE, lambda content: judge_lines(content, columns, judge))
+    columns = Columns(("done_on", "pack", "component", "action"), ("finding", "reference"), SERIALS, time="done_on")
+    log = _read_log(file, MAINTENANCE, lambda content: parse_list(content, columns, validate))
     if not early:
         return log
-    said = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
-    note = quarantine(file.path, file.received_at, [Fault("before_delivery", column_name="done_on", detail=said)])
+    detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
+    note = quarantine(file.path, file.received_at, [Fault("before_delivery", column_name="done_on", detail=detail)])
     return replace(log, quarantine=pl.concat([log.quarantine, note]))
 
 
 def read_fleet(file: LandingFile, now: datetime) -> Log:
-    """The fleet list: the columns of `FLEET`."""
-    return _read(file, FLEET, judge_fleet)
+    """Read the fleet list: the columns of `FLEET`."""
+    return _read_log(file, FLEET, parse_fleet)
 
 
 def read_checks(file: LandingFile, now: datetime) -> Log:
-    """Planned checks: `operator, tail, planned_on, name`; from CSV or Parquet, columns `operator, tail, date, name`."""
+    """Read planned checks (`CHECKS`) from CSV or Parquet with the columns `operator, tail, date, name`."""
 
-    def judge(words: Words, _: datetime | None) -> Row | Fault:
+    def validate(words: Words, _: datetime | None) -> Row | Fault:
         if not is_operator(words["operator"]) or not is_tail(words["tail"]):
             return Fault("bad_key", column_name="operator, tail")
         day = to_day(words["date"])
@@ -101,41 +101,41 @@ def read_checks(file: LandingFile, now: datetime) -> Log:
 
     columns = Columns(("operator", "tail", "date"), extra=("name",))
 
-    def judge_all(content: bytes) -> Lines:
-        return judge_lines(content, columns, judge)
+    def parse(content: bytes) -> Lines:
+        return parse_list(content, columns, validate)
 
     if file.is_text:
-        return _read(file, CHECKS, judge_all)
-    log = _read(file, CHECKS, judge_all, convert=parquet_as_text)
-    return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header stands before row 1
+        return _read_log(file, CHECKS, parse)
+    log = _read_log(file, CHECKS, parse, convert=parquet_as_text)
+    return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header precedes row 1
 
 
-def _read(
+def _read_log(
     file: LandingFile,
     schema: Mapping[str, pl.DataType | type[pl.DataType]],
-    judge: Callable[[bytes], Lines],
+    parse: Callable[[bytes], Lines],
     convert: Callable[[bytes], tuple[bytes | None, list[Fault]]] | None = None,
 ) -> Log:
-    """Open a log and judge its lines."""
-    content, faults = file.read()
+    """Open a log and validate its lines."""
+    content, faults = file.read_content()
     if content is not None and convert:
         content, faults = convert(content)
     if content is None:
         return Log(pl.DataFrame(schema=schema), quarantine(file.path, file.received_at, faults), 0, 0)
-    lines = judge(content)
+    lines = parse(content)
     rows = pl.DataFrame(lines.rows, schema=schema, orient="row")
     return Log(rows, quarantine(file.path, file.received_at, lines.faults), lines.n_delivered, lines.n_duplicate)
 
 
-def _pack(word: str, packs: int) -> int | None:
-    """Pack number, None where none is given, 0 where it is none."""
+def _pack_number(word: str, packs: int) -> int | None:
+    """Parse a pack number; None where the field is empty, 0 where it is no pack."""
     if not word:
         return None
     return int(word) if word in {str(n) for n in range(1, packs + 1)} else 0
 
 
-def bad_moment(moment: date | None, now: date, column: str) -> Fault | None:
-    """What is wrong with a day or a time, by what is now of the same kind."""
+def time_fault(moment: date | None, now: date, column: str) -> Fault | None:
+    """Check a day or a time against `now` of the same kind."""
     if moment is None:
         return Fault("unreadable_time", column_name=column)
     if (moment.date() if isinstance(moment, datetime) else moment) < EARLIEST:
@@ -143,7 +143,7 @@ def bad_moment(moment: date | None, now: date, column: str) -> Fault | None:
     return Fault("future_time", column_name=column) if moment > now else None
 
 
-def _bad_flight(flight: str, tail: str) -> Fault | None:
+def _flight_fault(flight: str, tail: str) -> Fault | None:
     if not flight:
         return None
     if flight_day(flight) is None:

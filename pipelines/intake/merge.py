@@ -1,24 +1,27 @@
-"""Deliveries become one truth: each flight, pack and time once, whoever delivered it, in whatever order."""
+"""Merge deliveries: each flight, pack and time once, whoever delivered it, in whatever order."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
 import polars as pl
 
 from pipelines.intake.columns import SI_NAMES, WORDS
-from pipelines.intake.ledger import MAX_ROWS_LISTED, QUARANTINE_SCHEMA, Fault, first_and_rest, quarantine
+from pipelines.intake.faults import MAX_ROWS_LISTED, QUARANTINE_SCHEMA, Fault, first_and_rest, quarantine
 
 FLIGHT = ("operator", "source", "flight_id")
 KEY = (*FLIGHT, "pack", "time_utc")
 VALUES = (*SI_NAMES, *WORDS)
 SAME = 1e-6
-"""Relative difference below which two values are one value: a 32-bit float and the text it was printed from."""
+"""Relative difference up to which two values are the same: a 32-bit float and the text it was printed from."""
+ACCOUNT = ("file", "flight_id")
+REPLACED = "replaced_row"
+_PLACE = ("file", "row_in_file")
 
 
 class MergeResult(NamedTuple):
-    """One row a key; for each file and flight how many rows said nothing new; the rows that said something else."""
+    """One row a key; for each file and flight the number of duplicates; quarantine rows of conflicting deliveries."""
 
     rows: pl.DataFrame
     duplicates: pl.DataFrame
@@ -30,9 +33,9 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
 
     What one file holds of a flight is a delivery. Deliveries that contradict each other are never mixed: the one with
     most rows wins as a whole, then with most values, then the file named after its flight, then by name. Its rows are
-    stored, and those of the other that say anything else are kept aside as `conflicting_delivery`. Deliveries that
-    agree complete each other, and of their rows of one key the one with most values is stored. So what is stored
-    depends on what was delivered, never on when; all deliveries of a flight must be merged together.
+    stored, and those of the other that differ are quarantined as `conflicting_delivery`. Deliveries that agree complete
+    each other, and of their rows of one key the one with most values is stored. So the stored rows depend on what was
+    delivered, never on when; all deliveries of a flight must be merged together.
 
     Parameters
     ----------
@@ -47,112 +50,186 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
         `rows` sorted by flight, time and pack; `duplicates` with `file, flight_id, n_duplicate`; `quarantine`.
     """
     rows = pl.concat(list(frames))
-    repeated = rows.select(pl.struct(KEY).is_duplicated()).to_series()
-    contested = rows.filter(repeated).select(FLIGHT).unique()
-    once, again = rows.join(contested, on=FLIGHT, how="anti"), rows.join(contested, on=FLIGHT, how="semi")
-    won, lost = _settled(again)
-    agreed, differing = _against(lost, won)
-    duplicates = agreed.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
+    has_rival = rows.select(pl.struct(KEY).is_duplicated()).to_series()
+    rival_flights = rows.filter(has_rival).select(FLIGHT).unique()
+    once, again = rows.join(rival_flights, on=FLIGHT, how="anti"), rows.join(rival_flights, on=FLIGHT, how="semi")
+    stored_rows, others = _choose(again)
+    duplicates_of_stored, differing = _compare(others, stored_rows)
+    duplicates = duplicates_of_stored.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
     return MergeResult(
-        pl.concat([once, won]).sort("operator", "flight_id", "source", "time_utc", "pack"),
+        pl.concat([once, stored_rows]).sort("operator", "flight_id", "source", "time_utc", "pack"),
         duplicates.sort("file", "flight_id"),
-        _conflicts(differing, received_at),
+        _conflict_rows(differing, received_at),
     )
 
 
-def _settled(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Rows to be stored, one a key, and all others with the `winner`, the first delivery of their flight."""
-    own, repeated = _contest(rows, (*KEY, "file"))
-    ranks = _ranked(own)
-    ranked = own.join(ranks, on=(*FLIGHT, "file"), validate="m:1")
-    accepted = ranked.filter(pl.col("rank") == 1)
-    most = ranks.select(pl.col("rank").max()).item() or 1
-    for rank in range(2, most + 1):
-        late = ranked.filter(pl.col("rank") == rank)
-        odd = contradictions(late, accepted).select(FLIGHT).unique()
-        accepted = pl.concat([accepted, late.join(odd, on=FLIGHT, how="anti")])
-    won, lost = _contest(accepted, KEY)
-    aside = ranked.join(accepted.select(*FLIGHT, "file").unique(), on=(*FLIGHT, "file"), how="anti")
-    others = [*(f.select(rows.columns) for f in (lost, aside)), repeated]
+def _choose(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Choose the rows to store, one a key; all others with the `winner`, the first delivery of their flight."""
+    own, same_key_in_file = _best_of_key(rows, (*KEY, "file"))
+    ranks = _rank_deliveries(own)
+    by_rank = own.join(ranks, on=(*FLIGHT, "file"), validate="m:1")
+    consistent = by_rank.filter(pl.col("rank") == 1)
+    lowest = ranks.select(pl.col("rank").max()).item() or 1
+    for rank in range(2, lowest + 1):
+        of_rank = by_rank.filter(pl.col("rank") == rank)
+        contradicting = contradictions(of_rank, consistent).select(FLIGHT).unique()
+        consistent = pl.concat([consistent, of_rank.join(contradicting, on=FLIGHT, how="anti")])
+    stored_rows, same_key = _best_of_key(consistent, KEY)
+    of_rejected = by_rank.join(consistent.select(*FLIGHT, "file").unique(), on=(*FLIGHT, "file"), how="anti")
+    others = [*(f.select(rows.columns) for f in (same_key, of_rejected)), same_key_in_file]
     winners = ranks.filter(pl.col("rank") == 1).select(*FLIGHT, winner="file")
-    return won.select(rows.columns), pl.concat(others).join(winners, on=FLIGHT, how="left", validate="m:1")
+    return stored_rows.select(rows.columns), pl.concat(others).join(winners, on=FLIGHT, how="left", validate="m:1")
 
 
-def _contest(rows: pl.DataFrame, key: tuple[str, ...]) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Of each key the row with most values, then the one whose values sort first; and those that lose."""
+def _best_of_key(rows: pl.DataFrame, key: tuple[str, ...]) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Choose for each key the row with most values, then the one whose values sort first; and the others."""
     order = (*key, "n_values", *VALUES, "file", "row_in_file")
     descending = [c == "n_values" for c in order]
-    counted = rows.with_columns(_n_values().alias("n_values"))
-    ranked = counted.sort(order, descending=descending, nulls_last=True).drop("n_values")
-    first = ranked.select(pl.struct(key).is_first_distinct()).to_series()
-    return ranked.filter(first), ranked.filter(~first)
+    with_counts = rows.with_columns(_n_values().alias("n_values"))
+    in_order = with_counts.sort(order, descending=descending, nulls_last=True).drop("n_values")
+    first = in_order.select(pl.struct(key).is_first_distinct()).to_series()
+    return in_order.filter(first), in_order.filter(~first)
 
 
 def _n_values() -> pl.Expr:
     return pl.sum_horizontal(pl.col(c).is_not_null() for c in VALUES)
 
 
-def _ranked(own: pl.DataFrame) -> pl.DataFrame:
-    """Deliveries of each flight in the order in which they are believed: `rank` from 1."""
-    named = pl.col("file").str.contains(pl.concat_str(pl.lit("/"), "flight_id", pl.lit(".")), literal=True)
+def _rank_deliveries(own: pl.DataFrame) -> pl.DataFrame:
+    """Rank the deliveries of each flight by precedence: `rank` from 1."""
+    named_after_flight = pl.col("file").str.contains(pl.concat_str(pl.lit("/"), "flight_id", pl.lit(".")), literal=True)
     sizes = own.group_by(*FLIGHT, "file").agg(pl.len().alias("n"), _n_values().sum().alias("n_values"))
     order = (*FLIGHT, "n", "n_values", "named", "file")
     descending = [c in ("n", "n_values", "named") for c in order]
-    ordered = sizes.with_columns(named.alias("named")).sort(order, descending=descending)
-    return ordered.select(*FLIGHT, "file", pl.int_range(1, pl.len() + 1).over(FLIGHT).alias("rank"))
+    in_order = sizes.with_columns(named_after_flight.alias("named")).sort(order, descending=descending)
+    return in_order.select(*FLIGHT, "file", pl.int_range(1, pl.len() + 1).over(FLIGHT).alias("rank"))
 
 
 def contradictions(rows: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
-    """Rows of which `others` give another value for the same flight, pack and time."""
-    pairs = rows.join(others.select(*KEY, *VALUES), on=KEY, suffix=" won", validate="m:m")
-    return pairs.filter(pl.any_horizontal(~_agrees(c) & pl.col(f"{c} won").is_not_null() for c in VALUES))
+    """Select rows of which `others` give another value for the same flight, pack and time."""
+    pairs = rows.join(others.select(*KEY, *VALUES), on=KEY, suffix=" stored", validate="m:m")
+    return pairs.filter(pl.any_horizontal(~_agrees(c) & pl.col(f"{c} stored").is_not_null() for c in VALUES))
 
 
-def _against(lost: pl.DataFrame, won: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Losers that say no more than what is stored of their key, and those that do, with what `differs`."""
-    here = won.select(*KEY, *VALUES, pl.lit(True).alias("met"), *(pl.col(c).alias(f"{c} won") for c in _PLACE))
-    pairs = lost.join(here, on=KEY, how="left", suffix=" won", maintain_order="left", validate="m:1")
+def _compare(others: pl.DataFrame, stored_rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Split rows into those that agree with the stored row of their key and the others, with what `differs`."""
+    here = stored_rows.select(
+        *KEY, *VALUES, pl.lit(True).alias("is_stored"), *(pl.col(c).alias(f"{c} stored") for c in _PLACE)
+    )
+    pairs = others.join(here, on=KEY, how="left", suffix=" stored", maintain_order="left", validate="m:1")
     differs = [pl.when(~_agrees(c)).then(pl.lit(c)) for c in VALUES]
     pairs = pairs.with_columns(pl.concat_list(differs).list.drop_nulls().list.join(", ").alias("differs"))
-    agreed = (pl.col("differs") == "") & pl.col("met").fill_null(False)
-    return pairs.filter(agreed), pairs.filter(~agreed)
-
-
-_PLACE = ("file", "row_in_file")
+    agrees = (pl.col("differs") == "") & pl.col("is_stored").fill_null(False)
+    return pairs.filter(agrees), pairs.filter(~agrees)
 
 
 def _agrees(column: str) -> pl.Expr:
-    """Whether a loser's value is null or the winner's."""
-    value, winner = pl.col(column), pl.col(f"{column} won")
+    """Return whether a row's value is null or the stored one."""
+    value, winner = pl.col(column), pl.col(f"{column} stored")
     close = value == winner
     if column in SI_NAMES:
         close = (value - winner).abs() <= SAME * pl.max_horizontal(value.abs(), winner.abs())
     return value.is_null() | close.fill_null(False)
 
 
-def _conflicts(differing: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
-    """Quarantine rows of what is kept aside, each as it came in SI."""
-    faults: dict[str, list[Fault]] = {}
-    listed, rest = first_and_rest(differing.sort(*_PLACE, "flight_id", "differs"), ["file"], MAX_ROWS_LISTED)
-    for row in listed.iter_rows(named=True):
-        detail = f"It conflicts with row {row['row_in_file won']} of {row['file won']}."
-        if not row["met"]:
+def _conflict_rows(differing: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    """Make quarantine rows of conflicting rows, with their content in SI."""
+    faults = []
+    first, rest = first_and_rest(differing.sort(*_PLACE, "flight_id", "differs"), ["file"], MAX_ROWS_LISTED)
+    for row in first.iter_rows(named=True):
+        detail = f"It conflicts with row {row['row_in_file stored']} of {row['file stored']}."
+        if not row["is_stored"]:
             detail = f"Its delivery conflicts with {row['winner']}, which does not hold this row."
-        fault = Fault("conflicting_delivery", row["row_in_file"], row["differs"] if row["met"] else None, detail, 1,
-                      row["flight_id"], as_content(row))  # fmt: skip
-        faults.setdefault(row["file"], []).append(fault)
-    for file, n in rest.iter_rows():
-        faults[file].append(Fault("conflicting_delivery", detail=f"And {n} more rows.", n_rows=n))
-    frames = [quarantine(file, received_at.get(file), found) for file, found in faults.items()]
+        columns = row["differs"] if row["is_stored"] else None
+        fault = "conflicting_delivery", row["row_in_file"], columns, detail, 1, row["flight_id"], _content(row)
+        faults.append((row["file"], Fault(*fault)))
+    faults += [(f, Fault("conflicting_delivery", detail=f"And {n} more rows.", n_rows=n)) for f, n in rest.iter_rows()]
+    return _quarantine(faults, received_at)
+
+
+def _quarantine(faults: Iterable[tuple[str, Fault]], received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    """Turn faults, each with its file, into quarantine rows."""
+    by_file: dict[str, list[Fault]] = {}
+    for file, fault in faults:
+        by_file.setdefault(file, []).append(fault)
+    frames = [quarantine(file, received_at.get(file), own) for file, own in by_file.items()]
     return pl.concat([pl.DataFrame(schema=QUARANTINE_SCHEMA), *frames])
 
 
-def as_content(row: Mapping[str, object]) -> str:
-    """A row in SI for the quarantine."""
-    return as_text({c: row[c] for c in ("pack", "time_utc", *VALUES)})
+def _content(row: Mapping[str, object]) -> str:
+    return json_text({c: row[c] for c in ("pack", "time_utc", *VALUES)})
 
 
-def as_text(row: Mapping[str, object]) -> str:
-    """What a row says, numbers to six digits, as JSON."""
-    said = {c: float(f"{v:.6g}") if isinstance(v, float) else v for c, v in row.items() if v is not None}
-    return json.dumps(said, default=str)
+def json_text(row: Mapping[str, object]) -> str:
+    """Format a row as JSON, numbers to six digits."""
+    values = {c: float(f"{v:.6g}") if isinstance(v, float) else v for c, v in row.items() if v is not None}
+    return json.dumps(values, default=str)
+
+
+def compare_redelivery(
+    rows: pl.DataFrame,
+    quarantine_rows: pl.DataFrame,
+    stored_rows: pl.DataFrame,
+    stored_quarantine: pl.DataFrame,
+    received_at: Mapping[str, datetime],
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Compare some flights in files with what is stored of an earlier version of these files.
+
+    Parameters
+    ----------
+    rows, quarantine_rows : DataFrame
+        Good rows in the files now, and quarantine rows.
+    stored_rows, stored_quarantine : DataFrame
+        Rows and quarantine rows stored under the names of these files.
+    received_at : mapping
+        When each file was received.
+
+    Returns
+    -------
+    rows, quarantine : DataFrame
+        Stored rows that the files lack, and new quarantine rows. Only a file counts that has some rows of a flight and
+        fewer than are stored of it; one with none leaves the flight unchanged, any other replaces it. Rows that it
+        lacks stay where it contradicts none that it repeats, else they are quarantined; a note gives both counts.
+    """
+    replaced_rows = stored_quarantine.filter(pl.col("reason") == REPLACED)
+    before, now = count_rows(stored_rows, replaced_rows), count_rows(rows, quarantine_rows)
+    fewer = before.join(now, on=ACCOUNT, suffix="_now", validate="m:1").filter(pl.col("n_now") < pl.col("n"))
+    if fewer.is_empty():
+        return rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA)
+    fewer_but_some = fewer.join(rows.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")
+    old = stored_rows.join(fewer_but_some, on=ACCOUNT, how="semi")
+    missing_rows = old.join(rows, on=(*KEY, "file"), how="anti")
+    conflicts = _conflicting(old, rows)
+    new_rows = [
+        _notes(fewer, received_at),
+        _replaced_rows(missing_rows.join(conflicts, on=ACCOUNT, how="semi"), received_at),
+        replaced_rows.join(fewer, on=ACCOUNT, how="semi").select(list(QUARANTINE_SCHEMA)),
+    ]
+    return missing_rows.join(conflicts, on=ACCOUNT, how="anti").select(rows.columns), pl.concat(new_rows)
+
+
+def count_rows(rows: pl.DataFrame | None, quarantine: pl.DataFrame | None, by: Sequence[str] = ACCOUNT) -> pl.DataFrame:
+    """Count rows and the delivered rows behind quarantine rows, for each file and flight: `n`."""
+    counts = [] if rows is None else [rows.select(*by, n=pl.lit(1, pl.Int64))]
+    counts += [] if quarantine is None else [quarantine.select(*by, n="n_rows")]
+    return pl.concat(counts).group_by(by).agg(pl.col("n").sum())
+
+
+def _conflicting(old: pl.DataFrame, rows: pl.DataFrame) -> pl.DataFrame:
+    """Find files and flights of which the new version gives another value than the old."""
+    files = old["file"].unique().to_list()
+    pairs = [contradictions(old.filter(file=f), rows.filter(file=f)).select(ACCOUNT) for f in files]
+    return pl.concat([old.select(ACCOUNT).clear(), *pairs]).unique()
+
+
+def _notes(fewer: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    detail = "It had {} rows of this flight and now has {}. What it lacks is kept."
+    counts = fewer.sort(ACCOUNT).iter_rows()
+    faults = ((f, Fault("fewer_rows", detail=detail.format(n, now), flight_id=flight)) for f, flight, n, now in counts)
+    return _quarantine(faults, received_at)
+
+
+def _replaced_rows(rows: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    in_order = rows.sort(*ACCOUNT, "time_utc", "pack").iter_rows(named=True)
+    faults = ((row["file"], Fault(REPLACED, None, None, "", 1, row["flight_id"], _content(row))) for row in in_order)
+    return _quarantine(faults, received_at)

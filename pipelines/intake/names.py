@@ -1,4 +1,4 @@
-"""Names from outside: which are a tail, a flight, a file of the contract, and what a flight_id says."""
+"""Check delivered names: operators, tails, flights, files of the contract."""
 
 import re
 from datetime import date
@@ -7,28 +7,28 @@ from hdt_core.tables.base import FLIGHT_ID, OPERATOR, TAIL
 
 MAX_PACKS = 4
 EARLIEST = date(1980, 1, 7)
-"""A clock that was never set says 1970, or 6 January 1980 where it is GPS; what is older is a slip of the pen."""
+"""A clock that was never set gives 1970, or 6 January 1980 where it is GPS; an older date is a typing error."""
 _OPERATOR, _TAIL, _FLIGHT_ID = (re.compile(p, re.ASCII) for p in (OPERATOR, TAIL, FLIGHT_ID))
 _HISTORY = re.compile(r"history_\d{4}-\d{2}\.parquet", re.ASCII)
 
 
 def is_operator(name: str) -> bool:
-    """Whether `name` is that of an operator."""
+    """Return whether `name` is that of an operator."""
     return _OPERATOR.fullmatch(name) is not None
 
 
 def is_tail(name: str) -> bool:
-    """Whether `name` is a registration."""
+    """Return whether `name` is a registration."""
     return _TAIL.fullmatch(name) is not None
 
 
 def is_history(name: str) -> bool:
-    """Whether `name` is that of a history file."""
+    """Return whether `name` is that of a history file."""
     return _HISTORY.fullmatch(name) is not None
 
 
 def flight_day(flight_id: str) -> date | None:
-    """UTC day of departure a flight_id names, None where it is no flight_id: bad pattern, no such day, leg 00.
+    """Parse the UTC day of departure of a flight_id; None where it is none: bad pattern, no such day, leg 00.
 
     Examples
     --------
@@ -47,11 +47,11 @@ def flight_day(flight_id: str) -> date | None:
 
 
 def flight_tail(flight_id: str) -> str:
-    """Tail of a well-formed flight_id."""
+    """Return the tail of a well-formed flight_id."""
     return flight_id[:-12]
 
 
 def flight_of_file(name: str, tail: str) -> str | None:
-    """The flight a per-flight file of this tail is named after, None where the name is no flight_id of this tail."""
+    """Return the flight that a file is named after; None where the name is no flight_id of this tail."""
     stem = name.rpartition(".")[0]
     return stem if flight_day(stem) is not None and flight_tail(stem) == tail else None

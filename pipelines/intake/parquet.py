@@ -1,4 +1,4 @@
-"""Parquet files become columns: read by Arrow, within a memory limit, whatever was done to the bytes."""
+"""Read columns of Parquet files with Arrow, within a memory limit, whatever the bytes."""
 
 import csv
 import io
@@ -11,16 +11,16 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipelines.intake.columns import PACK_FILES, Contract
-from pipelines.intake.header import judge_header
-from pipelines.intake.ledger import Fault
-from pipelines.intake.text_columns import number_faults
+from pipelines.intake.faults import Fault
+from pipelines.intake.header import match_header
+from pipelines.intake.text_columns import parse_numbers
 from pipelines.storage.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000
 MAX_BYTES = 1 << 30
-"""What one file may hold once unpacked; a small file that claims more is refused before any of it is unpacked."""
+"""Limit of a file's unpacked size; a file that claims more is rejected before any of it is unpacked."""
 MAX_LISTED = 100_000
-"""Rows of a list that is read whole."""
+"""Most rows of a list, which is read whole."""
 MAX_WORD = 200
 """Longest text in a column, in bytes: one long word repeated by a dictionary unpacks to gigabytes."""
 
@@ -33,54 +33,58 @@ _CALENDAR_S = (-62_135_596_800, 253_402_300_799)
 def open_parquet(
     content: bytes, only: Collection[str] | None = None, contract: Contract = PACK_FILES
 ) -> tuple[pl.DataFrame, int, list[Fault]]:
-    """Contract columns of a Parquet file (or `only` some) with `row` from 1, the number of rows delivered, faults.
+    """Read the contract columns (or `only` some) of a Parquet file with `row` from 1; the rows delivered; the faults.
 
-    Arrow and not Polars reads, because a damaged page can make Polars panic, and a panic is no exception one can catch.
+    Arrow reads and not Polars, because a damaged page can make Polars panic, which is no ordinary exception.
     """
     try:
         schema = pq.read_schema(io.BytesIO(content))
         words = [f.name for f in schema if _is_text(f.type)]  # kept as codes: never unpacked beyond what was stored
         parquet = pq.ParquetFile(io.BytesIO(content), read_dictionary=words, page_checksum_verification=True)
         meta = parquet.metadata
-        unpacked = sum(meta.row_group(i).total_byte_size for i in range(meta.num_row_groups))
+        n_bytes = sum(meta.row_group(i).total_byte_size for i in range(meta.num_row_groups))
     except (pa.ArrowException, OSError, ValueError) as error:
-        return pl.DataFrame(), 0, [_damaged(error)]
-    if not 0 <= meta.num_rows <= MAX_ROWS or unpacked > MAX_BYTES:
-        return pl.DataFrame(), 0, [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {unpacked} bytes.")]
+        return pl.DataFrame(), 0, [_damage_fault(error)]
+    if not 0 <= meta.num_rows <= MAX_ROWS or n_bytes > MAX_BYTES:
+        return (
+            pl.DataFrame(),
+            0,
+            [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {n_bytes} bytes.")],
+        )
     try:
         with panics_as_errors():
-            frame, faults = _read(parquet, meta.num_rows, only, contract)
+            frame, faults = _read_table(parquet, meta.num_rows, only, contract)
     except Exception as error:
-        return pl.DataFrame(), meta.num_rows, [_damaged(error, meta.num_rows)]
+        return pl.DataFrame(), meta.num_rows, [_damage_fault(error, meta.num_rows)]
     return frame, meta.num_rows, faults
 
 
-def _read(
+def _read_table(
     parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None, contract: Contract
 ) -> tuple[pl.DataFrame, list[Fault]]:
-    found = parquet.schema_arrow.names
-    header = judge_header(found, contract.keys, (*contract.words, *contract.numbers), contract.core)
+    names_of_file = parquet.schema_arrow.names
+    header = match_header(names_of_file, contract.keys, (*contract.words, *contract.numbers), contract.core)
     if header.fault is not None:
         fault = header.fault
         return pl.DataFrame(), [Fault(fault.reason, None, fault.column_name, fault.detail, n_rows)]
     if n_rows == 0:
         return pl.DataFrame(), [*header.notes, Fault("no_rows")]
-    wanted = [(f, n) for f, n in zip(found, header.names, strict=True) if n and n in (only or (n,))]
-    if odd := [n for f, n in wanted if not _fits(parquet.schema_arrow.field(f).type, n, contract)]:
+    columns_of = [(f, n) for f, n in zip(names_of_file, header.names, strict=True) if n and n in (only or (n,))]
+    if odd := [n for f, n in columns_of if not _fits(parquet.schema_arrow.field(f).type, n, contract)]:
         return pl.DataFrame(), [Fault("wrong_type", None, ", ".join(odd), n_rows=n_rows)]
-    table = parquet.read(columns=[f for f, _ in wanted], use_threads=False)
+    table = parquet.read(columns=[f for f, _ in columns_of], use_threads=False)
     table.validate(full=True)
-    if (longest := max((_longest(c) for c in table.columns), default=0)) > MAX_WORD:
+    if (longest := max((_longest_text_bytes(c) for c in table.columns), default=0)) > MAX_WORD:
         return pl.DataFrame(), [Fault("too_large", detail=f"A text has {longest} bytes.", n_rows=n_rows)]
-    columns, notes = _plain(table, [n for _, n in wanted])
-    bare = pa.Table.from_arrays(columns, names=[n for _, n in wanted])  # metadata of fields may make Polars panic
-    frame = pl.DataFrame(pl.from_arrow(bare))
-    frame, faults = _typed(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)), contract)
+    columns, notes = _to_polars_types(table, [n for _, n in columns_of])
+    plain = pa.Table.from_arrays(columns, names=[n for _, n in columns_of])  # metadata of fields may make Polars panic
+    frame = pl.DataFrame(pl.from_arrow(plain))
+    frame, faults = _to_types(frame.with_row_index("row", 1).with_columns(pl.col("row").cast(pl.Int64)), contract)
     return frame, [*header.notes, *notes, *faults]
 
 
 def _fits(kind: pa.DataType, name: str, contract: Contract) -> bool:
-    """Whether a column of this type can hold what `name` stands for, without loss."""
+    """Return whether a column of this type holds the column `name` of the contract without loss."""
     if pa.types.is_dictionary(kind):
         return _fits(kind.value_type, name, contract)
     if pa.types.is_null(kind):
@@ -96,8 +100,8 @@ def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind))
 
 
-def _longest(column: pa.ChunkedArray) -> int:
-    """Bytes of the longest text of a column, 0 where it holds none."""
+def _longest_text_bytes(column: pa.ChunkedArray) -> int:
+    """Return the bytes of a column's longest text, 0 where it holds none."""
     if not pa.types.is_dictionary(column.type):
         return 0
     return max(
@@ -106,8 +110,8 @@ def _longest(column: pa.ChunkedArray) -> int:
     )
 
 
-def _typed(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, list[Fault]]:
-    """Words as String, times as Datetime or String, all else as Float64."""
+def _to_types(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, list[Fault]]:
+    """Cast text to String, times to Datetime or String, all else to Float64."""
     faults: list[Fault] = []
     texts = (_FLIGHT, *contract.words)
     for name, dtype in frame.schema.items():
@@ -118,26 +122,26 @@ def _typed(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, list[
         if name in texts or name == _TIME:
             continue
         if frame.schema[name] == pl.String:
-            frame, bad = number_faults(frame, name)
+            frame, bad = parse_numbers(frame, name)
             faults.extend(fault for _, fault in bad)
         frame = frame.with_columns(pl.col(name).cast(pl.Float64))
     return frame, faults
 
 
-def _plain(table: pa.Table, names: Sequence[str]) -> tuple[list[pa.ChunkedArray], list[Fault]]:
-    """Columns with times as UTC to the microsecond and decimals as floats; a note where times name no zone."""
+def _to_polars_types(table: pa.Table, names: Sequence[str]) -> tuple[list[pa.ChunkedArray], list[Fault]]:
+    """Convert times to UTC in microseconds and decimals to floats; a note where times have no zone."""
     columns, notes = [], []
     for name, column in zip(names, table.columns, strict=True):
         if pa.types.is_timestamp(column.type):
             notes += [] if column.type.tz else [Fault("time_without_zone", column_name=name)]
             columns.append(_utc(column))
-        else:  # Polars knows no wide decimals
+        else:  # Polars has no wide decimals
             columns.append(column.cast(pa.float64()) if pa.types.is_decimal(column.type) else column)
     return columns, notes
 
 
 def _utc(times: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Instants of any unit and zone in UTC, null outside the years 1 to 9999: Polars panics at what no calendar has.
+    """Convert instants of any unit and zone to UTC, null outside the years 1 to 9999, at which Polars panics.
 
     Arrow holds an instant as a count from 1970 in UTC, whatever zone it is to be shown in.
     """
@@ -146,16 +150,18 @@ def _utc(times: pa.ChunkedArray) -> pa.ChunkedArray:
     first, last = (max(-(2**63), min(s * per_second, 2**63 - 1)) for s in _CALENDAR_S)
     within = pc.and_(pc.greater_equal(counts, first), pc.less_equal(counts, last))
     counts = pc.if_else(within, counts, pa.scalar(None, pa.int64()))
-    scaled = pc.multiply(counts, 10**6 // per_second) if per_second <= 10**6 else pc.divide(counts, per_second // 10**6)
-    return scaled.cast(pa.timestamp("us", "UTC"))
+    microseconds = (
+        pc.multiply(counts, 10**6 // per_second) if per_second <= 10**6 else pc.divide(counts, per_second // 10**6)
+    )
+    return microseconds.cast(pa.timestamp("us", "UTC"))
 
 
-def _damaged(error: Exception, n_rows: int = 0) -> Fault:
+def _damage_fault(error: Exception, n_rows: int = 0) -> Fault:
     return Fault("cannot_read_parquet", detail=first_line(error), n_rows=n_rows)
 
 
 def parquet_as_text(content: bytes) -> tuple[bytes | None, list[Fault]]:
-    """A small list that came as Parquet, as the CSV it could have been; or the fault that kept it out.
+    """Convert a small list from Parquet to CSV; None and the fault where that fails.
 
     Line 2 of the CSV is row 1 of the file.
     """
@@ -165,7 +171,7 @@ def parquet_as_text(content: bytes) -> tuple[bytes | None, list[Fault]]:
                 return None, [Fault("too_large", detail=f"It claims {parquet.metadata.num_rows} rows.")]
             columns = parquet.read(use_threads=False).to_pydict()
     except (pa.ArrowException, OSError, ValueError) as error:
-        return None, [_damaged(error)]
+        return None, [_damage_fault(error)]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
@@ -174,6 +180,6 @@ def parquet_as_text(content: bytes) -> tuple[bytes | None, list[Fault]]:
 
 
 def _as_word(value: object) -> str:
-    """A value of a list as text, on one line; of a time at midnight the day."""
+    """Format a value of a list as text on one line; of a time only the day."""
     text = "" if value is None else " ".join(str(value).split())[:MAX_WORD]
     return text.partition(" ")[0] if isinstance(value, datetime) else text

@@ -1,6 +1,6 @@
-"""Who reads what is no file of the contract: packages that know recorders, each by the folders that it names.
+"""Find readers of files outside the contract: each package reads the folders that it names.
 
-A package brings a reader by an entry point of the group `hdt.readers` that names a module with all that `Reader` has.
+A package registers a reader by an entry point of the group `hdt.readers` that names a module with all of `Reader`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -12,61 +12,61 @@ from typing import Protocol, runtime_checkable
 import polars as pl
 
 from hdt_core.packages import brought
+from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import Kind, LandingFile
-from pipelines.intake.ledger import Fault
 from pipelines.intake.log_lines import Log
 
 REPORTS, TYPES = "reports", "types"
-"""Folder of an aircraft that holds printed reports; folder of the landing zone that holds what describes recordings."""
+"""Folder of an aircraft with printed reports; folder of the landing zone with descriptions of recordings."""
 ABSENT = "hdt_recorder of the package hybrid-digital-twin-extensions reads it, which is not installed"
-Judge = Callable[[str], Kind | Fault]
+KindOf = Callable[[str], Kind | Fault]
 Rows = tuple[pl.DataFrame, int, list[Fault]]
 Writer = Callable[[pl.DataFrame, Path], None]
 
 
 class Zone(Protocol):
-    """What a reader knows of a landing zone."""
+    """A reader's view of a landing zone."""
 
     @property
     def faults(self) -> Mapping[str, str]:
-        """Why descriptions in `types/` can't be used, by name of the file."""
+        """Faults of descriptions in `types/`, by name of the file."""
 
-    def judge(self, operator: str, tail: str, folder: str) -> tuple[str, Judge]:
-        """What else files are judged by, a hash or empty; and how each by its name, empty where it is no file."""
+    def kinds(self, operator: str, tail: str, folder: str) -> tuple[str, KindOf]:
+        """Version of the description that files are read by, or empty; and the kind of a file by its name."""
 
 
 @runtime_checkable
 class Reader(Protocol):
-    """What the house asks about the folders that a package reads; a landing zone is a full path without links."""
+    """Interface of a package's reader; a landing zone is a full path without links."""
 
     FOLDERS: tuple[str, ...]
     FORMATS: Mapping[str, tuple[str, ...]]
-    """Of each type of aircraft that it can simulate the formats of its files, first the usual one."""
+    """Formats of the files of each type of aircraft that it can simulate, the usual one first."""
 
     def open_zone(self, landing: Path) -> Zone:
-        """What describes the files of a landing zone."""
+        """Open the descriptions of a landing zone's files."""
 
     def components_in(self, file: LandingFile) -> tuple[str, ...]:
-        """Folders of the components that a recording describes."""
+        """List the folders of the components that a recording describes."""
 
     def rows(self, file: LandingFile, table: str) -> Rows:
-        """Rows of `pack` or a component's code in the columns of its files, how many, what is wrong with the file."""
+        """Read the rows of `pack` or of a component's code, their number, and the file's faults."""
 
     def read_printed(self, file: LandingFile, now: datetime, version: str) -> Log:
-        """Heads of a file's printed reports in the columns of `raw_reports`."""
+        """Read the heads of a file's printed reports in the columns of `raw_reports`."""
 
     def coverage(self, landing: Path) -> pl.DataFrame:
-        """`raw_coverage`: what recordings of each aircraft can't tell."""
+        """List as `raw_coverage` what each aircraft's recordings lack."""
 
     def checks(self, landing: Path) -> Iterator[tuple[str, bool, str]]:
-        """Lines of `hdt doctor`: name, whether it is well, what is said."""
+        """Yield lines of `hdt doctor`: name, whether it passed, message."""
 
     def install(self, landing: Path, suite: str, form: str) -> tuple[str, Writer]:
-        """Describe a simulated type in a zone: its name there, and what writes a flight's rows as a file."""
+        """Describe a simulated type in a zone; its name there, and the writer of a flight's rows as a file."""
 
 
 class ReaderError(Exception):
-    """There is no reader, or what a package brings is none."""
+    """There is no reader, or a package's entry point is none."""
 
 
 class Readers(dict[str, Reader]):
@@ -78,12 +78,12 @@ class Readers(dict[str, Reader]):
 
 @cache
 def readers() -> Readers:
-    """Those that packages bring; a `ReaderError` names one that fails, is none, or reads what another does."""
-    known = Readers()
-    for named, found in brought("hdt.readers", "reader", ReaderError):
-        if not isinstance(found, Reader):
-            raise ReaderError(f"{named} is no Reader")
-        if taken := sorted(known.keys() & set(found.FOLDERS)):
-            raise ReaderError(f"{named}: there is a reader of {taken[0]}/ already")
-        known.update(dict.fromkeys(found.FOLDERS, found))
-    return known
+    """Load the packages' readers; a `ReaderError` names one that fails, is none, or reads another's folder."""
+    by_folder = Readers()
+    for entry_point, module in brought("hdt.readers", "reader", ReaderError):
+        if not isinstance(module, Reader):
+            raise ReaderError(f"{entry_point} is no Reader")
+        if conflicts := sorted(by_folder.keys() & set(module.FOLDERS)):
+            raise ReaderError(f"{entry_point}: there is a reader of {conflicts[0]}/ already")
+        by_folder.update(dict.fromkeys(module.FOLDERS, module))
+    return by_folder

@@ -1,11 +1,11 @@
-"""Every way a delivery can be wrong: a stable code, the scope it acts on, and the sentence an engineer reads."""
+"""Define every fault of a delivery: a stable code, its scope, and the sentence that an engineer reads."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Scope = Literal["file", "row", "value", "result", "note"]
-"""What was kept out: the whole file, a row, one value (its row goes on with null), a row that was computed from it, or
-nothing (stored and flagged)."""
+"""What is not stored: the whole file, a row, one value (null in its row), a row that was computed from it, or nothing
+(stored with a note)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +215,6 @@ REASONS: dict[str, Reason] = {
 
 
 def as_markdown() -> str:
-    """The table of reasons that `docs/bad-input.md` holds."""
+    """Render the table of reasons in `docs/bad-input.md`."""
     head = "| reason | scope | what is wrong | what to do |\n| --- | --- | --- | --- |\n"
     return head + "".join(f"| `{code}` | {r.scope} | {r.sentence} | {r.remedy} |\n" for code, r in REASONS.items())

@@ -1,4 +1,4 @@
-"""A simulated fleet as its ground station would drop it, with the truth in a folder apart."""
+"""Write a simulated fleet as a landing zone, with the truth in another folder."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,21 +17,21 @@ _TIME = "%Y-%m-%dT%H:%M:%SZ"
 def write_fleet(folder: Path, seed: int, size: FleetSettings, form: str = "") -> Iterator[str]:
     """Write `folder/landing` and `folder/truth`; yields each aircraft's name when its files are there.
 
-    Where `form` says so, each logged flight is a recorder's file of that kind and nothing else is delivered of it; else
-    history is one Parquet file a month, as an operator hands over its past; the truth is one row a flight and pack
+    With `form`, each logged flight is a recorder's file of that format and nothing else is delivered of it; otherwise
+    history is one Parquet file a month, as an operator delivers its past. The truth is one row a flight and pack
     (`health`), a life or fault (`events`), a design value (`design`).
     """
     landing, truth = folder / "landing", folder / "truth"
     _parquet(design_truth(seed), truth / "design.parquet")
-    made, named, write = [], {}, None
+    tables, type_column, write = [], {}, None
     if form:
         name, write = readers()[RECORDER].install(landing, size.suite, form)
-        named = {"type": pl.lit(name)}
+        type_column = {"type": pl.lit(name)}
     for aircraft in simulate_fleet(seed, size):
         _deliver(aircraft, landing / aircraft.operator / aircraft.tail, write)
-        made.append((aircraft.fleet.with_columns(**named), aircraft.health, aircraft.events))
+        tables.append((aircraft.fleet.with_columns(**type_column), aircraft.health, aircraft.events))
         yield f"{aircraft.operator} {aircraft.tail}"
-    fleets, healths, events = zip(*made, strict=True)
+    fleets, healths, events = zip(*tables, strict=True)
     _csv(pl.concat(fleets), landing / "fleet.csv")
     _parquet(pl.concat(healths), truth / "health.parquet")
     _parquet(pl.concat(events), truth / "events.parquet")

@@ -34,7 +34,7 @@ def holding(home: Path) -> Iterator[None]:
         lock.write(str(os.getpid()))
         lock.flush()
         url = Ledger(home).url
-        with postgres.locked(url) if url else nullcontext() as other:
+        with postgres.fleet_lock(url) if url else nullcontext() as other:
             if other:
                 raise BusyError(_busy(other, "this fleet"))
             yield

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import dagster as dg
 
-from pipelines.intake.scan import unseen
+from pipelines.intake.scan import list_new_files
 from pipelines.orchestration.around_night import holding
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.versions import digest
-from pipelines.zone import fault_of
+from pipelines.zone import find_landing_fault
 
 QUIET_S = 120
 """A file counts as delivered when it has not been written to for so long."""
@@ -34,7 +34,7 @@ class _Log:
 def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
     """Everything `hdt nightly` does; its runs, one a range of cells, stand beside this one in the list of runs."""
     where = Path(home.home)
-    if fault := fault_of(Path(home.landing)):
+    if fault := find_landing_fault(Path(home.landing)):
         raise dg.Failure(fault)
     with holding(where):
         night, _ = complete_night(Path(home.landing), where, _Log(context.log), within=context)
@@ -68,10 +68,10 @@ every_night = dg.ScheduleDefinition(
 )
 def landing_zone(context: dg.SensorEvaluationContext, home: Home) -> Iterator[dg.RunRequest | dg.SkipReason]:
     """One run for each state of the landing zone; a zone that is still being written to waits for the next look."""
-    if fault := fault_of(Path(home.landing)):
+    if fault := find_landing_fault(Path(home.landing)):
         yield dg.SkipReason(fault)
         return
-    files, new = unseen(Path(home.landing), home.ledger)
+    files, new = list_new_files(Path(home.landing), home.ledger)
     if not new:
         yield dg.SkipReason(f"nothing new among {files} files")
     elif time.time() - max(f.mtime_ns for f in new) / 1e9 < QUIET_S:

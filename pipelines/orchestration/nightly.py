@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
-from pipelines.intake.refusals import not_read
+from pipelines.intake.refusals import ignored_entries
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.around_night import call_hooks, tell_receivers
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
 from pipelines.orchestration.order import Step, steps
-from pipelines.repair.mend import mend
+from pipelines.repair import repair_home
 from pipelines.storage import history, ledger_copy
 from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import fault_of, publish
+from pipelines.storage.publication import find_catalog_fault, publish
 from pipelines.storage.settings import HOME_SETTINGS, notify_file, retention
 from pipelines.storage.store import Store
-from pipelines.versions import CELL, made_as, narrowed, stale
+from pipelines.versions import CELL, recipe_version, restrict_ledger, stale
 
 if TYPE_CHECKING:
     from dagster import OpExecutionContext
@@ -57,7 +57,7 @@ class Night:
     mended: tuple[str, ...] = ()
     not_read: tuple[str, ...] = ()
     """A line for each name in the landing zone that fits nothing."""
-    came: frozenset[str] = frozenset()
+    new_paths: frozenset[str] = frozenset()
     """Paths of the new files."""
     after: dict[str, str | None] = field(default_factory=dict)
     """What the hooks of `hdt.after_night` gave."""
@@ -79,7 +79,7 @@ class Night:
             runs=self.runs + again.runs,
             cells=self.cells + again.cells,
             mended=(*self.mended, *again.mended),
-            came=self.came | again.came,
+            new_paths=self.new_paths | again.new_paths,
         )
 
 
@@ -101,7 +101,7 @@ def complete_night(
     done = before or Night(0, 0, 0, 0, {})
     try:
         done = done.then(run_night(landing, home, progress, only, within, jobs))
-        if before or not (done.failed and Store(home).place.doubted):
+        if before or not (done.failed and Store(home).place.suspect):
             fault = _publish(home, done, within)
             given, failed = call_hooks(home)
             return replace(done, after=given, not_followed=failed, untold=tell_receivers(home)), fault
@@ -118,7 +118,7 @@ def _publish(home: Path, night: Night, within: OpExecutionContext | None) -> str
 
         publish_night(home, within.instance if within else None)
         return None
-    fault = "tables were damaged" if night.mended else fault_of(home)
+    fault = "tables were damaged" if night.mended else find_catalog_fault(home)
     if fault:
         publish(home)
     return fault
@@ -154,21 +154,21 @@ def run_night(
         if sends_out(home):
             chain.send_out()  # first: what a killed night sent out may still be writing
         store.sweep()
-        chain.mended += mend(landing, store, ledger)
+        chain.mended += repair_home(landing, store, ledger)
         found = scan(landing, ledger)
         chain.expect(found.flights)
-        chain.settled_as = ledger.settled_as()
-        for step in () if ledger.is_settled(made_as(ledger, STAGES)) else steps(STAGES):
+        chain.settled_version = ledger.settled_version()
+        for step in () if ledger.is_settled(recipe_version(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
-        ledger.settle(made_as(ledger, STAGES))
-    unread = tuple(not_read(found.refused))
+        ledger.settle(recipe_version(ledger, STAGES))
+    unread = tuple(ignored_entries(found.not_read))
     night = Night(
-        found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended), unread, found.came
+        found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended), unread, found.new_paths
     )
     ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
-        ledger_copy.keep_copy(ledger, idle=True)
+        ledger_copy.copy_ledger(ledger, idle=True)
     return night
 
 
@@ -203,7 +203,7 @@ class _Chain:
     flights: int = 0
     failed: dict[str, str] = field(default_factory=dict)
     mended: list[str] = field(default_factory=list)
-    settled_as: str | None = None
+    settled_version: str | None = None
 
     def send_out(self) -> None:
         """Let other machines make the batches, once what a killed night had sent them is done."""
@@ -216,12 +216,14 @@ class _Chain:
 
     def expect(self, new: int) -> None:
         """Prepare for so many new flights, of aircraft that have flown before."""
-        past = self.ledger.of(self.moved[0]).flown().height if new else 0
+        past = self.ledger.of(self.moved[0]).flights_on_file().height if new else 0
         self.hands.expect(work(new, past))
 
     def step(self, step: Step) -> None:
         """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
-        few = self.settled_as == made_as(self.ledger, STAGES)  # a new model of the fleet makes every cell stale
+        few = self.settled_version == recipe_version(
+            self.ledger, STAGES
+        )  # a new model of the fleet makes every cell stale
         cells = [self._wanted(stage, few) for stage in step.stages]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
@@ -246,13 +248,13 @@ class _Chain:
     @cached_property
     def moved(self) -> tuple[list[tuple[str, str]], list[str]]:
         """Aircraft and flights whose files came since nothing was stale."""
-        moved = self.ledger.moved()
+        moved = self.ledger.changed_cells()
         return moved.select("operator", "tail").unique().rows(), moved["flight_id"].unique().to_list()
 
     def _wanted(self, stage: Stage, few: bool) -> pl.DataFrame:
         """Stale cells; where only a `few` can be, of those whose files have moved."""
         few = few and stage.grain != "fleet"
-        cells = stale(narrowed(self.ledger, stage, *self.moved) if few else self.ledger, stage).select(CELL)
+        cells = stale(restrict_ledger(self.ledger, stage, *self.moved) if few else self.ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(
@@ -270,7 +272,7 @@ class _Chain:
         from pipelines.assets.location import asset_definitions
         from pipelines.orchestration.runs import BY, Runner, launched_by, open_instance
 
-        if self.within is None and (anew := history.set_aside(self.home, whole=False)):
+        if self.within is None and (anew := history.replace_damaged_history(self.home, whole=False)):
             self.mended.append(anew)
         defs = asset_definitions(self.landing.resolve(), self.home.resolve())
         instance = self.within.instance if self.within else open_instance(self.home)

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 import dagster as dg
 
-from dagster_batched import remote
-from dagster_batched.runs import failure_of
+from dagster_batched.runs import daemon_answers, failure_of, finished_runs, is_active, submit, successor
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, made_apart
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, Runner
@@ -32,11 +31,11 @@ class RemoteExecutor:
 
     def settle(self) -> None:
         """Wait for what a killed night had sent out: it goes on without its night, and none of it is made twice."""
-        if not remote.daemon_answers(self.instance):
+        if not daemon_answers(self.instance):
             raise EngineError(f"no Dagster daemon answers; start one: `dagster-daemon run --module-name {LOCATION}`")
         for run in self.instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.NOT_STARTED], tags=NIGHT)):
             self.instance.report_run_canceled(run, "its night was stopped before it was sent out")
-        while remote.under_way(self.instance, NIGHT):
+        while is_active(self.instance, NIGHT):
             time.sleep(LOOK_S)
 
     def among(self, flights: int) -> int:
@@ -62,9 +61,9 @@ class RemoteExecutor:
             while unsent and len(waiting) < AHEAD:
                 batch = unsent.popleft()
                 waiting[self._send(job, batch, label)] = batch
-            for run in remote.ended(self.instance, waiting):
+            for run in finished_runs(self.instance, waiting):
                 batch = waiting.pop(run.run_id)
-                if again := remote.successor(run):
+                if again := successor(run):
                     waiting[again] = batch
                     continue
                 why = None if run.is_success else self._why(run, batch)
@@ -82,7 +81,7 @@ class RemoteExecutor:
     def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:
         """Submit one run; its id."""
         run = self.runner.create(job, batch, label)
-        remote.submit(self.instance, run)
+        submit(self.instance, run)
         return run.run_id
 
     def _why(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:

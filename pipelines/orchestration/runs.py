@@ -11,8 +11,7 @@ from dagster_batched import instance
 from dagster_batched.coalescing import CoalescingEventLog
 from dagster_batched.materialization import report_runless
 from dagster_batched.partitions import cached_ranges
-from dagster_batched.remote import origins
-from dagster_batched.runs import InterruptedRunError, execute, failure_of, was_interrupted
+from dagster_batched.runs import InterruptedRunError, execute, failure_of, origins, was_interrupted
 from pipelines import partitions
 from pipelines.assets.published import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, made_apart
@@ -77,7 +76,7 @@ class Runner:
         """Partitions as they are now, and who flew which, of all or of those who fly the `wanted` cells."""
         aircraft, flights = (self._keys(d) for d in (partitions.AIRCRAFT, partitions.FLIGHTS))
         own = self.ledger if wanted is None else self.ledger.of(wanted.select("operator", "tail").unique().rows())
-        return PartitionIndex(aircraft, flights, by_aircraft(own.flown()))
+        return PartitionIndex(aircraft, flights, by_aircraft(own.flights_on_file()))
 
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return list(self.instance.get_dynamic_partitions(str(definition.name)))

@@ -7,7 +7,7 @@ from typing import Any
 import duckdb
 
 from pipelines.report import words
-from pipelines.storage.catalog import connect, rows
+from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
@@ -42,7 +42,7 @@ def explain(home: Path, name: str) -> str | None:
 
 
 def _rows(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> list[Row]:
-    return rows(con.execute(sql, list(values)))
+    return fetch_dicts(con.execute(sql, list(values)))
 
 
 def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:

@@ -10,7 +10,7 @@ import duckdb
 from hdt_core.alerts.threshold_study import Trial, trials
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import read_header
-from pipelines.storage.publication import ordered, views
+from pipelines.storage.publication import order_views, views
 from pipelines.storage.settings import alert_limits
 
 OUTCOME_VIEWS = ("alert_hit_rates", "alert_lead_times")
@@ -63,8 +63,8 @@ def _view_definitions() -> list[tuple[str, str]]:
     while queue:
         name = queue.pop()
         names.add(name)
-        queue += set(read_header(definitions[name]).reads) & set(definitions) - names
-    return ordered({name: definitions[name] for name in names})
+        queue += set(read_header(definitions[name]).sources) & set(definitions) - names
+    return order_views({name: definitions[name] for name in names})
 
 
 def _replace(con: duckdb.DuckDBPyConnection, name: str, rows: Any) -> None:

@@ -1,1 +1,1 @@
-"""Where tables, the ledger and the catalog are kept: files or objects, SQLite or PostgreSQL, DuckDB."""
+"""Keep tables, ledger and catalog: files or objects, SQLite or PostgreSQL, DuckDB."""

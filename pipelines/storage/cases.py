@@ -1,8 +1,8 @@
-"""What people did about alerts, for good: a log in `<home>/cases.sqlite` to which lines are only added.
+"""Log what people did about alerts: an append-only table in `<home>/cases.sqlite`.
 
 Where HDT_LEDGER_URL names a PostgreSQL database the log is a table `cases` there, as the ledger is: several machines
-may work for one fleet. A line is written in a transaction that sees all lines before it, so of two people who change
-one case at the same time the second is told, and nobody's line is lost. Each night copies the log into `raw_cases`.
+may work for one fleet. A line is written in a transaction that reads all lines before it, so of two people who change
+one case at the same time the second gets an error, and nobody's line is lost. Each night copies the log to `raw_cases`.
 """
 
 import json
@@ -20,7 +20,7 @@ from polars.exceptions import PolarsError
 
 from hdt_core.tables import TABLES
 from pipelines.storage import postgres, sqlite_reader
-from pipelines.storage.files import private
+from pipelines.storage.files import make_private
 from pipelines.storage.panics import message_of
 
 FILE = "cases.sqlite"
@@ -41,7 +41,7 @@ _ADD = f"insert into cases ({', '.join(_OWN)}, body) values ({', '.join('?' * (l
 
 
 class ConflictError(Exception):
-    """Somebody else changed the case since it was looked at; says who, when and how."""
+    """Somebody else changed the case since it was read; the message names who, when and how."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class CaseLog:
 
     def append(
         self, alert: Mapping[str, Any], kind: str, person: str, body: Mapping[str, Any] | None = None,
-        seen: int | None = None,
+        expected_line: int | None = None,
     ) -> int:  # fmt: skip
-        """Add one line, what somebody did about an alert; its number.
+        """Add one line about an alert; its number.
 
         Parameters
         ----------
@@ -66,9 +66,9 @@ class CaseLog:
         person : str
             Who.
         body : mapping, optional
-            What belongs to the kind, columns of `raw_cases`; text, numbers, days and times as text.
-        seen : int, optional
-            Number of the last line about this alert that its writer knew, 0 for none; None writes in any case.
+            Columns of `raw_cases` that belong to the kind; text, numbers, days and times as text.
+        expected_line : int, optional
+            Number of the last line about this alert that its writer has read, 0 for none; None writes in any case.
 
         Raises
         ------
@@ -80,11 +80,11 @@ class CaseLog:
             last = con.execute(
                 "select line, person, kind, at from cases where alert_id = ? order by line desc limit 1", (name,)
             ).fetchone()
-            if seen is not None and seen != (last[0] if last else 0):
+            if expected_line is not None and expected_line != (last[0] if last else 0):
                 raise ConflictError(
                     f"{last[1]} changed this case in the meantime ({last[2]}, {last[3][:16]}); look again"
-                    if last and last[0] > seen
-                    else f"line {seen} of the log is none about this case; look again"
+                    if last and last[0] > expected_line
+                    else f"line {expected_line} of the log is none about this case; look again"
                 )
             number = 1 + int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
             at = datetime.now(UTC).isoformat(timespec="microseconds")
@@ -93,16 +93,16 @@ class CaseLog:
         return number
 
     def last_line(self) -> int:
-        """Number of the last line, 0 where there is none."""
-        return int(self._ask("select coalesce(max(line), 0) from cases", [(0,)])[0][0])
+        """Return the number of the last line, 0 where there is none."""
+        return int(self._query("select coalesce(max(line), 0) from cases", [(0,)])[0][0])
 
     def entries(self) -> pl.DataFrame:
-        """All lines as rows of `raw_cases`, in order."""
-        told = [dict(zip(_OWN, row, strict=False)) | json.loads(row[-1]) for row in self._lines()]
+        """Read all lines as rows of `raw_cases`, in order."""
+        rows = [dict(zip(_OWN, row, strict=False)) | json.loads(row[-1]) for row in self._lines()]
         schema = TABLES["raw_cases"].schema
-        if not told:
+        if not rows:
             return schema.create_empty()
-        frame = pl.DataFrame(told, infer_schema_length=None)
+        frame = pl.DataFrame(rows, infer_schema_length=None)
         times = [c for c in ("at", "until", "done_at") if c in frame.columns]
         days = [c for c in ("done_on",) if c in frame.columns]
         return schema.conform(
@@ -113,25 +113,27 @@ class CaseLog:
         )
 
     def fault(self, stored: pl.DataFrame) -> str | None:
-        """What is wrong with the file; None where it is whole, or where there is none. A server looks after its own.
+        """Check the file; the fault in words, None where it is whole, where there is none, or on a server.
 
-        A line that a night has `stored` must be the same: SQLite keeps no sums of its pages.
+        Lines that a night has `stored` must be the same: SQLite has no checksums of its pages.
         """
         path = self.home / FILE
         if self.url or not path.exists():
             return None
-        said = sqlite_reader.says(path, "pragma integrity_check(1)")
-        if said != "ok":
-            return f"is damaged ({said})"
+        answer = sqlite_reader.query_value(path, "pragma integrity_check(1)")
+        if answer != "ok":
+            return f"is damaged ({answer})"
         try:
-            now, line = self.entries(), ["line", "at"]
+            current, line = self.entries(), ["line", "at"]
         except (ValueError, sqlite3.DatabaseError, PolarsError) as error:
             return f"is damaged ({message_of(error)})"
-        both = [one.join(other, on=line, how="semi").sort(line) for one, other in ((now, stored), (stored, now))]
-        return None if both[0].equals(both[1].select(now.columns)) else "holds a line that is not what was written"
+        both = [
+            one.join(other, on=line, how="semi").sort(line) for one, other in ((current, stored), (stored, current))
+        ]
+        return None if both[0].equals(both[1].select(current.columns)) else "holds a line that is not what was written"
 
-    def mend(self, stored: pl.DataFrame) -> str | None:
-        """Put lines back that the nights have stored, where the log is gone or damaged; what was wrong, in words."""
+    def repair(self, stored: pl.DataFrame) -> str | None:
+        """Restore the lines that the nights have stored, where the log is gone or damaged; the fault in words."""
         fault, path = self.fault(stored), self.home / FILE
         since = self._lines_after(stored["line"].max()) if fault else []
         if fault:
@@ -149,34 +151,34 @@ class CaseLog:
         return f"the log of cases {what}; {stored.height} lines are put back, {end}"
 
     def _lines_after(self, last: object) -> list[tuple[Any, ...]]:
-        """Lines of a damaged log that no night has stored, as far as they can be read."""
+        """Read the lines of a damaged log that no night has stored, as far as possible."""
         try:
             return [line for line in self._lines() if isinstance(last, int) and line[0] > last]
         except (ValueError, sqlite3.DatabaseError):
             return []
 
     def _lines(self) -> list[tuple[Any, ...]]:
-        return self._ask(f"select {', '.join(_OWN)}, body from cases order by line", [])
+        return self._query(f"select {', '.join(_OWN)}, body from cases order by line", [])
 
-    def _ask(self, sql: str, without: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-        """Rows of a select; `without` where there is no log yet."""
+    def _query(self, sql: str, default: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+        """Run a select; `default` where there is no log yet."""
         if self.url:
             with postgres.session(self.url, _SCHEMA) as con:
                 return list(con.execute(sql).fetchall())
         path = self.home / FILE
-        if not path.exists() or not path.stat().st_size:  # empty: the first line was taken back, or never came to be
-            return without
-        return sqlite_reader.read(path, lambda con: con.execute(sql).fetchall())
+        if not path.exists() or not path.stat().st_size:  # empty: the first line was rolled back, or never written
+            return default
+        return sqlite_reader.query_file(path, lambda con: con.execute(sql).fetchall())
 
     @contextmanager
     def _writing(self) -> Iterator[Any]:
-        """A transaction that no other writer's overlaps."""
+        """Open a transaction that no other writer's overlaps."""
         if self.url:
             with postgres.session(self.url, _SCHEMA) as session:
                 session.execute("lock table cases in share row exclusive mode")
                 yield session
             return
-        with closing(sqlite3.connect(private(self.home / FILE), timeout=60, isolation_level=None)) as con:
+        with closing(sqlite3.connect(make_private(self.home / FILE), timeout=60, isolation_level=None)) as con:
             con.execute("pragma synchronous=full")
             con.execute("begin immediate")
             for statement in (_SCHEMA, *(f"{s} end;" for s in _NEVER.split(" end;")[:-1])):

@@ -1,4 +1,4 @@
-"""The catalog as it is opened: read only, and with no way out of it but to the tables' own files."""
+"""Open the catalog read only, with access to the tables' own files and nothing else."""
 
 import atexit
 import re
@@ -23,10 +23,10 @@ _OPENING = threading.Lock()
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
-    """The published catalog, read only: nothing in the home is written, not even what a large sort spills.
+    """Open the published catalog read only: nothing in the home is written, not even what a large sort spills.
 
-    Through it nothing but the tables' own files or objects can be reached: no other file, no other place in the
-    network, no extension; and no statement can change that.
+    The connection reaches nothing but the tables' own files or objects: no other file, no other place in the network,
+    no extension; and no statement can change that.
 
     Raises
     ------
@@ -37,41 +37,43 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
     """
     if not (home / CATALOG).exists():
         raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
-    with _OPENING:  # connections of one process share one database: of two that come first at once one may lock it
+    with _OPENING:  # connections of one process share a database: of two first ones at once, one may lock it
         con = _open_locked(home)
     return cast("duckdb.DuckDBPyConnection", _VerifiedCatalog(con, home))
 
 
 def _open_locked(home: Path) -> duckdb.DuckDBPyConnection:
-    """A connection to the catalog that reaches the tables' place alone."""
+    """Connect to the catalog with access to the tables' place alone."""
     try:
         con = open_catalog(home)
-        ((locked, made),) = con.execute("select current_setting('lock_configuration'), tables.folder()").fetchall()
+        ((is_restricted, published_folder),) = con.execute(
+            "select current_setting('lock_configuration'), tables.folder()"
+        ).fetchall()
         con.execute("select max(path) from tables.files")
     except duckdb.Error as error:
         raise StoreError(
             f"the catalog in {home} can't be read ({message_of(error)}); `hdt nightly` makes it anew"
         ) from None
-    folder = _held(con) if locked else lock(con, Store(home.resolve()), made)
+    folder = _allowed_folder(con) if is_restricted else restrict(con, Store(home.resolve()), published_folder)
     con.execute(f"set variable tables_folder = {quote(folder)}")  # each connection has variables of its own
     return con
 
 
 class _VerifiedCatalog:
-    """A connection that answers from files whose content is what was written: DuckDB looks at no checksum of Parquet.
+    """A connection that checks the files' hashes before it answers: DuckDB checks no checksum of Parquet.
 
-    Before a statement is run, the files of each table are read that a view it names may read: of a catalog once in a
-    process and an hour.
+    Before a statement is run, the files of each table that it may read through the views it names are checked: once in
+    a process and an hour.
     """
 
     def __init__(self, con: duckdb.DuckDBPyConnection, home: Path) -> None:
         self._con, self._tables = con, Store(home.resolve()).tables
-        self._sound = _sound_tables(_identity(home / CATALOG), int(time.time() / _TRUST_S))
+        self._verified = _verified_tables(_identity(home / CATALOG), int(time.time() / _TRUST_S))
         sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
         self._views = {str(name): _names(text) for name, text in sql.fetchall()}
 
     def sql(self, query: str, **how: Any) -> duckdb.DuckDBPyRelation:
-        """Answer a select."""
+        """Run a select."""
         self._verify(query)
         return self._con.sql(query, **how)
 
@@ -90,16 +92,16 @@ class _VerifiedCatalog:
         self._con.close()
 
     def _verify(self, query: str) -> None:
-        """Raise where a file that a statement may read is not what was written."""
+        """Raise where a file that a statement may read is damaged."""
         names, more = set[str](), _names(query)
         while more:
             names |= more
             more = set[str]().union(*(self._views[name] for name in more & self._views.keys())) - names
-        for table in sorted(names & TABLES.keys() - self._sound):
-            asked = "select path from tables.files where starts_with(path, $begins)"
-            for (path,) in self._con.execute(asked, {"begins": f"{table}/"}).fetchall():
-                self._tables.sound(path)
-            self._sound.add(table)
+        for table in sorted(names & TABLES.keys() - self._verified):
+            query_files = "select path from tables.files where starts_with(path, $prefix)"
+            for (path,) in self._con.execute(query_files, {"prefix": f"{table}/"}).fetchall():
+                self._tables.verify(path)
+            self._verified.add(table)
 
 
 def _names(sql: str) -> set[str]:
@@ -107,13 +109,13 @@ def _names(sql: str) -> set[str]:
 
 
 @lru_cache(maxsize=4)
-def _sound_tables(_catalog: tuple[int, int] | None, _hour: int) -> set[str]:
-    """Tables of a catalog whose files this process has read within the hour."""
+def _verified_tables(_catalog: tuple[int, int] | None, _hour: int) -> set[str]:
+    """Cache of a catalog's tables whose files this process has checked within the hour."""
     return set()
 
 
 def open_catalog(home: Path) -> duckdb.DuckDBPyConnection:
-    """Read only. DuckDB opens a file three times by name: one that was replaced in between is opened once more."""
+    """Open the catalog read only; again where it was replaced meanwhile, since DuckDB opens it three times by name."""
     path = home / CATALOG
     for _ in range(9):
         before = _identity(path)
@@ -130,21 +132,22 @@ def open_catalog(home: Path) -> duckdb.DuckDBPyConnection:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Which file stands there: another one after each publication."""
+    """Identify the file, which each publication replaces."""
     try:
-        told = path.stat()
+        stat = path.stat()
     except FileNotFoundError:
         return None
-    return told.st_ino, told.st_ctime_ns
+    return stat.st_ino, stat.st_ctime_ns
 
 
-def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
-    """Leave open the store's place and nothing else; that place."""
-    if store.place.remote != made.startswith("s3://") or (store.place.remote and made != f"{store.place.url}/"):
+def restrict(con: duckdb.DuckDBPyConnection, store: Store, published_folder: str) -> str:
+    """Restrict a connection to the store's place, which is returned."""
+    remote = published_folder.startswith("s3://")
+    if store.place.remote != remote or (remote and published_folder != f"{store.place.url}/"):
         con.close()
         raise StoreError(f"the catalog in {store.home} reads another store than {store.place.url}; set {URL} as it was")
-    folder = f"{store.place.url}/" if store.url else made
-    store.open_to(con)
+    folder = f"{store.place.url}/" if store.url else published_folder
+    store.allow_reads(con)
     con.execute(f"set allowed_directories = [{quote(folder)}]")
     con.execute(f"set temp_directory = {quote(_scratch())}")
     for setting in _LOCKS:
@@ -152,15 +155,15 @@ def lock(con: duckdb.DuckDBPyConnection, store: Store, made: str) -> str:
     return folder
 
 
-def _held(con: duckdb.DuckDBPyConnection) -> str:
-    """The place that `lock` left open; DuckDB adds that of its temporary files."""
-    open_to = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
-    return next(str(place) for place, scratch in con.execute(open_to).fetchall() if place.rstrip("/") != scratch)
+def _allowed_folder(con: duckdb.DuckDBPyConnection) -> str:
+    """Find the place that `restrict` left open; DuckDB adds that of its temporary files."""
+    folders = "select unnest(current_setting('allowed_directories')), current_setting('temp_directory')"
+    return next(str(place) for place, scratch in con.execute(folders).fetchall() if place.rstrip("/") != scratch)
 
 
 @cache
 def _scratch() -> str:
-    """This process's own folder for what does not fit into memory; gone when it ends."""
+    """Make this process's folder for what does not fit into memory; it is removed at exit."""
     folder = tempfile.mkdtemp(prefix="hdt-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
@@ -176,27 +179,26 @@ _LOCKS = (
 )
 
 
-def ask(con: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyRelation | None:
-    """The answer to one select.
+def run_select(con: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyRelation | None:
+    """Run one select.
 
     Raises
     ------
     ValueError
         `sql` is anything else: a read-only DuckDB would still run `copy ... to` and write a file among the tables.
     """
-    asked = con.extract_statements(sql)
-    kinds = [str(s.type).rpartition(".")[2] for s in asked]
+    kinds = [str(s.type).rpartition(".")[2] for s in con.extract_statements(sql)]
     if kinds != ["SELECT"]:
         raise ValueError(f"a single select is answered, and this is {' and '.join(kinds) or 'nothing'}")
     return con.sql(sql)
 
 
-def rows(found: duckdb.DuckDBPyConnection) -> list[dict[str, Any]]:
-    """Rows of an answer, each by the names of its columns."""
-    names = [c[0] for c in found.description or ()]
-    return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+def fetch_dicts(result: duckdb.DuckDBPyConnection) -> list[dict[str, Any]]:
+    """Fetch the rows of a result as dicts by column name."""
+    names = [c[0] for c in result.description or ()]
+    return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
 
 def quote(value: Path | str) -> str:
-    """A text as SQL takes it."""
+    """Quote a text as an SQL literal."""
     return "'" + str(value).replace("'", "''") + "'"

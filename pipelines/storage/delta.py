@@ -1,9 +1,9 @@
-"""Tables in an open format, Delta Lake: Parquet files, written once, and a log that says which of them a table is now.
+"""Store tables in an open format, Delta Lake: Parquet files, written once, and a log of those that form each version.
 
     <table>/<operator>/<tail>/<shard>.<hash>.parquet    rows of one aircraft; the name holds the hash of the content
-    <table>/_delta_log/                                 commits: which files came and went, with size and row count
+    <table>/_delta_log/                                 commits: files added and removed, with size and row count
 
-A change is one commit: all of it or nothing. A commit that another has overtaken is made again on what that one left.
+A change is one commit: all of it or nothing. A commit that another has overtaken is made again on top of that one.
 Any version is readable until its files are vacuumed.
 """
 
@@ -26,51 +26,63 @@ from deltalake.transaction import (
     create_table_with_add_actions,
 )
 
-from pipelines.storage.data_file import NAMED, hash_in, hash_of, pack
+from pipelines.storage.data_file import FILE_NAME, hash_in, hash_of, pack
 from pipelines.storage.files import Folder
 from pipelines.storage.objects import Bucket, StoreError
 from pipelines.storage.panics import message_of
 
-Held = Mapping[str, pl.DataFrame]
-"""What a table holds, by the names of its shards; a shard is read when it is asked for."""
-Change = Callable[[Held], Iterable[tuple[str, pl.DataFrame | None]]]
-"""Of what a table holds, the shards to write; None where a shard goes, since another takes its rows."""
+StoredShards = Mapping[str, pl.DataFrame]
+"""Shards of a table by name, each read on access."""
+Change = Callable[[StoredShards], Iterable[tuple[str, pl.DataFrame | None]]]
+"""From the stored shards, the shards to write; None for a shard to remove, since another takes its rows."""
 QUIET = PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False)  # upkeep has its own time
-_ONCE: dict[str, Any] = {  # a commit that was overtaken is made anew here
+_ONCE: dict[str, Any] = {  # a commit that another has overtaken is made again by `change`
     "commit_properties": CommitProperties(max_commit_retries=0),
     "post_commithook_properties": QUIET,
 }
+_RETENTION: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
 
 
 class Version(NamedTuple):
-    """A table as it is at a version: the file of each shard, below the table's folder."""
+    """A table at a version: the file of each shard, below the table's folder."""
 
     number: int
     shards: dict[str, str]
 
 
-class _TableState(NamedTuple):
-    """A table as one writer has opened it, None where there is none, and the file of each of its shards."""
+class _OpenTable(NamedTuple):
+    """A table as one writer has opened it, None where there is none, with its newest commit as far as known."""
 
-    table: DeltaTable | None
+    log: DeltaTable | None
     shards: dict[str, str]
+    commit: tuple[str, int, int] | None
+
+    @classmethod
+    def of(cls, log: DeltaTable | None, newest: tuple[str, int, int] | None) -> "_OpenTable":
+        if log is None:
+            return cls(None, {}, None)
+        return cls(log, shards_of(log), newest if newest and newest[0] == f"{log.version():020}.json" else None)
+
+    @property
+    def version(self) -> Version | None:
+        return Version(self.log.version(), self.shards) if self.log is not None else None
 
 
 @lru_cache(maxsize=2)
-def _opened(_place: str) -> dict[str, tuple[object, _TableState]]:
-    """Tables of a place that this process has opened and no writer holds, each with its newest commit then.
+def _open_tables(_place: str) -> dict[str, _OpenTable]:
+    """Cache of a place's tables that this process has opened and no writer uses at the moment.
 
-    A night asks some five hundred times, through several stores, and a log of years takes a while to read.
+    A night opens tables some five hundred times, through several stores, and a log of years takes a while to read.
     """
     return {}
 
 
 class _CommitContent(NamedTuple):
-    """What a commit will say: the columns of what was written, files that came and files that go."""
+    """Content of a commit: the columns of the rows written, the files added and removed."""
 
     columns: list[Field]
     added: list[AddAction]
-    gone: list[RemoveAction]
+    removed: list[RemoveAction]
 
 
 class DamageError(StoreError):
@@ -82,10 +94,10 @@ class Deltas:
     """All tables of one place."""
 
     place: Folder | Bucket
-    _sound: set[str] = field(default_factory=set)  # files this process has read whole and found as they were written
+    _verified_paths: set[str] = field(default_factory=set)  # files whose hash this process has checked
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:
-        """The table now, or at a version; None where there is none."""
+        """Open the table at its newest or another version; None where there is none."""
         try:
             return DeltaTable(f"{self.place.url}/{table}", version, self.place.options)
         except TableNotFoundError:
@@ -94,43 +106,36 @@ class Deltas:
             raise self._unreadable(table, error) from None
 
     def shards(self, table: str) -> dict[str, str]:
-        """The file of each shard, below the table's folder."""
-        taken = self._take(table)
-        self._leave(table, taken)
-        return taken.shards
+        """Map each shard to its file below the table's folder."""
+        version = self.version(table)
+        return version.shards if version else {}
 
-    def at(self, table: str, version: int | None = None) -> Version | None:
-        """The table now, or at a version, as data; None where there is none."""
-        taken = self._take(table) if version is None else _taken(self.open(table, version))
-        if taken.table is None:
-            return None
-        number = taken.table.version()
-        if version is None:
-            self._leave(table, taken)
-        return Version(number, taken.shards)
+    def version(self, table: str, number: int | None = None) -> Version | None:
+        """Return the table's newest or another version; None where there is none."""
+        if number is not None:
+            return _OpenTable.of(self.open(table, number), None).version
+        current = self._take(table)
+        self._put_back(table, current)
+        return current.version
 
-    def _take(self, table: str) -> _TableState:
-        """The table now, for one writer alone: a commit moves it on, and another thread must not find it moved."""
+    def _take(self, table: str) -> _OpenTable:
+        """Take the current table out of the cache, for one writer alone: a commit advances it under its readers."""
         newest = self.place.newest_commit(table)
-        known, taken = _opened(self.place.url).pop(table, (None, None))
-        if taken is not None and newest == known:
-            return taken
-        return _taken(self.open(table))
+        entry = _open_tables(self.place.url).pop(table, None)
+        return entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest)
 
-    def _leave(self, table: str, taken: _TableState) -> None:
-        """Leave a table to the next who asks, unless another commit has come since."""
-        newest = self.place.newest_commit(table)
-        if taken.table is not None and newest is not None and newest[0] == f"{taken.table.version():020}.json":
-            _opened(self.place.url)[table] = newest, taken
+    def _put_back(self, table: str, current: _OpenTable) -> None:
+        if current.commit is not None:
+            _open_tables(self.place.url)[table] = current
 
     def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
-        """Places of the files of all or some shards; of a folder's name, all below it."""
-        held = self.shards(table).items()
-        wanted = None if shards is None else tuple(f"{s}/" for s in shards)
-        return sorted(self.sound(f"{table}/{f}") for s, f in held if wanted is None or f"{s}/".startswith(wanted))
+        """Verify the files of all or some shards and return their places; of a folder's name, all below it."""
+        files = self.shards(table).items()
+        prefixes = None if shards is None else tuple(f"{s}/" for s in shards)
+        return sorted(self.verify(f"{table}/{f}") for s, f in files if prefixes is None or f"{s}/".startswith(prefixes))
 
     def scan(self, table: str, shards: Iterable[str] | None = None) -> pl.LazyFrame | None:
-        """The table, or some folders of it, as one lazy frame; None where nothing is stored.
+        """Scan the table, or some folders of it, as one lazy frame; None where nothing is stored.
 
         Raises
         ------
@@ -140,31 +145,35 @@ class Deltas:
         sources = self.sources(table, shards)
         if not sources:
             return None
-        how = self.place.options or None
-        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=how)
+        options = self.place.options or None
+        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=options)
 
-    def change(self, table: str, change: Change) -> None:
-        """Write shards of a table in one commit, all or none."""
+    def change(self, table: str, change: Change) -> Version | None:
+        """Write shards of a table in one commit, all or none; the version that holds them."""
         while True:
-            now, files = taken = self._take(table)
-            made = self._write(table, change(_Shards(self, table, files)), files)
-            if not (made.added or made.gone):
-                return self._leave(table, taken)
-            if self._begin(table, made) if now is None else self._commit(table, now, made):
-                return None
+            current = self._take(table)
+            content = self._write(table, change(_ShardReader(self, table, current.shards)), current.shards)
+            if content.added or content.removed:
+                log = current.log
+                log = self._begin(table, content) if log is None else self._commit(table, log, content)
+                if log is None:
+                    continue
+                current = _OpenTable.of(log, self.place.newest_commit(table))
+            self._put_back(table, current)
+            return current.version
 
-    def put(self, table: str, shards: Mapping[str, pl.DataFrame]) -> None:
+    def write(self, table: str, shards: Mapping[str, pl.DataFrame]) -> Version | None:
         """Write some shards of a table whole, in one commit."""
-        self.change(table, lambda _: shards.items())
+        return self.change(table, lambda _: shards.items())
 
-    def drop(self, table: str, files: Iterable[str]) -> None:
-        """Let the table be without some of its files, which are not what was written."""
-        now, lost = self.open(table), set(files)
-        if now is not None and (left := lost & set(shards_of(now).values())):
-            self._commit(table, now, _CommitContent([], [], [_removed(file) for file in sorted(left)]))
+    def remove_files(self, table: str, files: Iterable[str]) -> None:
+        """Remove damaged files from the table."""
+        log, names = self.open(table), set(files)
+        if log is not None and (current := names & set(shards_of(log).values())):
+            self._commit(table, log, _CommitContent([], [], [_remove_action(file) for file in sorted(current)]))
 
-    def read(self, path: str) -> bytes:
-        """A data file whole."""
+    def read_file(self, path: str) -> bytes:
+        """Read a data file whole and check its hash."""
         try:
             content = self.place.get(path)
         except OSError as error:
@@ -173,18 +182,18 @@ class Deltas:
             raise self._damage(f"{path} is not what was written")
         return content
 
-    def sound(self, path: str) -> str:
-        """The place of a data file, whose content this process has seen to be what was written."""
-        if path not in self._sound and not self.place.remote:
-            self.read(path)
-            self._sound.add(path)
+    def verify(self, path: str) -> str:
+        """Check a data file's hash, once in a process, and return the file's place."""
+        if path not in self._verified_paths and not self.place.remote:
+            self.read_file(path)
+            self._verified_paths.add(path)
         return f"{self.place.url}/{path}"
 
     def _write(
         self, table: str, shards: Iterable[tuple[str, pl.DataFrame | None]], files: Mapping[str, str]
-    ) -> "_CommitContent":
-        """Write what is new of a table's shards, one after the other; a commit is yet to name it."""
-        written, fields = _CommitContent([], [], []), dict[str, Field]()
+    ) -> _CommitContent:
+        """Write the changed shards of a table, one after the other; a commit is yet to name their files."""
+        content, fields = _CommitContent([], [], []), dict[str, Field]()
         for shard, frame in shards:
             name = files.get(shard)
             if frame is not None:
@@ -193,69 +202,71 @@ class Deltas:
                 if file.name == name:
                     continue
                 self.place.put(f"{table}/{file.name}", file.content)
-                now_ms = time.time_ns() // 1_000_000
-                written.added.append(AddAction(file.name, len(file.content), {}, now_ms, True, file.stats))
+                content.added.append(AddAction(file.name, len(file.content), {}, _now_ms(), True, file.stats))
             if name is not None:
-                written.gone.append(_removed(name))
-        return written._replace(columns=list(fields.values()))
+                content.removed.append(_remove_action(name))
+        return content._replace(columns=list(fields.values()))
 
     def _unreadable(self, table: str, error: Exception) -> StoreError:
-        """What keeps a log from being read, in one line."""
         return self._damage(f"the log of {table} can't be read ({message_of(error)})")
 
     def _damage(self, fault: str) -> StoreError:
-        """An error about what is stored; the next night reads every file. Of objects no night makes any again."""
+        """Make an error about stored files and have the next night read them all; a night restores no objects."""
         if self.place.remote:
             return StoreError(fault)
-        self.place.doubt()
+        self.place.mark_suspect()
         return DamageError(f"{fault}; `hdt nightly` makes it again")
 
-    def _begin(self, table: str, made: "_CommitContent") -> bool:
-        """A table's first commit; False where another began it."""
-        where, how = f"{self.place.url}/{table}", self.place.options
+    def _begin(self, table: str, content: _CommitContent) -> DeltaTable | None:
+        """Make a table's first commit; None where another process began it."""
         sys.audit("hdt.before_commit")
         try:
             create_table_with_add_actions(
-                where, Schema(made.columns), made.added, "error", storage_options=how, configuration=_KEPT, **_ONCE
+                f"{self.place.url}/{table}",
+                Schema(content.columns),
+                content.added,
+                "error",
+                storage_options=self.place.options,
+                configuration=_RETENTION,
+                **_ONCE,
             )
         except (DeltaError, OSError) as error:
             if self.open(table) is None:
                 raise self._unreadable(table, error) from None
-            return False
+            return None
         sys.audit("hdt.after_commit")
-        self.place.settle(table, 0)
-        return True
+        self.place.sync_commit(table, 0)
+        return self.open(table)
 
-    def _commit(self, table: str, now: DeltaTable, made: "_CommitContent") -> bool:
-        """One commit; False where another came first."""
+    def _commit(self, table: str, log: DeltaTable, content: _CommitContent) -> DeltaTable | None:
+        """Make one commit; None where another came first."""
         sys.audit("hdt.before_commit")
-        have = {f.name for f in now.schema().fields}
-        more = [f for f in made.columns if f.name not in have]
+        present = {f.name for f in log.schema().fields}
+        new = [f for f in content.columns if f.name not in present]
         try:
-            if more:
-                now.alter.add_columns(more, **_ONCE)
-            now.create_write_transaction([*made.added, *made.gone], "append", now.schema(), **_ONCE)
+            if new:
+                log.alter.add_columns(new, **_ONCE)
+            log.create_write_transaction([*content.added, *content.removed], "append", log.schema(), **_ONCE)
         except CommitFailedError:
-            return False
+            return None
         except DeltaError as error:
             raise StoreError(f"{table}: {message_of(error)}") from None
         sys.audit("hdt.after_commit")
-        now.update_incremental()
-        self.place.settle(table, now.version())
-        self._leave(table, _taken(now))
-        return True
+        log.update_incremental()
+        self.place.sync_commit(table, log.version())
+        return log
 
 
 @dataclass(frozen=True)
-class _Shards(Held):
-    """A table's shards, each read when it is asked for."""
+class _ShardReader(StoredShards):
+    """A table's shards, each read on access."""
 
     tables: Deltas
     table: str
     files: Mapping[str, str]
 
     def __getitem__(self, shard: str) -> pl.DataFrame:
-        return pl.read_parquet(io.BytesIO(self.tables.read(f"{self.table}/{self.files[shard]}")))
+        return pl.read_parquet(io.BytesIO(self.tables.read_file(f"{self.table}/{self.files[shard]}")))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)
@@ -264,18 +275,15 @@ class _Shards(Held):
         return len(self.files)
 
 
-_KEPT: Mapping[str, str] = {"delta.deletedFileRetentionDuration": "interval 30 days"}
-
-
 def shards_of(table: DeltaTable) -> dict[str, str]:
-    """The file of each shard of a table, below its folder."""
+    """Map each shard of a table to its file, below the table's folder."""
     paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
-    return {named["shard"]: path for path in paths if (named := NAMED.fullmatch(path))}
+    return {match["shard"]: path for path in paths if (match := FILE_NAME.fullmatch(path))}
 
 
-def _taken(table: DeltaTable | None) -> _TableState:
-    return _TableState(table, {} if table is None else shards_of(table))
+def _remove_action(file: str) -> RemoveAction:
+    return RemoveAction(file, True, _now_ms())
 
 
-def _removed(file: str) -> RemoveAction:
-    return RemoveAction(file, True, time.time_ns() // 1_000_000)
+def _now_ms() -> int:
+    return time.time_ns() // 1_000_000

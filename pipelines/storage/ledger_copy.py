@@ -1,73 +1,73 @@
-"""The ledger's hash as the last night left it, by which damage is noticed; and a copy, by which it is mended.
+"""Detect damage of the ledger by its hash at the end of the last night, and restore it from a copy.
 
-While `ledger.sealed` holds the hash nobody has written to the ledger since, so it must be the same; else SQLite itself
-is asked. The copy, whose name holds its own hash, is that of the last night that made something. A database server
-looks after its own.
+While `ledger.sealed` holds the hash nobody has written to the ledger since, so it must match; otherwise SQLite checks
+the file. The copy, whose name holds its own hash, is that of the last night that made something. A database server has
+checks of its own.
 """
 
 from pathlib import Path
 
 from pipelines.storage import sqlite_reader
 from pipelines.storage.data_file import hash_of
-from pipelines.storage.files import private, replacing
+from pipelines.storage.files import make_private, replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_tables import FILE, SEALED
+from pipelines.storage.ledger_tables import FILE, HASH_FILE
 
 
-def keep_copy(ledger: Ledger, *, idle: bool = False) -> None:
-    """Copy the ledger as it is now and seal it; an `idle` night only noted that it was, and the copy there will do."""
-    path, sealed = ledger.home / FILE, ledger.home / SEALED
+def copy_ledger(ledger: Ledger, *, idle: bool = False) -> None:
+    """Copy the ledger and write its hash; after an `idle` night an existing copy will do."""
+    path, hash_file = ledger.home / FILE, ledger.home / HASH_FILE
     if ledger.url or not path.exists():
         return
-    sealed.write_text("")  # it goes when someone writes; killed before the hash stands in it, it says nothing
+    hash_file.write_text("")  # every writer removes it; empty, after a kill, it counts as none
     ledger.flush()
     content = path.read_bytes()
-    found = hash_of(content)
-    copy = ledger.home / f"ledger.{found}.copy"
-    if kept := not (idle and _copies(ledger.home)):
+    hash_ = hash_of(content)
+    copy = ledger.home / f"ledger.{hash_}.copy"
+    if new_copy := not (idle and _copies(ledger.home)):
         with replacing(copy) as temporary:
-            private(temporary).write_bytes(content)
-    whole = sealed.exists()  # or someone has written meanwhile
+            make_private(temporary).write_bytes(content)
+    whole = hash_file.exists()  # otherwise someone has written meanwhile
     if whole:
-        _seal(ledger.home, found)
-    for other in _copies(ledger.home) if kept else ():
+        _write_hash(ledger.home, hash_)
+    for other in _copies(ledger.home) if new_copy else ():
         if (other != copy) == whole:
             other.unlink()
 
 
-def _seal(home: Path, found: str) -> None:
-    with replacing(home / SEALED) as temporary:
-        temporary.write_text(found)
+def _write_hash(home: Path, hash_: str) -> None:
+    with replacing(home / HASH_FILE) as temporary:
+        temporary.write_text(hash_)
 
 
-def fault_of(ledger: Ledger) -> str | None:
-    """What is wrong with the ledger; None where it is whole, or where there is none yet."""
+def find_ledger_fault(ledger: Ledger) -> str | None:
+    """Check the ledger; the fault in words, None where it is whole or where there is none yet."""
     path, copies = ledger.home / FILE, _copies(ledger.home)
     if ledger.url or not (path.exists() or copies):
         return None
     if not path.exists():
         return "is gone"
-    sealed = ledger.home / SEALED
-    if sealed.exists() and (wanted := sealed.read_text(errors="replace")):
-        return None if hash_of(path.read_bytes()) == wanted else "is not what the last night wrote"
+    hash_file = ledger.home / HASH_FILE
+    if hash_file.exists() and (expected_hash := hash_file.read_text(errors="replace")):
+        return None if hash_of(path.read_bytes()) == expected_hash else "is not what the last night wrote"
     # SQLite's quick check takes columns of a table without rowid for empty where their order is not the key's (3.40)
-    said = sqlite_reader.says(path, "pragma integrity_check(1)")
-    return None if said == "ok" else f"is damaged ({said})"
+    answer = sqlite_reader.query_value(path, "pragma integrity_check(1)")
+    return None if answer == "ok" else f"is damaged ({answer})"
 
 
-def mend(ledger: Ledger) -> str | None:
-    """Put the last copy in the place of a ledger that is damaged; what was wrong, in words."""
-    fault = fault_of(ledger)
+def repair(ledger: Ledger) -> str | None:
+    """Replace a damaged ledger by its last copy; the fault in words."""
+    fault = find_ledger_fault(ledger)
     if fault is None:
         return None
-    for left in ledger.home.glob(f"{FILE}*"):
-        left.unlink()
+    for file in ledger.home.glob(f"{FILE}*"):
+        file.unlink()
     for copy in _copies(ledger.home):
         content = copy.read_bytes()
         if hash_of(content) == _hash_in(copy):
             with replacing(ledger.home / FILE) as temporary:
-                private(temporary).write_bytes(content)
-            _seal(ledger.home, _hash_in(copy))
+                make_private(temporary).write_bytes(content)
+            _write_hash(ledger.home, _hash_in(copy))
             return f"the ledger {fault}; the copy of the last night's end takes its place"
     return f"the ledger {fault}; all that lies in the landing zone is taken in again"
 

@@ -1,4 +1,4 @@
-"""The ledger's tables and how they are reached: a SQLite file below the home, or a PostgreSQL database."""
+"""Open the ledger's tables: a SQLite file below the home, or a PostgreSQL database."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 import polars as pl
 
 from pipelines.storage import postgres, sqlite_reader
-from pipelines.storage.files import private
+from pipelines.storage.files import make_private
 
 _SCHEMA = """
 create table if not exists files (
@@ -42,52 +42,50 @@ create table if not exists touched (path text primary key, touched_ns bigint not
 create table if not exists settled (made_as text not null);
 """
 NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
-FILE, SEALED = "ledger.sqlite", "ledger.sealed"
-MOST_NAMED = 10_000  # flights in one question; SQLite takes 32,766 values
-Answer = TypeVar("Answer")
+FILE, HASH_FILE = "ledger.sqlite", "ledger.sealed"
+MAX_FLIGHTS = 10_000  # of one query; SQLite takes 32,766 values
+Result = TypeVar("Result")
 _UNSETTLE = "delete from settled"
 
 
 @dataclass(frozen=True)
 class LedgerTables:
-    """The tables of one home, or what they say `only` of some aircraft, or some `flights` of theirs, and of the fleet.
+    """The tables of one home, or their rows of the aircraft in `only` and of the fleet, or of some `flights` of theirs.
 
-    Who only `looks` writes nothing, not even an empty ledger or SQLite's files beside it.
+    A `read_only` ledger writes nothing, not even an empty file or SQLite's files beside it.
     """
 
     home: Path
     only: tuple[tuple[str, str], ...] | None = None
     url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
-    looks: bool = False
+    read_only: bool = False
     flights: tuple[str, ...] | None = None
 
     def of(self, aircraft: Iterable[tuple[str, str]], flights: Iterable[str] | None = None) -> Self:
-        """What it says of these aircraft and of the fleet: a run must not read the history of all the others.
+        """Restrict the ledger to these aircraft and the fleet: a run must not read the history of all the others.
 
-        Of cells by flight only those of some `flights`, where these are given and few enough to be named.
+        Of cells by flight to some `flights`, where these are given and at most `MAX_FLIGHTS`.
         """
-        named = None if flights is None else ("", *flights)
-        return replace(
-            self, only=(("", ""), *aircraft), flights=named and (named if len(named) <= MOST_NAMED else None)
-        )
+        ids = None if flights is None else ("", *flights)
+        return replace(self, only=(("", ""), *aircraft), flights=ids if ids and len(ids) <= MAX_FLIGHTS else None)
 
     def flush(self) -> None:
-        """Bring what was committed into the file itself; of a database server nothing is asked."""
+        """Move committed rows from SQLite's write-ahead log into the file itself."""
         if not self.url:
             with self._open() as con:
                 con.execute("pragma wal_checkpoint(truncate)")
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
-        """A transaction."""
+        """Open a transaction."""
         with postgres.session(self.url, _SCHEMA.replace(" without rowid", "")) if self.url else self._file() as con:
             yield con
 
     @contextmanager
     def _write(self, *, settled: bool = False) -> Iterator[Any]:
-        """A transaction that changes something; what was `settled` may not be any more."""
+        """Open a transaction that writes; unless `settled`, any cell may be stale after it."""
         if not self.url:
-            (self.home / SEALED).unlink(missing_ok=True)
+            (self.home / HASH_FILE).unlink(missing_ok=True)
         with self._open() as con:
             if not settled:
                 con.execute(_UNSETTLE)
@@ -95,8 +93,11 @@ class LedgerTables:
 
     @contextmanager
     def _file(self) -> Iterator[sqlite3.Connection]:
-        self.home.mkdir(parents=True, exist_ok=True)
-        con = sqlite3.connect(private(self.home / FILE), timeout=60)
+        path = self.home / FILE
+        if not path.exists():
+            self.home.mkdir(parents=True, exist_ok=True)
+            make_private(path)
+        con = sqlite3.connect(path, timeout=60)
         try:
             con.execute("pragma journal_mode=wal")
             con.execute("pragma synchronous=full")
@@ -106,41 +107,42 @@ class LedgerTables:
         finally:
             con.close()
 
-    def _ask(self, ask: Callable[[Any], Answer]) -> Answer:
-        """What `ask` finds through a connection."""
+    def _query(self, query: Callable[[Any], Result]) -> Result:
+        """Run a query on a connection."""
         path = self.home / FILE
-        if self.url or not self.looks:
+        if self.url or not self.read_only:
             with self._open() as con:
-                return ask(con)
-        found = sqlite_reader.read(path, lambda con: (ask(con),) if _is_made(con) else ()) if path.exists() else ()
-        if found:
-            return found[0]
+                return query(con)
+        if path.exists():
+            results = sqlite_reader.query_file(path, lambda con: [query(con)] if _has_tables(con) else [])
+            if results:
+                return results[0]
         with closing(sqlite3.connect(":memory:")) as con:
             con.executescript(_SCHEMA)
-            return ask(con)
+            return query(con)
 
     def _cells(self, sql: str, table: str, arguments: Iterable[str] = (), end: str = "") -> pl.DataFrame:
-        """Rows of a query that ends in a condition, and then in `end`, of the aircraft that it is about."""
+        """Run a query that ends in a condition, and then in `end`, restricted to the ledger's aircraft and flights."""
         if self.only is None:
             return self._frame(f"{sql} {end}", [*arguments])
         pairs = ",".join(["(?, ?)"] * len(self.only))
-        asked = f"select * from (values {pairs}) as asked"  # not the bare values: SQLite would walk the whole fleet
-        within = f"{sql} and ({table}.operator, {table}.tail) in ({asked})"
+        aircraft = f"select * from (values {pairs}) as aircraft"  # SQLite would scan the whole fleet for bare values
+        query = f"{sql} and ({table}.operator, {table}.tail) in ({aircraft})"
         flights = self.flights if self.flights is not None and table != "files" else ()
-        within += f" and {table}.flight_id in ({','.join('?' * len(flights))})" if flights else ""
-        return self._frame(f"{within} {end}", [*arguments, *chain.from_iterable(self.only), *flights])
+        query += f" and {table}.flight_id in ({','.join('?' * len(flights))})" if flights else ""
+        return self._frame(f"{query} {end}", [*arguments, *chain.from_iterable(self.only), *flights])
 
     def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
-        return self._ask(lambda con: _as_frame(con.execute(sql, arguments)))
+        return self._query(lambda con: _as_frame(con.execute(sql, arguments)))
 
 
-def _is_made(con: sqlite3.Connection) -> bool:
-    """Whether the tables are there: who makes the file is not done at once."""
+def _has_tables(con: sqlite3.Connection) -> bool:
+    """Return whether all tables exist; another process may be about to create them."""
     return bool(con.execute("select name from sqlite_master where name = ?", (NAMES[-1],)).fetchall())
 
 
 def _as_frame(cursor: Any) -> pl.DataFrame:
-    """All rows of a cursor, counts as text."""
+    """Fetch all rows of a cursor, counts as text."""
     names = [c[0] for c in cursor.description]
     types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
     return pl.DataFrame(cursor.fetchall(), schema=types, orient="row")

@@ -1,4 +1,4 @@
-"""The window through which DuckDB reads a store's objects: read only, and nothing beside the tables."""
+"""Let DuckDB read a store's objects: read only, and none but the tables' files."""
 
 import io
 import re
@@ -10,13 +10,13 @@ import obstore
 
 from pipelines.storage.objects import Bucket
 
-WHOLE_BYTES = 8 << 20  # a smaller object comes in one request, of a larger one what is asked for
-KEPT_BYTES = 64 << 20  # of what came is held in memory: DuckDB opens an object for its columns, and again for its rows
+WHOLE_BYTES = 8 << 20  # a smaller object is read in one request, a larger one in ranges
+CACHE_BYTES = 64 << 20  # cached in memory: DuckDB opens an object for its columns, and again for its rows
 _KEY = re.compile(r"[a-z]\w*(/[\w-]+)*/[\w.-]+\.parquet")
 
 
-class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no types
-    """The tables' files in one store; that they never change is what lets DuckDB open one twice."""
+class ObjectFiles(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no types
+    """The tables' files in one store; they never change, so DuckDB may open one twice."""
 
     protocol = "s3"
     cachable = False
@@ -26,14 +26,14 @@ class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no 
         self._objects = objects
         self._root = objects.url.removeprefix("s3://") + "/"
         self._sizes: dict[str, int] = {}
-        self._kept: dict[str, bytes] = {}
+        self._cache: dict[str, bytes] = {}
 
     def info(self, path: str, **_: Any) -> dict[str, Any]:
-        """Name and size."""
+        """Return name and size."""
         return {"name": path, "size": self._size(self._key(path)), "type": "file"}
 
     def modified(self, path: str) -> datetime:
-        """The same for all: an object never changes."""
+        """Return the same time for all: an object never changes."""
         return datetime.fromtimestamp(0, UTC)
 
     def _open(self, path: str, mode: str = "rb", **_: Any) -> Any:
@@ -45,12 +45,12 @@ class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no 
         return io.BytesIO(self._whole(key))
 
     def _whole(self, key: str) -> bytes:
-        kept = self._kept.get(key)
-        if kept is None:
-            if sum(len(other) for other in list(self._kept.values())) > KEPT_BYTES:
-                self._kept = {}
-            kept = self._kept[key] = self._objects.get(key)
-        return kept
+        content = self._cache.get(key)
+        if content is None:
+            if sum(len(other) for other in list(self._cache.values())) > CACHE_BYTES:
+                self._cache = {}
+            content = self._cache[key] = self._objects.get(key)
+        return content
 
     def _key(self, path: str) -> str:
         key = str(self._strip_protocol(path)).removeprefix(self._root)
@@ -59,7 +59,7 @@ class Window(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec has no 
         return key
 
     def _size(self, key: str) -> int:
-        """Bytes of an object, known by one listing of its table."""
+        """Size of an object in bytes, from one listing of its table."""
         if key not in self._sizes:
             self._sizes |= self._objects.sizes(key.partition("/")[0])
         if key not in self._sizes:

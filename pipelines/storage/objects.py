@@ -1,4 +1,4 @@
-"""An object store as the place of the tables: S3, or a server that speaks its language.
+"""Store tables in an object store: S3, or a server with the same interface.
 
 Server and keys are those of the usual AWS_* variables.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class StoreError(OSError):
-    """What keeps the tables from being read or written, in one line."""
+    """The tables can't be read or written; the message is one line."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Bucket:
 
     url: str
     remote: ClassVar[bool] = True
-    doubted: ClassVar[bool] = False
-    """A store looks after its own sums, and no night makes an object again."""
+    suspect: ClassVar[bool] = False
+    """Always False: a store checks its own checksums, and no night makes an object again."""
 
     @cached_property
     def store(self) -> "S3Store":
@@ -40,14 +40,14 @@ class Bucket:
 
     @property
     def options(self) -> dict[str, str]:
-        """What a reader or a writer of the objects must be told beside their names.
+        """Storage options for readers and writers of the objects.
 
-        A commit is put on condition that there is none of its number: of two writers the second is refused.
+        A commit is written on condition that there is none of its number: of two writers the second is refused.
         """
         return {"aws_allow_http": str(_plain_http()).lower(), "aws_conditional_put": "etag"}
 
     def get(self, path: str) -> bytes:
-        """An object whole."""
+        """Read an object whole."""
         import obstore
 
         with one_line():
@@ -64,33 +64,33 @@ class Bucket:
         with one_line():
             obstore.put(self.store, path, content)
 
-    def doubt(self) -> None:
-        """Nothing: see `doubted`."""
+    def mark_suspect(self) -> None:
+        """Do nothing: see `suspect`."""
 
-    trust = doubt
+    clear_suspicion = mark_suspect
 
     def newest_commit(self, table: str) -> tuple[str, int, int] | None:
-        """Nothing: to ask for it would take as long as to open the table."""
+        """Return None: finding the newest commit would take as long as opening the table."""
 
-    def settle(self, table: str, version: int) -> None:
-        """What a store has accepted is safe."""
+    def sync_commit(self, table: str, version: int) -> None:
+        """Do nothing: an object that the store has accepted is durable."""
 
     def sweep(self) -> int:
-        """A killed writer leaves nothing that is not whole; what no table names goes with the next vacuum."""
+        """Do nothing: a killed writer leaves no partial object, and the next vacuum removes what no table names."""
         return 0
 
     def sizes(self, prefix: str) -> dict[str, int]:
-        """Bytes of each object below a prefix."""
+        """List the size in bytes of each object below a prefix."""
         import obstore
 
         with one_line():
-            found = chain.from_iterable(obstore.list(self.store, prefix))
-            return {meta["path"]: meta["size"] for meta in found}
+            objects = chain.from_iterable(obstore.list(self.store, prefix))
+            return {meta["path"]: meta["size"] for meta in objects}
 
 
 @contextmanager
 def one_line() -> Iterator[None]:
-    """What the server or the network says, in one line."""
+    """Convert errors of the server or the network into one line."""
     from obstore.exceptions import BaseError
 
     try:
@@ -101,10 +101,10 @@ def one_line() -> Iterator[None]:
 
 @cache
 def bucket(url: str) -> Bucket:
-    """The store at a URL, with the one client this process needs for it."""
+    """Return the store at a URL, with one client for the whole process."""
     return Bucket(url.rstrip("/"))
 
 
 def _plain_http() -> bool:
-    """Only a server named by an address without encryption is spoken to without."""
+    """Return whether the server's address is one without encryption."""
     return os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")

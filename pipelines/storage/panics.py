@@ -1,4 +1,4 @@
-"""A panic of Polars' engine is no `Exception`, so nobody catches it: here it becomes one."""
+"""Convert a panic of Polars' engine, which is no `Exception`, into one that can be caught."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,12 +7,12 @@ from polars.exceptions import PanicException
 
 
 class PanicError(RuntimeError):
-    """Polars came to a state it holds impossible, for what the data held."""
+    """Polars panicked on the data."""
 
 
 @contextmanager
 def panics_as_errors() -> Iterator[None]:
-    """Let a panic inside the block be caught as other errors are."""
+    """Raise a panic inside the block as a `PanicError`."""
     try:
         yield
     except PanicException as panic:
@@ -20,10 +20,10 @@ def panics_as_errors() -> Iterator[None]:
 
 
 def first_line(error: BaseException) -> str:
-    """An error in one line: its type and how its message begins."""
+    """Format an error in one line: its type and the start of its message."""
     return f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
 
 
 def message_of(error: BaseException) -> str:
-    """The first line of an error's message, of a library whose messages say what kind they are."""
+    """Return the first line of an error's message; for libraries whose messages name the kind of error."""
     return str(error).strip().splitlines()[0]

@@ -1,6 +1,6 @@
-"""The ledger's tables in a PostgreSQL database, for a fleet that several machines work for; and its lock.
+"""Keep the ledger's tables in a PostgreSQL database, for a fleet that several machines work for; and lock them.
 
-Heavy only where it is used: psycopg2 is loaded with the first connection. Nothing said here names a password.
+psycopg2 is imported with the first connection. No message here contains a password.
 """
 
 import os
@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 URL = "HDT_LEDGER_URL"
 _LOCK = "hashtext('hdt'), hashtext(current_schema())"
-# a machine that loses its power says no goodbye: the server finds out after a minute and frees its lock
+# the server detects after a minute that a machine has lost its power, and releases its lock
 _KEEPALIVE = "set tcp_keepalives_idle = 30; set tcp_keepalives_interval = 10; set tcp_keepalives_count = 3"
 _HOLDER = (
     "select application_name from pg_stat_activity join pg_locks using (pid) where locktype = 'advisory' and granted"
@@ -24,23 +24,23 @@ _HOLDER = (
 
 
 class DatabaseError(Exception):
-    """The ledger's database does not answer; says which and what to do, in one line."""
+    """The ledger's database does not answer; the message names it and the remedy, in one line."""
 
 
 class Session:
-    """A transaction's connection, asked in the words SQLite is asked in: `?` stands for an argument."""
+    """A transaction's connection with SQLite's interface: `?` marks an argument."""
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
 
     def execute(self, sql: str, arguments: Iterable[Any] = ()) -> Any:
-        """Cursor of one statement."""
+        """Run one statement; its cursor."""
         cursor = self._connection.cursor()
         cursor.execute(sql.replace("?", "%s"), tuple(arguments))
         return cursor
 
     def executemany(self, sql: str, rows: Iterable[tuple[Any, ...]]) -> None:
-        """One statement for every row, a thousand a round trip."""
+        """Run one statement for every row, a thousand a round trip."""
         from psycopg2.extras import execute_batch
 
         execute_batch(self._connection.cursor(), sql.replace("?", "%s"), rows, page_size=1000)
@@ -48,41 +48,41 @@ class Session:
 
 @contextmanager
 def session(url: str, schema: str) -> Iterator[Session]:
-    """A transaction, committed if the block ends well; `schema` makes the tables, once a process."""
-    with _answering(url):
+    """Open a transaction, committed unless the block raises; `schema` makes the tables, once a process."""
+    with _one_line_errors(url):
         _prepare(url, schema)
-        with _connected(url) as connection, connection:
+        with _connection(url) as connection, connection:
             yield Session(connection)
 
 
 @contextmanager
-def locked(url: str) -> Iterator[str | None]:
-    """Be the only one of all machines while the block runs; yields who is it instead, where someone is.
+def fleet_lock(url: str) -> Iterator[str | None]:
+    """Lock the fleet for this process during the block; yields the holder where another process has the lock.
 
-    The lock goes with the connection, however its process ends.
+    The lock is released with the connection, however its process ends.
     """
-    with _answering(url), ExitStack() as stack:
-        connection = stack.enter_context(_connected(url))
+    with _one_line_errors(url), ExitStack() as stack:
+        connection = stack.enter_context(_connection(url))
         connection.autocommit = True
-        holder = _take(connection.cursor())
-        kept = stack.pop_all()
-    with kept:
+        holder = _acquire(connection.cursor())
+        open_connection = stack.pop_all()
+    with open_connection:
         yield holder
 
 
-def _take(cursor: Any) -> str | None:
-    """Take the lock; None, or who has it."""
+def _acquire(cursor: Any) -> str | None:
+    """Acquire the lock; None, or its holder."""
     cursor.execute(_KEEPALIVE)
     cursor.execute(f"select pg_try_advisory_lock({_LOCK})")
     if cursor.fetchone()[0]:
         return None
     cursor.execute(_HOLDER)
-    found = cursor.fetchone()
-    return (found and found[0]) or "someone unknown"
+    holder = cursor.fetchone()
+    return (holder and holder[0]) or "someone unknown"
 
 
 @contextmanager
-def _connected(url: str) -> Iterator[Any]:
+def _connection(url: str) -> Iterator[Any]:
     import psycopg2
 
     name = f"process {os.getpid()} on {socket.gethostname()}"
@@ -95,15 +95,15 @@ def _connected(url: str) -> Iterator[Any]:
 
 @cache
 def _prepare(url: str, schema: str) -> None:
-    """One process at a time: two that create the same table at once disturb each other."""
-    with _connected(url) as connection, connection:
+    """Create the tables, one process at a time: two at once disturb each other."""
+    with _connection(url) as connection, connection:
         cursor = connection.cursor()
         cursor.execute(f"select pg_advisory_xact_lock(hashtext('hdt tables'), hashtext(current_schema())); {schema}")
 
 
 @contextmanager
-def _answering(url: str) -> Iterator[None]:
-    """Say in one line that the database does not answer, or that its address cannot be read."""
+def _one_line_errors(url: str) -> Iterator[None]:
+    """Raise in one line that the database does not answer, or that its address is malformed."""
     try:
         import psycopg2
     except ImportError:
@@ -121,12 +121,12 @@ def _answering(url: str) -> Iterator[None]:
 
 
 def _place(url: str) -> str:
-    """Host, port and database, without who asks."""
+    """Host, port and database, without user and password."""
     parts = urlsplit(url)
     return f"{parts.netloc.rpartition('@')[2]}{parts.path}"
 
 
 def _why(error: Exception, url: str) -> str:
-    said = (str(error).strip() or type(error).__name__).splitlines()[0]
+    message = (str(error).strip() or type(error).__name__).splitlines()[0]
     secret = urlsplit(url).password
-    return said.replace(secret, "***") if secret else said
+    return message.replace(secret, "***") if secret else message

@@ -1,7 +1,7 @@
-"""What the tables' files were when the last night ended: size, time and hash of each, so that damage is noticed.
+"""Record size, time and hash of the tables' files at the end of a night, so that damage is found later.
 
-A data file's name holds its hash already; the seal adds what can be asked without reading a file, the hashes of the
-logs, and which files a table was made of. Objects have no seal: an object store keeps sums of its own.
+A data file's name holds its hash already; the seal adds size and time, which need no read of the file, the hashes of
+the logs, and the files of each table. Objects have no seal: an object store has checksums of its own.
 """
 
 import json
@@ -17,12 +17,12 @@ from pipelines.storage.store import Store
 
 NAME = "seal.json"
 CYCLE = 30
-"""Nights in which each file is read once: as long as what a night replaced stays by default."""
-HINT = "_last_checkpoint"  # where a log's reader may begin; it changes, and is not needed
+"""Nights in which each file is read once: the default retention of replaced files."""
+HINT = "_last_checkpoint"  # start of a log's reader; it changes, and is not needed
 
 
 class SealedFile(NamedTuple):
-    """A file as it was."""
+    """A file at the end of a night."""
 
     size: int
     mtime_ns: int
@@ -30,62 +30,62 @@ class SealedFile(NamedTuple):
 
 
 class Seal(NamedTuple):
-    """All files below the tables' root, and those that each table was made of."""
+    """All files below the tables' root, and the current files of each table."""
 
     files: dict[str, SealedFile]
     tables: dict[str, list[str]]
 
 
-def seal(store: Store, held: Mapping[str, Iterable[str]]) -> None:
-    """Note what the tables' files are, and which of them each table `held` when it was published.
+def write_seal(store: Store, tables: Mapping[str, Iterable[str]]) -> None:
+    """Seal all files, and list the published files of each table.
 
-    What was sealed before and is not the same now stays noted as it was.
+    A sealed file that has changed since keeps its old entry.
     """
     if store.place.remote:
         return
-    root, before = Path(store.place.url), read(store.home)
-    known = before.files if before else {}
-    there = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
-    files = {f.path.removeprefix(f"{root}/"): f.stat() for f in there}
-    new = {n: hash_of((root / n).read_bytes()) for n, told in files.items() if not _as_before(told, known.get(n))}
-    entries = {n: _entry(told, known.get(n), hash_in(n), new[n]) if n in new else known[n] for n, told in files.items()}
-    _write(store.home, entries, {table: list(paths) for table, paths in held.items()})
+    root, last_seal = Path(store.place.url), read_seal(store.home)
+    old = last_seal.files if last_seal else {}
+    entries = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
+    stats = {f.path.removeprefix(f"{root}/"): f.stat() for f in entries}
+    hashes = {n: hash_of((root / n).read_bytes()) for n, stat in stats.items() if not _is_unchanged(stat, old.get(n))}
+    files = {n: _entry(stat, old.get(n), hash_in(n), hashes[n]) if n in hashes else old[n] for n, stat in stats.items()}
+    _write(store.home, files, {table: list(paths) for table, paths in tables.items()})
 
 
-def read(home: Path) -> Seal | None:
-    """The seal of the last night; None where there is none that is whole."""
+def read_seal(home: Path) -> Seal | None:
+    """Read the seal of the last night; None where there is none that is whole."""
     try:
-        sum_, text = (home / NAME).read_bytes().split(b"\n", 1)
+        checksum, text = (home / NAME).read_bytes().split(b"\n", 1)
     except (OSError, ValueError):
         return None
-    if hash_of(text) != sum_.decode(errors="replace"):
+    if hash_of(text) != checksum.decode(errors="replace"):
         return None
-    told = json.loads(text)
-    return Seal({path: SealedFile(*entry) for path, entry in told["files"].items()}, told["tables"])
+    content = json.loads(text)
+    return Seal({path: SealedFile(*entry) for path, entry in content["files"].items()}, content["tables"])
 
 
-def forget(store: Store, held: Seal, paths: Collection[str], logs: Collection[str]) -> None:
-    """Take files out of the seal, and the whole logs of some tables: what was wrong with them has been mended."""
-    begins = tuple(f"{table}/{LOG}/" for table in logs)
-    files = {path: e for path, e in held.files.items() if path not in paths and not path.startswith(begins)}
-    _write(store.home, files, held.tables)
+def remove_entries(store: Store, last_seal: Seal, paths: Collection[str], logs: Collection[str]) -> None:
+    """Remove repaired files, and the whole logs of some tables, from the seal."""
+    prefixes = tuple(f"{table}/{LOG}/" for table in logs)
+    files = {path: e for path, e in last_seal.files.items() if path not in paths and not path.startswith(prefixes)}
+    _write(store.home, files, last_seal.tables)
 
 
-def in_turn(paths: Iterable[str], night: int) -> set[str]:
-    """Files that a night reads, by its number: those read longest ago, since each has one turn in a `CYCLE`.
+def due_files(paths: Iterable[str], night: int) -> set[str]:
+    """Select the files that a night reads, by its number: each file is due once in a `CYCLE`.
 
-    A night that is stopped is not counted, so its turn comes again.
+    A night that is stopped is not counted, so its files are due again.
     """
     return {path for path in paths if (zlib.crc32(path.encode()) - night) % CYCLE == 0}
 
 
-def changed(store: Store, held: Seal | None, paths: Iterable[str], *, whole: bool = False) -> list[str]:
-    """Which of some data files, or of logs that were sealed, are missing or not what was written.
+def changed_files(store: Store, last_seal: Seal | None, paths: Iterable[str], *, whole: bool = False) -> list[str]:
+    """Select those of some data files or sealed logs that are missing or not what was written.
 
-    A file whose size and time are those sealed is taken to be the same, unless all are to be read `whole`.
+    A file with the size and time of its entry counts as unchanged, unless all are to be read `whole`.
     """
-    known = held.files if held else {}
-    return [path for path in paths if not _is_same(f"{store.place.url}/{path}", path, known.get(path), whole)]
+    old = last_seal.files if last_seal else {}
+    return [path for path in paths if not _is_same(f"{store.place.url}/{path}", path, old.get(path), whole)]
 
 
 def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]]) -> None:
@@ -94,32 +94,32 @@ def _write(home: Path, files: dict[str, SealedFile], tables: dict[str, list[str]
         temporary.write_text(f"{hash_of(text.encode())}\n{text}")
 
 
-def _as_before(told: os.stat_result, before: SealedFile | None) -> bool:
-    return before is not None and (told.st_size, told.st_mtime_ns) == (before.size, before.mtime_ns)
+def _is_unchanged(stat: os.stat_result, old: SealedFile | None) -> bool:
+    return old is not None and (stat.st_size, stat.st_mtime_ns) == (old.size, old.mtime_ns)
 
 
-def _entry(told: os.stat_result, before: SealedFile | None, named: str, found: str) -> SealedFile:
-    """A file that is new or changed, whose name may hold a hash; one that is not what was written stays as it was."""
-    wanted = named or (before.hash if before else "")
-    if wanted and wanted != found:
-        return before or SealedFile(-1, 0, wanted)
-    return SealedFile(told.st_size, told.st_mtime_ns, found)
+def _entry(stat: os.stat_result, old: SealedFile | None, hash_in_name: str, actual: str) -> SealedFile:
+    """Make the entry of a new or changed file; a damaged one keeps its old entry, or gets one that never matches."""
+    expected_hash = hash_in_name or (old.hash if old else "")
+    if expected_hash and expected_hash != actual:
+        return old or SealedFile(-1, 0, expected_hash)
+    return SealedFile(stat.st_size, stat.st_mtime_ns, actual)
 
 
-def _is_same(file: str, name: str, before: SealedFile | None, whole: bool) -> bool:
+def _is_same(file: str, name: str, old: SealedFile | None, whole: bool) -> bool:
     try:
-        if not whole and _as_before(os.stat(file), before):
+        if not whole and _is_unchanged(os.stat(file), old):
             return True
-        return hash_of(Path(file).read_bytes()) == (before.hash if before else hash_in(name))
+        return hash_of(Path(file).read_bytes()) == (old.hash if old else hash_in(name))
     except OSError:
         return False
 
 
-def named(lost: list[str]) -> str:
-    """The first of some files and how many more there are, as the subject of a sentence."""
-    return f"{lost[0]} is" if len(lost) == 1 else f"{lost[0]} and {len(lost) - 1} more are"
+def name_files(paths: list[str]) -> str:
+    """Name the first of some files and count the others, as the subject of a sentence."""
+    return f"{paths[0]} is" if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more are"
 
 
 def is_log(path: str) -> bool:
-    """Whether a file belongs to a table's log."""
+    """Return whether a file belongs to a table's log."""
     return LOG in Path(path).parts

@@ -1,4 +1,4 @@
-"""What an engineer sets for one fleet: small text files in its home."""
+"""Read the settings of one fleet: small text files in its home."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -11,17 +11,17 @@ from hdt_core.alerts.cases import Limits
 from hdt_core.toml_text import parse_toml
 from pipelines.storage.objects import StoreError
 
-MOST_DAYS = 36_525
-"""A century: days beyond it are a slip of the keyboard."""
+MAX_DAYS = 36_525
+"""A century: more days are a typing error."""
 
 
 def terms_file(home: Path) -> Path:
-    """Where the accepted physical terms stand, a name a line."""
+    """Return the path of the accepted physical terms, a name a line."""
     return home / "terms.txt"
 
 
 def accepted_terms(home: Path) -> tuple[str, ...]:
-    """Names of the accepted physical terms, sorted; none where there is no file."""
+    """Read the names of the accepted physical terms, sorted; none where there is no file."""
     file = terms_file(home)
     if not file.exists():
         return ()
@@ -86,32 +86,32 @@ HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {"terms": accepted
 
 
 def notify_file(home: Path) -> Path:
-    """Where it is declared who is told of what a night changed; none need be there."""
+    """Return the path of the digest's receivers; the file is optional."""
     return home / "notify.toml"
 
 
 @dataclass(frozen=True)
 class Retention:
-    """How long what was replaced stays, and which nights stay beyond that."""
+    """Days that replaced files are kept, and nights that are kept beyond that."""
 
     keep_days: int = 30
     hold: tuple[str, ...] = ()
 
 
 def retention(home: Path) -> Retention:
-    """What the home declares."""
+    """Read the retention that the home declares."""
     file = home / "retention.toml"
     if not file.exists():
         return Retention()
     try:
-        given = {"keep_days": 30, "hold": []} | parse_toml(file.read_text(encoding="utf-8"))
+        values = {"keep_days": 30, "hold": []} | parse_toml(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise StoreError(f"{file} can't be read: {error}") from None
-    if unknown := sorted(set(given) - {"keep_days", "hold"}):
+    if unknown := sorted(set(values) - {"keep_days", "hold"}):
         raise StoreError(f"{file} holds keep_days and hold, not {unknown[0]}")
-    days, nights = given["keep_days"], given["hold"]
-    if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MOST_DAYS:
-        raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MOST_DAYS}")
+    days, nights = values["keep_days"], values["hold"]
+    if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
+        raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
     nights = [str(n) if isinstance(n, date) else n for n in nights] if isinstance(nights, list) else nights
     if not isinstance(nights, list) or not all(map(_is_night, nights)):
         raise StoreError(f"{file}: hold is {nights!r:.80} and ought to be a list of nights such as '2024-03-01'")
@@ -119,7 +119,7 @@ def retention(home: Path) -> Retention:
 
 
 def _is_night(text: object) -> bool:
-    """Whether a text is a date, or a time, as `hdt query --as-of` takes them."""
+    """Return whether a text is a date, or a time, as `hdt query --as-of` takes them."""
     try:
         return isinstance(text, str) and datetime.fromisoformat(text) is not None
     except ValueError:

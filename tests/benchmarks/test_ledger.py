@@ -73,15 +73,19 @@ def test_the_chain_in_memory_is_the_night(sample_home):
     """Health, prognoses and alerts are those that the night stored."""
     made, store = chain.run(samples.record(sample_home)), Store(sample_home)
     key = ["operator", "tail", "flight_id", "pack"]
-    health = made["health"].join(store.read("twin_health"), on=[*key, "parameter"], suffix="_stored", validate="1:1")
+    health = made["health"].join(
+        store.read_table("twin_health"), on=[*key, "parameter"], suffix="_stored", validate="1:1"
+    )
     assert health.height == made["health"].height
     assert all((health[name] - health[f"{name}_stored"]).abs().max() < 1e-9 for name in ("value", "sd"))
-    said = made["prognoses"].join(store.read("prognoses"), on=[*key, "component"], suffix="_stored", validate="1:1")
+    said = made["prognoses"].join(
+        store.read_table("prognoses"), on=[*key, "component"], suffix="_stored", validate="1:1"
+    )
     assert said.height == made["prognoses"].height
     assert (said["rul_flights"] - said["rul_flights_stored"]).abs().max() < 1e-6
     alerts = ("alert_id", "raised_flight_id", "diagnosis")
     assert set(made["alerts"].select(alerts).iter_rows()) == set(
-        store.read("features_alerts").select(alerts).iter_rows()
+        store.read_table("features_alerts").select(alerts).iter_rows()
     )
 
 

@@ -105,7 +105,7 @@ def intact():
         for file in home.glob("tables/**/[!.]*.parquet"):
             pl.read_parquet(file)
         for table in ("raw_snapshots", "raw_flights"):
-            frame = Store(home).read(table)
+            frame = Store(home).read_table(table)
             keys = [c for c in ("operator", "flight_id", "pack", "time_utc", "source") if c in frame.columns]
             assert not frame.select(pl.struct(keys).is_duplicated().any()).item(), table
 

@@ -114,10 +114,10 @@ class AnyOrder(RuleBasedStateMachine):
 
     def agree(self) -> None:
         self.intact(self.home)
-        rows = Store(self.home).read("raw_snapshots")
+        rows = Store(self.home).read_table("raw_snapshots")
         found = dict(rows.group_by("flight_id").len().iter_rows())
         assert self.stored.items() <= found.items() <= (self.perhaps | self.stored).items()
-        told = Store(self.home).read("raw_deliveries")
+        told = Store(self.home).read_table("raw_deliveries")
         assert told.filter(pl.col("delivered") != pl.sum_horizontal("loaded", "quarantined", "duplicate")).is_empty()
         assert told["loaded"].sum() == rows.height
 
@@ -146,15 +146,15 @@ def test_what_a_killed_night_stored_is_accounted_for_though_its_file_goes(childr
     drop_fleet(landing, [ZONE])
     ZONE.drop_history(landing)
     assert children.night(landing, home, steps=INTAKE, fault="before_mark:7")[0] == signal.SIGKILL
-    stored = Store(home).read("raw_snapshots").height
-    assert (stored, Store(home).read("raw_deliveries").height) == (ZONE.snapshots.height, 0)
+    stored = Store(home).read_table("raw_snapshots").height
+    assert (stored, Store(home).read_table("raw_deliveries").height) == (ZONE.snapshots.height, 0)
     (file,) = ZONE.folder(landing).glob("acms/*.parquet")
     file.unlink() if goes == "taken away" else file.write_bytes(b"PAR1")
     if goes == "replaced":
         ZONE.only(ZONE.flights[:1]).drop_history(landing)
     assert children.night(landing, home, steps=INTAKE) == (0, "")
     intact(home)
-    assert Store(home).read("raw_snapshots").height == stored
-    assert Store(home).read("raw_deliveries")["loaded"].sum() == stored
-    told = pl.concat(Store(home).read(t) for t in ("raw_quarantine", "raw_files_quarantine"))
+    assert Store(home).read_table("raw_snapshots").height == stored
+    assert Store(home).read_table("raw_deliveries")["loaded"].sum() == stored
+    told = pl.concat(Store(home).read_table(t) for t in ("raw_quarantine", "raw_files_quarantine"))
     assert told["reason"].to_list() == (["cannot_read_parquet"] if goes == "broken" else [])

@@ -24,7 +24,7 @@ from pipelines.storage import seal
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import LOG
-from pipelines.storage.history import set_aside
+from pipelines.storage.history import replace_damaged_history
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import HASH, publish
@@ -164,7 +164,7 @@ def test_the_next_night_repairs_it(whole, children, tmp_path, first):
         assert "Traceback" not in told
         assert told or not wrong or done[0] in ("catalog", "history"), done
         if done[0] == "history" and wrong:  # a night without a run needs none; the line names `hdt tidy`
-            assert set_aside(home)
+            assert replace_damaged_history(home)
         assert fingerprint(home) == whole.stored, (done, told)
         assert asked(home) == whole.answers, (done, told)
         assert children.night(whole.landing, home) == (0, ""), done
@@ -198,7 +198,7 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
     home = tmp_path / "home"
     (file,) = rotten(whole, home, "features")
     name, ledger = str(file.relative_to(home / "tables")), Ledger(home)
-    while not seal.in_turn([name], ledger.nights().height + 1):
+    while not seal.due_files([name], ledger.nights().height + 1):
         ledger.note_night(ledger.nights().row(-1))
     assert children.night(whole.landing, home) == (0, "")
     ended, told = children.night(whole.landing, home)
@@ -208,7 +208,7 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
 
 def test_each_file_has_its_turn_once_in_a_cycle():
     names = [f"features/QQX/Z{n:03}/all.parquet" for n in range(1000)]
-    turns = [seal.in_turn(names, night) for night in range(7, 7 + seal.CYCLE)]
+    turns = [seal.due_files(names, night) for night in range(7, 7 + seal.CYCLE)]
     assert sorted(name for turn in turns for name in turn) == names
     assert max(map(len, turns)) < 3 * len(names) / seal.CYCLE
 
@@ -248,4 +248,4 @@ def test_a_file_that_the_catalog_cant_open_is_named(whole, tmp_path):
     (home / HASH).unlink()
     with pytest.raises(DamageError, match=r"raw_flights/QQX/Z8/.* is not what was written"):
         publish(home)
-    assert Store(home).place.doubted
+    assert Store(home).place.suspect

@@ -38,15 +38,15 @@ def store(sample_home):
 @pytest.fixture(scope="module")
 def models(store):
     """What was learned of the sample fleet: model, norm of legs, laws of controllers."""
-    laws = store.read("calibration_schedules")
+    laws = store.read_table("calibration_schedules")
     controllers = ControlSchedules.from_dict(json.loads(laws_of(laws, CONTROLLERS)))
-    return model_of(store.read("calibration_dsm")), NominalBaseline.from_json(laws_of(laws, LEGS)), controllers
+    return model_of(store.read_table("calibration_dsm")), NominalBaseline.from_json(laws_of(laws, LEGS)), controllers
 
 
 @pytest.fixture(scope="module")
 def recorded(store):
     """Three flights of one aircraft."""
-    raw = store.read("raw_snapshots", [("BZR", "A9-BAC")])
+    raw = store.read_table("raw_snapshots", [("BZR", "A9-BAC")])
     wanted = raw["flight_id"].unique().sort()[20:23]
     return raw.filter(pl.col("flight_id").is_in(wanted.implode()))
 

@@ -13,7 +13,7 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import connect_as_of, publish
 from pipelines.storage.store import Store
-from pipelines.storage.upkeep import Retention, keep_house, night_by, retention
+from pipelines.storage.upkeep import Retention, find_night, remove_expired, retention
 
 AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240501_01"
 NIGHTS = 4
@@ -63,18 +63,18 @@ def test_before_the_first_night_nothing_was_said(four):
     with pytest.raises(StoreError, match=f"the first on record is {names(four)[0][:10]}"):
         connect_as_of(four, "2001-01-01")
     with pytest.raises(StoreError, match="none is on record"):
-        night_by({}, "2024-01-01")
+        find_night({}, "2024-01-01")
 
 
 def test_the_last_night_by_a_day_or_an_hour_is_meant():
     nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
     for asked, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2)):
-        assert night_by(nights, asked)[0] == list(nights)[meant]
+        assert find_night(nights, asked)[0] == list(nights)[meant]
 
 
 def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
     store, ledger, before = Store(home), Ledger(home), names(home)
-    keep_house(store, ledger, Retention(keep_days=0, hold=(before[1],)))
+    remove_expired(store, ledger, Retention(keep_days=0, hold=(before[1],)))
     assert names(home) == [before[1]]
     assert said(connect_as_of(home, before[1])) == 1
     assert said(connect(home)) == NIGHTS - 1
@@ -91,10 +91,10 @@ def test_a_long_log_is_read_from_a_checkpoint_on(home):
     store = Store(home)
     for n in range(25):
         store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(100 + n))
-    before = store.read("raw_flights")
-    keep_house(store, Ledger(home), Retention())
+    before = store.read_table("raw_flights")
+    remove_expired(store, Ledger(home), Retention())
     assert list((home / "tables/raw_flights/_delta_log").glob("*.checkpoint.parquet"))
-    assert store.read("raw_flights").equals(before)
+    assert store.read_table("raw_flights").equals(before)
 
 
 def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):

@@ -15,7 +15,7 @@ from case_homes import case_home
 from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import HASH, fault_of, ordered, publish, views
+from pipelines.storage.publication import HASH, find_catalog_fault, order_views, publish, views
 from pipelines.storage.store import Store
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
@@ -222,21 +222,21 @@ DAMAGE = {
 def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(own_home, damage):
     _, home = own_home
     publish(home)
-    assert fault_of(home) is None
+    assert find_catalog_fault(home) is None
     DAMAGE[damage](home / CATALOG)
-    assert fault_of(home)
+    assert find_catalog_fault(home)
     if damage not in {"missing", "without a view"}:
         with pytest.raises(StoreError, match="`hdt nightly` makes it anew"):
             connect(home)
     publish(home)
-    assert fault_of(home) is None
+    assert find_catalog_fault(home) is None
 
 
 def test_a_copy_is_made_anew_for_its_own_place(own_home, sample_home):
     _, home = own_home
     publish(home)
     (home / CATALOG).write_bytes((sample_home / CATALOG).read_bytes())
-    assert "another place" in str(fault_of(home))
+    assert "another place" in str(find_catalog_fault(home))
 
 
 def test_a_second_reader_of_one_process_answers_too(sample_home):
@@ -250,7 +250,7 @@ def test_a_second_reader_of_one_process_answers_too(sample_home):
 
 def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, monkeypatch):
     """Of two that find the configuration open, one locks it before the other has changed it."""
-    home, lock = case_home(tmp_path / "home"), catalog.lock
+    home, lock = case_home(tmp_path / "home"), catalog.restrict
 
     def lock_late(*arguments):
         time.sleep(0.05)
@@ -260,7 +260,7 @@ def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, mon
         with connect(home) as con:
             return con.execute("select count(*) from cases").fetchone()[0]
 
-    monkeypatch.setattr(catalog, "lock", lock_late)
+    monkeypatch.setattr(catalog, "restrict", lock_late)
     with ThreadPoolExecutor(8) as pool:
         assert set(pool.map(count, range(16))) == {4}
 
@@ -271,7 +271,7 @@ def test_nobody_writes_through_the_catalog(sample_home):
 
 
 def test_views_come_after_what_they_read():
-    order = [name for name, _ in ordered(views())]
+    order = [name for name, _ in order_views(views())]
     assert order.index("fleet_ranking") > max(order.index(v) for v in ("health_parameters", "prognoses", "alerts"))
 
 
@@ -289,7 +289,7 @@ def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(sample_home,
     shutil.copytree(sample_home, home)
     store = Store(home)
     aircraft = ("AQX", "LX-AAB")
-    store.replace("features_alerts", [aircraft], store.read("features_alerts", [aircraft]).head(1))
+    store.replace("features_alerts", [aircraft], store.read_table("features_alerts", [aircraft]).head(1))
     if spoiled == "catalog":
         content = bytearray((home / CATALOG).read_bytes())
         content[len(content) // 2] ^= 1

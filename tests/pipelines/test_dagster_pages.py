@@ -15,7 +15,7 @@ from dagster_batched.runs import execute
 from pipelines.assets.published import VIEWS
 from pipelines.definitions import build_defs
 from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
-from pipelines.storage.publication import fault_of
+from pipelines.storage.publication import find_catalog_fault
 from pipelines.storage.store import Store
 
 CHAIN = ["raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"]
@@ -32,7 +32,7 @@ def numbers(record: dg.EventLogRecord) -> dict[str, object]:
 
 @pytest.mark.parametrize(("table", "cell"), [("legs_samples", ("tail", "flight_id")), ("twin_health", ("tail",))])
 def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, cell):
-    frame = Store(sample_home).read(table)
+    frame = Store(sample_home).read_table(table)
     rows = {tuple(key): n for *key, n in frame.group_by(*cell).len().rows()}
     with open_instance(sample_home) as instance:
         events = told(instance, table)
@@ -106,7 +106,7 @@ def test_a_night_tells_that_it_published_and_the_page_can_do_it_too(own_home):
         job = defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=set(keys))
         assert job.execute_in_process(instance=instance).success
         assert all(instance.get_latest_materialization_event(key).run_id for key in keys)
-    assert fault_of(home) is None
+    assert find_catalog_fault(home) is None
     assert (home / "report.html").stat().st_size > 100_000
 
 

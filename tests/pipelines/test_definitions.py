@@ -51,7 +51,7 @@ def test_all_seven_stages_and_what_is_published_are_groups(specs):
 @pytest.mark.parametrize("view", views())
 def test_a_view_stands_behind_what_it_reads(specs, view):
     spec, header = specs[f"catalog/{view}"], read_header(views()[view])
-    read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.reads}
+    read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.sources}
     assert {"/".join(d.asset_key.path) for d in spec.deps} == read
     assert spec.description.startswith(header.question)
 
@@ -139,7 +139,7 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
 def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own_home):
     landing, home = own_home
     ledger = Ledger(home)
-    ledger.mark("features_alerts", ledger.done("features_alerts").with_columns(version=pl.lit("")))
+    ledger.mark("features_alerts", ledger.cells("features_alerts").with_columns(version=pl.lit("")))
     scheduled = {"dagster/schedule_name": "every_night"}
     job = build_defs(landing=landing, home=home).resolve_job_def("nightly")
     with open_instance(home) as instance:
@@ -172,7 +172,7 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
     landing, home = own_home
     monkeypatch.setattr(StepExecutionContext, "asset_partitions_subset_for_input", None)
     ledger = Ledger(home)
-    ledger.mark("features", ledger.done("features").with_columns(version=pl.lit("")))
+    ledger.mark("features", ledger.cells("features").with_columns(version=pl.lit("")))
     night = run(landing, home)
     assert night.cells
     assert not night.failed

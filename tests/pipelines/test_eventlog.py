@@ -237,7 +237,7 @@ def fickle(context) -> None:
 @pytest.mark.parametrize("named", [1, 2, 30_000])
 def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, named):
     """After any event: cells that failed, were made, made and then failed, failed and then made, or wiped."""
-    monkeypatch.setattr("dagster_batched.coalescing._MOST_NAMED", named)
+    monkeypatch.setattr("dagster_batched.coalescing._MAX_VALUES", named)
     log, runs = new_log("log"), (("A|1", "A|1"), ("B|1", "B|1"), ("B|2", "B|2"), ("B|1", "B|1"))
     in_vain = "get_latest_asset_partition_materialization_attempts_without_materializations"
     with log.instance(STOCK) as instance:

@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 
 from pipelines.storage import sqlite_reader
-from pipelines.storage.history import fault_of, set_aside
+from pipelines.storage.history import find_history_fault, replace_damaged_history
 
 RUNS = [f"run{n}" for n in range(3)]
 
@@ -36,40 +36,44 @@ def damage(home, run):
 
 
 def test_a_night_reads_a_file_once_and_again_when_it_has_changed(home, monkeypatch):
-    read, says = [], sqlite_reader.says
-    monkeypatch.setattr(sqlite_reader, "says", lambda file, sql: read.append(file.stem) or says(file, sql))
-    assert set_aside(home, whole=False) is None
+    read, query_value = [], sqlite_reader.query_value
+    monkeypatch.setattr(
+        sqlite_reader, "query_value", lambda file, sql: read.append(file.stem) or query_value(file, sql)
+    )
+    assert replace_damaged_history(home, whole=False) is None
     assert read == RUNS
     read.clear()
-    assert set_aside(home, whole=False) is None
+    assert replace_damaged_history(home, whole=False) is None
     assert read == []
     write(home, "run1", "insert into events values (2)")
-    assert set_aside(home, whole=False) is None
+    assert replace_damaged_history(home, whole=False) is None
     assert read == ["run1"]
 
 
 @pytest.mark.parametrize("noted", [False, True])
 def test_a_damaged_file_is_told_and_a_new_history_begins(home, noted):
     if noted:
-        set_aside(home, whole=False)
+        replace_damaged_history(home, whole=False)
     damage(home, "run2")
-    assert set_aside(home, whole=False).startswith("dagster/history/run2.db is damaged (file is not a database); ")
+    assert replace_damaged_history(home, whole=False).startswith(
+        "dagster/history/run2.db is damaged (file is not a database); "
+    )
     assert not (home / "dagster").exists()
-    assert set_aside(home, whole=False) is None
+    assert replace_damaged_history(home, whole=False) is None
 
 
 def test_what_rots_on_the_disk_is_found_by_the_doctor(home):
-    set_aside(home, whole=False)
+    replace_damaged_history(home, whole=False)
     before = file_of(home, "run0").stat()
     damage(home, "run0")
     os.utime(file_of(home, "run0"), ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert set_aside(home, whole=False) is None
-    assert "run0.db is damaged" in fault_of(home)
-    assert "run0.db is damaged" in set_aside(home)
+    assert replace_damaged_history(home, whole=False) is None
+    assert "run0.db is damaged" in find_history_fault(home)
+    assert "run0.db is damaged" in replace_damaged_history(home)
 
 
 def test_a_note_that_is_nonsense_costs_a_second_reading_and_nothing_else(home):
     (home / "dagster" / "sound.txt").write_bytes(b"\xff\x00 nonsense")
-    assert set_aside(home, whole=False) is None
+    assert replace_damaged_history(home, whole=False) is None
     damage(home, "run0")
-    assert set_aside(home, whole=False)
+    assert replace_damaged_history(home, whole=False)

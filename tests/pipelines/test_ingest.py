@@ -10,7 +10,7 @@ from spoils import Spoil, column, field, fields_of, joined
 
 from pipelines.intake import scan as scan_module
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.scan import scan, unseen
+from pipelines.intake.scan import list_new_files, scan
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
@@ -41,7 +41,7 @@ class Zone:
             ("raw_quarantine", taken.quarantine),
         ):
             self.store.merge(table, {AIRCRAFT: [FLIGHT]}, frame)
-        account, quarantine = self.store.read("raw_deliveries"), self.quarantine
+        account, quarantine = self.store.read_table("raw_deliveries"), self.quarantine
         assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
         assert account.select(pl.col("duplicate").min()).item() >= 0
         assert account["loaded"].sum() == taken.rows.height
@@ -49,12 +49,12 @@ class Zone:
         told = account.filter(pl.col("quarantined") > 0).select("file", "quarantined")
         assert aside.sort("file").rows() == told.sort("file").rows()
         assert quarantine["received_at"].null_count() == 0
-        return self.store.read("raw_snapshots")
+        return self.store.read_table("raw_snapshots")
 
     @property
     def quarantine(self) -> pl.DataFrame:
         """What is told."""
-        return self.store.read("raw_quarantine")
+        return self.store.read_table("raw_quarantine")
 
     def reasons(self) -> list[str]:
         """Reasons told, each once."""
@@ -216,9 +216,9 @@ def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone):
     zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
     assert (zone.landing / CSV).stat().st_size == stat.st_size
     os.utime(zone.landing / CSV, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert [f.path for f in unseen(zone.landing, zone.ledger)[1]] == [CSV]
+    assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]
     assert zone.night()["phase_code"].to_list() != before["phase_code"].to_list()
-    assert unseen(zone.landing, zone.ledger)[1] == []
+    assert list_new_files(zone.landing, zone.ledger)[1] == []
 
 
 @pytest.fixture
@@ -233,11 +233,11 @@ def test_a_file_is_the_same_while_its_change_time_stands(zone, monkeypatch):
     zone.night()
     with monkeypatch.context() as within:
         within.setattr(scan_module, "_digest", None)
-        assert unseen(zone.landing, zone.ledger)[1] == []
-    before = zone.ledger.touched()
+        assert list_new_files(zone.landing, zone.ledger)[1] == []
+    before = zone.ledger.file_records()
     (zone.landing / CSV).chmod(0o600)
     assert zone.night().height == N
-    assert zone.ledger.touched()[CSV] > before[CSV]
+    assert zone.ledger.file_records()[CSV].touched_ns > before[CSV].touched_ns
 
 
 @pytest.mark.usefixtures("read_at_leisure")
@@ -248,13 +248,13 @@ def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone):
     stat = (zone.landing / CSV).stat()
     zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
     os.utime(zone.landing / CSV, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert [f.path for f in unseen(zone.landing, zone.ledger)[1]] == [CSV]
+    assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]
 
 
 def test_a_file_touched_just_before_a_night_is_read_again_by_the_next(zone):
     zone.deliver(CSV)
     zone.night()
-    assert zone.ledger.touched() == {}
+    assert {record.touched_ns for record in zone.ledger.file_records().values()} == {None}
 
 
 def test_files_untouched_since_the_last_night_are_not_read(zone, monkeypatch):
@@ -262,4 +262,4 @@ def test_files_untouched_since_the_last_night_are_not_read(zone, monkeypatch):
     zone.night()
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     monkeypatch.setattr("pipelines.intake.scan._digest", None)
-    assert unseen(zone.landing, zone.ledger)[1] == []
+    assert list_new_files(zone.landing, zone.ledger)[1] == []

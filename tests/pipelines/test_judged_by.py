@@ -54,16 +54,16 @@ class Zone:
             frames |= {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables if t not in frames}
             io, scope = FrameIO(self.store, self.ledger), PartitionScope({aircraft: [flight]})
             for table in STAGE["raw"].tables:
-                io.keep(table, scope, frames[table])
+                io.store_frame(table, scope, frames[table])
         return [tail for _, tail, *_ in cells]
 
     def rows(self) -> dict[tuple[str, int], int]:
         """Stored rows by tail and pack."""
-        counted = self.store.read("raw_snapshots").group_by("tail", "pack").len().rows()
+        counted = self.store.read_table("raw_snapshots").group_by("tail", "pack").len().rows()
         return {(tail, pack): n for tail, pack, n in counted}
 
     def reasons(self) -> set[str]:
-        return set(self.store.read("raw_quarantine")["reason"])
+        return set(self.store.read_table("raw_quarantine")["reason"])
 
 
 ALL = {(tail, pack): N // 2 for tail in ("LX-AAA", "LX-AAB") for pack in (1, 2)}
@@ -177,7 +177,7 @@ def write_types(landing: Path) -> None:
 
 def digests(zone: Zone) -> dict[str, str]:
     scan(zone.landing, zone.ledger)
-    return {path: digest for path, digest in zone.ledger.digests().items() if path.startswith("AQX/LX-AAA")}
+    return {path: record.digest for path, record in zone.ledger.file_records().items() if path.startswith("AQX/LX-AAA")}
 
 
 CHANGES = {

@@ -53,7 +53,8 @@ def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
 
 
 def test_what_is_registered_is_known(ledger):
-    assert ledger.known_files() == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
+    sizes_and_times = {path: record[:2] for path, record in ledger.file_records().items()}
+    assert sizes_and_times == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
     assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
     assert ledger.files(["acms"]).schema["mtime_ns"] == pl.Int64
     assert ledger.files([]).is_empty()
@@ -63,7 +64,7 @@ def test_what_is_registered_is_known(ledger):
 
 def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
     ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
-    assert ledger.known_files()["a/1.csv"] == (9, 9)
+    assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
     held = ledger.holdings().filter(pl.col("tail") == A[1])
     assert held["line"].unique().to_list() == ["a/1.csv=new"]
     assert held.height == 3
@@ -73,15 +74,15 @@ def test_a_cell_marked_again_has_its_last_version(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*A, "f2", "v1"), (*A, "f2", "v2")))
     ledger.mark("raw_flights", _cells((*A, "f1", "v3")))
     ledger.mark("legs_samples", _cells((*A, "f1", "other")))
-    assert ledger.done("raw_flights").sort("flight_id")["version"].to_list() == ["v3", "v2"]
+    assert ledger.cells("raw_flights").sort("flight_id")["version"].to_list() == ["v3", "v2"]
     ledger.mark("raw_flights", _cells())
-    assert ledger.done("raw_flights").height == 2
+    assert ledger.cells("raw_flights").height == 2
 
 
 def test_a_run_asks_about_its_own_aircraft_and_the_fleet(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
     own = ledger.of([A])
-    assert set(own.done("raw_flights")["tail"]) == {A[1], ""}
+    assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
     assert set(own.holdings()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
 
@@ -100,7 +101,7 @@ def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
     monkeypatch.setattr("sys.audit", fail)
     with pytest.raises(OSError, match="before_mark"):
         ledger.mark("raw_flights", _cells((*A, "f1", "v1")))
-    assert ledger.done("raw_flights").is_empty()
+    assert ledger.cells("raw_flights").is_empty()
 
 
 def _hold(home: Path, held, over) -> None:
@@ -149,7 +150,7 @@ def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, s
     monkeypatch.setenv(postgres.URL, url)
     ledger = Ledger(tmp_path)
     with pytest.raises(postgres.DatabaseError, match=says) as told:
-        ledger.known_files()
+        ledger.file_records()
     with pytest.raises(postgres.DatabaseError), around_night.holding(tmp_path):
         pass
     assert SECRET not in f"{told.value!r} {ledger!r}"
@@ -194,13 +195,13 @@ def test_settled_lasts_until_something_is_noted(ledger):
 def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledger):
     one, two = (("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, d) for d in "de")
     ledger.register([one], {one[0]: ["T1_20260101_01"]})
-    assert (ledger.settled_as(), ledger.moved().rows()) == (None, [])  # any cell may be stale
+    assert (ledger.settled_version(), ledger.changed_cells().rows()) == (None, [])  # any cell may be stale
     ledger.settle("so")
     ledger.register([two], {two[0]: ["T1_20260101_01"]})
-    assert ledger.settled_as() == "so"
-    assert set(ledger.moved().rows()) == {("AAA", "T1", ""), ("AAA", "T1", "T1_20260101_01")}
-    ledger.forget(["features"], ("AAA", "T1"))
-    assert ledger.settled_as() is None
+    assert ledger.settled_version() == "so"
+    assert set(ledger.changed_cells().rows()) == {("AAA", "T1", ""), ("AAA", "T1", "T1_20260101_01")}
+    ledger.delete_cells(["features"], ("AAA", "T1"))
+    assert ledger.settled_version() is None
     ledger.settle("so")
     assert ledger.is_settled("so")
 
@@ -208,8 +209,8 @@ def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledg
 def test_cells_of_some_flights_are_those_of_the_whole_that_are_named(ledger):
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
     ledger.mark("raw_flights", cells)
-    assert ledger.of([("AAA", "T1")], ["b", "x"]).done("raw_flights").rows() == [("AAA", "T1", "b", "2")]
-    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).done("raw_flights").height == 3
+    assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("raw_flights").rows() == [("AAA", "T1", "b", "2")]
+    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("raw_flights").height == 3
 
 
 def test_an_aircrafts_cells_come_as_one_text(ledger):

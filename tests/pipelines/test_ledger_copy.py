@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_copy import fault_of, keep_copy, mend
+from pipelines.storage.ledger_copy import copy_ledger, find_ledger_fault, repair
 
 CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"], "version": ["v1"]})
 
@@ -17,7 +17,7 @@ def ledger(tmp_path, monkeypatch) -> Ledger:
     ledger = Ledger(tmp_path)
     ledger.register([("a/1.csv", "AQX", "LX-AAA", "acms", 1, 1, "d1")], {"a/1.csv": ["f1"]})
     ledger.mark("raw_flights", CELL)
-    keep_copy(ledger)
+    copy_ledger(ledger)
     return ledger
 
 
@@ -37,21 +37,21 @@ DAMAGE = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_ledger_is_told_and_put_back(ledger, damage):
-    assert fault_of(ledger) is None
+    assert find_ledger_fault(ledger) is None
     DAMAGE[damage](ledger.home / "ledger.sqlite")
-    assert fault_of(ledger)
-    assert "the copy of the last night's end" in str(mend(ledger))
-    assert ledger.done("raw_flights").equals(CELL)
-    assert fault_of(ledger) is None
-    assert mend(ledger) is None
+    assert find_ledger_fault(ledger)
+    assert "the copy of the last night's end" in str(repair(ledger))
+    assert ledger.cells("raw_flights").equals(CELL)
+    assert find_ledger_fault(ledger) is None
+    assert repair(ledger) is None
 
 
 def test_what_was_written_since_is_no_damage(ledger):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
-    assert fault_of(ledger) is None
-    keep_copy(ledger)
+    assert find_ledger_fault(ledger) is None
+    copy_ledger(ledger)
     assert len(list(ledger.home.glob("*.copy"))) == 1
-    assert ledger.done("raw_flights")["version"].to_list() == ["v2"]
+    assert ledger.cells("raw_flights")["version"].to_list() == ["v2"]
 
 
 def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeypatch):
@@ -63,10 +63,10 @@ def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeyp
 
     monkeypatch.setattr("sys.audit", killed)
     with pytest.raises(RuntimeError, match="before_write"):
-        keep_copy(ledger)
+        copy_ledger(ledger)
     monkeypatch.undo()
-    assert fault_of(ledger) is None
-    assert ledger.done("raw_flights")["version"].to_list() == ["v2"]
+    assert find_ledger_fault(ledger) is None
+    assert ledger.cells("raw_flights")["version"].to_list() == ["v2"]
 
 
 def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
@@ -74,17 +74,17 @@ def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
     ledger.flush()
     path = ledger.home / "ledger.sqlite"
     path.write_bytes(path.read_bytes()[:5000])
-    assert mend(ledger)
-    assert ledger.done("raw_flights").equals(CELL)
+    assert repair(ledger)
+    assert ledger.cells("raw_flights").equals(CELL)
 
 
 def test_without_a_whole_copy_all_is_taken_in_again(ledger):
     for file in (*ledger.home.glob("*.copy"), ledger.home / "ledger.sqlite"):
         file.write_bytes(b"nothing")
-    assert "taken in again" in str(mend(ledger))
-    assert ledger.done("raw_flights").is_empty()
+    assert "taken in again" in str(repair(ledger))
+    assert ledger.cells("raw_flights").is_empty()
 
 
 def test_a_home_that_has_no_ledger_yet_lacks_none(tmp_path):
-    assert fault_of(Ledger(tmp_path)) is None
-    assert mend(Ledger(tmp_path)) is None
+    assert find_ledger_fault(Ledger(tmp_path)) is None
+    assert repair(Ledger(tmp_path)) is None

@@ -96,7 +96,7 @@ def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
     assert (home / "ledger.sqlite-wal").stat().st_size > 0
     permit(home, writing=False)
     try:
-        assert Ledger(home, looks=True).known_files()["new"] == (1, 1)
+        assert Ledger(home, read_only=True).file_records()["new"][:2] == (1, 1)
     finally:
         permit(home, writing=True)
 
@@ -109,7 +109,7 @@ def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):
     def read() -> None:
         while not over.is_set():
             try:
-                seen.append(len(Ledger(tmp_path, looks=True).known_files()))
+                seen.append(len(Ledger(tmp_path, read_only=True).file_records()))
             except sqlite3.Error as error:
                 seen.append(error)
 

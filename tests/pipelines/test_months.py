@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from hdt_core.tables import TABLES
-from pipelines.repair.mend import mend
+from pipelines.repair import repair_home
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.months import OPEN
 from pipelines.storage.store import Store
@@ -29,7 +29,7 @@ def merge(store: Store, ids: list[str], n: int = 0) -> None:
 
 
 def held(store: Store) -> list[tuple[str, int]]:
-    return sorted(store.read("raw_flights").select("flight_id", "n_snapshots").rows())
+    return sorted(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
 def names(store: Store) -> list[str]:
@@ -76,10 +76,10 @@ def test_months_that_were_lost_come_back_once(tmp_path, lost):
     """With the newest months gone, others are the newest: they stay in the year that has taken them in."""
     merge(store := Store(tmp_path), FLIGHTS)
     files = store.tables.shards("raw_flights")
-    store.tables.drop("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in lost])
+    store.tables.remove_files("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in lost])
     late = [f for f in FLIGHTS if "_202409" in f]
     merge(store, late, n=1)
-    left = set(store.read("raw_flights")["flight_id"])
+    left = set(store.read_table("raw_flights")["flight_id"])
     merge(store, [f for f in FLIGHTS if f not in left], n=2)
     assert [flight for flight, _ in held(store)] == FLIGHTS
     assert {n for flight, n in held(store) if flight in late} == {1}
@@ -93,8 +93,8 @@ def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
     ledger.note_snapshot({"raw_flights": 0})
     file = store.tables.shards("raw_flights")["AQX/LX-AAA/2023"]
     (store.place.root / "raw_flights" / file).write_bytes(b"torn")
-    mend(tmp_path / "landing", store, ledger)
-    assert sorted(ledger.done("raw_flights")["flight_id"]) == [f for f in FLIGHTS if "_2023" not in f]
+    repair_home(tmp_path / "landing", store, ledger)
+    assert sorted(ledger.cells("raw_flights")["flight_id"]) == [f for f in FLIGHTS if "_2023" not in f]
     assert [flight for flight, _ in held(store)] == [f for f in FLIGHTS if "_2023" not in f]
 
 
@@ -105,5 +105,5 @@ def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
     ledger.note_snapshot({"raw_flights": store.tables.open("raw_flights").version()})
     for commit in (store.place.root / "raw_flights/_delta_log").iterdir():
         commit.unlink()
-    mend(tmp_path / "landing", store, ledger)
+    repair_home(tmp_path / "landing", store, ledger)
     assert [flight for flight, _ in held(store)] == FLIGHTS

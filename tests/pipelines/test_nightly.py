@@ -45,7 +45,7 @@ def last_time(home) -> float:
 def tables(home) -> dict[str, pl.DataFrame]:
     from pipelines.storage.store import Store
 
-    frames = {t: Store(home).read(t) for t in COMPARED}
+    frames = {t: Store(home).read_table(t) for t in COMPARED}
     return {t: f.sort([c for c in f.columns if f[c].dtype != pl.Binary]) for t, f in frames.items()}
 
 

@@ -36,7 +36,7 @@ def write(store: Store, version: str) -> None:
 
 
 def version(store: Store) -> list[str]:
-    return store.read(TABLE)["model_version"].to_list()
+    return store.read_table(TABLE)["model_version"].to_list()
 
 
 @pytest.mark.parametrize("point", OF_OBJECTS)
@@ -103,11 +103,11 @@ def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypa
 
 
 def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_home, tmp_path, monkeypatch):
-    base = Store(sample_home).read("prognosis_base")
+    base = Store(sample_home).read_table("prognosis_base")
     monkeypatch.setenv(URL, s3_url)
     home = tmp_path / "home"
     Store(home).replace("prognosis_base", [FLEET], base)
-    Ledger(home).mark("prognosis_base", Ledger(sample_home).done("prognosis_base"))
+    Ledger(home).mark("prognosis_base", Ledger(sample_home).cells("prognosis_base"))
     assert not run(sample_landing, home).failed
     assert not (home / "tables").exists()
     assert faults(home, sample_landing) == []
@@ -129,6 +129,6 @@ def _counts(home: Path) -> dict[str, int]:
 def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "a-wrong-secret")
     with pytest.raises(StoreError, match="privileges") as told:
-        Store(tmp_path, s3_url).read(TABLE)
+        Store(tmp_path, s3_url).read_table(TABLE)
     assert "\n" not in str(told.value)
     assert "a-wrong-secret" not in str(told.value)

@@ -9,11 +9,9 @@ from typing import Any
 import dagster as dg
 import polars as pl
 import pytest
-from nights import run
 
 from dagster_batched.runs import range_tags
 from hdt_core.tables import TABLES
-from pipelines.cli.doctor import examine
 from pipelines.definitions import build_defs
 from pipelines.lineage import STAGE, STAGES
 from pipelines.orchestration.runs import open_instance
@@ -91,20 +89,3 @@ def test_a_run_that_names_no_cell_is_refused(page):
     with pytest.raises(dg.DagsterInvariantViolationError):
         page.materialize(["twin_flights"])
     assert changed(before, stored(page.home)) == []
-
-
-def test_an_aircraft_that_was_stored_twice_is_told_and_made_again_by_the_next_night(own_home):
-    landing, home = own_home
-    before, store = stored(home), Store(home)
-    shards = store.tables.shards("twin_flights")
-    shard = next(s for s in shards if s.startswith("AQX/"))
-    store.tables.change("twin_flights", lambda held: [(shard, pl.concat([held[shard], held[shard]]))])
-    twice = store.doubled("twin_flights")[("AQX", "LX-AAB")]
-    Ledger(home).mark("twin_flights", Ledger(home).done("twin_flights"))  # as the page does
-    (told,) = (check for check in examine(None, home) if check.name == "keys")
-    assert (told.well, told.says) == (
-        False,
-        f"stored twice: {twice} of twin_flights; `hdt nightly` writes them again",
-    )
-    assert run(landing, home).mended == (f"{twice} keys of twin_flights stood more than once (AQX LX-AAB): made again",)
-    assert changed(before, stored(home)) == []

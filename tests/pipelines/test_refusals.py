@@ -13,8 +13,8 @@ from pipelines.digest import EMPTY, as_text, compare
 from pipelines.digest.state import read_state
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing
-from pipelines.intake.landing_sample import SAMPLED, sample
-from pipelines.intake.refusals import MOST, not_read, set_aside, silent_columns, silent_lines
+from pipelines.intake.landing_sample import SAMPLE_SIZE, sample
+from pipelines.intake.refusals import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
 from pipelines.intake.scan import scan
 from pipelines.orchestration.nightly import Night
 from pipelines.storage.catalog import connect
@@ -45,8 +45,8 @@ def drop(landing: Path, spoils: list[Spoil], folder: str = "AQX/LX-AAA") -> None
 def night(landing: Path, home: Path) -> frozenset[str]:
     """Take in and publish what lies there, as far as the raw stage; the files that came."""
     store, ledger, aircraft = Store(home), Ledger(home), ("AQX", "LX-AAA")
-    came = scan(landing, ledger).came
-    flights = ledger.flown()["flight_id"].to_list()
+    came = scan(landing, ledger).new_paths
+    flights = ledger.flights_on_file()["flight_id"].to_list()
     taken = ingest_flights(landing, store, ledger, aircraft, flights)
     frames = {"raw_snapshots": taken.rows, "raw_deliveries": taken.deliveries, "raw_quarantine": taken.quarantine}
     for table, frame in frames.items():
@@ -100,8 +100,8 @@ def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
     drop(landing, [as_it_is, LATE])
     came = night(landing, home)
     with connect(home) as con:
-        said = set_aside(con, came)
-        assert set_aside(con, frozenset()) == ""
+        said = quarantine_line(con, came)
+        assert quarantine_line(con, frozenset()) == ""
     assert said.startswith(
         "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
     )
@@ -125,7 +125,7 @@ def test_of_each_folder_the_oldest_and_the_newest_are_looked_into(zone):
     landing, _ = zone
     drop(landing, [as_it_is] * 6)
     legs = [file.path[-6:-4] for file in sample(list_landing(landing).files)]
-    assert (len(legs), legs) == (SAMPLED, ["01", "05", "06"])
+    assert (len(legs), legs) == (SAMPLE_SIZE, ["01", "05", "06"])
 
 
 def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
@@ -135,7 +135,7 @@ def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
         (landing / name).mkdir()
     for n in range(5):
         (landing / f"AQX/LX-AAA/acms/note_{n}.txt").write_text("x")
-    lines = not_read(list_landing(landing).quarantine)
+    lines = ignored_entries(list_landing(landing).quarantine)
     named = {line.split(":")[0]: line for line in lines}
     notes = ", ".join(f"AQX/LX-AAA/acms/note_{n}.txt" for n in range(3))
     assert set(named) == {f"{notes} and 2 more", "AQX/lx-aaa", "AQXLONGNAME, aqx"}
@@ -144,7 +144,7 @@ def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
     assert not check.well
     assert "AQX/lx-aaa" in check.message
     many = pl.DataFrame({"file": [f"F{n}" for n in range(9)], "detail": [f"so {n}" for n in range(9)]})
-    assert len(not_read(many)) == MOST + 1
+    assert len(ignored_entries(many)) == MAX_LINES + 1
 
 
 @pytest.mark.parametrize("operator", ["NORD", "AQ", "FLEET787"])
@@ -160,7 +160,7 @@ def test_a_night_begun_again_keeps_what_came_and_what_was_not_read():
     first = Night(3, 2, 1, 4, {"AAA": "damage"}, ("a",), ("old",), frozenset({"p"}))
     both = first.then(Night(3, 1, 2, 5, {}, ("b",), ("name",), frozenset({"q"})))
     assert (both.files, both.new_files, both.runs, both.cells, both.failed) == (3, 3, 3, 9, {})
-    assert (both.mended, both.not_read, both.came) == (("a", "b"), ("name",), {"p", "q"})
+    assert (both.mended, both.not_read, both.new_paths) == (("a", "b"), ("name",), {"p", "q"})
 
 
 def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):

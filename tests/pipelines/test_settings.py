@@ -10,7 +10,7 @@ from hdt_core.alerts.cases import Limits
 from pipelines.cli import app, main
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import CostError, read_costs
-from pipelines.storage.files import narrow_umask, private
+from pipelines.storage.files import make_private, narrow_umask
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import Retention, accepted_terms, alert_limits, changed_limits, retention
 
@@ -110,7 +110,7 @@ def test_nobody_but_owner_and_group_reads_a_home_and_its_owner_alone_who_did_wha
 def test_a_private_file_is_closed_though_it_was_open(tmp_path):
     (tmp_path / "cases.sqlite").touch(0o666)
     for name in ("cases.sqlite", "new"):
-        assert stat.S_IMODE(private(tmp_path / name).stat().st_mode) == 0o600
+        assert stat.S_IMODE(make_private(tmp_path / name).stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize(("before", "after"), [(0o000, 0o027), (0o022, 0o027), (0o077, 0o077)])

@@ -47,7 +47,7 @@ def group_of(process: subprocess.Popen) -> list[int]:
 
 def stored(process: subprocess.Popen, home: Path, asset: str) -> None:
     """Wait until the night has stored some of it."""
-    while not (home / "ledger.sqlite").exists() or not Ledger(home, looks=True).done(asset).height:
+    while not (home / "ledger.sqlite").exists() or not Ledger(home, read_only=True).cells(asset).height:
         assert process.poll() is None, process.communicate()
         time.sleep(0.1)
 
@@ -106,7 +106,7 @@ def stale_home(own_home) -> tuple[Path, Path]:
     """Features have to be made again, and what depends on them."""
     landing, home = own_home
     ledger = Ledger(home)
-    ledger.mark("features", ledger.done("features").with_columns(version=pl.lit("")))
+    ledger.mark("features", ledger.cells("features").with_columns(version=pl.lit("")))
     (home / "catalog.duckdb").unlink()
     return landing, home
 

@@ -11,7 +11,7 @@ from pipelines.definitions import build_defs
 from pipelines.lineage import LINEAGE, MAKER, STAGE, Recipe, followed
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
-from pipelines.versions import CELL, expected, undone
+from pipelines.versions import CELL, expected_versions, stale_cells_of
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 
@@ -23,7 +23,7 @@ def deliver(ledger: Ledger, aircraft, name: str, flights: list[str], digest: str
 
 def make(ledger: Ledger, *tables: str) -> None:
     for table in tables:
-        ledger.mark(table, expected(ledger, table))
+        ledger.mark(table, expected_versions(ledger, table))
 
 
 @pytest.fixture
@@ -41,38 +41,38 @@ def flights(frame: pl.DataFrame) -> set[str]:
 
 def test_nothing_is_stale_after_it_was_made(ledger):
     for table in ("raw_flights", "legs_samples", "calibration_dsm", "twin_flights"):
-        assert undone(ledger, [table]).is_empty(), table
+        assert stale_cells_of(ledger, [table]).is_empty(), table
 
 
 def test_a_file_delivered_again_with_the_same_content_changes_nothing(ledger):
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
-    assert undone(ledger, ["raw_flights"]).is_empty()
+    assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
 
 
 def test_a_second_file_for_a_flight_makes_that_flight_stale(ledger):
     deliver(ledger, A, "LX-AAA_20240502_01.csv", ["LX-AAA_20240502_01"], "c1")
-    assert flights(undone(ledger, ["raw_flights"])) == {"LX-AAA_20240502_01"}
+    assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240502_01"}
 
 
 def test_a_corrected_history_file_makes_its_flights_stale_and_no_others(ledger):
     deliver(ledger, A, "history_2024-05.parquet", ["LX-AAA_20240501_01", "LX-AAA_20240502_01"], "h2", "history")
-    assert flights(undone(ledger, ["raw_flights"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
-    assert undone(ledger, ["legs_samples"]).is_empty(), "what follows is stale once its parent was made anew"
+    assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
+    assert stale_cells_of(ledger, ["legs_samples"]).is_empty(), "what follows is stale once its parent was made anew"
     make(ledger, "raw_flights")
-    assert flights(undone(ledger, ["legs_samples"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
+    assert flights(stale_cells_of(ledger, ["legs_samples"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
 
 
 def test_new_code_makes_a_stage_stale_and_what_follows_once_it_was_run(ledger, monkeypatch):
     monkeypatch.setitem(LINEAGE, "legs_samples", Recipe(("raw_flights",), code="another"))
-    assert undone(ledger, ["legs_samples"]).height == 3
-    assert undone(ledger, ["raw_flights"]).is_empty()
+    assert stale_cells_of(ledger, ["legs_samples"]).height == 3
+    assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
 
 
 def test_a_track_is_stale_for_the_aircraft_of_a_changed_flight_only(ledger):
     make(ledger, "twin_health")
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b2")
     make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
-    wanted = undone(ledger, ["twin_health"])
+    wanted = stale_cells_of(ledger, ["twin_health"])
     # both aircraft are within the commissioning window, so the model itself has changed with the flight
     assert set(wanted["tail"]) == {"LX-AAA", "LX-AAB"}
 
@@ -84,27 +84,27 @@ def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
     make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights", "twin_health")
     deliver(ledger, A, f"{ids[165]}.csv", [ids[165]], "new")
     make(ledger, "raw_flights", "legs_samples")
-    assert undone(ledger, ["calibration_dsm"]).is_empty()
-    assert flights(undone(ledger, ["twin_flights"])) == {ids[165]}
+    assert stale_cells_of(ledger, ["calibration_dsm"]).is_empty()
+    assert flights(stale_cells_of(ledger, ["twin_flights"])) == {ids[165]}
 
 
 def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_path):
     ledger, store = Ledger(tmp_path), Store(tmp_path)
     deliver(ledger, A, "x.csv", ["LX-AAA_20240501_01"], "d")
     make(ledger, "raw_flights", "legs_samples")
-    before = set(expected(ledger, "calibration_dsm")["version"])
+    before = set(expected_versions(ledger, "calibration_dsm")["version"])
     seen = []
     for day in (dt.date(2024, 5, 2), dt.date(2024, 5, 1)):
         row = {"operator": "AQX", "tail": "LX-AAA", "done_on": day, "pack": 1, "component": "HX", "action": "REPLACED"}
         store.replace("raw_maintenance", [A], TABLES["raw_maintenance"].conform(pl.DataFrame([row])))
-        seen.append(set(expected(ledger, "calibration_dsm")["version"]))
+        seen.append(set(expected_versions(ledger, "calibration_dsm")["version"]))
     assert seen[0] == before
     assert seen[1] != before
 
 
 @pytest.mark.parametrize("table", LINEAGE)
 def test_every_table_has_a_version_at_its_own_grain(ledger, table):
-    frame = expected(ledger, table)
+    frame = expected_versions(ledger, table)
     assert frame.columns == [*CELL, "version"]
     assert frame.select(pl.all().is_not_null().all()).row(0) == (True,) * 4 or frame.is_empty()
 
@@ -115,7 +115,7 @@ def test_the_version_does_not_depend_on_the_order_of_delivery(tmp_path):
     for ledger, order in ((one, files), (two, files[::-1])):
         for name, digest in order:
             deliver(ledger, A, name, ["LX-AAA_20240501_01"], digest)
-    assert expected(one, "raw_flights").equals(expected(two, "raw_flights"))
+    assert expected_versions(one, "raw_flights").equals(expected_versions(two, "raw_flights"))
 
 
 ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.op.name in STAGE]
@@ -127,18 +127,18 @@ def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(le
     """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
     made = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
     make(ledger, *made, "raw_maintenance")
-    assert ledger.done("features_margin").height == 3
-    answers, as_asked = Ledger.lines, expected(ledger, table)
+    assert ledger.cells("features_margin").height == 3
+    answers, as_asked = Ledger.lines, expected_versions(ledger, table)
 
     def turned(self: Ledger, asset: str) -> pl.DataFrame:
         backwards = pl.col("lines").str.split("|").list.reverse().list.join("|")
         return answers(self, asset).with_columns(backwards).reverse()
 
     monkeypatch.setattr(Ledger, "lines", turned)
-    assert expected(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+    assert expected_versions(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
     for finer in ("features_margin", "twin_flights"):
-        ledger.mark(finer, ledger.done(finer)[:1].with_columns(version=pl.lit("other")))
-    assert not expected(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+        ledger.mark(finer, ledger.cells(finer)[:1].with_columns(version=pl.lit("other")))
+    assert not expected_versions(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
 
 
 @pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.op.name)
@@ -170,8 +170,8 @@ def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):
     parents = "raw_maintenance", "twin_health", "residuals", "calibration_schedules", "features_cross_checks"
     make(ledger, *parents, "features_margin", "features")
     tables = "features", "features_alerts", "twin_health", "prognoses"
-    before = {t: expected(ledger, t) for t in tables}
+    before = {t: expected_versions(ledger, t) for t in tables}
     (ledger.home / "alerts.toml").write_text("fouling = 0.12")
-    assert [t for t in tables if not expected(ledger, t).equals(before[t])] == ["features_alerts"]
+    assert [t for t in tables if not expected_versions(ledger, t).equals(before[t])] == ["features_alerts"]
     (ledger.home / "alerts.toml").write_text("fouling = 0.15")  # the default
-    assert all(expected(ledger, t).equals(before[t]) for t in tables)
+    assert all(expected_versions(ledger, t).equals(before[t]) for t in tables)

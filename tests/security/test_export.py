@@ -65,7 +65,7 @@ def _take_first(source: Store, target: Store, table: str) -> None:
 
 
 def _change(store: Store, table: str, aircraft: tuple[str, str], change: pl.Expr) -> None:
-    frame = store.read(table, [aircraft])
+    frame = store.read_table(table, [aircraft])
     assert frame.height
     store.replace(table, [aircraft], frame.with_columns(change))
 

@@ -15,7 +15,7 @@ from skops.io.exceptions import UntrustedTypesFoundException
 from pipelines import cli
 from pipelines.learned import TRUSTED
 from pipelines.orchestration.runs import open_instance
-from pipelines.storage.catalog import ask, connect
+from pipelines.storage.catalog import connect, run_select
 from pipelines.storage.store import shard_of
 
 ROOT = Path(__file__).parents[2]
@@ -179,8 +179,8 @@ def test_a_second_connection_is_locked_as_the_first(watched):
 
 def test_an_honest_question_is_answered(watched):
     with connect(watched.home) as con:
-        assert ask(con, "with f as (from flights) select count(*) from f").fetchall()[0][0] > 0
-        assert ask(con, "describe flights").fetchall()
+        assert run_select(con, "with f as (from flights) select count(*) from f").fetchall()[0][0] > 0
+        assert run_select(con, "describe flights").fetchall()
 
 
 # --- models --------------------------------------------------------------------------------------------------------

@@ -31,8 +31,8 @@ def test_features_are_those_of_a_history_that_ends_that_day(sample_home, told, c
     store, record = Store(sample_home), samples.record(sample_home)
     on = {"snapshots": DAY, "maintenance": pl.col("done_on"), "messages": pl.col("message_time").dt.date()}
     made = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
-    laws = json.loads(store.read("calibration_schedules").filter(name="controllers")["laws"].item())
-    made |= {"dsm": Dsm.from_dict(json.loads(store.read("calibration_dsm")["model"].item()))}
+    laws = json.loads(store.read_table("calibration_schedules").filter(name="controllers")["laws"].item())
+    made |= {"dsm": Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"].item()))}
     then = chain.run(made | {"laws": ControlSchedules.from_dict(laws)}, STEPS)["features"].sort(KEY)
     now = told.filter(cut > DAY).sort(KEY)
     assert now.height > 400

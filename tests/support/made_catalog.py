@@ -8,7 +8,7 @@ import polars as pl
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.publication import ordered, views
+from pipelines.storage.publication import order_views, views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
@@ -19,7 +19,7 @@ def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
     con = duckdb.connect()
     con.execute("create schema tables")
     fill(con, **dict.fromkeys(TABLES, ()) | {"components": component_rows()} | tables)
-    for _, sql in ordered(views()):
+    for _, sql in order_views(views()):
         con.execute(sql)
     con.execute("set TimeZone = 'America/Lima'")
     return con

@@ -44,4 +44,4 @@ def keep_base(made: Path, home: Path) -> None:
     target = home / "tables/prognosis_base"
     target.parent.mkdir(parents=True)
     shutil.copytree(made / "tables/prognosis_base", target)
-    Ledger(home).mark("prognosis_base", Ledger(made).done("prognosis_base"))
+    Ledger(home).mark("prognosis_base", Ledger(made).cells("prognosis_base"))

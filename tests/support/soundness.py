@@ -55,8 +55,8 @@ def faults(home: Path, landing: Path) -> list[str]:
                 found.append(f"{check.name}: {len(rows)} rows, first {rows[0]}")
         told = {f for (f,) in con.execute("select file from deliveries union select file from quarantine").fetchall()}
         loaded = con.execute("select coalesce(sum(loaded), 0) from deliveries").fetchone()[0]
-    stored = sum(Store(home).read(t).height for t in ("raw_snapshots", "raw_logs", *_LOGS))
-    lines = Store(home).read("raw_components").select("file", "flight_id", "pack", "component", "time_utc")
+    stored = sum(Store(home).read_table(t).height for t in ("raw_snapshots", "raw_logs", *_LOGS))
+    lines = Store(home).read_table("raw_components").select("file", "flight_id", "pack", "component", "time_utc")
     stored += lines.unique().height
     found += [f"{loaded} rows loaded, {stored} stored"] if loaded != stored else []
     return found + [f"nothing is told of {f}" for f in sorted(_delivered(landing) - told)]

@@ -35,11 +35,11 @@ def test_three_writers_at_once_lose_nothing(tmp_path):
 
 def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
     log = CaseLog(tmp_path, "")
-    seen = log.append(ALERT, "acknowledge", "Ada", seen=0)
-    log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", seen=0)
-    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, seen=seen)
+    seen = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
+    log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", expected_line=0)
+    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, expected_line=seen)
     with pytest.raises(ConflictError, match="Bo changed this case in the meantime"):
-        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, seen=seen)
+        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, expected_line=seen)
     assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
 
 
@@ -47,11 +47,11 @@ def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
 def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, seen):
     log = CaseLog(tmp_path, "")
     with pytest.raises(ConflictError, match=f"line {seen} of the log is none about this case"):
-        log.append(ALERT, "acknowledge", "Ada", seen=seen)
+        log.append(ALERT, "acknowledge", "Ada", expected_line=seen)
     assert log.last_line() == 0
-    log.append(ALERT, "acknowledge", "Ada", seen=0)
+    log.append(ALERT, "acknowledge", "Ada", expected_line=0)
     with pytest.raises(ConflictError):
-        log.append(ALERT, "acknowledge", "Bo", seen=seen)
+        log.append(ALERT, "acknowledge", "Bo", expected_line=seen)
     assert log.last_line() == 1
 
 
@@ -76,12 +76,12 @@ def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damag
     log.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2})
     log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
     stored = log.entries()
-    assert log.mend(stored) is None
+    assert log.repair(stored) is None
     if damage == "gone":
         (tmp_path / FILE).unlink()
     else:
         (tmp_path / FILE).write_bytes((tmp_path / FILE).read_bytes()[:3000])
-    assert "2 lines are put back" in log.mend(stored)
+    assert "2 lines are put back" in log.repair(stored)
     assert log.entries().equals(stored)
     assert log.append(ALERT, "watch", "Cy") == 3
     assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
@@ -95,7 +95,7 @@ def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
     content = (tmp_path / FILE).read_bytes()
     (tmp_path / FILE).write_bytes(content.replace(b"2030-01-01", b"2034-01-01"))
     assert log.fault(stored) == "holds a line that is not what was written"
-    assert "1 lines are put back, and 1 since the last night" in log.mend(stored)
+    assert "1 lines are put back, and 1 since the last night" in log.repair(stored)
     assert log.fault(stored) is None
     assert log.entries()["person"].to_list() == ["Bo", "Cy"]
     assert log.entries().head(1).equals(stored)
@@ -110,8 +110,8 @@ def test_a_database_keeps_it_for_several_machines():
 def _of_two_machines(one: CaseLog, two: CaseLog) -> None:
     seen = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
     with pytest.raises(ConflictError):
-        two.append(ALERT, "acknowledge", "Bo", seen=0)
-    two.append(ALERT, "acknowledge", "Bo", seen=seen)
+        two.append(ALERT, "acknowledge", "Bo", expected_line=0)
+    two.append(ALERT, "acknowledge", "Bo", expected_line=seen)
     told = two.entries()
     assert told.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
     assert told.schema["done_on"] == pl.Date

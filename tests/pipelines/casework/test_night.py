@@ -13,11 +13,11 @@ def test_found_clean_it_closes_with_the_next_night_and_comes_back_as_the_sensors
     (case,) = list_cases(home, "c.diagnosis = 'HX_FOULING' and c.closed_at is null and c.tail = 'A9-BAC'")
     change_case(home, case, "close", "Ada", finding="clean", on="2024-06-19", note="core face clean")
     assert find_case(home, case["alert_id"])["state"] == "answered"
-    health = Ledger(home).done("twin_health")
+    health = Ledger(home).cells("twin_health")
     night = run(landing, home)
     assert not night.failed
     assert night.new_files == 0
-    remade = Ledger(home).done("twin_health").join(health, on=health.columns, how="anti")
+    remade = Ledger(home).cells("twin_health").join(health, on=health.columns, how="anti")
     assert remade["tail"].to_list() == ["A9-BAC"], "and no other aircraft is made again"
     with connect(home) as con:
         told = con.execute(

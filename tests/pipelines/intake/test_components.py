@@ -103,14 +103,14 @@ def test_what_is_wrong_is_told(deliver, text, reason):
 
 def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
     files = [deliver(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
-    real = intake._opened
+    real = intake._open_file
 
     def sick(file, component):
         if file.path.endswith("2.csv"):
             raise pl.exceptions.PanicException("so")
         return real(file, component)
 
-    monkeypatch.setattr(intake, "_opened", sick)
+    monkeypatch.setattr(intake, "_open_file", sick)
     read = delivered(files, NOW)
     assert [d.n_loaded for d in read] == [4, 0, 4]
     assert read[1].quarantine["reason"].to_list() == ["cannot_process"]

@@ -58,14 +58,14 @@ def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, r
 def test_a_file_nobody_foresaw_costs_itself_alone(error, good_flight, deliver, read, monkeypatch):
     """Whatever fails, an error or a panic, and wherever: the batch is halved until the one file is found."""
     files = deliver({f"AQX/LX-AAA/acms/copy {i}.csv": good_flight for i in range(7)})
-    real = snapshots.judge
+    real = snapshots.validate_rows
 
     def sick(raw, about, now):
         if "copy 4" in "".join(about["file"]):
             raise error("something new")
         return real(raw, about, now)
 
-    monkeypatch.setattr(snapshots, "judge", sick)
+    monkeypatch.setattr(snapshots, "validate_rows", sick)
     intake = read(files)
     assert intake.rows.height == 6 * N
     failed = intake.quarantine.filter(pl.col("reason") == "cannot_process")

@@ -132,7 +132,7 @@ def test_the_bulk_way_and_the_careful_way_agree(data, zone, good_flight, monkeyp
     files = list_landing(zone).files
     bulk = read_snapshots(files, NOW)
     with monkeypatch.context() as patch:
-        patch.setattr(text_module, "_is_sound", lambda text: False)
+        patch.setattr(text_module, "_is_regular", lambda text: False)
         careful = read_snapshots(files, NOW)
     assert bulk.rows.equals(careful.rows)
     columns = ["file", "row", "reason", "scope", "n_rows", "column_name"]

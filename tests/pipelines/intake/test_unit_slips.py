@@ -5,7 +5,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.intake.wiring import miswritten_rows
+from pipelines.intake.unit_slips import find_unit_slips
 
 SAMPLES = Path(__file__).parents[3] / "data_samples"
 KELVIN, KPA, KG_S = (1.0, 273.15), (6.894757, 0.0), (0.45359237 / 60.0, 0.0)
@@ -56,13 +56,13 @@ def fleet():
 
 
 def test_a_sound_fleet_is_not_accused(fleet):
-    assert miswritten_rows(fleet).is_empty()
+    assert find_unit_slips(fleet).is_empty()
 
 
 @pytest.mark.parametrize(("column", "unit", "reason"), SLIPS, ids=[c for c, _, _ in SLIPS])
 def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
     scale, offset = unit
-    found = miswritten_rows(fleet.with_columns(pl.col(column) * scale + offset))
+    found = find_unit_slips(fleet.with_columns(pl.col(column) * scale + offset))
     assert set(found["reason"]) == {reason}
     assert all(column in c for c in found["column_name"])
     assert found.height > 0.985 * fleet[column].count()  # what is missed are flights with a dead sensor or a pack off
@@ -71,7 +71,7 @@ def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
 def told(found: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
     """Rows of which just these columns are told, in these words."""
     return found.filter(
-        pl.col("column_name") == ", ".join(columns), pl.col("told").str.contains(words, literal=True)
+        pl.col("column_name") == ", ".join(columns), pl.col("sentence").str.contains(words, literal=True)
     ).height
 
 
@@ -80,7 +80,7 @@ def told(found: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
 )
 def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, quarter):
     recorded = quarter.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
-    found = miswritten_rows(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
+    found = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
     right = told(found, columns, f"It fits {unit}.")
     assert right > LEAST * recorded.height
     assert found.height - right < 0.12 * recorded.height  # told, but of another unit
@@ -106,26 +106,26 @@ def _calibrated_kt(mach: pl.Expr) -> pl.Expr:
 def test_a_mach_number_in_knots_is_told_of_its_values(knots, quarter):
     """Out of range as it is, so the rows stay; but the likely unit is named."""
     wrong = quarter.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
-    found = miswritten_rows(wrong)
+    found = find_unit_slips(wrong)
     assert set(found["reason"]) == {"out_of_range"}
     assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
 
 
 def test_a_mach_number_beyond_all_numbers_is_no_unit(quarter):
     far = pl.when(pl.int_range(pl.len()) % 2 == 0).then(1e300).otherwise(pl.int_range(pl.len()) * 1e90)
-    assert miswritten_rows(quarter.with_columns(far.alias("mach"))).is_empty()
+    assert find_unit_slips(quarter.with_columns(far.alias("mach"))).is_empty()
 
 
 def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(quarter):
     alone = quarter.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
-    found = miswritten_rows(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
+    found = find_unit_slips(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
     assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
 
 
 @pytest.mark.parametrize(("one", "other"), SWAPPED)
 def test_columns_in_each_others_place_are_told_by_name(one, other, quarter):
     recorded = quarter.drop_nulls([one, other])
-    found = miswritten_rows(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
+    found = find_unit_slips(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
     assert told(found, (one, other), "change places") > LEAST * recorded.height
 
 
@@ -136,7 +136,7 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
         pl.when(swapped).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(swapped).then(one).otherwise(other).alias("hx_out_degc"),
     )
-    found = miswritten_rows(wired)
+    found = find_unit_slips(wired)
     assert set(found["column_name"]) == {"hx_in_degc, hx_out_degc"}
     assert set(wired[found["index"].to_list()]["pack"]) == {1}
     assert found.height > LEAST * quarter.filter(pack=1).height
@@ -150,18 +150,18 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
 def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, quarter):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
-    found = miswritten_rows(
+    found = find_unit_slips(
         quarter.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
     )
-    assert found.height < 0.01 * quarter.height, found.group_by("column_name", "told").len()
+    assert found.height < 0.01 * quarter.height, found.group_by("column_name", "sentence").len()
 
 
 @pytest.mark.parametrize(
     ("column", "value"), [("tat_degc", 32.5), ("pack_flow_lbpm", 0.0), ("ram_door_pct", 0.5), ("hx_in_degc", 300.0)]
 )
 def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, quarter):
-    found = miswritten_rows(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
-    assert found.is_empty(), found.group_by("column_name", "told").len()
+    found = find_unit_slips(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
+    assert found.is_empty(), found.group_by("column_name", "sentence").len()
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from pipelines.intake.columns import SIGNAL_NAMES
-from pipelines.intake.wiring import miswritten_rows
+from pipelines.intake.unit_slips import find_unit_slips
 
 OFF = {"tat_degc": -20.0, "hx_in_degc": -19.0, "hx_out_degc": -19.5, "altitude_ft": 35e3}
 """A pack that is off shows outside air at every station."""
@@ -19,7 +19,7 @@ def test_columns_change_places_only_where_both_are_recorded(near, told):
     read = {c: near[c] + rng.normal(0.0, 0.4, n) if c in near else pl.Series([None] * n, dtype=pl.Float64)
             for c in SIGNAL_NAMES}  # fmt: skip
     rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
-    assert miswritten_rows(rows)["reason"].unique().to_list() == told
+    assert find_unit_slips(rows)["reason"].unique().to_list() == told
 
 
 @pytest.mark.parametrize("far", [1.7e308, -1.7e308, 1e200, -1e155, np.inf])
@@ -30,4 +30,4 @@ def test_a_number_far_from_any_reading_overflows_nothing(far):
     for name in SIGNAL_NAMES:
         read[name][7] = far
     rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
-    assert miswritten_rows(rows).height <= n
+    assert find_unit_slips(rows).height <= n

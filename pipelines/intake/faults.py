@@ -1,4 +1,4 @@
-"""Where every delivered row went: quarantine rows, and the ledger that must balance for each file."""
+"""Describe faults of delivered files, rows and values, and turn them into quarantine rows."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
 }  # fmt: skip
 """`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
 `n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
-`content` is the rejected row as it came, cut at 500 characters."""
+`content` is the rejected row as delivered, cut at 500 characters."""
 
 MAX_VALUES_LISTED = 100
-"""Values at fault that are listed one by one for a file, column and reason; the rest is counted in one entry."""
+"""Values at fault that are listed singly for a file, column and reason; the rest is counted in one entry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ class Fault:
 
 
 MAX_ROWS_LISTED = 10_000
-"""Rows at fault that are listed one by one for a file and reason: a hostile file of a million bad lines stays small."""
+"""Rows at fault that are listed singly for a file and reason, since a hostile file may have a million."""
 
 
 def first_and_rest(frame: pl.DataFrame, by: Sequence[str], limit: int) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """The first `limit` rows of each group, and for groups that have more the number left (`more`)."""
+    """Take the first `limit` rows of each group, and count the others of larger groups (`more`)."""
     if frame.height <= limit:
         return frame, frame.select(by).clear().with_columns(pl.lit(0, pl.Int64).alias("more"))
     first = frame.filter(pl.int_range(pl.len()).over(by) < limit)
@@ -48,24 +48,26 @@ def first_and_rest(frame: pl.DataFrame, by: Sequence[str], limit: int) -> tuple[
 
 
 def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault]) -> pl.DataFrame:
-    """Faults of one file as quarantine rows; the detail opens with the sentence of the reason."""
+    """Turn faults of one file into quarantine rows; the detail begins with the sentence of the reason."""
     rows = []
     for f in faults:
         reason = REASONS[f.reason]
-        told = (f"{reason.sentence} {f.detail}".strip(), reason.scope)
+        sentence_and_scope = (f"{reason.sentence} {f.detail}".strip(), reason.scope)
         content = f.content and f.content[:500]
-        rows.append((file, f.row, f.column_name, f.reason, *told, f.flight_id, f.n_rows, content, received_at))
+        rows.append(
+            (file, f.row, f.column_name, f.reason, *sentence_and_scope, f.flight_id, f.n_rows, content, received_at)
+        )
     return pl.DataFrame(rows, schema=QUARANTINE_SCHEMA, orient="row")
 
 
-def shortened(values: list[Fault]) -> list[Fault]:
-    """Faults of single values: the first of each column and reason one by one, all others counted in one entry."""
-    listed: dict[tuple[str, str | None], int] = {}
+def limit_values(values: list[Fault]) -> list[Fault]:
+    """Limit faults of single values: the first of each column and reason singly, the others in one count."""
+    counts: dict[tuple[str, str | None], int] = {}
     short = []
     for fault in values:
         key = (fault.reason, fault.column_name)
-        listed[key] = listed.get(key, 0) + 1
-        if listed[key] <= MAX_VALUES_LISTED:
+        counts[key] = counts.get(key, 0) + 1
+        if counts[key] <= MAX_VALUES_LISTED:
             short.append(fault)
-    more = [(key, n - MAX_VALUES_LISTED) for key, n in listed.items() if n > MAX_VALUES_LISTED]
+    more = [(key, n - MAX_VALUES_LISTED) for key, n in counts.items() if n > MAX_VALUES_LISTED]
     return short + [Fault(reason, None, column, f"And {n} more values.") for (reason, column), n in more]

@@ -1,1 +1,0 @@
-"""What of a home is damaged, and how it becomes whole again."""
