@@ -104,7 +104,7 @@ def run(folder: Path) -> Result:
     group = rows["run"].to_numpy()
     x, y = rows.select(pl.col("ua_w_k").log()).to_numpy(), rows["duty_pct"].to_numpy()
     right = cross_val_predict(LinearDiscriminantAnalysis(), x, y, groups=group, cv=GroupKFold(10)) == y
-    scores = [scored("duty told from UA alone, runs left out", ">= 0.99", group, lambda i: float(right[i].mean()))]
+    scores = [scored("duty class from UA alone, runs left out", ">= 0.99", group, lambda i: float(right[i].mean()))]
     scores += [
         scored(
             f"cooler at {duty} %: moved by other faults, at most",

@@ -109,9 +109,9 @@ def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
 
 def test_the_twin_recovers_the_injected_loss(page):
     """Flight by flight, within half a point by the fleet's own map, within three on average by one it does not know."""
-    for (_, of), said in page["found"].items():
-        off, limit = said["found"] - said["hx_fouling"], 0.005 if of == "the fleet's own map" else 0.03
-        assert said.height > 150
+    for (_, of), loss in page["losses"].items():
+        off, limit = loss["estimate"] - loss["hx_fouling"], 0.005 if of == "the fleet's own map" else 0.03
+        assert loss.height > 150
         assert abs(off.mean()) < limit
         assert off.std() < limit
 
@@ -127,7 +127,7 @@ def test_the_health_track_rises_by_it(page):
     day = flown["departed_at"].dt.date().min()
     log = pl.concat([page["no_work"], pl.DataFrame([looked | {"done_on": day}])], how="diagonal_relaxed")
     made = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
-    after = estimate_flights(page["judged"](made.rows, tail)[1], page["dsm"])
+    after = estimate_flights(page["admitted_legs"](made.rows, tail)[1], page["dsm"])
     both = [track(f, log, page["dsm"]) for f in (after, flown)]
     late, before = (
         t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
@@ -140,10 +140,10 @@ def test_the_health_track_rises_by_it(page):
 
 
 def test_a_short_door_is_no_loss(page):
-    said = page["seen"](DoorLimit(0.3), **page["ours"])
-    assert said["found"].abs().max() < 0.01
-    assert (said["ram_door_reach"] == 0.3).all()
-    assert (said["hx_out_k_after"] - said["hx_out_k"]).mean() > 2.0
+    loss = page["estimated_loss"](DoorLimit(0.3), **page["ours"])
+    assert loss["estimate"].abs().max() < 0.01
+    assert (loss["ram_door_reach"] == 0.3).all()
+    assert (loss["hx_out_k_after"] - loss["hx_out_k"]).mean() > 2.0
 
 
 @pytest.mark.parametrize(("kind", "late"), [("step", 3.0), ("drift", 6.0)])
