@@ -39,7 +39,7 @@ class Page:
 def stored(home) -> dict[str, tuple[list[str], pl.DataFrame]]:
     """Of each table its files, named by their content, and which cells the ledger says are made as what."""
     ledger, files = Ledger(home), Store(home).snapshot()
-    return {t: (files[t][1], ledger.done(t).sort(pl.all())) for t in TABLES}
+    return {t: (files[t][1], ledger.cells(t).sort(pl.all())) for t in TABLES}
 
 
 def changed(before, after) -> list[str]:
