@@ -81,8 +81,8 @@ def test_a_home_that_may_not_be_written(tiny, children):
     ("error", "line"),
     [
         (OSError(errno.ENOSPC, "No space left on device", "x.part"), "hdt: No space left on device: x.part"),
-        (sqlite3.OperationalError("database or disk is full"), "hdt: database or disk is full; make room"),
-        (OperationalError("insert", {}, sqlite3.OperationalError("disk I/O error")), "hdt: disk I/O error; make room"),
+        (sqlite3.OperationalError("database or disk is full"), "hdt: database or disk is full; free space"),
+        (OperationalError("insert", {}, sqlite3.OperationalError("disk I/O error")), "hdt: disk I/O error; free space"),
     ],
 )
 def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, line):
