@@ -85,7 +85,7 @@ def test_the_tutorials_python_runs(sample_home, monkeypatch):
 
 
 def test_the_tables_are_read_as_their_page_says(sample_home):
-    page = (ROOT / "docs/howto-export.md").read_text(encoding="utf-8").split("## Read the tables")[1]
+    page = (ROOT / "docs/storage.md").read_text(encoding="utf-8").split("## Read the tables")[1]
     code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
     held: dict[str, object] = {}
     exec(code.replace('"hdt_home"', repr(str(sample_home))), held)

@@ -53,7 +53,7 @@ def home(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _take_first(source: Store, target: Store, table: str) -> None:
-    whole = source.read(table)
+    whole = source.read_table(table)
     first = whole
     if "flight_id" in whole.columns and table not in ("raw_messages", "raw_quarantine"):
         first = whole.filter(pl.col("flight_id").is_null() | (pl.col("flight_id").str.slice(-11, 8) < "20240309"))
