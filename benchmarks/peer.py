@@ -21,11 +21,12 @@ from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.calibration.flight_estimates import HUBER, SAMPLE_SD, estimate_flights
+from hdt_core.calibration.flight_estimates import SAMPLE_SD, estimate_flights
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import capacity_rates
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
+from hdt_core.robust import HUBER_K
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
@@ -53,7 +54,7 @@ def location(values: np.ndarray) -> float:
     """Huber's location about the scale that ours takes, by minimisation."""
     centre, count = np.median(values), len(values)
     spread2 = ((1.4826 * np.median(np.abs(values - centre))) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
-    limit = HUBER * np.sqrt(spread2)
+    limit = HUBER_K * np.sqrt(spread2)
 
     def loss(at: float) -> float:
         away = np.abs(values - at)

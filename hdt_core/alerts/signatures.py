@@ -196,9 +196,8 @@ def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:
     worth = np.sqrt(np.broadcast_to(flights, z.shape))
     own = 1.0 + (matrix.wander * worth) ** 2
     theirs = np.arange(len(z)) >= len(z) // 2
-    unchanged = _log_likelihood(
-        np.where(observed, z, 0.0), own, theirs
-    )  # of a channel that the fault does not shift, whatever its size
+    # of a channel that the fault does not shift, whatever its size
+    unchanged = _log_likelihood(np.where(observed, z, 0.0), own, theirs)
     which, channel = (k[observed[matrix.nonzero[1]]] for k in matrix.nonzero)
     a, b = (m[which, channel] * worth[channel] * STEPS[:, None] for m in (matrix.shift, matrix.blur))
     gain = _log_likelihood(z[channel] - a, own[channel] + b**2, theirs[channel]) - unchanged[channel]

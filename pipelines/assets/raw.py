@@ -40,10 +40,10 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
     left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
     refused = [list_landing(landing).quarantine, rejected.quarantine]
+    if not fleet.height:  # a list that is gone or broken takes nothing away
+        fleet = home.store.read_table("raw_fleet")
     return (
-        fleet
-        if fleet.height
-        else home.store.read_table("raw_fleet"),  # a list that is gone or broken takes nothing away
+        fleet,
         pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
         pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
         readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read_table("raw_coverage"),

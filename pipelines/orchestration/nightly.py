@@ -221,9 +221,8 @@ class _Chain:
 
     def step(self, step: Step) -> None:
         """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
-        few = self.settled_version == recipe_version(
-            self.ledger, STAGES
-        )  # a new model of the fleet makes every cell stale
+        # a new model of the fleet makes every cell stale
+        few = self.settled_version == recipe_version(self.ledger, STAGES)
         cells = [self._wanted(stage, few) for stage in step.stages]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:

@@ -5,11 +5,13 @@ from dataclasses import dataclass, fields, replace
 from datetime import date, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hdt_core.alerts.cases import Limits
 from hdt_core.toml_text import parse_toml
 from pipelines.storage.objects import StoreError
+
+if TYPE_CHECKING:
+    from hdt_core.alerts.cases import Limits
 
 MAX_DAYS = 36_525
 """A century: more days are a typing error."""
@@ -37,7 +39,17 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def alert_limits(home: Path) -> Limits:
+def _read_values(file: Path) -> dict[str, Any]:
+    """Return what a TOML file of the home sets; nothing where there is no file."""
+    if not file.exists():
+        return {}
+    try:
+        return parse_toml(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{file} can't be read: {error}") from None
+
+
+def alert_limits(home: Path) -> "Limits":
     """Return the limits of the alert rules: the defaults, and what the operator sets in `alerts.toml`.
 
     Raises
@@ -46,14 +58,10 @@ def alert_limits(home: Path) -> Limits:
         The file can't be read, names no limit, or a value is none: shares lie between 0 and 1, and a persistence is
         `[n, of, release]` flights.
     """
+    from hdt_core.alerts.cases import Limits  # NumPy is not needed to start a command
+
     file = home / "alerts.toml"
-    if not file.exists():
-        return Limits()
-    try:
-        values = parse_toml(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{file} can't be read: {error}") from None
-    names = [f.name for f in fields(Limits)]
+    values, names = _read_values(file), [f.name for f in fields(Limits)]
     if unknown := sorted(set(values) - set(names)):
         raise StoreError(f"{file} has no limit {unknown[0]!r:.40}; there are {', '.join(names)}")
     for name, value in values.items():
@@ -76,9 +84,12 @@ def _fault_of_limit(name: str, value: Any) -> str | None:
 
 def changed_limits(home: Path) -> tuple[str, ...]:
     """Return the limits that the home sets other than the defaults, as `name = value`."""
-    limits, defaults = alert_limits(home), Limits()
-    names = (f.name for f in fields(Limits))
-    return tuple(f"{n} = {getattr(limits, n)}" for n in names if getattr(limits, n) != getattr(defaults, n))
+    if not (home / "alerts.toml").exists():
+        return ()
+    limits = alert_limits(home)
+    return tuple(
+        f"{f.name} = {getattr(limits, f.name)}" for f in fields(limits) if getattr(limits, f.name) != f.default
+    )
 
 
 HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {"terms": accepted_terms, "limits": changed_limits}
@@ -101,12 +112,7 @@ class Retention:
 def retention(home: Path) -> Retention:
     """Read the retention that the home declares."""
     file = home / "retention.toml"
-    if not file.exists():
-        return Retention()
-    try:
-        values = {"keep_days": 30, "hold": []} | parse_toml(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{file} can't be read: {error}") from None
+    values = {"keep_days": 30, "hold": []} | _read_values(file)
     if unknown := sorted(set(values) - {"keep_days", "hold"}):
         raise StoreError(f"{file} holds keep_days and hold, not {unknown[0]}")
     days, nights = values["keep_days"], values["hold"]

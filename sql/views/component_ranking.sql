@@ -13,26 +13,9 @@
 -- work_action: CLEANED or REPLACED, where that was done since the last flight
 -- work_on: day of that work
 -- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, unit_urgencies,
--- unobserved_units, renewed_units, alert_urgencies, tables.components.
+-- unestimated_units, alert_urgencies, tables.components.
 create or replace view component_ranking as
-with unobserved as (
-    select
-        operator,
-        tail,
-        pack,
-        component
-    from unobserved_units
-    where counts_to is null
-    union
-    select
-        operator,
-        tail,
-        pack,
-        component
-    from renewed_units
-),
-
-latest as (
+with latest as (
     select
         operator,
         tail,
@@ -52,7 +35,7 @@ outlook as (
     where
         (operator, tail, pack, component) not in (
             select (u.operator, u.tail, u.pack, u.component)
-            from unobserved as u
+            from unestimated_units as u
         )
 ),
 
@@ -91,20 +74,18 @@ judged as (
         case
             when coalesce(a.any_act, false) or o.urgency = 'act' then 'act'
             when a.diagnoses is not null or o.urgency = 'plan' then 'plan'
-            when w.component is null and (l.loss is null or u.component is not null) then 'unknown'
+            when u.work_action is null and (l.loss is null or u.component is not null) then 'unknown'
             else 'none'
         end as urgency,
         m.since as missing_since,
         m.reason as missing_reason,
-        w.work_action,
-        w.work_on
+        u.work_action,
+        u.work_on
     from latest as l
-    left join unobserved as u
+    left join unestimated_units as u
         on l.operator = u.operator and l.tail = u.tail and l.pack = u.pack and l.component = u.component
     left join missing_estimates as m
         on l.operator = m.operator and l.tail = m.tail and l.pack = m.pack and l.component = m.component
-    left join renewed_units as w
-        on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and l.component = w.component
     left join tables.components as c on l.component = c.component
     left join outlook as o
         on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack and l.component = o.component

@@ -21,30 +21,13 @@
 -- work_action: CLEANED or REPLACED, where that was done to the exchanger since the last flight: its columns are null
 -- until the next
 -- work_on: day of that work
--- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unobserved_units, renewed_units,
+-- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unestimated_units,
 -- alert_urgencies, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
     from tables.components
     where recorded
-),
-
-unobserved as (
-    select
-        operator,
-        tail,
-        pack,
-        component
-    from unobserved_units
-    where counts_to is null
-    union
-    select
-        operator,
-        tail,
-        pack,
-        component
-    from renewed_units
 ),
 
 estimates as (
@@ -58,7 +41,7 @@ estimates as (
         if(u.component is null, h.value, null) as value,
         if(u.component is null, h.sd, null) as sd
     from health_parameters as h
-    left join unobserved as u
+    left join unestimated_units as u
         on h.operator = u.operator and h.tail = u.tail and h.pack = u.pack and h.component = u.component
     where h.component not in (select o.component from others as o)
 ),
@@ -96,7 +79,7 @@ outlook as (
     where
         (operator, tail, pack, component) not in (
             select (u.operator, u.tail, u.pack, u.component)
-            from unobserved as u
+            from unestimated_units as u
         )
     group by operator, tail, pack
 ),
@@ -148,7 +131,6 @@ judged as (
         o.cc_p_event_50,
         o.chance,
         o.message_cost,
-        w.component as renewed,
         w.work_action,
         w.work_on,
         coalesce(o.urgencies, []) as urgencies,
@@ -156,7 +138,7 @@ judged as (
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
     left join alerted as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
-    left join renewed_units as w
+    left join unestimated_units as w
         on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and w.component = 'HX'
 ),
 
@@ -166,7 +148,7 @@ urgent as (
         case
             when any_act or 'act' in urgencies then 'act'
             when diagnoses is not null or 'plan' in urgencies then 'plan'
-            when hx_fouling is null and renewed is null then 'unknown'
+            when hx_fouling is null and work_action is null then 'unknown'
             else 'none'
         end as urgency
     from judged
