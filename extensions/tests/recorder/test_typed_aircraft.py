@@ -134,7 +134,7 @@ def test_what_can_not_be_estimated_is_said(world):
     assert lacks["hx_fouling"] == "ram_door_pct, pack_flow_lbpm"
     said = {c.name: c for c in examine(world["landing"], None)}
     assert said["type A330-717"].well
-    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in said["type A330-717"].says
+    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in said["type A330-717"].message
     assert not said["type slip.toml"].well
 
 
