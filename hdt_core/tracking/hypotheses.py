@@ -8,7 +8,7 @@ import numpy as np
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.records.renewals import NOTHING, REPLACED, WASHED
-from hdt_core.tracking.wear_model import MAP_SD, OTHER, PACES, RATE, UNIT, UNIT_SD, WEAR, Observation
+from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, UNIT, WEAR, Observation, Settings
 
 LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01
 """Weight below which a hypothesis is dropped, how many a pack may keep, the bin of ln loss in which like ones merge."""
@@ -31,10 +31,10 @@ that an entry never comes where a log is kept."""
 class Hypotheses(NamedTuple):
     """Hypotheses about packs, each the state of a Kalman filter: sorted by `pack`, weights adding up to 1 within each.
 
-    log_weight (m,), mean (m, 5), cov (m, 5, 5); pace (m,) an index of `PACES`, since (m,) flights since the core was
-    renewed or washed, unlogged (m,) whether no entry has spoken of that yet, faulty (m,) whether something else than
-    the core is wrong. Of the last flight: parent (m,) the row before it, keeps (m, 5) the share of each state that its
-    event left.
+    log_weight (m,), mean (m, 5), cov (m, 5, 5); pace (m,) an index of the settings' paces, since (m,) flights since the
+    core was renewed or washed, unlogged (m,) whether no entry has spoken of that yet, faulty (m,) whether something
+    else than the core is wrong. Of the last flight: parent (m,) the row before it, keeps (m, 5) the share of each state
+    that its event left.
     """
 
     pack: Array
@@ -131,7 +131,7 @@ def _merged(b: Hypotheses, heads: Array) -> Hypotheses:
     return b.at(heads)._replace(log_weight=top + np.log(total), mean=mean, cov=cov)
 
 
-def apply_log(b: Hypotheses, seen: Observation) -> Hypotheses:
+def apply_log(b: Hypotheses, seen: Observation, settings: Settings) -> Hypotheses:
     """Apply an entry of the log to each hypothesis: the core it names is new or washed, unless it already was."""
     due, recent = seen.log_due > 0, b.since <= LATE_FLIGHTS
     acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (seen.log_kept > 0)
@@ -139,20 +139,25 @@ def apply_log(b: Hypotheses, seen: Observation) -> Hypotheses:
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():
         return b
-    washed = _washed(b.at(acts & (seen.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD)
-    return join([b.at(~acts), washed, *_renewed(b.at(acts & (seen.log_due == REPLACED)))])
+    washed = _washed(b.at(acts & (seen.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    return join([b.at(~acts), washed, *_renewed(b.at(acts & (seen.log_due == REPLACED)), settings)])
 
 
-def branch_on_surprise(b: Hypotheses, residual: Array, surprised: Array, named: Array) -> list[Hypotheses]:
+def branch_on_surprise(
+    b: Hypotheses, residual: Array, surprised: Array, named: Array, settings: Settings
+) -> list[Hypotheses]:
     """Branches for a surprising flight, or for one on whose day the log names a wash or a new core."""
     less, more = surprised & (residual < 0.0), surprised & (residual > 0.0)
     new, wash = named == REPLACED, named == WASHED
     unnamed = more & (named == NOTHING)
     return [
-        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(new))),
-        _chance(_washed(b.at(wash), WASH_LEAVES, WASH_LEAVES_SD), RENEWAL_LOGGED * LOG_LATE),
-        *(_chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED) for child in _renewed(b.at(unnamed))),
-        _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD), CHANCE["recovery"]),
+        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(new), settings)),
+        _chance(_washed(b.at(wash), WASH_LEAVES, WASH_LEAVES_SD, settings), RENEWAL_LOGGED * LOG_LATE),
+        *(
+            _chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED)
+            for child in _renewed(b.at(unnamed), settings)
+        ),
+        _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
         _chance(_worn(b.at(less), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
         _chance(_worn(b.at(less), CLOG, CLOG_SD), CHANCE["clog"]),
         _chance(_faulty(b.at(surprised & ~b.faulty)), CHANCE["fault"]),
@@ -164,28 +169,28 @@ def _chance(b: Hypotheses, chance: float) -> Hypotheses:
     return b._replace(log_weight=b.log_weight + np.log(chance))
 
 
-def _renewed(b: Hypotheses) -> list[Hypotheses]:
+def _renewed(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
     """Another unit, at each pace; the pack's sensors stay."""
     children = []
-    for j, pace in enumerate(PACES):
+    for j, pace in enumerate(settings.paces):
         mean, cov = b.mean.copy(), b.cov.copy()
         for i in (WEAR, RATE, UNIT):
             cov[:, i, :] = cov[:, :, i] = 0.0
         mean[:, WEAR], cov[:, WEAR, WEAR] = RENEWED_WEAR, RENEWED_SD**2
         mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
-        mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, UNIT_SD**2
+        mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, settings.unit_sd**2
         child = b._replace(mean=mean, cov=cov, pace=np.full_like(b.pace, j), since=np.zeros_like(b.since))
         child = child._replace(keeps=b.keeps * [0.0, 0.0, 1.0, 0.0, 1.0])
         children.append(_chance(child, pace.share))
     return children
 
 
-def _washed(b: Hypotheses, leaves: float, leaves_sd: float) -> Hypotheses:
+def _washed(b: Hypotheses, leaves: float, leaves_sd: float, settings: Settings) -> Hypotheses:
     """Part of the wear is left on the same unit, and it may grow at another rate."""
     keep = np.array([leaves, 1.0, 1.0, 1.0, 1.0])
     mean, cov = b.mean * keep, b.cov * keep[:, None] * keep
     cov[:, WEAR, WEAR] += leaves_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
-    cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in PACES])[b.pace] ** 2
+    cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in settings.paces])[b.pace] ** 2
     return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), keeps=b.keeps * keep)
 
 

@@ -33,11 +33,9 @@ from hdt_core.tracking.hypotheses import (
 from hdt_core.tracking.wear_model import (
     MAP_SD,
     OTHER,
-    PACES,
     RATE,
     SENSORS,
     UNIT,
-    UNIT_SD,
     WEAR,
     Observation,
     Settings,
@@ -55,17 +53,17 @@ ASLEEP = 10**6
 
 def start(n: int, settings: Settings) -> Hypotheses:
     """Hypotheses about n packs before any flight: every pace with every wear at entry."""
-    kinds = [(i, j) for i in range(len(PACES)) for j in range(len(ENTRY))]
+    kinds = [(i, j) for i in range(len(settings.paces)) for j in range(len(ENTRY))]
     k = len(kinds)
     mean, cov = np.zeros((k, 5)), np.zeros((k, 5, 5))
     weight, since = np.zeros(k), np.zeros(k, dtype=np.int64)
     for row, (i, j) in enumerate(kinds):
-        pace, entry = PACES[i], ENTRY[j]
+        pace, entry = settings.paces[i], ENTRY[j]
         weight[row] = np.log(pace.share * entry.share)
         mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
         mean[row, RATE], cov[row, RATE, RATE] = pace.rate, pace.rate_sd**2
         since[row] = 0 if entry.new else ASLEEP
-    for i, sd in ((SENSORS, settings.sensors_sd), (UNIT, UNIT_SD), (OTHER, MAP_SD)):
+    for i, sd in ((SENSORS, settings.sensors_sd), (UNIT, settings.unit_sd), (OTHER, MAP_SD)):
         cov[:, i, i] = sd**2
     none = np.zeros(k * n, dtype=bool)
     return Hypotheses(
@@ -86,11 +84,11 @@ def step(hypotheses: Hypotheses, seen: Observation, settings: Settings) -> tuple
     """Advance all packs by one flight; `seen` holds one entry a pack."""
     worn = np.bincount(hypotheses.pack, np.exp(hypotheses.log_weight) * hypotheses.mean[:, WEAR], len(seen.ratio))
     seen, since = at_reference(seen, worn), hypotheses.since + 1
-    mean, cov = predict(hypotheses.mean, hypotheses.cov, hypotheses.pace, since, hypotheses.faulty)
+    mean, cov = predict(hypotheses.mean, hypotheses.cov, hypotheses.pace, since, hypotheses.faulty, settings)
     lasting = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
     came = {"parent": np.arange(len(since)), "keeps": np.ones_like(mean)}
     aged = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=lasting, **came)
-    prior = apply_log(aged, seen.of(hypotheses.pack))
+    prior = apply_log(aged, seen.of(hypotheses.pack), settings)
     here = seen.of(prior.pack)
     residual, variance = innovation(prior.mean, prior.cov, here, settings.level)
     has = np.isfinite(here.ratio)
@@ -98,7 +96,7 @@ def step(hypotheses: Hypotheses, seen: Observation, settings: Settings) -> tuple
     asked = has & (here.log_open > 0) & (prior.since > LATE_FLIGHTS)
     grown = prior
     if surprised.any() or asked.any():
-        grown_by = branch_on_surprise(prior, residual, surprised, np.where(asked, here.log_open, NOTHING))
+        grown_by = branch_on_surprise(prior, residual, surprised, np.where(asked, here.log_open, NOTHING), settings)
         stays = prior._replace(log_weight=prior.log_weight + np.where(asked, np.log1p(-RENEWAL_LOGGED), 0.0))
         grown = join([stays, *grown_by])
     met = grown.at(np.argsort(grown.pack, kind="stable"))

@@ -49,16 +49,19 @@ ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
 
 
 class Settings(NamedTuple):
-    """What the pass takes from the digital system model: see `Dsm`."""
+    """What the pass takes from the digital system model (see `Dsm`), and how the component's units differ and wear."""
 
     level: float
     level_sd: float
     offset_sd: float
+    unit_sd: float = UNIT_SD
+    paces: tuple[Pace, ...] = PACES
+    wear_step: float = WEAR_STEP
 
     @property
     def sensors_sd(self) -> float:
         """What a pack's sensors and the clean level's own error add to all of its units alike."""
-        own = max(self.offset_sd**2 - UNIT_SD**2, LEAST_SENSORS_SD**2)
+        own = max(self.offset_sd**2 - self.unit_sd**2, LEAST_SENSORS_SD**2)
         return float(np.sqrt(own + self.level_sd**2))
 
 
@@ -110,13 +113,17 @@ def _keep(faulty: Array) -> Array:
     return np.where(faulty, 1.0, np.exp(-1.0 / MAP_FLIGHTS))
 
 
-def predict(mean: Array, cov: Array, pace: Array, since: Array, faulty: Array) -> tuple[Array, Array]:
+def predict(
+    mean: Array, cov: Array, pace: Array, since: Array, faulty: Array, settings: Settings
+) -> tuple[Array, Array]:
     """States one flight later. mean (m, 5), cov (m, 5, 5); the rest (m,)."""
     move = transition(faulty)
     moved = move @ cov @ np.swapaxes(move, 1, 2)
-    late, early = (np.array([getattr(p, name) for p in PACES])[pace] for name in ("rate_step", "early_rate_step"))
+    late, early = (
+        np.array([getattr(p, name) for p in settings.paces])[pace] for name in ("rate_step", "early_rate_step")
+    )
     change = late + (early - late) * np.exp(-np.minimum(since, 1e3) / EARLY_FLIGHTS)
-    moved[:, WEAR, WEAR] += WEAR_STEP**2
+    moved[:, WEAR, WEAR] += settings.wear_step**2
     moved[:, RATE, RATE] += change**2
     moved[:, OTHER, OTHER] += np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
     return (move @ mean[:, :, None])[:, :, 0], moved
