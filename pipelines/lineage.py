@@ -262,7 +262,7 @@ STAGES = (
             "calibration_components",
             parents=("raw_components", "raw_maintenance", "raw_reports"),
             settings=("terms",),
-            code=f"2 {DECLARED}",
+            code=f"3 {DECLARED}",
         ),
         road=COMPONENT,
     ),

@@ -115,7 +115,7 @@ def linearised(
 def least_squares(
     force_n: Array, dt_s: float, mass_kg: float, measured_m: Array, sigma_m: float, n_values: int,
     origin: Array, lower: Array, upper: Array, prior_mean: Array, prior_information: Array, max_steps: int,
-) -> tuple[Array, float, Array, Array, int, bool]:  # fmt: skip
+) -> tuple[Array, float, Array, Array, int]:  # fmt: skip
     """Levenberg and Marquardt as in `hdt_core.estimation.descent`: same steps, same stop; every trial brings its
     derivatives."""
     theta, weight = origin.copy(), 1.0 / sigma_m**2
@@ -125,29 +125,28 @@ def least_squares(
         theta, force_n, dt_s, mass_kg, measured_m, weight, prior_mean, prior_information, normal, gradient
     )
     size = np.full(2, 1e-300)
-    damping, growth, n_evals, settled = FIRST_DAMPING, 2.0, 1, False
+    damping, growth, n_evals = FIRST_DAMPING, 2.0, 1
     for _ in range(max_steps):
         for i in range(2):
             size[i] = max(size[i], np.sqrt(normal[i, i]))
         step, promised = damped_step(normal, gradient, size, damping, theta, lower, upper)
         trial = theta + step
         if is_settled(promised, cost, n_values):
-            theta, settled = trial, True
+            theta = trial
             break
         trial_cost = _posterior(
             trial, force_n, dt_s, mass_kg, measured_m, weight, prior_mean, prior_information, next_normal, next_gradient
         )
         n_evals += 1
         won = cost - trial_cost
-        settled = is_exhausted(promised, won, cost)
         damping, growth = next_damping(damping, growth, won, promised)
         if won > 0.0:
             theta, cost = trial, trial_cost
             normal, next_normal = next_normal, normal
             gradient, next_gradient = next_gradient, gradient
-        if settled or damping > MOST_DAMPING:
+        if is_exhausted(promised, won, cost) or damping > MOST_DAMPING:
             break
-    return theta, cost, gradient, normal, n_evals, settled
+    return theta, cost, gradient, normal, n_evals
 
 
 @compiled

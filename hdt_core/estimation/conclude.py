@@ -44,7 +44,7 @@ def conclude_at(problem: Problem, at: Point, **more: Any) -> Estimate:
     """Turn the end of a descent into an estimate."""
     if not at.objective < np.inf:
         return conclude(problem, at.theta * np.nan, "diverged", at.n_evals, **more)
-    return conclude(problem, at.theta, "converged" if at.settled else "max_steps", at.n_evals, at=at, **more)
+    return conclude(problem, at.theta, "max_steps", at.n_evals, at=at, **more)
 
 
 def conclude(

@@ -82,7 +82,7 @@ def damped_step(
 def next_damping(damping: float, growth: float, won: float, promised: float) -> tuple[float, float]:
     """Damping and its growth factor after a step that won `won` of the `promised` reduction (Nielsen 1999)."""
     if won > 0.0 and promised > 0.0:
-        gain = min(won / promised, 2.0)
+        gain = min(won / promised, 1.0)
         return max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
     return damping * growth, 2.0 * growth
 

@@ -35,8 +35,6 @@ class Point:
         J^T J with the prior's information.
     n_evals : int
         Passes over the record.
-    settled : bool
-        Whether the method that came here says that it has settled.
     """
 
     theta: Array
@@ -44,7 +42,6 @@ class Point:
     gradient: Array
     normal: Array
     n_evals: int = 0
-    settled: bool = True
 
 
 def linearised(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
@@ -66,26 +63,25 @@ def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int 
     cost = float(problem.objective(origin[None])[0])
     if not np.isfinite(cost):
         n = origin.size
-        return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1, settled=False)
+        return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1)
     at = linearised(problem, origin, n_evals)
     evals, size = at.n_evals, np.full(origin.size, np.finfo(float).tiny)
-    damping, growth, settled = FIRST_DAMPING, 2.0, False
+    damping, growth = FIRST_DAMPING, 2.0
     for _ in range(max_steps):
         size = np.maximum(size, np.sqrt(np.diag(at.normal)))
         step, promised = damped_step(at.normal, at.gradient, size, damping, at.theta, lower, upper)
         trial = at.theta + step
         if is_settled(promised, at.objective, max(problem.n_values, 1)):
-            return Point(trial, at.objective, at.gradient, at.normal, evals, True)
+            return Point(trial, at.objective, at.gradient, at.normal, evals)
         won = at.objective - float(problem.objective(trial[None])[0])
         evals += 1
-        settled = bool(is_exhausted(promised, won, at.objective))
         damping, growth = next_damping(damping, growth, won, promised)
         if won > 0.0:
             at = linearised(problem, trial, evals)
             evals = at.n_evals
-        if settled or damping > MOST_DAMPING:
+        if is_exhausted(promised, won, at.objective) or damping > MOST_DAMPING:
             break
-    return Point(at.theta, at.objective, at.gradient, at.normal, evals, settled)
+    return Point(at.theta, at.objective, at.gradient, at.normal, evals)
 
 
 def distance_to_optimum(at: Point, bounds: Array) -> float:

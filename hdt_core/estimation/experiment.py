@@ -35,7 +35,7 @@ def rank_sensors(problem: Problem, theta: Array, candidates: Sequence[Candidate]
 
     .. math:: \Delta = \tfrac12 \ln\det(\mathcal I + \mathcal I_c) - \tfrac12 \ln\det\mathcal I
 
-    Information the data lack altogether counts from the prior; without one, from a variance of the bounds' width.
+    Information the data lack altogether counts from the prior; without one, from a deviation of the bounds' width.
     """
     known = fisher(problem, theta).information + problem.prior.information + np.diag(_floor(problem))
     gains = []
@@ -74,4 +74,4 @@ def profile(problem: Problem, estimator: Estimator, name: str, values: Array) ->
 def _floor(problem: Problem) -> Array:
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
     silent = np.diag(problem.prior.information) == 0.0
-    return np.where(silent & (width > 0.0), 1.0 / np.maximum(width, np.finfo(float).tiny) ** 2, 0.0)
+    return np.where(silent | (width == 0.0), 1.0 / np.maximum(width, 1e-150) ** 2, 0.0)

@@ -155,9 +155,6 @@ class Fit:
 def noise_variance(chi2: float, n_values: int, n_free: int) -> float:
     """Variance of the noise over the declared: 1, unless chi-square contradicts that; then what chi-square shows."""
     degrees = n_values - n_free
-    if degrees <= 0 or not chi2 < np.inf:
-        return 1.0
-    ordinary = degrees > 30 and abs(chi2 - degrees) < 3.0 * (2.0 * degrees) ** 0.5  # sooner than quantiles
-    if ordinary or chdtri(degrees, 1.0 - CHANCE) <= chi2 <= chdtri(degrees, CHANCE):
+    if degrees <= 0 or not chi2 < np.inf or chdtri(degrees, 1.0 - CHANCE) <= chi2 <= chdtri(degrees, CHANCE):
         return 1.0
     return chi2 / degrees

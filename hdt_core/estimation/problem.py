@@ -72,7 +72,7 @@ class Kernels:
     chi2 : thetas (p, n) -> weighted sums of squares (p,)
     sensitivity : theta (n,) -> d outputs / d theta (k, m, n), optional
     least_squares : (origin, lower, upper, prior mean, prior information, steps) ->
-        (theta, objective, half its gradient, J^T J with the prior, n_evals, settled): a `Point`, optional
+        (theta, objective, half its gradient, J^T J with the prior, n_evals): a `Point`, optional
     kalman : (prior mean, prior cov, unknown?, lower, upper, sigma points?, smoother passes, deviations at rest) ->
         (path (k, n), path sd (k, n), mean (n,), cov (n, n), passes made), optional
     """
@@ -80,7 +80,7 @@ class Kernels:
     simulate: Callable[[Array], Array]
     chi2: Callable[[Array], Array]
     sensitivity: Callable[[Array], Array] | None = None
-    least_squares: Callable[..., tuple[Array, float, Array, Array, int, bool]] | None = None
+    least_squares: Callable[..., tuple[Array, float, Array, Array, int]] | None = None
     kalman: Callable[..., tuple[Array, Array, Array, Array, int]] | None = None
 
 

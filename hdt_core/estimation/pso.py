@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdt_core.estimation.conclude import conclude, settle
-from hdt_core.estimation.estimate import Estimate, Status
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Problem
 from hdt_core.estimation.swarm import swarm_search
-
-AGREED = 0.01  # of the objective: particles within a tenth of a standard deviation of each other
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +36,7 @@ class ParticleSwarm:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Point of the smallest objective; covariance from the information at that point.
-
-        Without the polish a swarm has settled when half its particles remember points as good as the best; whether
-        it has `converged` the gradient tells.
-        """
+        """Point of the smallest objective; covariance from the information at that point."""
         swarm = swarm_search(
             problem,
             np.random.default_rng(self.seed),
@@ -56,6 +50,4 @@ class ParticleSwarm:
             return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals, method=self.name)
         if self.polish:
             return settle(problem, swarm.best, swarm.n_evals, method=self.name)
-        settled = np.median(swarm.remembered) - swarm.objective < AGREED
-        reached: Status = "converged" if settled else "max_steps"
-        return conclude(problem, swarm.best, reached, swarm.n_evals, method=self.name)
+        return conclude(problem, swarm.best, "max_steps", swarm.n_evals, method=self.name)

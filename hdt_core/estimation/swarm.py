@@ -11,12 +11,10 @@ from hdt_core.estimation.problem import Array, Problem
 
 @dataclass(frozen=True, slots=True)
 class Swarm:
-    """Where a swarm ended: best point (n,), its objective, the objectives each particle remembers (p,),
-    iterations."""
+    """Where a swarm ended: best point (n,), its objective, passes over the record."""
 
     best: Array
     objective: float
-    remembered: Array
     n_evals: int
 
 
@@ -34,8 +32,8 @@ def swarm_search(
     problem: Problem,
     rng: np.random.Generator,
     *,
-    n_particles: int = 30,
-    n_iterations: int = 100,
+    n_particles: int,
+    n_iterations: int,
     inertia: float = 0.7298,
     cognitive: float = 1.49618,
     social: float = 1.49618,
@@ -66,4 +64,4 @@ def swarm_search(
         better = objective < own_objective
         own[better], own_objective[better] = at[better], objective[better]
     best = int(own_objective.argmin())
-    return Swarm(own[best], float(own_objective[best]), own_objective, n_particles * (n_iterations + 1))
+    return Swarm(own[best], float(own_objective[best]), n_particles * (n_iterations + 1))

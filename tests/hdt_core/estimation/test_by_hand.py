@@ -95,6 +95,7 @@ def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
 @pytest.mark.parametrize(
     ("chi2", "n", "variance"),
     [(29.5, 12, 1.0), (29.7, 12, 2.97), (1.5, 12, 1.0), (1.4, 12, 0.14), (86.6, 52, 1.0), (86.7, 52, 86.7 / 50.0),
+     (24.7, 52, 1.0), (24.6, 52, 24.6 / 50.0),
      (9.0, 2, 1.0), (np.inf, 12, 1.0), (9.0, 1, 1.0)],
 )  # fmt: skip
 def test_noise_is_as_declared_unless_chi_square_contradicts(chi2, n, variance):

@@ -1,0 +1,316 @@
+"""The calibration's rules and the evidence for missing physics: levels, defaults, instruments and bars in numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from by_hand import DSM, flights, with_bias
+from made import made_fleet
+
+from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration import missing_physics
+from hdt_core.calibration.arrays import as_met, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.calibrate import _admitted, _middle_flows, _without_levels, calibrate, exchanger_levels
+from hdt_core.calibration.compressor import probe_corrections
+from hdt_core.calibration.compressor_fit import _group_slope, fit_compressor
+from hdt_core.calibration.diffuser_line import BlockRows, rows_of, shared_line
+from hdt_core.calibration.dsm import version_of
+from hdt_core.calibration.exchanger_fit import fit_exchanger, instruments_of
+from hdt_core.calibration.forms import _enough, compare_forms
+from hdt_core.calibration.initial_wear import _clean_units, entry_posterior
+from hdt_core.calibration.inlet_law import full_open_inlet_k
+from hdt_core.calibration.missing_physics import _evidence, _fit, _rms, _seen, _step, propose
+from hdt_core.calibration.pooling import levels_of
+from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
+from hdt_core.physics.terms import TERMS
+
+
+@pytest.fixture(scope="module")
+def small():
+    return made_fleet(1, 12, seed=5)
+
+
+def test_without_flights_the_priors_stand(small):
+    """The level of clean units to 5 %, theirs to 5.5, a flight to 2 %; the law's reference flows and conductance."""
+    draft = _without_levels(small.samples.clear(), small.legs.clear(), {})
+    assert (draft.clean_level, draft.clean_level_sd, draft.offset_sd, draft.flight_sd) == (0.0, 0.05, 0.055, 0.02)
+    assert (draft.reference_ua_w_k, draft.cruise_flows_kg_s, draft.hot_inlet) == (1700.0, (0.9, 1.6), ())
+    assert set(draft.gradient) == {0.0}
+    np.testing.assert_allclose(np.diag(draft.exchanger_cov), hx.SD**2)
+    whole = calibrate(small.samples.clear(), small.legs.clear(), small.maintenance)
+    assert (whole.n_flights, whole.levels, whole.terms, whole.ram_balance_seen) == (0, (), {}, False)
+    assert _clean_units(np.zeros(0), np.zeros(0), np.zeros(0, bool)) == (0.0, 0.05, pytest.approx(0.05))
+
+
+def test_a_draft_is_anchored_where_its_points_lie(small):
+    draft = _without_levels(small.samples, small.legs, {})
+    assert (draft.n_flights, [p.n_flights for p in draft.packs]) == (10, [10, 10])  # the second milestone
+    design, own = draft.design, small.samples.filter(pl.col("flight_id") <= "T-00_20240110_01")
+    points = {n: own[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
+    hot, ram = draft.cruise_flows_kg_s
+    assert hot == pytest.approx(np.median(points["pack_flow_kg_s"]), rel=0.02)
+    assert ram == pytest.approx(np.median(clean_ram_flow_kg_s(points, design)), rel=0.02)
+    bias = draft.bias_of(own)
+    slope = [
+        (hx.ln_conductance_ratio(points, design + e, bias) - hx.ln_conductance_ratio(points, design - e, bias)) / 2e-5
+        for e in 1e-5 * np.eye(len(design))
+    ]
+    np.testing.assert_allclose(draft.gradient, np.nanmean(slope, axis=1), rtol=0.05, atol=0.02)
+    assert _middle_flows([], design) == (0.9, 1.6)
+
+
+@pytest.mark.parametrize(("verdicts", "kept"), [([True, False], 1), ([None, None], 2), ([None, False], 1)])
+def test_a_leg_without_a_verdict_calibrates(verdicts, kept):
+    base = flights(2).select("operator", "tail", "pack", "flight_id")
+    legs = base.with_columns(admitted=pl.Series(verdicts, dtype=pl.Boolean))
+    assert _admitted(base, legs).height == kept
+    assert _admitted(base, legs.head(1)).height == (2 if verdicts[0] is not False else 1)
+    assert _admitted(base, legs.drop("admitted")).height == _admitted(base, legs.clear()).height == 2
+
+
+def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
+    seen = {"A": -0.03, "B": 0.05, "C": -0.2}
+    rows = [flights(n, tail=t, ln_ua_ratio=[v] * 10 + [9.0] * (n - 10) if n > 10 else [v] * n)
+            for (t, v), n in zip(seen.items(), (12, 10, 4), strict=True)]  # fmt: skip
+    found = exchanger_levels(pl.concat(rows), DSM)
+    n = np.array([10, 10, 4])
+    value, error = np.array(list(seen.values())), 0.015 * 1.2533 / np.sqrt(n)
+    entry = entry_posterior(value, error**2, 0.02, 0.05)
+    frame = pl.DataFrame({"operator": "TST", "tail": list(seen), "pack": 1, "value": value + entry.wear,
+                          "error_sd": np.sqrt(error**2 + entry.wear_var), "n": n})  # fmt: skip
+    pooled = levels_of(frame, "hx_ua_reference_w_k")[1]
+    ln_ua = dict(zip(hx.NAMES, DSM.exchanger, strict=True))["ln_ua_reference"]
+    for one, level in zip(found, pooled, strict=True):
+        ua = np.exp(ln_ua + level.value)
+        assert (one.value, one.sd) == pytest.approx((ua, ua * np.hypot(level.sd, 0.1)), rel=1e-4)
+        assert (one.tail, one.n_flights, one.parameter) == (level.tail, level.n_flights, "hx_ua_reference_w_k")
+    assert exchanger_levels(rows[0].clear(), DSM) == ()
+
+
+def test_instruments_are_logarithms_about_a_middling_cruise():
+    """Temperature, pressure, hot inlet, Mach number and flow; squares and product of the first two."""
+    at = dict(tat_k=255.0, total_pressure_pa=3e4, hx_in_k=400.0, mach=0.83, pack_flow_kg_s=0.8)  # noqa: C408
+    signals = {n: np.array([v * np.exp(0.1 * k), np.nan]) for k, (n, v) in enumerate(at.items(), 1)}
+    np.testing.assert_allclose(instruments_of(signals), [[0.1, 0.2, 0.3, 0.4, 0.5, 0.01, 0.04, 0.02], [0.0] * 8])
+
+
+@pytest.mark.parametrize(("known", "seen"), [(19, False), (20, True)])
+def test_twenty_points_of_a_ram_outlet_fix_the_ram_flow(small, known, seen):
+
+    packs = small.samples.select("operator", "tail", "pack").unique().sort("pack")
+    points = to_points(level_points(cruise_samples(small.samples), flights_of(small.samples)), packs)
+    points.signals["ram_out_k"] = np.where(np.arange(len(points)) < known, points.signals["ram_out_k"], np.nan)
+    found = fit_exchanger(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
+    assert (found.ram_seen, found.converged) == (seen, True)
+    nothing = fit_exchanger(replace(points, pack=points.pack[:0]), np.full((1, 6), 0.1), np.tile(hx.BIAS_SDS, (1, 1)))
+    assert nothing.converged
+    np.testing.assert_array_equal(nothing.bias, [[0.1] * 6])
+
+
+def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():
+    rows = pl.concat([flights(3), flights(3, pack=2)]).rename({"departed_at": "time_utc"})
+    late = rows.with_columns(time_utc=pl.when(pl.col("flight_id") == "T-1_000").then(pl.col("time_utc").max())
+                             .otherwise("time_utc"))  # fmt: skip
+    found = flights_of(late)
+    assert found.select("pack", "flight_id", "order").rows() == [
+        (pack, flight, order) for pack in (1, 2) for order, flight in enumerate(("T-1_001", "T-1_000", "T-1_002"))
+    ]
+    logged = late.with_columns(departed_at=pl.lit(late["time_utc"].min()))
+    assert set(flights_of(logged)["departed_at"]) == {late["time_utc"].min()}
+    assert as_met(late, {}) is late
+
+
+def test_a_version_is_of_nine_digits_of_every_value():
+    frame = pl.DataFrame({"a": [1.0, 2.0], "b": ["x", "y"]})
+    assert version_of(frame) == version_of(frame.with_columns(pl.col("a") + 1e-12))
+    assert len({version_of(f) for f in (frame, frame.with_columns(pl.col("a") + 1e-9), frame.rename({"a": "c"}),
+                                        frame.cast({"a": pl.Int64}), frame.reverse())}) == 5  # fmt: skip
+    assert len(version_of(frame)) == 12
+
+
+def machines(n_flights: int, seed: int = 1) -> BlockRows:
+    rng = np.random.default_rng(seed)
+    flight = np.repeat(np.arange(n_flights), 4)
+    x = rng.uniform(300.0, 500.0, flight.size)
+    y = 0.17 - 2e-5 * (x - 400.0) + 0.002 * rng.standard_normal(flight.size)
+    blocks = pl.DataFrame({"operator": "O", "tail": "A", "pack": 1, "turn": [0]})
+    return BlockRows(x, y, np.zeros(flight.size, int), flight, blocks)
+
+
+def test_the_interval_of_a_share_is_that_of_flights_drawn_again():
+    rows = machines(30)
+    linear = compare_forms(rows)[1]
+    slope, level = np.polyfit(rows.x, rows.y, 1)
+    rest, about = rows.y - level - slope * rows.x, rows.y - rows.y.mean()
+    picks = np.random.default_rng(0).multinomial(30, np.full(30, 1 / 30), 200)
+    share = 1.0 - (picks @ np.bincount(rows.flight, rest**2)) / (picks @ np.bincount(rows.flight, about**2))
+    np.testing.assert_allclose(np.quantile(share, [0.025, 0.975]), (linear.r_squared_low, linear.r_squared_high))
+
+
+@pytest.mark.parametrize(("samples", "kept"), [(119_996, 119_996), (120_000, 60_000)])
+def test_of_many_samples_whole_flights_are_taken_evenly(samples, kept):
+    flight = np.arange(samples) // 4
+    blocks = pl.DataFrame({"turn": range(samples // 4)})
+    few = _enough(BlockRows(np.arange(samples), np.arange(samples), flight, flight, blocks))
+    assert len(few.x) == kept
+    assert few.flight.tolist() == few.block.tolist() == (np.arange(kept) // 4).tolist()
+    assert few.x[4] == 4 * samples // kept
+    assert len(few.blocks) == kept // 4
+
+
+def compressor(n: int, **columns) -> pl.DataFrame:
+    rng = np.random.default_rng(4)
+    named = {"operator": "O", "tail": "A", "pack": 1, "time_utc": range(n), "vda_counts": rng.uniform(300, 500, n),
+             "flight_id": [f"F{k:03d}" for k in range(n)], "diameter_m": 0.17, "efficiency": 0.8,
+             "group_m3": 9e-4 + 1e-6 * rng.standard_normal(n)}  # fmt: skip
+    return pl.DataFrame(named | columns)
+
+
+def test_a_group_has_a_slope_from_thirty_points_on():
+    rows = compressor(30)
+    line = shared_line(rows_of(rows, "group_m3"))
+    assert _group_slope(rows) == (line.slope, line.slope_sd)
+    assert _group_slope(compressor(29)) == (0.0, 0.0)
+    prior = fit_compressor(compressor(29))
+    assert (prior.scatter_m, prior.mae_m, prior.r_squared, prior.vda_counts) == (0.0055, 0.0055, 0.0, 400.0)
+    assert (prior.group_slope_m3_per_count, prior.group_slope_sd_m3_per_count, prior.vda_widest_counts) == (0, 0, 0)
+    assert (prior.intercept_sd_m, prior.forms, prior.levels) == (pytest.approx(0.02, abs=0.015), (), ())
+    alone = compressor(40, flight_id="F")
+    assert fit_compressor(alone).scatter_m == 0.0055  # one flight of one pack
+    pair = compressor(40, flight_id=["F"] * 20 + ["G"] * 20, diameter_m=0.17 + 1e-3 * np.sin(np.arange(40.0)))
+    found = fit_compressor(pair)
+    line = shared_line(rows_of(pair, "diameter_m"))
+    assert (found.mae_m, found.r_squared) == (pytest.approx(np.abs(line.residual).mean()), 0.0)
+
+
+@pytest.mark.parametrize(("packs", "share"), [(3, 0.0), (4, 0.8)])
+def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fifths(packs, share):
+    rng, beyond = np.random.default_rng(1), np.array([0.001, 0.0, -0.001, 0.002])[:packs]
+    rows = [
+        {"operator": "O", "tail": f"T{p}", "pack": 1, "flight_id": f"F{k}", "altitude_m": 1e4 * h, "cc_flow_kg_s": f,
+         "pack_flow_kg_s": f, "cc_out_pa": np.exp(11.0 + h + 0.5 * np.log(f) + beyond[p]), "cc_in_k": 250.0,
+         "tat_k": 250.0, "cc_in_pa": 3e4, "total_pressure_pa": 3e4}
+        for k, (h, f) in enumerate(rng.uniform(0.8, 1.2, (20, 2))) for p in range(packs)
+    ]  # fmt: skip
+    frame = pl.DataFrame(rows)
+    found = probe_corrections(frame, frame.select("operator", "tail", "pack").unique().sort("tail"))["exit_bias_ln"]
+    np.testing.assert_allclose(found, share * (beyond - np.median(beyond)), atol=1e-9)
+
+
+def test_an_inlet_without_a_law_or_a_reading_is_as_recorded(small):
+    rows = small.samples.head(3).with_columns(cc_out_k=pl.Series([450.0, 450.0, None]))
+    bias, held = np.zeros((6, 3)), np.full(3, 296.0)
+    np.testing.assert_array_equal(full_open_inlet_k(rows, (), DSM.design, bias, held), rows["hx_in_k"])
+    moved = full_open_inlet_k(rows, (0.6, 0.3, 0.0, 0.0, 0.0, 0.0), DSM.design, bias, held)
+    assert moved[2] == rows["hx_in_k"][2]
+    assert (moved[:2] != rows["hx_in_k"][:2].to_numpy()).all()
+
+
+# value, sd, BIC's gain, held-out change
+BARS = (0.41, 0.1, 6.1, -0.11)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "proposed"),
+    [(None, 0.0, True), (0, 0.39, False), (0, -0.41, True), (2, 5.9, False), (3, -0.09, False), (3, 0.11, False)],
+)
+def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
+    """Six of BIC, a tenth of the residuals, four deviations, off its bounds; and it is the best."""
+    numbers = [value if k == at else bar for k, bar in enumerate(BARS)]
+    best, second = list(TERMS)[:2]
+
+    def row(_seen, _dsm, name):
+        v, sd, bic, held = numbers if name == best else (0.9, 0.1, numbers[2] - 0.1, -0.5)
+        return (name, "", v, sd, "-", bic, 20.0, held, 0.1, 99)
+
+    monkeypatch.setattr(missing_physics, "_evidence", row)
+    monkeypatch.setattr(missing_physics, "_seen", lambda *_: type("S", (), {"fold": np.zeros(60)}))
+    monkeypatch.setattr(missing_physics, "TERMS", {n: replace(TERMS[n], bounds=(-9.0, 9.0)) for n in (best, second)})
+    found = propose(pl.DataFrame(), DSM)
+    assert found["term"].to_list() == [best, second]
+    assert found["proposed"].to_list() == [proposed, False]
+    bound = (numbers[0], 9.0)
+    monkeypatch.setattr(missing_physics, "TERMS", {n: replace(TERMS[n], bounds=bound) for n in (best, second)})
+    assert not propose(pl.DataFrame(), DSM)["proposed"].any()
+    known = propose(pl.DataFrame(), replace(DSM, terms={best: 0.1}))
+    assert known["term"].to_list() == [second]
+    monkeypatch.setattr(missing_physics, "_seen", lambda *_: type("S", (), {"fold": np.zeros(59)}))
+    assert propose(pl.DataFrame(), DSM).select("value", "n").rows() == [(None, 59)] * 2
+
+
+def test_a_step_is_hubers_regression_through_instruments():
+    """The design under its prior, the term under none; of neighbouring changes ten count as one."""
+    rng, p = np.random.default_rng(2), len(hx.MEAN)
+    instruments = rng.standard_normal((80, 8))
+    columns = instruments @ rng.standard_normal((8, p + 1)) + 0.3 * rng.standard_normal((80, p + 1))
+    left = columns[:, 0] * 0.5 + 0.1 * rng.standard_normal(80)
+    left[::16] += 3.0
+    design = hx.MEAN + 0.1 * hx.SD
+    z = instruments @ np.linalg.pinv(instruments) @ columns
+    weight, scale = np.ones(80), 1.4826 * np.median(np.abs(left))
+    for _ in range(10):
+        normal = (z * weight[:, None]).T @ z / (10.0 * scale**2) + np.diag(np.r_[0.0, hx.SD**-2.0])
+        right = (z * weight[:, None]).T @ left / (10.0 * scale**2) + np.r_[0.0, (hx.MEAN - design) / hx.SD**2]
+        step = np.linalg.solve(normal, right)
+        away = left - columns @ step
+        scale = 1.4826 * np.median(np.abs(away))
+        weight = np.minimum(1.0, 2.0 * scale / np.abs(away))
+    found, sd = _step(columns, left, instruments, design)
+    np.testing.assert_allclose(found, step, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(sd, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-6)
+    assert _rms(np.array([1.0, -9.0, np.nan]), 2.0) == pytest.approx(np.sqrt(2.5))
+
+
+def cruise_of(n: int, tail: str, seed: int, pack: int = 1) -> pl.DataFrame:
+    rng = np.random.default_rng(seed)
+    ranges = {"altitude_m": (10e3, 12e3), "mach": (0.78, 0.86), "tat_k": (238.0, 262.0), "hx_in_k": (380.0, 420.0),
+              "ram_door_open": (0.2, 0.6), "pack_flow_kg_s": (0.6, 0.9), "total_pressure_pa": (3e4, 4e4),
+              "hx_out_k": (290.0, 300.0), "ram_out_k": (330.0, 331.0)}  # fmt: skip
+    return flights(n, tail=tail, pack=pack, ln_ua_ratio=list(rng.normal(0.0, 0.1, n)),
+                   **{name: list(rng.uniform(*limits, n)) for name, limits in ranges.items()})  # fmt: skip
+
+
+def test_changes_are_of_one_pack_and_folds_of_aircraft():
+    rows = pl.concat([cruise_of(30, t, k) for k, t in enumerate("ABCDEFG")] + [cruise_of(9, "A", 9, pack=2)])
+    gap = rows.with_columns(pl.when(pl.col("flight_id") == "B_004").then(None).otherwise("hx_in_k").alias("hx_in_k"))
+    dsm = with_bias(("B", 1), hx_out_k=0.5)
+    seen = _seen(gap, dsm)
+    assert np.bincount(seen.fold).tolist() == [29, 29 + 8 + 29, 28 + 29, 29, 29]
+    ordered = gap.drop_nulls("hx_in_k").sort("operator", "tail", "pack", "departed_at")
+    signals = {n: ordered[n].to_numpy() for n in hx.SIGNALS}
+    here = hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(ordered))
+    np.testing.assert_allclose(seen.offset, ordered["ln_ua_ratio"].to_numpy() - here)
+    own = np.diff(ordered["ln_ua_ratio"].to_numpy())[seen.change]
+    np.testing.assert_allclose(seen.left({}, dsm.design), own)
+    two = _seen(rows.filter(pl.col("tail").is_in(["A", "C"])), dsm)  # of two aircraft: fifths of the flights
+    assert len(np.unique(two.fold)) == 5
+
+
+def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
+    rows = pl.concat([cruise_of(10, t, k) for k, t in enumerate("ABCD")])
+    for most, tails in ((40, 4), (39, 2), (20, 2), (19, 2), (13, 1)):
+        monkeypatch.setattr(missing_physics, "MOST_FLIGHTS", most)
+        assert _seen(rows, DSM).change.sum() == tails * 9
+    monkeypatch.undo()
+    assert missing_physics.MOST_FLIGHTS == 20_000
+
+
+def test_evidence_is_the_coefficient_over_its_deviation_and_what_is_left_out():
+    rows = pl.concat([cruise_of(40, t, k) for k, t in enumerate("ABC")])
+    seen, name = _seen(rows, DSM), next(iter(TERMS))
+    fit, row = _fit(seen, DSM, (name,)), _evidence(seen, DSM, name)
+    f, n = (fit.terms[name] / fit.sd[0]) ** 2, len(seen.fold)
+    assert row[2:4] == pytest.approx((fit.terms[name], fit.sd[0]))
+    assert (row[5], row[6], row[9]) == pytest.approx((f - np.log(n), f, n))
+    before = seen.left({}, DSM.design)
+    limit = 4.0 * 1.4826 * np.median(np.abs(before))
+    after = np.empty(n)
+    for fold in np.unique(seen.fold):
+        out = seen.fold == fold
+        other = _fit(seen, DSM, (name,), ~out)
+        after[out] = seen.left(other.terms, other.design)[out]
+    ratio = np.sqrt(np.mean(np.clip(after, -limit, limit) ** 2) / np.mean(np.clip(before, -limit, limit) ** 2))
+    assert row[7] == pytest.approx(ratio - 1.0)
+    moved = seen.ratio(fit.terms, fit.design) - seen.ratio({}, DSM.design)
+    assert row[8] == pytest.approx(np.nanstd(moved))

@@ -1,0 +1,398 @@
+"""Steps, descents, swarms and doubts against plain linear algebra and one-line models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, unknown
+from hdt_core.estimation.conclude import conclude, conclude_at
+from hdt_core.estimation.damped import damped_step, inverse_spd, is_exhausted, is_settled, judged, next_damping
+from hdt_core.estimation.descent import Point, descend, distance_to_optimum
+from hdt_core.estimation.doubts import RISE, better_optimum, is_bent, profiled
+from hdt_core.estimation.experiment import Candidate, rank_sensors
+from hdt_core.estimation.identifiability import Identifiability, inverted
+from hdt_core.estimation.swarm import search_box, swarm_search
+
+NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])
+SIZE = np.array([2.0, 3.5, 1.8])
+
+
+@pytest.mark.parametrize(
+    ("gradient", "lower", "upper", "free", "ends"),
+    [
+        ([1.0, -2.0, 0.5], [-9, -9, -9], [9, 9, 9], [0, 1, 2], {}),
+        ([1.0, -2.0, 0.5], [0, 0, 0], [9, 9, 9], [1], {}),  # two pressed against their lower bounds
+        ([-1.0, -2.0, 0.5], [-9, -9, -9], [0, 9, 9], [1, 2], {}),  # one against its upper
+        ([1.0, -2.0, 0.5], [-9, -9, -9], [0, 0.01, 9], [0, 1, 2], {1: 0.01}),  # a step ends on the bound
+        ([1.0, -2.0, 0.5], [-0.01, -9, 0], [9, 9, 0], [0, 1], {0: -0.01}),  # and one is held
+    ],
+)
+def test_a_damped_step_solves_its_equations_within_the_bounds(gradient, lower, upper, free, ends):
+    g, expected = np.array(gradient), np.zeros(3)
+    matrix = (NORMAL + 0.3 * np.diag(SIZE**2))[np.ix_(free, free)]
+    expected[free] = np.linalg.solve(matrix, -g[free])
+    for i, end in ends.items():
+        expected[i] = end
+    step, promised = damped_step(NORMAL, g, SIZE, 0.3, np.zeros(3), np.array(lower, float), np.array(upper, float))
+    np.testing.assert_allclose(step, expected, rtol=1e-12)
+    assert promised == pytest.approx(-2.0 * g @ expected - expected @ NORMAL @ expected)
+
+
+@pytest.mark.parametrize(
+    ("damping", "won", "promised", "after"),
+    [
+        (0.5, 0.5, 1.0, (0.5, 2.0)), (0.5, 0.25, 1.0, (0.5 * 1.125, 2.0)), (0.5, 0.9, 1.0, (0.5 * 0.488, 2.0)),
+        (0.5, 1.0, 1.0, (0.05, 2.0)), (0.5, 5.0, 1.0, (0.05, 2.0)), (2e-15, 1.0, 1.0, (1e-15, 2.0)),
+        (0.5, 0.0, 1.0, (2.0, 8.0)), (0.5, -1.0, 1.0, (2.0, 8.0)), (0.5, 1.0, 0.0, (2.0, 8.0)),
+    ],
+)  # fmt: skip
+def test_damping_follows_nielsen(damping, won, promised, after):
+    assert next_damping(damping, 4.0, won, promised) == pytest.approx(after, rel=1e-12)
+
+
+def test_a_last_step_promises_next_to_nothing():
+    """A hundred-millionth of the residuals' variance, 1e-22 without noise; a trillionth of the objective if unpaid."""
+    for sign in (1.0, -1.0):
+        assert [is_settled(sign * share * 1e-8 * 500.0 / 50, 500.0, 50) for share in (0.99, 1.01)] == [True, False]
+        assert [is_settled(sign * share * 1e-22, 0.0, 50) for share in (0.99, 1.01)] == [True, False]
+        assert [is_exhausted(sign * share * 1e-12 * 500.0, 0.0, 500.0) for share in (0.99, 1.01)] == [True, False]
+    assert not is_exhausted(0.0, 1e-9, 500.0)
+
+
+def test_an_inverse_a_determinant_and_a_decrement():
+    inverse, determinant = inverse_spd(NORMAL)
+    np.testing.assert_allclose(inverse, np.linalg.inv(NORMAL), rtol=1e-12)
+    assert determinant == pytest.approx(np.linalg.det(NORMAL) / (4.0 * 9.0 * 3.0))
+    assert (
+        inverse_spd(np.array([[1.0, 0.0], [0.0, 0.0]]))[1] == inverse_spd(np.array([[1.0, 1.0], [1.0, 1.0]]))[1] == 0.0
+    )
+    gradient, sd = np.array([0.3, -0.2, 0.1]), np.sqrt(np.diag(np.linalg.inv(NORMAL)))
+    for share, off in ((0.9, False), (1.1, True)):
+        for side in (0, 1):
+            bounds = np.tile([-9.0, 9.0], (3, 1))
+            bounds[1, side] = (2 * side - 1) * share * 1e-3 * sd[1]
+            found = judged(NORMAL, gradient, np.zeros(3), bounds)
+            np.testing.assert_allclose(found[0], inverse)
+            assert found[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), off))
+
+
+TIME = np.linspace(0.0, 3.0, 9)
+DECAY = 2.0 * np.exp(-1.3 * TIME) + 0.05 * np.sin(9.0 * TIME)
+
+
+def decay(theta0, measured=DECAY, **more) -> Problem:
+    return Problem(("level", "rate"), np.tile([-50.0, 50.0], (2, 1)), unknown(np.array(theta0)), measured[:, None],
+                   np.array([0.1]), lambda _x, t, i: (t[0] * np.exp(-t[1] * TIME[i]))[None], **more)  # fmt: skip
+
+
+def steps_by_hand(theta, most):
+    """Levenberg and Marquardt with Nielsen's damping, passes over the record counted."""
+
+    def at(t):
+        bell = np.exp(-t[1] * TIME)
+        r, slope = (t[0] * bell - DECAY) / 0.1, np.column_stack([bell, -t[0] * TIME * bell]) / 0.1
+        return r @ r, slope.T @ r, slope.T @ slope
+
+    (cost, gradient, normal), evals, mu, growth, size = at(theta), 5, 1e-3, 2.0, np.zeros(2)
+    for _ in range(most):
+        size = np.maximum(size, np.diag(normal))
+        step = -np.linalg.solve(normal + mu * np.diag(size), gradient)
+        promised = -2.0 * gradient @ step - step @ normal @ step
+        if promised < 1e-8 * cost / 9:
+            return theta + step, evals
+        won, evals = cost - at(theta + step)[0], evals + 1
+        mu, growth = (
+            (mu * max(0.1, 1.0 - (2.0 * min(won / promised, 1.0) - 1.0) ** 3), 2.0)
+            if won > 0
+            else (mu * growth, 2 * growth)
+        )
+        if won > 0:
+            theta, evals = theta + step, evals + 5
+            cost, gradient, normal = at(theta)
+    return theta, evals
+
+
+@pytest.mark.parametrize("start", [(0.1, 4.0), (5.0, 0.1)])
+@pytest.mark.parametrize("most", [1, 2, 3, 4, 5, 6, 8, 50])
+def test_a_descent_step_by_step(start, most):
+    theta, evals = steps_by_hand(np.array(start), most)
+    found = descend(decay(start), np.array(start), most)
+    np.testing.assert_allclose(found.theta, theta, rtol=1e-6)
+    assert found.n_evals == evals
+    assert descend(decay(start), np.array(start), most, 7).n_evals == evals + 7
+
+
+def test_a_descent_from_where_there_is_no_answer_stays():
+    lost = descend(decay((1.0, -1000.0)), np.array([1.0, -1000.0]), n_evals=3)
+    assert (lost.objective, lost.n_evals, lost.theta.tolist()) == (np.inf, 4, [1.0, -1000.0])
+    assert conclude_at(decay((1.0, -1000.0)), lost).status == "diverged"
+    assert (NonlinearLeastSquares().max_steps, NonlinearLeastSquares().name) == (200, "nls")
+
+
+@pytest.mark.parametrize(
+    ("normal", "gradient", "theta", "bounds", "distance"),
+    [
+        ([[1.0, 1.0], [1.0, 1.0]], [1.0, 1.0], [0, 0], [[-9, 9]] * 2, 1.0),  # one direction is unseen
+        ([[4.0, 0.0], [0.0, 9.0]], [1.0, -3.0], [0, 0], [[-9, 9], [-9, 0]], 0.5),  # pressed against the upper bound
+        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [-9, 0]], np.sqrt(1.25)),
+        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [0, 0]], 0.5),  # held
+        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[0, 0], [0, 0]], 0.0),
+        ([[4.0, 0.0], [0.0, 9.0]], [np.inf, 3.0], [0, 0], [[-9, 9]] * 2, np.inf),
+        ([[4.0, 0.0], [0.0, 0.0]], [1.0, 0.0], [0, 0], [[-9, 9]] * 2, 0.5),  # no information at all on the second
+    ],
+)
+def test_newtons_decrement_where_a_direction_is_missing(normal, gradient, theta, bounds, distance):
+    at = Point(np.array(theta, float), 1.0, np.array(gradient), np.array(normal))
+    assert distance_to_optimum(at, np.array(bounds, float)) == pytest.approx(distance)
+
+
+def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
+    found, seen = inverted(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
+    np.testing.assert_allclose(found, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
+    assert not seen
+    for gap, told in ((2.1e-14, True), (1.9e-14, False)):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
+        pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
+        assert (inverted(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (told, told)
+
+
+BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
+              Belief(np.array([0.0, 1.0, 4.0, 0.0]), np.diag([1.0, 4.0, np.inf, np.inf])), np.zeros((1, 1)), np.ones(1),
+              lambda _x, theta, i: (theta[0] ** 2 + theta[1] * theta[2] + 0.0 * i)[None])  # fmt: skip
+
+
+def test_the_box_of_a_search():
+    """Bounds, else four deviations of the prior, else ten times the start or ten."""
+    np.testing.assert_allclose(search_box(BOX), [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
+    origin = replace(BOX, prior=unknown(np.array([0.0, 0.5, 0.0, 0.0])))
+    np.testing.assert_allclose(search_box(origin)[1], [3.0, 10.5, 5.0, 2.0])
+
+
+def test_a_swarm_flies_as_clerc_and_kennedy_say():
+    problem, rng = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1))), np.random.default_rng(5)
+    lower, width = 0.5, 3.5
+    at = lower + width * rng.random((6, 2))
+    at[0] = 1.0
+    speed = 0.1 * width * (2.0 * rng.random((6, 2)) - 1.0)
+    own, best = at.copy(), problem.objective(at)
+    for _ in range(12):
+        pull, leader = rng.random((2, 6, 2)), own[np.argmin(best)].copy()
+        for p in range(6):
+            for j in range(2):
+                drawn = 1.49618 * (pull[0, p, j] * (own[p, j] - at[p, j]) + pull[1, p, j] * (leader[j] - at[p, j]))
+                speed[p, j] = 0.7298 * speed[p, j] + drawn
+                free = at[p, j] + speed[p, j]
+                at[p, j] = min(max(free, 0.5), 4.0)
+                speed[p, j] *= free == at[p, j]
+        now = problem.objective(at)
+        own[now < best], best = at[now < best], np.minimum(now, best)
+    cloud: list = []
+    recorded = replace(problem, observe=lambda x, t, i: (cloud.append(t), problem.observe(x, t, i))[1])
+    flown = swarm_search(recorded, np.random.default_rng(5), n_particles=6, n_iterations=12)
+    np.testing.assert_allclose(cloud[-1][:, :, 0].T, at, rtol=1e-9)
+    np.testing.assert_allclose(flown.best, own[np.argmin(best)], rtol=1e-9)
+    assert (flown.objective, flown.n_evals) == (pytest.approx(best.min()), 78)
+    plain = ParticleSwarm(polish=False)
+    assert plain.estimate(problem).n_evals == 30 * 101
+    assert (plain.inertia, plain.cognitive, plain.social, plain.seed) == (0.7298, 1.49618, 1.49618, 0)
+    flown = swarm_search(problem, np.random.default_rng(0), n_particles=30, n_iterations=100)
+    np.testing.assert_array_equal(plain.estimate(problem).belief.mean, flown.best)
+    assert ParticleSwarm().estimate(problem).n_evals > 30 * 101
+    assert ParticleSwarm().estimate(problem).status == "converged"
+    assert ParticleSwarm(n_iterations=1, polish=False).estimate(problem).status == "max_steps"
+
+
+def bend(c, bounds=(-np.inf, np.inf), prior=None):
+    """A cubic x + c x^3 seen as 0 with a sigma of 1, and its optimum."""
+    problem = Problem(("x",), np.array([bounds]), prior or unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
+                      lambda _x, t, i: (t[0] + c * t[0] ** 3 + 0.0 * i)[None])  # fmt: skip
+    normal = np.ones((1, 1)) + problem.prior.information
+    return problem, Point(np.zeros(1), 0.0, np.zeros(1), normal)
+
+
+@pytest.mark.parametrize(
+    ("c", "bounds", "variance", "known", "bent"),
+    [
+        # (1 + 4 c)^2 against 2 and a half
+        (0.102, (-9, 9), 1.0, False, False), (0.105, (-9, 9), 1.0, False, True),
+        (-0.072, (-9, 9), 1.0, False, False), (-0.075, (-9, 9), 1.0, False, True),
+        # four times the variance, twice as far
+        (0.102 / 4, (-9, 9), 4.0, False, False), (0.105 / 4, (-9, 9), 4.0, False, True),
+        # a bound within two deviations, unless a prior closes the end
+        (0.0, (-2.01, 9), 1.0, False, False), (0.0, (-1.99, 9), 1.0, False, True), (0.0, (-9, 1.99), 1.0, False, True),
+        (0.0, (-1.99, 9), 1.0, True, False), (0.0, (-3.9, 9), 4.0, False, True),
+        # an end cut short shows nothing below 0.4 of the objective
+        (2.0, (-0.62, 0.62), 1.0, True, False), (2.0, (-0.65, 0.65), 1.0, True, True),
+        (2.0, (-0.62, 0.65), 1.0, True, True), (2.0, (-1.24, 1.24), 4.0, True, False),
+    ],
+)  # fmt: skip
+def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, known, bent):
+    problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if known else None)
+    assert is_bent(problem, at, variance) is bent
+
+
+def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
+    pair = Problem(
+        ("x", "y", "z"),
+        np.array([[-9.0, 9.0], [3.0, 3.0], [-9.0, 9.0]]),
+        unknown(np.zeros(3)),
+        np.zeros((2, 1)),
+        np.ones(1),
+        lambda _x, t, i: np.where(np.asarray(i) == 0, t[0] + t[2] + 0.1 * t[2] ** 3, 2.0 * t[2])[None],
+    )
+    at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 5.0]]))
+    assert not is_bent(pair, at, 1.0)
+    assert is_bent(pair, replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]])), 1.0)
+
+
+def line(cloud=None, **more) -> Problem:
+    x = np.linspace(-1.0, 2.0, 12)
+
+    def observe(_x, theta, i):
+        if cloud is not None:
+            cloud.append(theta)
+        return (theta[0] + theta[1] * x[i])[None]
+
+    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
+             "measured": (1.0 + 0.5 * x)[:, None], "sigma": np.array([0.1]), "observe": observe}  # fmt: skip
+    return Problem(**(asked | more))
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+def test_profiles_of_a_straight_line_are_its_deviations(variance):
+    problem = line()
+    at = descend(problem, np.zeros(2))
+    cov = np.linalg.inv(at.normal)
+    half = np.sqrt(RISE * variance * np.diag(cov))
+    assert pytest.approx(1.959964**2, rel=1e-6) == RISE
+    found = profiled(problem, at, cov, variance)
+    np.testing.assert_allclose(found.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
+    assert not found.open.any()
+    assert found.better is None
+    held = profiled(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
+    np.testing.assert_allclose(held.interval[1], 0.5, rtol=1e-6)
+    wall = profiled(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
+    assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
+
+
+def test_an_interval_without_an_end_is_endless():
+    """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far."""
+    problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
+                      lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
+    at = descend(problem, np.zeros(1))
+    found = profiled(problem, at, np.array([[0.36]]))
+    assert (found.interval[0, 0], found.open.tolist(), found.unlimited) == (-np.inf, [[True, False]], ("x",))
+    # without a deviation the first stretch is the value's own size, at least 1
+    blind = profiled(problem, at, np.array([[np.inf]]))
+    np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
+
+
+def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
+    """128 points for two or three free parameters; every other one at another order of magnitude of the present."""
+    cloud: list = []
+    bounds = np.array([[-50.0, 50.0], [-20.0, 50.0]])
+    problem = line(cloud, bounds=bounds, prior=unknown(np.array([1.0, 0.0])))
+    at = Point(np.array([1.0, 0.5]), float(problem.objective(np.array([[1.0, 0.5]]))[0]), np.zeros(2), np.eye(2))
+    cloud.clear()
+    better, spent = better_optimum(problem, at, 1.0)
+    unit = qmc.Sobol(2, rng=np.random.default_rng(0)).random_base2(7)
+    drawn = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
+    drawn[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
+    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(drawn, *bounds.T), rtol=1e-12)
+    assert better is None
+    assert spent > 128 + 4 * 5
+    for gap, found in ((0.9e-4, False), (1.1e-4, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is found
+    for gap, found in ((0.9e-6, False), (1.1e-6, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is found
+    for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
+        seen: list = []
+        many = Problem(
+            tuple("abcdefghijklmnopq"[: n + 1]),
+            np.array([[-1.0, 1.0]] * n + [[0.5, 0.5]]),
+            unknown(np.zeros(n + 1)),
+            np.zeros((1, 1)),
+            np.ones(1),
+            lambda _x, t, i, seen=seen: (seen.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
+        )
+        better_optimum(many, Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1)), 1.0)
+        assert seen[0].shape[1] == points
+        assert (seen[0][n] == 0.5).all()
+
+
+X12 = np.linspace(-1.0, 2.0, 12)
+A = np.column_stack([np.ones(12), X12]) / 0.1
+
+
+@pytest.mark.parametrize(("off", "status"), [(0.9e-9, "converged"), (1.2e-9, "max_steps")])
+def test_without_noise_an_optimum_is_met_to_rounding(off, status):
+    theta = np.array([1.0 + off / np.linalg.norm(A[:, 0]), 0.5])
+    assert conclude(line(), theta, "max_steps", 1).status == status
+
+
+@pytest.mark.parametrize(("share", "status"), [(0.9, "at_bound"), (1.1, "converged")])
+@pytest.mark.parametrize("side", [0, 1])
+def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
+    prior = Belief(np.array([1.0, 0.5]), 25.0 * np.eye(2))
+    bounds = np.tile([-50.0, 50.0], (2, 1))
+    sd = np.sqrt(np.diag(np.linalg.inv(A.T @ A + np.eye(2) / 25.0)))
+    bounds[1, side] = 0.5 + (2 * side - 1) * share * 1e-3 * sd[1]
+    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
+
+
+@pytest.mark.parametrize(("half", "weak"), [(2.95, ("slope",)), (3.05, ())])
+def test_data_that_leave_six_deviations_in_the_range_have_hardly_narrowed_it(half, weak):
+    noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)  # of the declared variance, across offset and slope
+    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
+    found = NonlinearLeastSquares().estimate(problem)
+    mean, sd = found.belief.mean, found.belief.sd
+    bounds = np.array([[-50.0, 50.0], [mean[1] - half * sd[1], mean[1] + half * sd[1]]])
+    assert NonlinearLeastSquares().estimate(replace(problem, bounds=bounds)).weak == weak
+
+
+@pytest.mark.parametrize(
+    ("samples", "rho", "asked"), [(200, 0.5, True), (204, 0.5, False), (204, 0.705, False), (204, 0.709, True)]
+)
+def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, asked):
+    """A hundred values a parameter and a determinant 1 - rho^2 of a half: the bend is then not looked for."""
+    wave = np.sqrt(2.0 / samples) * np.cos(2.0 * np.pi * np.outer([1.0, 2.0, 3.0], np.arange(samples)) / samples)
+    u, v = wave[0], rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
+    problem = Problem(("a", "b"), np.tile([-50.0, 50.0], (2, 1)), unknown(np.zeros(2)),
+                      np.sqrt(samples) * wave[2][:, None], np.ones(1),
+                      lambda _x, t, i: (u[i] * (t[0] + 0.5 * t[0] ** 3) + v[i] * t[1])[None])  # fmt: skip
+    found = NonlinearLeastSquares().estimate(problem)
+    assert (found.status, found.profile is not None) == ("converged", asked)
+    assert (found.n_checks > 0) is asked
+
+
+@pytest.mark.parametrize("own", [None, np.array([[0.02, 0.001], [0.001, 0.03]])])
+def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(own):
+    noise = 0.4 * np.where(np.arange(12) % 2 == 0, 1.0, -1.0)
+    prior = Belief(np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
+    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None], prior=prior)
+    normal = A.T @ A + np.linalg.inv(prior.cov)
+    mean = np.linalg.solve(normal, A.T @ problem.measured[:, 0] / 0.1 + np.linalg.inv(prior.cov) @ prior.mean)
+    objective = problem.objective(mean[None])[0]
+    wide = np.linalg.inv(A.T @ A / (objective / 10.0) + np.linalg.inv(prior.cov))
+    found = conclude(problem, mean, "max_steps", 9, cov=own)
+    added = 0.0 if own is None else own - np.linalg.inv(normal)
+    np.testing.assert_allclose(found.belief.cov, wide + added, rtol=1e-6)
+    assert (found.status, found.n_evals, found.n_checks) == ("converged", 9, found.n_checks)
+    kept = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
+    np.testing.assert_allclose(kept.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
+    assert np.isnan(kept.distance)
+
+
+def test_a_sensor_brings_half_the_growth_of_the_log_determinant():
+    """Without data or prior a parameter is known to its bounds' width, a held one exactly."""
+    bounds = np.array([[0.0, 4.0], [-1.0, 9.0], [2.0, 2.0]])
+    blank = Problem(("a", "b", "c"), bounds, Belief(np.zeros(3), np.diag([np.inf, 4.0, 0.5])), np.full((3, 1), np.nan),
+                    np.ones(1), lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    first = Candidate("first", 0.5, lambda _x, t, i: (2.0 * t[0] + 0.0 * i)[None])
+    second = Candidate("second", 2.0, lambda _x, t, i: (t[1] + 0.0 * i)[None])
+    gains = rank_sensors(blank, np.array([1.0, 1.0, 2.0]), [second, first])
+    assert [g.name for g in gains] == ["first", "second"]
+    assert gains[0].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 * 4.0 / 0.25 * 16.0))
+    assert gains[1].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 / 4.0 * 4.0))
+    np.testing.assert_allclose(gains[1].sd, [4.0, 1.0, 0.0], atol=1e-12)

@@ -1,0 +1,468 @@
+"""Filters, net, declared problems and the report against sums written out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
+from scipy.linalg import sqrtm
+
+from hdt_core.estimation import (
+    Belief,
+    Estimate,
+    ExtendedKalman,
+    NonlinearLeastSquares,
+    PhysicsInformedNet,
+    Problem,
+    UnscentedKalman,
+    unknown,
+)
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.estimation.estimate import _correlations
+from hdt_core.estimation.identifiability import Identifiability
+from hdt_core.estimation.kalman import (
+    FilterPass,
+    _paying,
+    _stands_still,
+    forward,
+    report,
+    smoothed,
+    standardised,
+    trajectory,
+)
+from hdt_core.estimation.kalman_step import Correction, LostTrackError, tangent
+from hdt_core.estimation.pinn import _first_weights, _loss, _parameter_cov, _Scale, _states, _train, _with_slopes
+from hdt_core.estimation.problem import Kernels, _scale
+from hdt_core.estimation.ukf import regression, upper_root
+from hdt_core.physics.model import Param, PhysicsModel, Signal, State
+
+X = np.linspace(-1.0, 2.0, 12)
+
+
+def line(**more) -> Problem:
+    noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)
+    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)),
+             "prior": Belief(np.zeros(2), 4.0 * np.eye(2)), "measured": (1.0 + 0.5 * X + noise)[:, None],
+             "sigma": np.array([0.1]), "observe": lambda _x, theta, i: (theta[0] + theta[1] * X[i])[None]}  # fmt: skip
+    return Problem(**(asked | more))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "passes"),
+    [
+        (ExtendedKalman(), 2),
+        (ExtendedKalman(smoother_passes=0), 1),
+        (UnscentedKalman(smoother_passes=0, polish=False), 1),
+    ],
+)
+def test_passes_cost_two_for_each_quantity_and_one(estimator, passes):
+    """A straight line is filtered once, and once more to see that it stands still."""
+    found = estimator.estimate(line())
+    assert (found.status, found.n_evals) == ("converged", 5 * passes)
+    assert UnscentedKalman().estimate(line()).n_evals > 10
+    np.testing.assert_allclose(found.path[-1], found.belief.mean, rtol=1e-6)
+    slope = np.column_stack([np.ones(12), X]) / 0.1
+    for k in (0, 5):
+        cov = np.linalg.inv(slope[: k + 1].T @ slope[: k + 1] + 0.25 * np.eye(2))
+        np.testing.assert_allclose(found.path_sd[k], np.sqrt(np.diag(cov)), rtol=1e-6)
+        np.testing.assert_allclose(found.path[k], cov @ slope[: k + 1].T @ line().measured[: k + 1, 0] / 0.1, rtol=1e-6)
+
+
+def square(measured=4.0, drift=0.0, sigma=0.1) -> Problem:
+    return Problem(
+        ("x",),
+        np.array([[0.1, 9.0]]),
+        Belief(np.array([1.0]), np.array([[1.0]])),
+        np.full((3, 1), measured),
+        np.array([sigma]),
+        lambda _x, t, i: (t[0] ** 2 + 0.0 * i)[None],
+        drift=np.array([drift]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("estimator", "drift", "status"),
+    [
+        (ExtendedKalman(smoother_passes=0), 0.0, "approximate"),
+        (ExtendedKalman(smoother_passes=1), 0.0, "max_steps"), (ExtendedKalman(), 0.0, "converged"),
+        (ExtendedKalman(smoother_passes=0), 0.1, "approximate"),
+        (ExtendedKalman(smoother_passes=1), 0.1, "max_steps"), (ExtendedKalman(), 0.1, "converged"),
+        (UnscentedKalman(smoother_passes=0, polish=False), 0.0, "approximate"), (UnscentedKalman(), 0.0, "converged"),
+        (UnscentedKalman(smoother_passes=0, polish=False), 0.1, "approximate"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_how_a_filter_ends(estimator, drift, status):
+    found = replace(estimator, name="other").estimate(square(drift=drift))
+    assert (found.status, found.method) == (status, "other")
+    assert (found.innovations is not None) is (drift > 0.0)
+    assert np.isnan(found.distance) == (drift > 0.0)
+
+
+def test_defaults_of_the_filters_and_the_net():
+    assert ExtendedKalman() == ExtendedKalman("ekf", 20)
+    assert UnscentedKalman() == UnscentedKalman("ukf", 1.0, 0.0, 0.0, 5, True)
+    assert PhysicsInformedNet() == PhysicsInformedNet("pinn", 30, (0.1, 0.01), 100, True, 0)
+
+
+@pytest.mark.parametrize(
+    ("later", "taken"), [(1.9, 1.9), (2.1, 1.05), (3.0, 1.5), (9.0, 1.125), (-1.0, -1.0), (400.0, 400.0)]
+)
+def test_a_pass_is_shortened_by_halves_until_it_pays(later, taken):
+    """The objective is (x - 1)^2 from 0: seven halvings at most, and the full step where none pays."""
+    one = Problem(("x",), np.array([[-999.0, 999.0]]), unknown(np.zeros(1)), np.ones((1, 1)), np.ones(1),
+                  lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    assert _paying(one, np.zeros(1), np.array([later])) == pytest.approx([taken])
+    assert _paying(one, np.zeros(1), np.array([2.0**7 * 1.99])) == pytest.approx([1.99])
+    assert _paying(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
+    lost = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
+    assert _paying(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
+
+
+def test_an_estimate_stands_still_below_a_ten_thousandth_of_its_deviation():
+    cov = np.diag([9.0, 4.0, 0.0])
+    assert _stands_still(np.array([0.99e-4 * 2.0, 0.0]), cov)
+    assert not _stands_still(np.array([1.01e-4 * 2.0, 0.0]), cov)
+    assert not _stands_still(np.array([0.0, 1.1e-15]), cov)
+    assert _stands_still(np.array([0.0, 0.9e-15]), cov)
+    assert _stands_still(np.zeros(0), cov)
+
+
+def test_innovations_are_standardised_by_the_root_of_their_precision():
+    precision, error = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([0.3, -0.7])
+    whole = Correction(np.eye(2), np.eye(2), precision, error, np.eye(2))
+    half = Correction(np.eye(1, 2), np.eye(2, 1), precision[1:, 1:], error[1:], np.eye(1))
+    problem = line(measured=np.array([[1.0, 1.0], [np.nan, 1.0]]), sigma=np.ones(2))
+    rows = standardised(problem, [whole, half])
+    np.testing.assert_allclose(rows, [sqrtm(precision) @ error, [np.nan, np.sqrt(2.0) * -0.7]])
+
+
+def test_a_smoothed_covariance_is_that_of_all_samples():
+    """A walk of three samples with process noise against the inverse of the information of all at once."""
+    walk = Problem(
+        (),
+        np.empty((0, 2)),
+        Belief(np.empty(0), np.empty((0, 0))),
+        np.array([[1.0], [2.0], [0.5]]),
+        np.array([0.5]),
+        lambda x, _t, _i: x,
+        lambda x, _t, _i: 0.9 * x,
+        Belief(np.array([0.3]), np.array([[2.0]])),
+        np.array([0.7]),
+    )
+    beliefs = smoothed(forward(walk, tangent))
+    info = np.diag([1 / 2.0, 0.0, 0.0]) + np.eye(3) / 0.25
+    for i in range(2):
+        step = np.zeros(3)
+        step[i], step[i + 1] = 0.9, -1.0
+        info += np.outer(step, step) / 0.49
+    cov = np.linalg.inv(info)
+    np.testing.assert_allclose([b.cov[0, 0] for b in beliefs], np.diag(cov), rtol=1e-9)
+    right = walk.measured[:, 0] / 0.25 + np.array([0.3 / 2.0, 0, 0])
+    np.testing.assert_allclose([b.mean[0] for b in beliefs], cov @ right, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("points", "passes"), [(False, 2), (True, 5)])
+@pytest.mark.parametrize(("mean", "made", "serves"), [([1.0, 0.5], 3, True), ([1.2, 0.5], 3, False)])
+def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, mean, made, serves):
+    asked: list = []
+
+    def kalman(*args):
+        asked.extend(args)
+        return np.full((12, 2), 60.0), np.ones((12, 2)), np.array(mean), 0.001 * np.eye(2), made
+
+    problem = line(prior=unknown(np.array([60.0, 0.0])), sigma=np.array([0.1]))
+    best = np.linalg.lstsq(np.column_stack([np.ones(12), X]), problem.measured[:, 0], rcond=None)[0]
+    mean[:] = best + np.array([mean[0] - 1.0, 0.0])
+    kernels = Kernels(problem.simulate, problem.chi2, kalman=kalman)
+    estimator = UnscentedKalman(polish=False) if points else ExtendedKalman(name="ekf")
+    found = estimator.estimate(replace(problem, kernels=kernels))
+    assert bool(found.belief.cov[0, 0] == 0.001) is serves
+    np.testing.assert_array_equal(asked[0], [50.0, 0.0])  # the prior's mean inside the bounds
+    np.testing.assert_allclose(asked[1], np.eye(2) * 100.0**2 / 12.0)
+    assert asked[2].all()
+    assert asked[5:] == [points, 5 if points else 20, 1e-4]
+    if serves:
+        assert (found.n_evals, found.status, found.method) == ((1 + made) * passes, "converged", estimator.name)
+        assert (found.path == 50.0).all()  # kept inside the bounds
+    without = replace(estimator, smoother_passes=0).estimate(replace(problem, kernels=kernels))
+    assert without.status == ("converged" if serves else "approximate")
+    moving = estimator.estimate(replace(problem, kernels=kernels, drift=np.array([0.1, 0.1])))
+    assert moving.innovations is not None
+
+
+def test_regression_over_sigma_points_of_a_square():
+    """z0^2 of N(m, P): mean m^2 + P, slope 2 m, left over P either way with these weights."""
+    points = MerweScaledSigmaPoints(2, 1.0, 0.0, 0.0, sqrt_method=upper_root)
+    belief, free = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09])), np.full(2, np.inf)
+    found = regression(points, lambda z: z[:1] ** 2, belief, -free, free)
+    np.testing.assert_allclose(found.slope, [[3.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(found.offset, [1.5**2 + 0.25 - 4.5], atol=1e-9)
+    np.testing.assert_allclose(found.spread, [[0.0625]], atol=1e-9)
+    inside = regression(points, lambda z: z[:1], belief, -free, np.array([1.5, 9.0]))
+    np.testing.assert_allclose(inside.slope, [[0.5, 0.0]], atol=1e-9)
+    exact = regression(points, lambda z: z[:1], Belief(np.array([1.0, 0.0]), np.zeros((2, 2))), -free, free)
+    np.testing.assert_allclose(exact.slope, [[1.0, 0.0]], atol=1e-6)
+    for bad in (Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))):
+        with pytest.raises(LostTrackError):
+            regression(points, lambda z: z[:1], bad, -free, free)
+    with pytest.raises(LostTrackError):
+        regression(points, lambda z: np.inf * z[:1], belief, -free, free)
+    np.testing.assert_allclose(upper_root(np.diag([0.0, 4.0])), np.diag([2e-6, 2.0]), rtol=1e-9)
+    np.testing.assert_allclose(upper_root(np.zeros((1, 1))), [[1e-12]])
+
+
+def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
+    belief, lower, upper = Belief(np.array([2.0, 0.5]), np.eye(2)), np.array([-9.0, -9.0]), np.array([1.0, 9.0])
+    found = tangent(lambda z: np.stack([z[0] * z[1], z[0] ** 2]), belief, lower, upper)
+    np.testing.assert_allclose(found.slope, [[0.5, 1.0], [2.0, 0.0]], atol=1e-4)
+    np.testing.assert_allclose(found.slope @ [1.0, 0.5] + found.offset, [0.5, 1.0], rtol=1e-9)
+    assert not found.spread.any()
+    assert found.spread.shape == (2, 2)
+
+
+def test_a_trajectory_is_known_exactly():
+    walk = replace(square(), transition=lambda x, t, _i: x + t[0], start=Belief(np.array([2.0]), np.array([[1.0]])))
+    beliefs = trajectory(walk, np.array([0.5]))
+    np.testing.assert_allclose([b.mean for b in beliefs], [[2.0, 0.5], [2.5, 0.5], [3.0, 0.5]])
+    assert not any(b.cov.any() for b in beliefs)
+
+
+def test_a_report_that_is_not_finite_is_lost():
+    for belief in (Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))):
+        found = report(line(), belief, "converged", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
+        assert (found.status, found.n_evals, found.method) == ("diverged", 7, "m")
+
+
+TANK = PhysicsModel(
+    name="tank",
+    inputs=(Signal("inflow", "-"),),
+    outputs=(Signal("level", "-", sigma=0.2), Signal("twice", "-", sigma=0.4)),
+    params=(
+        Param("rate", "1/s", 0.5, (-0.1, 2.0), "health", drift=0.03),
+        Param("gain", "-", 1.0, (0.1, 3.0), "design"),
+    ),
+    equations=lambda inflow, rate, gain, store: (gain * store, 2.0 * store),
+    states=(State("store", "-", 1.5),),
+    rates=lambda inflow, rate, gain, store: inflow - rate * store,
+    solver="euler",
+)
+
+
+def tank(**more) -> Problem:
+    inflow = np.array([0.2, 0.0, 0.4])
+    return declared_problem(TANK, ["rate"], {"inflow": inflow}, {"level": np.array([1.4, 1.0, np.nan])}, **more)
+
+
+def test_a_declared_state_is_stepped_and_stepped_twice_as_finely():
+    problem = tank(dt_s=0.4, flights_per_sample=4.0)
+    x1 = 1.5 + 0.4 * (0.2 - 0.7 * 1.5)
+    x2 = x1 + 0.4 * (0.0 - 0.7 * x1)
+    np.testing.assert_allclose(problem.simulate(np.array([0.7]))[:, 0], [1.5, x1, x2])
+    half = 1.5 + 0.2 * (0.2 - 0.7 * 1.5)
+    fine = half + 0.2 * (0.2 - 0.7 * half)
+    np.testing.assert_allclose(problem.refined(np.array([1.5]), np.array([0.7]), 0), [fine])
+    np.testing.assert_allclose(problem.drift, [0.06])
+    assert (problem.sigma.tolist(), problem.prior.mean.tolist(), problem.names) == ([0.2], [0.5], ("rate",))
+    assert np.isinf(problem.prior.cov).all()
+    assert (problem.start.mean.tolist(), problem.start.cov.tolist()) == ([1.5], [[0.0]])
+    plain = tank()
+    assert plain.drift.tolist() == [0.0]
+    np.testing.assert_allclose(plain.transition(np.array([1.5]), np.array([0.7]), 0), [1.5 + 0.2 - 0.7 * 1.5])
+    # both outputs, the second before the first is no matter: by name
+    both = declared_problem(
+        TANK, ["rate", "gain"], {"inflow": np.zeros(2)}, {"twice": np.ones(2), "level": np.zeros(2)}
+    )
+    np.testing.assert_allclose(both.simulate(np.array([0.5, 0.9]))[0], [1.35, 3.0])
+    np.testing.assert_allclose((both.measured[0], both.sigma), ([0.0, 1.0], [0.2, 0.4]))
+
+
+def test_the_error_of_the_step_is_its_change_through_least_squares():
+    problem = tank(dt_s=0.4)
+    found = NonlinearLeastSquares().estimate(problem)
+    rate = found.belief.mean[0]
+    coarse, fine = (1.0 - 0.4 * rate), (1.0 - 0.2 * rate)
+    seen = np.array([1.5 * coarse + 0.08]), np.array([(1.5 * fine + 0.04) * fine + 0.04])
+    change, slope = (seen[1] - seen[0]) / 0.2, -0.4 * 1.5 / 0.2
+    expected = -change / slope * abs(slope)
+    np.testing.assert_allclose(found.step_error, expected / (found.belief.sd * abs(slope)), rtol=1e-5)
+    assert replace(found, problem=replace(problem, refined=None)).step_error is None
+    assert replace(found, problem=None).step_error is None
+    assert replace(found, status="diverged").step_error is None
+    with pytest.raises(ValueError, match="without its problem"):
+        _ = replace(found, problem=None).fit
+    lost = replace(found, status="diverged").fit
+    assert not lost.slope.any()
+
+
+def test_a_summary_says_it_all():
+    problem = line(prior=unknown(np.array([3.0, 0.0])))
+    found = replace(
+        NonlinearLeastSquares().estimate(problem), weak=("slope",), better=np.array([2.0, 0.25]), n_checks=17
+    )
+    fit, cov = found.fit, np.linalg.inv(found.identifiability.information)
+    sd, mean = np.sqrt(np.diag(cov)), found.belief.mean
+    head = [
+        "    status               = converged",
+        f"    model evaluations    = {found.n_evals}, and 17 to question the answer",
+        "    values               = 12",
+        "    free parameters      = 2",
+        "    degrees of freedom   = 10",
+        f"    reduced chi-square   = {fit.chi2 / 10:.6g}",
+        "    fit                  = adequate: model and sigma explain the record",
+    ]
+    lines = found.summary().splitlines()
+    assert set(head) <= set(lines)
+    row = next(text for text in lines if text.startswith("    offset "))
+    assert row.startswith(
+        f"    offset  {mean[0]:.8g} +/- {sd[0]:.4g} ({100 * sd[0] / mean[0]:.2f} %), scaled {fit.scaled_sd[0]:.4g}"
+    )
+    assert row.endswith("(init 3)")
+    assert f"    C(offset, slope) = {cov[0, 1] / sd[0] / sd[1]:+.4f}" in lines
+    assert lines[lines.index("[[Left open by the data]]") + 1] == "    slope"
+    assert lines[lines.index("[[A better optimum]]") + 1] == "    near offset 2, slope 0.25"
+    rho = np.eye(3)
+    rho[0, 1] = rho[1, 0] = -0.101
+    rho[0, 2] = rho[2, 0] = 0.099
+    rho[1, 2] = rho[2, 1] = 0.4
+    seen = Identifiability(("a", "b", "c"), np.eye(3))
+    sizes = np.diag([1.0, 2.0, 3.0])
+    said = _correlations(Estimate(Belief(np.ones(3), sizes @ rho @ sizes), "converged", 1, seen))
+    assert said == ["[[Correlations]] (below 0.1 not shown)", "    C(b, c) = +0.4000", "    C(a, b) = -0.1010"]
+    assert _correlations(Estimate(Belief(np.ones(3), np.eye(3)), "converged", 1, seen)) == []
+
+
+@pytest.mark.parametrize(
+    ("bounds", "prior", "expected"),
+    [
+        ([[-2.0, 2.0], [0.0, 5.0]], Belief(np.zeros(2), np.diag([9.0, 4.0])), [3e-3, 2e-3]),
+        ([[-2.0, 2.0], [0.0, 5.0]], Belief(np.zeros(2), np.diag([9.0, np.inf])), [4e-3, 5e-3]),
+        ([[-2.0, np.inf], [1.0, 1.0]], unknown(np.array([-7.0, 1.0])), [7e-3, 1e-3]),
+    ],
+)
+def test_a_parameter_at_zero_has_the_magnitude_of_its_prior_its_bounds_or_its_start(bounds, prior, expected):
+    np.testing.assert_allclose(_scale(line(bounds=np.array(bounds), prior=prior)), expected)
+
+
+# a net of two hidden units for one state: a + w1 tanh(s1 t + c1) + w2 tanh(s2 t + c2), times the state's size
+WEIGHTS = np.array([1.5, -0.8, 0.2, 0.4, 0.7, -0.3, 0.1])
+SCALE = _Scale(np.array([0.0, 0.5, 1.0]), np.array([2.0]), np.array([0.25]))
+
+
+def swing() -> Problem:
+    return Problem(
+        ("gain", "pole"),
+        np.array([[0.0, 5.0], [0.0, 1.0]]),
+        Belief(np.array([1.0, 0.8]), np.diag([0.25, 0.01])),
+        np.array([[1.0], [np.nan], [0.7]]),
+        np.array([0.2]),
+        lambda x, t, _i: t[0] * x,
+        lambda x, t, i: t[1] * x + 0.1 * np.asarray(i),
+        Belief(np.array([1.2]), np.array([[0.04]])),
+    )
+
+
+def test_a_nets_states_and_its_loss_by_hand():
+    time, theta = SCALE.time, np.array([1.1, 0.9])
+    x = 2.0 * (0.7 * np.tanh(1.5 * time + 0.2) - 0.3 * np.tanh(-0.8 * time + 0.4) + 0.1)
+    states, by = _states(WEIGHTS, time, SCALE.size, 2)
+    np.testing.assert_allclose(states, x[None])
+    vector, rho = np.concatenate([WEIGHTS, theta]), 0.1
+    residual, jacobian = _loss(swing(), vector, SCALE, rho, 2)
+    later = 0.9 * x[:-1] + 0.1 * np.arange(2)
+    expected = [(1.1 * x[0] - 1.0) / 0.2, 0.0, (1.1 * x[2] - 0.7) / 0.2, *((x[1:] - later) / (0.1 * 0.25)),
+                (x[0] - 1.2) / 0.2, 0.1 / 0.5, 0.1 / 0.1]  # fmt: skip
+    np.testing.assert_allclose(residual, expected, rtol=1e-6)
+    for j in range(vector.size):
+        step = np.zeros(vector.size)
+        step[j] = 1e-6
+        ends = [_loss(swing(), vector + sign * step, SCALE, rho, 2)[0] for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(jacobian[:, j], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-5)
+        if j < 7:
+            moved = [_states(WEIGHTS + sign * step[:7], time, SCALE.size, 2)[0] for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(by[..., j], (moved[0] - moved[1]) / 2e-6, rtol=1e-5, atol=1e-7)
+    # a start known exactly counts by a thousandth of the state's size
+    exact = replace(swing(), start=Belief(np.array([1.2]), np.zeros((1, 1))))
+    assert _loss(exact, vector, SCALE, rho, 2)[0][-3] == pytest.approx((x[0] - 1.2) / 2e-3)
+    value, by_x, by_theta = _with_slopes(
+        lambda x, t, i: x * t[0] ** 2 + i, np.array([[1.0, 2.0]]), np.array([3.0]), np.arange(2)
+    )
+    np.testing.assert_allclose(value, [[9.0, 19.0]])
+    np.testing.assert_allclose(by_x, [[[9.0, 9.0]]], rtol=1e-6)
+    np.testing.assert_allclose(by_theta, [[[6.0, 12.0]]], rtol=1e-6)
+
+
+def test_a_nets_first_weights_are_the_simulation_and_turn_all_along_the_record():
+    guess = np.column_stack([np.cos(np.linspace(0.0, 6.0, 80)), 3.0 * np.sin(np.linspace(0.0, 6.0, 80))])
+    scale = _Scale(np.linspace(0.0, 1.0, 80), np.array([1.0, 3.0]), np.ones(2))
+    first = _first_weights(30, guess, scale, np.random.default_rng(0))
+    slope, shift = first[:30], first[30:60]
+    assert ((np.abs(slope) >= 0.3 * 30) & (np.abs(slope) <= 30)).all()
+    assert 5 < (slope > 0).sum() < 25
+    np.testing.assert_allclose(-shift / slope, np.linspace(-0.05, 1.05, 30), atol=1e-12)
+    np.testing.assert_allclose(_states(first, scale.time, scale.size, 30)[0].T, guess, atol=0.03)
+
+
+def test_covariance_of_the_parameters_of_a_net():
+    normal = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 3.0]])
+    np.testing.assert_allclose(_parameter_cov(normal, 2), np.linalg.inv(normal)[1:, 1:], rtol=1e-9)
+    blind = np.zeros((3, 3))
+    blind[1:, 1:] = normal[1:, 1:]
+    np.testing.assert_allclose(_parameter_cov(blind, 2), np.linalg.inv(normal[1:, 1:]), rtol=1e-9)
+
+
+def lag() -> Problem:
+    x, seen = 1.0, []
+    for i in range(40):
+        seen.append(x + 0.01 * (-1.0) ** i)
+        x = 0.9 * x + 0.1 * np.sin(i / 4.0)
+    return Problem(
+        ("gain", "pole"),
+        np.array([[0.0, 5.0], [0.0, 0.999]]),
+        Belief(np.array([0.9, 0.8]), np.diag([0.04, 0.01])),
+        np.array(seen)[:, None],
+        np.array([0.01]),
+        lambda x, t, _i: t[0] * x,
+        lambda x, t, i: t[1] * x + 0.1 * np.sin(np.asarray(i) / 4.0),
+        Belief(np.ones(1), np.zeros((1, 1))),
+    )
+
+
+def test_a_net_counts_its_steps_and_stops_where_its_parameters_stand_still():
+    """Each step differs the model by a state and two parameters: seven passes."""
+    one = PhysicsInformedNet(width=8, max_steps=1, polish=False).estimate(lag())
+    assert (one.n_evals, one.method, one.status) == (2 * 7, "pinn", "approximate")
+    done = PhysicsInformedNet(width=8, polish=False).estimate(lag())
+    assert 7 * 2 * 4 <= done.n_evals < 7 * 200
+    assert done.n_evals % 7 == 0
+    polished = PhysicsInformedNet(width=8).estimate(lag())
+    best = NonlinearLeastSquares().estimate(lag())
+    assert polished.n_evals > done.n_evals
+    np.testing.assert_allclose(polished.belief.mean, best.belief.mean, atol=1e-3 * best.belief.sd.min())
+    assert (np.abs(done.belief.mean - best.belief.mean) < 3.0 * done.belief.sd).all()
+    # at the loss's minimum no step moves a parameter by 3e-4 of its deviation: three in a row and it ends
+    scale = _Scale(np.linspace(0.0, 1.0, 40), np.ones(1), np.full(1, 0.05))
+    start = np.concatenate([_first_weights(8, lag().measured, scale, np.random.default_rng(0)), lag().origin])
+    vector, normal, _ = _train(lag(), start, scale, 0.1, width=8, max_steps=400)
+    residual, slope = _loss(lag(), vector, scale, 0.1, 8)
+    np.testing.assert_allclose(normal, slope.T @ slope, rtol=1e-9)
+    assert _train(lag(), vector, scale, 0.1, width=8, max_steps=400)[2] <= 4
+    assert _train(lag(), start, scale, 0.1, width=8, max_steps=2)[2] == 2
+    assert residual @ residual < sum(np.square(_loss(lag(), start, scale, 0.1, 8)[0]))
+
+
+def test_a_net_of_a_model_without_states_is_least_squares_and_says_so():
+    found = PhysicsInformedNet().estimate(line())
+    assert found.method == "pinn: least squares, no dynamics"
+    lost = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
+    assert PhysicsInformedNet().estimate(lost).n_evals == 1
+    assert found.n_evals == NonlinearLeastSquares().estimate(line()).n_evals
+
+
+def test_a_pass_adds_up_its_samples():
+    one = Correction(np.eye(1), np.eye(1), np.array([[4.0]]), np.array([0.5]), np.eye(1))
+    nothing = Correction(np.empty((0, 1)), np.empty((1, 0)), np.empty((0, 0)), np.empty(0), np.empty((0, 0)))
+    expected = -0.5 * (1.0 + np.log(2.0 * np.pi) - np.log(4.0))
+    assert FilterPass(np.zeros((3, 1)), np.zeros((3, 1, 1)), [], [one, nothing, one]).log_likelihood == pytest.approx(
+        2 * expected
+    )
