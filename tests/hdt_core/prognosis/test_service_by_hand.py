@@ -1,0 +1,271 @@
+"""When a model learns, which one serves, which flights are scored again: rules at their edges, numbers by hand."""
+
+from dataclasses import asdict, replace
+from datetime import UTC, date, datetime, timedelta
+from types import SimpleNamespace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.components import components
+from hdt_core.margin.first_passage import wear_rate
+from hdt_core.prognosis import hazard, model
+from hdt_core.prognosis.component_life import _event_by, first_passage
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, _usual, tracks
+from hdt_core.prognosis.fleet_record import FleetRecord, month_of, score_months, start_of
+from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, events_ahead, hazards, passage_hazards, quantile
+from hdt_core.prognosis.metrics import bootstrap, constant_interval_score, interval_score
+from hdt_core.prognosis.model import ComponentFit, Fold, Prognosis, _keep_lessons, named, split_groups, untaught_levels
+from hdt_core.prognosis.model_card import from_parts, model_card, promote, to_parts
+from hdt_core.prognosis.recalibrate import NOMINAL, TERMS, HazardCorrection
+from hdt_core.prognosis.service import _version_of, same_base
+from hdt_core.prognosis.training_digest import (
+    TrainingDigest,
+    flights_not_learned,
+    read_digest,
+    training_digests,
+    why_learn,
+)
+from hdt_core.prognosis.unit_lives import episodes
+from hdt_core.simulate.training import LN_RATIO_PER_K
+
+DIGEST = TrainingDigest(
+    "base", "design", ["A", "B"], ["O"], [f"life {k}" for k in range(100)], {"O|A|1": 900, "O|B|1": 100}
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({}, ""), ({"base": "other"}, "the base is another"), ({"tails": ["A"]}, "an aircraft joined or left"),
+        ({"design": "other"}, "the aircraft's models or the code of features are others"),
+        ({"operators": []}, "an operator's first message came late"),
+        # of a hundred lives one may be another, of a thousand flights ten may come late, or go
+        ({"ended": [*DIGEST.ended[1:], "new"]}, ""), ({"ended": DIGEST.ended[1:]}, ""),
+        ({"ended": [*DIGEST.ended, "new", "newer"]}, "lives that had ended are others: 2"),
+        ({"ended": DIGEST.ended[2:]}, "lives that had ended are others: 2"),
+        ({"flights": {"O|A|1": 905, "O|B|1": 95}}, ""), ({"flights": {"O|A|1": 890, "O|B|1": 100}}, ""),
+        ({"flights": {"O|A|1": 906, "O|B|1": 95}}, "11 flights of earlier months came late or went"),
+        ({"flights": {"O|A|1": 900, "O|B|1": 100, "O|C|1": 11}}, "11 flights of earlier months came late or went"),
+        ({"flights": {"O|A|1": 900}}, "100 flights of earlier months came late or went"),
+        ({"base": "other", "design": "other"}, "the base is another"),
+    ],
+)  # fmt: skip
+def test_a_model_learns_again_where_one_in_a_hundred_is_another(change, why):
+    assert why_learn(replace(DIGEST, **change), DIGEST) == why
+    assert why_learn(DIGEST, None) == "the month began"
+    assert read_digest(DIGEST.to_json()) == DIGEST
+
+
+def test_flights_not_learned_are_those_that_came():
+    now = replace(DIGEST, flights={"O|A|1": 903, "O|B|1": 90, "O|C|1": 5})
+    assert flights_not_learned(now, DIGEST) == 8
+
+
+def flown(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, tzinfo=UTC), **columns) -> pl.DataFrame:
+    frame = pl.DataFrame(
+        {"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": [first + timedelta(k) for k in range(n)]}
+    )
+    named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+    return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
+
+
+def record(*frames: pl.DataFrame, messages: list[tuple] = [], entries: list[tuple] = []) -> FleetRecord:  # noqa: B006
+    keys = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32}
+    told = pl.DataFrame(messages, orient="row", schema=keys | {"flight_id": pl.String, "code": pl.String,
+                        "message_time": pl.Datetime("us", "UTC")})  # fmt: skip
+    log = pl.DataFrame(entries, orient="row", schema=keys | {"done_on": pl.Date, "component": pl.String,
+                       "action": pl.String, "finding": pl.String})  # fmt: skip
+    return FleetRecord(pl.concat(frames), told, log)
+
+
+FEBRUARY, MARCH = date(2024, 2, 1), date(2024, 3, 1)
+
+
+def test_what_was_on_record_before_a_month_began():
+    start = datetime(2024, 2, 1, tzinfo=UTC)
+    kept = record(
+        flown(70, first=datetime(2024, 1, 1, tzinfo=UTC)),
+        flown(29, "T-2", start),
+        messages=[
+            ("AAA", "T-1", 1, "T-1_010", "21-52-HXTEMP", start),
+            ("BBB", "T-9", 1, "x", "y", start - timedelta(1)),
+        ],
+        entries=[
+            ("AAA", "T-1", 1, FEBRUARY, "HX", "REPLACED", ""),
+            ("AAA", "T-1", 1, date(2024, 1, 13), "HX", "REPLACED", ""),
+        ],
+    )
+    assert kept.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
+    past = kept.before(start_of(FEBRUARY))
+    assert [f.height for f in (past.features, past.messages, past.maintenance)] == [31, 1, 1]
+    assert month_of(pl.Series([start - timedelta(microseconds=1), start])).to_list() == [date(2024, 1, 1), FEBRUARY]
+    digests = training_digests(kept, "b", "d")
+    january, february, march = digests.values()
+    assert (january.tails, february.tails, march.tails) == (["T-1"], ["T-1", "T-2"], ["T-1", "T-2"])
+    assert (january.operators, february.operators, march.operators) == ([], ["BBB"], ["AAA", "BBB"])
+    assert (january.flights, february.flights) == ({}, {"AAA|T-1|1": 31})
+    assert march.flights == {"AAA|T-1|1": 60, "AAA|T-2|1": 29}
+    # the unit that left in January was followed in January, the one of 1 February by a flight of that day
+    assert [len(d.ended) for d in (january, february, march)] == [0, 1, 2]
+    assert january.base == f"b {' '.join(TERMS)}"
+    other = training_digests(replace(kept, messages=kept.messages.head(0)), "b", "d")[MARCH]
+    assert len(set(other.ended) ^ set(march.ended)) == 2  # whether a message ended it is part of a life's digest
+
+
+def scored_days(n: int, loss: list[float]):
+    rows = flown(n, hx_fouling=loss, hx_fouling_sd=0.01, hx_ln_ua_ratio=-0.1)
+    none = record(rows)
+    return tracks(rows, episodes(rows, none.messages, none.maintenance), "HX")
+
+
+def test_a_flight_is_scored_anew_where_it_or_one_before_it_changed():
+    calm = [0.1] * 60
+    scored, new = score_months(scored_days(60, calm), "HX", {})
+    assert new.all()
+    assert {m: part["HX|AAA|T-1|1"][0] for m, part in scored.items()} == {date(2024, 1, 1): 31, FEBRUARY: 29}
+    again, new = score_months(scored_days(60, calm), "HX", scored)
+    assert (again, new.any()) == (scored, False)
+    early = score_months(scored_days(40, calm[:40]), "HX", {})[0]
+    assert np.flatnonzero(score_months(scored_days(60, calm), "HX", early)[1]).tolist() == list(range(40, 60))
+    for changed, first in ((5, 0), (40, 31), (30, 0)):
+        other = [0.2 if k == changed else v for k, v in enumerate(calm)]
+        new = score_months(scored_days(60, other), "HX", scored)[1]
+        assert np.flatnonzero(new).tolist() == list(range(first, 60))
+    # withdrawn flights: the month is another, and so is all after it
+    gone = score_months(scored_days(50, calm[:50]), "HX", scored)[1]
+    assert np.flatnonzero(gone).tolist() == list(range(31, 50))
+    assert score_months(scored_days(60, calm), "CC", scored)[1].all()
+
+
+@pytest.mark.parametrize(
+    ("candidate", "service", "promoted"),
+    [
+        ({"interval_score_flights": 102.0, "brier": 0.051}, {"interval_score_flights": 100.0, "brier": 0.05}, True),
+        ({"interval_score_flights": 102.1, "brier": 0.05}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+        ({"interval_score_flights": 90.0, "brier": 0.0511}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+        ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0}, True),
+        ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+        ({}, {}, True), ({"brier": 9.0}, {"failures": 3.0}, True),
+    ],
+)  # fmt: skip
+def test_a_model_that_is_worse_by_more_than_two_per_cent_does_not_serve(candidate, service, promoted):
+    assert promote({"scores": candidate}, {"scores": service}).promoted is promoted
+    assert promote({"scores": candidate}, None).promoted
+
+
+def test_the_learning_is_as_declared():
+    """Members, folds, rows and failures: chosen on simulated fleets (docs/prognosis.md)."""
+    assert (model.MEMBERS, model.FOLDS, model.LEARN_FROM, model.HORIZON) == (3, 5, 12, 300.0)
+    for rows, stride in ((1, 4), (4000, 4), (4001, 5), (8000, 8), (8001, 9)):
+        assert model._stride(np.ones(rows, bool)) == stride
+    assert split_groups(list("gfedcba")) == [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]
+    assert split_groups(["x", "y"]) == [("x",), ("y",)]
+    assert split_groups([]) == []
+    assert model.LESSONS == ((False, False), (True, False), (False, True), (True, True))
+    assert ComponentFit(PRIOR_RULES["CC"]) == ComponentFit(
+        PRIOR_RULES["CC"], HazardCorrection((0.0,) * 4), NOMINAL, 0, 0
+    )
+    base = Prognosis((), (0.1, 0.4, 0.9))
+    assert (untaught_levels(base, "HX"), untaught_levels(base, "CC")) == ((0.1, 0.4, 0.9), (0.05, 0.5, 0.95))
+    fit = ComponentFit(PRIOR_RULES["HX"], HazardCorrection((1.0,)), (0.2, 0.5, 0.8), 13, 20)
+    for corrected in (False, True):
+        for levelled in (False, True):
+            kept = _keep_lessons(fit, (0.1, 0.4, 0.9), corrected, levelled)
+            assert any(kept.correction.weights) is corrected
+            assert kept.levels == (fit.levels if levelled else (0.1, 0.4, 0.9))
+            assert (kept.rule, kept.failures, kept.lives) == (fit.rule, 13, 20)
+
+
+def asked(chance: float, columns: int = 3) -> SimpleNamespace:
+    return SimpleNamespace(
+        n_features_in_=columns, predict_proba=lambda x: np.column_stack([x[:, 0], chance * x.sum(axis=1)]),
+        train_score_=np.array([chance]), n_iter_=1,
+    )  # fmt: skip
+
+
+def test_two_bases_are_one_where_hazards_and_levels_agree():
+    one = Prognosis((asked(0.1), asked(0.2)), (0.05, 0.5, 0.95))
+    assert same_base(one, Prognosis((asked(0.1), asked(0.2)), (0.05, 0.5, 0.95)))
+    for other in (Prognosis((asked(0.1), asked(0.21)), one.base_levels), Prognosis((asked(0.1),), one.base_levels),
+                  Prognosis(one.hazard, (0.05, 0.5, 0.94))):  # fmt: skip
+        assert not same_base(one, other)
+
+
+def test_a_version_is_a_digest_of_all_that_was_learned():
+    base = Prognosis((asked(0.1),), (0.05, 0.5, 0.95))
+    fit = ComponentFit(PRIOR_RULES["CC"])
+    learned = [{}, {"CC": fit}, {"CC": replace(fit, levels=(0.1, 0.5, 0.9))},
+               {"CC": replace(fit, correction=HazardCorrection((0.1,)))}, {"HX": fit}]  # fmt: skip
+    versions = [named(base, fits).version for fits in learned]
+    versions += [
+        named(base, folds=(Fold(("A",), {"CC": fit}),)).version,
+        named(replace(base, hazard=(asked(0.2),))).version,
+    ]
+    assert len(set(versions)) == len(versions)
+    assert {len(v) for v in versions} == {12}
+    assert named(base, learned[1]).version == versions[1]
+    assert from_parts(to_parts(base)) == base
+    card = model_card(named(base, {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])}))
+    assert (card["failures"], card["lives"], card["scores"]) == ({"CC": 3, "HX": 0}, {"CC": 7, "HX": 0}, {})
+    assert card["message"]["CC"] == asdict(PRIOR_RULES["CC"])
+    frame = pl.DataFrame({"departed_at": [datetime(2024, 1, 31, 23, tzinfo=UTC), datetime(2024, 2, 1, tzinfo=UTC)]})
+    at = {date(2024, 1, 1): replace(base, version="j"), FEBRUARY: replace(base, version="f")}
+    assert frame.select(_version_of(at)).to_series().to_list() == ["j", "f"]
+
+
+def test_hazards_of_many_rows_are_asked_in_parts(monkeypatch):
+    monkeypatch.setattr(hazard, "probabilities", lambda m, x, spans: m * x[:, :1] / spans)
+    rows = np.linspace(0.1, 1.0, 11)[:, None]
+    whole = hazards([1.0, 3.0], rows)
+    np.testing.assert_allclose(whole, 2.0 * rows / EDGES[1:])
+    monkeypatch.setattr(hazard, "ROWS_AT_ONCE", 4)
+    np.testing.assert_array_equal(hazards([1.0, 3.0], rows), whole)
+
+
+def test_a_first_passage_is_spread_between_its_horizons():
+    by = passage_hazards(np.array([[0.2, 0.1, 0.8, 1.0], [0.0, 0.0, 0.0, np.nan]]), (50.0, 100.0, 200.0, 300.0))
+    found = dict(zip(EDGES, event_by(by)[0], strict=True))
+    assert (found[10.0], found[80.0], found[150.0], found[300.0]) == pytest.approx((0.04, 0.2, 0.5, 1.0))
+    assert np.isnan(event_by(by)[1, -1])
+    assert passage_hazards(np.zeros((0, 4)), (50.0, 100.0, 200.0, 300.0)).shape == (0, SPANS)
+    sure = passage_hazards(np.ones((1, 4)), (50.0, 100.0, 200.0, 300.0))
+    assert sure[0, 7] == 0.0  # nobody is left after fifty flights
+    ahead = events_ahead(event_by(by[:1]))
+    assert [ahead[f"p_event_{k}"][0] for k in (25, 50, 100, 200, 300)] == pytest.approx([0.1, 0.2, 0.2, 0.8, 1.0])
+    flat = np.r_[0.0, np.full(SPANS, 0.5)][None]
+    assert quantile(flat, 0.5)[0] == pytest.approx(5.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("slope", "seen", "flights"), [(2e-4, 29.0, 30.0), (2e-4, 150.0, 100.0), (None, 29.0, 2.0)])
+def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, seen, flights):
+    part = components()["CC"]
+    rows = pl.DataFrame(
+        {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_seen_of_unit": [seen]},
+        schema_overrides={"loss_slope_100_per_flight": pl.Float64},
+    )
+    limit = (np.array([0.25]), np.array([0.08]))
+    usual = part.limit.mean / part.life_flights
+    rate = wear_rate(np.array([slope or 0.0]), np.array([flights]), usual, usual)
+    want = first_passage(np.array([0.1]), np.array([0.01]), *rate, limit, np.array([True]))
+    np.testing.assert_allclose(_event_by(rows, limit, part, np.array([True])), want)
+
+
+def test_how_steep_a_packs_curves_usually_are_no_later_flight_says():
+    per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
+    want = [LN_RATIO_PER_K, 0.1, 0.2, 0.2, 0.2]
+    np.testing.assert_allclose(_usual(per_k), [want, [LN_RATIO_PER_K] * 5])
+
+
+def test_an_interval_of_a_metric_draws_tails_again():
+    frame = pl.DataFrame({"tail": list("aabbbc"), "x": [1.0, 2.0, 5.0, 6.0, 9.0, 4.0]})
+    rng, parts = np.random.default_rng(0), [[1.0, 2.0], [5.0, 6.0, 9.0], [4.0]]
+    means = [np.mean(np.concatenate([parts[i] for i in rng.integers(0, 3, 3)])) for _ in range(200)]
+    assert bootstrap(frame, lambda f: float(f["x"].mean())) == pytest.approx(tuple(np.quantile(means, [0.05, 0.95])))
+    assert interval_score([5.0], [6.0], [8.0], 0.5).tolist() == [2.0 + 4.0]
+    t = np.arange(11.0)
+    low, high = 1.0, 9.0
+    assert constant_interval_score(t, 0.2) == pytest.approx(
+        np.mean((high - low) + 10 * (np.maximum(low - t, 0) + np.maximum(t - high, 0)))
+    )
