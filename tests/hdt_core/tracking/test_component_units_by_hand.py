@@ -1,0 +1,169 @@
+"""A declared component's flights: which calibrate it, which stand apart, the prior moved; where a night goes on."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import polars as pl
+import pytest
+from by_hand import flights, log
+
+from hdt_core.components import Component, Limit
+from hdt_core.physics.model import Param, PhysicsModel, Signal
+from hdt_core.tracking import multiple_model_filter as mmf
+from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
+from hdt_core.tracking.component_units import (
+    _as_built,
+    _calibrated,
+    _explained,
+    _prior,
+    _second_level,
+    _strays,
+    by_prior,
+)
+from hdt_core.tracking.sequential import MIN_SAMPLES, flight_by_flight, recorded_outputs
+from hdt_core.tracking.wear_model import Settings
+
+PUMP = PhysicsModel(
+    name="pump",
+    inputs=(Signal("speed", "1/s"),),
+    outputs=(Signal("lift", "m", sigma=0.01), Signal("unseen", "m")),
+    params=(
+        Param("pmp_size", "m", 2.0, (0.5, 2.1), "design", sd=0.2),
+        Param("pmp_loss", "-", 0.0, (-0.1, 0.9), "health", drift=0.01),
+    ),
+    equations=lambda speed, pmp_size, pmp_loss: (pmp_size * speed * (1.0 - pmp_loss), speed),
+)
+PART = Component("PMP", "pump", "lift lost", PUMP, "pmp_loss", Limit(0.3, 0.05, 0.05), 100.0, "look")
+
+
+def samples(lift: list[float], each: int = 4, speed: float = 1.0) -> pl.DataFrame:
+    """A flight for each lift, of so many samples."""
+    many = flights(len(lift), lift=lift).rename({"departed_at": "time_utc"}).drop("status")
+    rows = pl.concat([many.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(each)])
+    return rows.with_columns(speed=pl.lit(speed)).sort("time_utc")
+
+
+def test_a_flight_of_three_samples_speaks_from_where_the_last_one_ended():
+    starts: list = []
+
+    def estimate(problem):
+        starts.append(float(problem.prior.mean[0]))
+        status = "converged" if len(starts) % 2 else "max_steps"
+        belief = SimpleNamespace(mean=np.array([0.1 * len(starts)]), sd=np.array([0.01]))
+        return SimpleNamespace(belief=belief, status=status, n_evals=7)
+
+    rows = samples([1.8] * 5, 3)
+    short = rows.filter((pl.col("flight_id") != "T-1_001") | (pl.col("time_utc").dt.minute() > 0))
+    found = flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate))
+    assert found["flight_id"].to_list() == ["T-1_000", "T-1_002", "T-1_003", "T-1_004"]
+    assert starts == pytest.approx([0.4, 0.1, 0.1, 0.3])  # the middle of the bounds, then where one converged
+    assert found["status"].to_list() == ["converged", "max_steps"] * 2
+    assert found.select("pmp_loss", "pmp_loss_sd", "n_evals").row(3) == pytest.approx((0.4, 0.01, 7))
+    starts.clear()
+    flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate), warm=False)
+    assert starts == pytest.approx([0.4] * 4)
+    assert (MIN_SAMPLES, recorded_outputs(PUMP, rows)) == (3, ["lift"])
+
+
+@pytest.mark.parametrize(
+    ("calm", "off", "stray"),
+    [([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, 7.36, 0), ([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, 7.46, 1),
+     ([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, -7.46, 1), ([0.0] * 9, 4.9e-9, 0), ([0.0] * 9, 5.1e-9, 1)],
+)  # fmt: skip
+def test_a_stray_lies_five_robust_deviations_off(calm, off, stray):
+    """Half of the flights lie within 1 of the median: a deviation is 1.4826; without any scatter a billionth."""
+    assert _strays(flights(len(calm) + 1, pmp_loss=[*calm, off]), "pmp_loss").height == stray
+
+
+@pytest.mark.parametrize(("life", "flights_taken"), [(50.0, 10), (99.0, 10), (300.0, 30), (2000.0, 100)])
+def test_a_tenth_of_a_life_is_as_built_ten_to_a_hundred_flights(life, flights_taken):
+    part = Component(*(getattr(PART, f) for f in ("code", "name", "lost", "model", "loss", "limit")), life, "look")
+    legs = flights(150, reason="").with_columns(
+        pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason").alias("reason")
+    )
+    found = _as_built(legs, log(), part)
+    assert found.height == flights_taken
+    assert found["flight_id"].to_list()[:5] == ["T-1_000", "T-1_001", "T-1_002", "T-1_004", "T-1_005"]
+    # replaced on the day of flight 24: of the 25 flights of the first unit the last ten are about the work
+    first = _as_built(legs, log(("T-1", 1, "PMP", "REPLACED", 24)), part)
+    assert first["flight_id"].to_list()[-1] == ("T-1_010" if flights_taken == 10 else "T-1_014")
+    assert first.height == (10 if flights_taken == 10 else 14)
+
+
+@pytest.mark.parametrize(("n", "known"), [(9, 0), (10, 1)])
+def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, known):
+    rng = np.random.default_rng(1)
+    rows = samples([1.8] * n, 5).with_columns(speed=pl.Series(rng.uniform(0.5, 1.5, 5 * n)))
+    rows = rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
+    stray, found = _calibrated(rows, PART)
+    assert (stray.height, len(found)) == (0, known)
+    if known:
+        name, value, sd, unit, count, identifiable, version = found[0]
+        assert (name, unit, count, identifiable, len(version)) == ("pmp_size", "m", 10, True, 12)
+        assert value == pytest.approx(1.9, abs=0.01)
+        assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
+        odd = rows.with_columns(
+            lift=pl.col("lift") * pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
+        )
+        stray, found = _calibrated(odd, PART)
+        assert (stray["flight_id"].to_list(), found[0][4]) == (["T-1_004"], 9)
+        assert found[0][1] == pytest.approx(1.9, abs=0.01)
+
+
+def test_reasons_of_the_second_level():
+    legs = flights(4, reason=["SHORT", "", "", ""])
+    own = _second_level(legs, [legs[2:3].select("operator", "tail", "flight_id", "pack")], [("TST", "T-1", 1, "x")])
+    assert own.select("reason", "admitted").rows() == [("SHORT", False), ("", True), ("STRAY", False), ("", True)]
+    none = _second_level(legs, [], [])
+    assert none["reason"].to_list() == ["SHORT", *["NOT_COMMISSIONED"] * 3]
+    assert not none["admitted"].any()
+    assert _prior(PART) == [("pmp_size", 2.0, 0.2, "m", 0, False, f"prior {PART.version}")]
+
+
+@pytest.mark.parametrize(("loss", "status"), [(-0.0991, "not_identifiable"), (-0.0989, "converged")])
+def test_a_loss_at_its_lower_bound_says_nothing(loss, status):
+    """A thousandth of the span of 1 above -0.1."""
+    rows = flights(1, pmp_loss=loss).with_columns(status=pl.lit("converged"))
+    assert _explained(rows, samples([1.0]), PART)["status"].to_list() == [status]
+
+
+def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_design():
+    """A lift of 1.7 is a loss of 0.15 at a size of 2 m, of 0.19 at 2.1 m, as large as it may be."""
+    rows = samples([1.7, 1.7])
+    health = flights(3, component="PMP", parameter="pmp_loss", value=[0.15, 0.15, None], sd=[0.02, None, 0.1])
+    found = by_prior(health, rows, PUMP, PART)
+    moved = (0.15 - (1.0 - 1.7 / 2.1)) ** 2
+    weight = 0.15**2 / (0.15**2 + 0.02**2 + moved)
+    np.testing.assert_allclose(found["value"], [weight * 0.15, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(found["sd"], [0.15 * np.sqrt(1.0 - weight), 0.15, 0.15], rtol=1e-6)
+    assert set(found["status"]) == {"prior_only"}
+
+
+PACKS = pl.DataFrame({"operator": ["TST"] * 2, "tail": ["A", "B"], "pack": [1, 1]}).cast({"pack": pl.Int32})
+SEEN = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
+
+
+@pytest.mark.parametrize(
+    ("segments", "now", "begin"),
+    [
+        ([1, 2, 3], SEEN, [2, 0]), ([1, 2], SEEN, [1, 0]), ([1], SEEN, [0, 0]), ([1, 3], SEEN, [0, 0]),
+        ([2, 3], SEEN, [2, 0]),
+        ([1, 2, 3], [["a0", "a1", "a2", "other"], ["b0"]], [1, 0]),
+        ([1, 2, 3], [["a0", "x", "y", "z"], ["b0"]], [0, 0]),
+    ],
+)  # fmt: skip
+def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, begin):
+    state = mmf.start(1, Settings(0.0, 0.01, 0.05))
+    stored = checkpoint_rows(PACKS, SEEN, from_first_flight(2), {(0, c): state for c in [0, *segments]})
+    assert stored["chapter"].unique().sort().to_list() == segments
+    found = read_checkpoints(stored, PACKS, now)
+    assert found.begin.tolist() == begin
+    assert list(found.checkpoints) == ([(0, begin[0])] if begin[0] else [])
+    for one in found.checkpoints.values():
+        for name in ("log_weight", "mean", "cov", "pace", "since", "unlogged", "faulty"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(state, name))
+    again = checkpoint_rows(PACKS, now, found, {(0, 2): state._replace(mean=state.mean + 1.0), (1, 0): state})
+    kept = sorted({c for c in segments if now[0][c] == SEEN[0][c]} | {2})
+    assert again["chapter"].unique().sort().to_list() == kept
+    assert again.filter(chapter=2)["seen"].unique().to_list() == [now[0][2]]
+    assert again.filter(chapter=2).height == len(state.pack)
