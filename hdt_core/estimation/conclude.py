@@ -104,7 +104,7 @@ def conclude(
         doubt = _narrowed(problem, own, variance) if plain else _questioned(problem, at, own, variance)
         status = doubt.status
     if status in ("converged", "approximate") and not inside:
-        status = "at_bound" if _rests_on_bound(problem.bounds, theta, own, held=False) else status
+        status = "at_bound" if _rests_on_bound(problem.bounds, theta, own) else status
     spread = own if cov is None else cov
     if variance > 1.0 and not own_objective and told:
         spread = spread + covariance_of_free(problem.bounds, seen.information / variance + prior)[0] - own
@@ -171,10 +171,10 @@ def _narrowed(problem: Problem, cov: Array, variance: float, spent: int = 0) -> 
     return _Doubt("converged", spent) if spent else NO_DOUBT
 
 
-def _rests_on_bound(bounds: Array, theta: Array, cov: Array, *, held: bool = True) -> bool:
-    """Whether a parameter is within a thousandth of its standard deviation of a limit; held ones count if `held`."""
+def _rests_on_bound(bounds: Array, theta: Array, cov: Array) -> bool:
+    """Whether a free parameter is within a thousandth of its standard deviation of a limit."""
     for (low, high), value, variance in zip(bounds.tolist(), theta.tolist(), cov.diagonal().tolist(), strict=True):
         margin = 1e-3 * min(variance, 1e300) ** 0.5
-        if not low + margin < value < high - margin and (held or low < high):
+        if not low + margin < value < high - margin and low < high:
             return True
     return False

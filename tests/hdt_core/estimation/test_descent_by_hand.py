@@ -10,7 +10,7 @@ from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Pr
 from hdt_core.estimation.conclude import conclude, conclude_at
 from hdt_core.estimation.damped import damped_step, inverse_spd, is_exhausted, is_settled, judged, next_damping
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
-from hdt_core.estimation.doubts import RISE, better_optimum, is_bent, profiled
+from hdt_core.estimation.doubts import RISE, _held, better_optimum, is_bent, profiled
 from hdt_core.estimation.experiment import Candidate, rank_sensors
 from hdt_core.estimation.identifiability import Identifiability, inverted
 from hdt_core.estimation.swarm import search_box, swarm_search
@@ -276,6 +276,16 @@ def test_profiles_of_a_straight_line_are_its_deviations(variance):
     assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
 
 
+def test_with_one_parameter_held_the_others_follow_along_the_line():
+    """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
+    problem = line()
+    at = descend(problem, np.zeros(2))
+    found = _held(problem, at, 1, 0.7)
+    theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
+    np.testing.assert_allclose(found.theta, theta, rtol=1e-9)
+    assert found.n_evals == 2 + 5
+
+
 def test_an_interval_without_an_end_is_endless():
     """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far."""
     problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
@@ -339,6 +349,8 @@ def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
     sd = np.sqrt(np.diag(np.linalg.inv(A.T @ A + np.eye(2) / 25.0)))
     bounds[1, side] = 0.5 + (2 * side - 1) * share * 1e-3 * sd[1]
     assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
+    bounds[1] = 0.5  # a held parameter rests on no bound
+    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == "converged"
 
 
 @pytest.mark.parametrize(("half", "weak"), [(2.95, ("slope",)), (3.05, ())])
