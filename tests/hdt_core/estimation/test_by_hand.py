@@ -26,6 +26,7 @@ from hdt_core.estimation.kalman_step import (
 X = np.linspace(-1.0, 2.0, 12)
 SEEN = 0.4 + 1.2 * X + 0.1 * np.cos(5.0 * X)
 A = np.column_stack([np.ones(12), X]) / 0.1
+SIGNS = (-1.0) ** np.arange(31)
 
 
 def line(**more) -> Problem:
@@ -84,6 +85,11 @@ def test_a_fits_figures_are_those_of_its_residuals():
         (np.tile([0.52, -0.52], 10), "adequate"), (np.tile([0.4, -0.4], 10), "sigma_too_large"),
         (np.repeat([1.0, -1.0], 20), "lack_of_fit"), (np.tile([1.0, 1.0, -1.0, -1.0], 10), "adequate"),
         (np.array([0.1]), "untested"),
+        # a hundred pairs of which thirty, or one less, change their sign: four deviations, or 4.2
+        (np.repeat(SIGNS, [4] * 19 + [2] * 11 + [3]), "adequate"),
+        (np.repeat(SIGNS[:30], [4] * 19 + [2] * 10 + [5]), "lack_of_fit"),
+        # a pattern a thousandth of sigma high is rounding's
+        (0.9e-3 * np.repeat([1.0, -1.0], 20), "sigma_too_large"), (1.1e-3 * np.repeat([1.0, -1.0], 20), "lack_of_fit"),
     ],
 )  # fmt: skip
 def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):

@@ -10,7 +10,7 @@ from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Pr
 from hdt_core.estimation.conclude import conclude, conclude_at
 from hdt_core.estimation.damped import damped_step, inverse_spd, is_exhausted, is_settled, judged, next_damping
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
-from hdt_core.estimation.doubts import RISE, _held, better_optimum, is_bent, profiled
+from hdt_core.estimation.doubts import RISE, _apart, _held, better_optimum, is_bent, profiled
 from hdt_core.estimation.experiment import Candidate, rank_sensors
 from hdt_core.estimation.identifiability import Identifiability, inverted
 from hdt_core.estimation.swarm import search_box, swarm_search
@@ -296,6 +296,27 @@ def test_an_interval_without_an_end_is_endless():
     # without a deviation the first stretch is the value's own size, at least 1
     blind = profiled(problem, at, np.array([[np.inf]]))
     np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
+
+
+@pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])
+def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
+    """x seen as 0 with a sigma of 1: the end is 1.96, the first stretch 1.96 of what is taken for sd."""
+    problem, at = bend(0.0)
+    found = profiled(problem, at, np.array([[sd**2]]))
+    assert found.open.tolist() == [[not ends] * 2]
+    np.testing.assert_allclose(found.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
+
+
+def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
+    """Neighbours lie within a twentieth of the box in every direction; without an answer nothing is begun."""
+    cloud = np.array([[0.0, 0.0], [0.04, 0.4], [0.06, 0.0], [0.0, 0.6], [0.5, 5.0], [0.9, 9.0], [1.0, 0.0]])
+    objectives = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+    width = np.array([1.0, 10.0])
+    np.testing.assert_array_equal(_apart(cloud, objectives, width), cloud[[0, 2, 3, 4]])
+    np.testing.assert_array_equal(_apart(cloud, objectives[::-1], width), cloud[[6, 5, 4, 3]])
+    objectives[3:] = np.inf
+    np.testing.assert_array_equal(_apart(cloud, objectives, width), cloud[[0, 2]])
+    np.testing.assert_array_equal(_apart(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
 
 
 def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
