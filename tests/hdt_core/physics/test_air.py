@@ -62,3 +62,21 @@ def test_mach_comes_back_from_its_pressures():
     mach = np.linspace(0.05, 0.95, 19)
     np.testing.assert_allclose(air.mach_from_pressures(air.total_to_static_pressure(mach), 1.0), mach, rtol=1e-12)
     assert air.mach_from_pressures(0.99, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("temperature_k", [220.0, 300.0, 450.0])
+def test_transport_properties_are_those_of_the_us_standard_atmosphere(temperature_k):
+    """Equations 51 and 53 of the edition of 1976; 0.025326 W/m/K at sea level by its table."""
+    t = temperature_k
+    conductivity = 2.64638e-3 * t**1.5 / (t + 245.4 * 10.0 ** (-12.0 / t))
+    assert air.conductivity_w_m_k(t) == pytest.approx(conductivity, rel=1e-9)
+    assert air.viscosity_pa_s(t) == pytest.approx(1.458e-6 * t**1.5 / (t + 110.4), rel=1e-9)
+    assert air.conductivity_w_m_k(288.15) == pytest.approx(0.025326, abs=5e-7)
+
+
+def test_warmed_air_holds_its_heat_to_a_tenth_of_a_billionth_of_a_kelvin():
+    """Specific heat is a parabola about 300 K, its mean that of Simpson's rule."""
+    to_k = air.warmed_k(220.0, 2.5e5)
+    at = np.array([220.0, 0.5 * (220.0 + to_k), to_k]) - 300.0
+    one, middle, other = 1004.66 + 0.05216 * at + 3.556e-4 * at**2
+    assert 2.5e5 / ((one + 4.0 * middle + other) / 6.0) == pytest.approx(to_k - 220.0, abs=1e-10)

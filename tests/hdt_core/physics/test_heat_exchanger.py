@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hdt_core.physics.air import conductivity_w_m_k, mean_specific_heat_j_kg_k, viscosity_pa_s
+from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import (
     HEAT_EXCHANGER,
+    capacity_rates,
     clean_conductance_w_k,
     film_gains,
     fouling_resistance_k_w,
@@ -118,3 +120,11 @@ def test_an_installed_core_conducts_by_the_mean_temperature_of_its_films():
     resistance = 0.45 / 2.0**0.6 + 0.45 / 4.0**0.5 + 0.1
     expected = np.log(1500.0 / resistance) + 0.7 * np.log(350.0 / 325.0)
     assert ln_clean_conductance(signals, np.array([6.4]), design) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("hot_in_k", "cold_in_k", "ua_w_k"), [(390.0, 250.0, 1500.0), (450.0, 220.0, 4000.0)])
+def test_outlets_settle_with_their_specific_heats_to_a_fifty_millionth_of_a_kelvin(hot_in_k, cold_in_k, ua_w_k):
+    hot_k, _ = outlets_k(0.9, 1.6, hot_in_k, cold_in_k, ua_w_k)
+    rate, ratio = capacity_rates(0.9, 1.6, hot_in_k, hot_k, cold_in_k)
+    effectiveness = crossflow_effectiveness(ua_w_k / rate, ua_w_k / rate * ratio)
+    assert hot_k == pytest.approx(hot_in_k - effectiveness * (hot_in_k - cold_in_k), abs=2e-8)
