@@ -186,16 +186,32 @@ def test_a_group_has_a_slope_from_thirty_points_on():
 
 @pytest.mark.parametrize(("packs", "share"), [(3, 0.0), (4, 0.8)])
 def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fifths(packs, share):
+    """A cubic of height and the logarithm of flow, the fleet's; each pack flies at heights of its own."""
     rng, beyond = np.random.default_rng(1), np.array([0.001, 0.0, -0.001, 0.002])[:packs]
-    rows = [
-        {"operator": "O", "tail": f"T{p}", "pack": 1, "flight_id": f"F{k}", "altitude_m": 1e4 * h, "cc_flow_kg_s": f,
-         "pack_flow_kg_s": f, "cc_out_pa": np.exp(11.0 + h + 0.5 * np.log(f) + beyond[p]), "cc_in_k": 250.0,
-         "tat_k": 250.0, "cc_in_pa": 3e4, "total_pressure_pa": 3e4}
-        for k, (h, f) in enumerate(rng.uniform(0.8, 1.2, (20, 2))) for p in range(packs)
-    ]  # fmt: skip
-    frame = pl.DataFrame(rows)
+    height, flow, pack = (
+        rng.uniform(0.8, 1.2, 20 * packs),
+        rng.uniform(0.7, 1.1, 20 * packs),
+        np.arange(20 * packs) % packs,
+    )
+    out = 11.0 + height - 0.3 * height**2 + 0.1 * height**3 + 0.5 * np.log(flow) + beyond[pack]
+    frame = pl.DataFrame(
+        {
+            "tail": [f"T{p}" for p in pack],
+            "flight_id": [f"F{k}" for k in range(20 * packs)],
+            "altitude_m": 1e4 * height,
+            "cc_flow_kg_s": flow,
+            "pack_flow_kg_s": flow,
+            "cc_out_pa": np.exp(out),
+        }
+    )
+    sound = {"operator": "O", "pack": 1, "cc_in_k": 250.0, "tat_k": 250.0, "cc_in_pa": 3e4, "total_pressure_pa": 3e4}
+    frame = frame.with_columns(pl.lit(v).alias(c) for c, v in sound.items())
+    columns = np.column_stack([height**k for k in range(4)] + [np.log(flow)])
+    left = out - columns @ np.linalg.lstsq(columns, out)[0]
+    shown = np.array([np.median(left[pack == p]) for p in range(packs)])
     found = probe_corrections(frame, frame.select("operator", "tail", "pack").unique().sort("tail"))["exit_bias_ln"]
-    np.testing.assert_allclose(found, share * (beyond - np.median(beyond)), atol=1e-9)
+    np.testing.assert_allclose(found, share * (shown - np.median(shown)), atol=1e-9)
+    assert np.ptp(shown) > 0.001
 
 
 def test_an_inlet_without_a_law_or_a_reading_is_as_recorded(small):

@@ -96,6 +96,8 @@ def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
     """Quantiles of chi-square: 5.4 and 43.8 for 19 degrees; a series that keeps its sign for twenty values has run."""
     fit = Fit(residuals[:, None], np.array([True]), np.zeros((residuals.size, 1)), np.zeros((1, 1)))
     assert fit.verdict == verdict
+    for none in (np.full((3, 1), np.nan), np.zeros((3, 1)), np.array([[1.0], [np.inf], [1.0]]), np.ones((1, 1))):
+        assert replace(fit, residuals=none).serial_correlation == 0.0
 
 
 @pytest.mark.parametrize(
