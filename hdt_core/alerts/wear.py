@@ -48,8 +48,7 @@ def hx_cases(
     above_limit = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gain > limit + RISE_MARGIN)
     sure = grid.as_observed(above_limit | _fails_soon(grid, loss, sd, limits), "hx_fouling", restart)
     keep = np.fmax(loss, gain) > limits.fouling_keep * limits.fouling_soon
-    # the rise continues after the last flight, where a busier pack still has columns
-    fouled = persistent(sure & reliable & grid.is_flight, *limits.wear_persistence, keep=keep, restart=restart)
+    fouled = persistent(sure & reliable, *limits.wear_persistence, keep=keep, restart=restart)
     blocked = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
     jump_flags = (step > limits.clog) & (np.fmax(loss, gain) > 0.05) & ~_returns_after_recovery(step, restart, limits)
     clogged = persistent(

@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from hdt_core.alerts.cases import FAILS_AT, Case, Limits
 from hdt_core.alerts.wear import cc_cases, hx_cases, loss_rise, low_margin_cases, odds_above
+from hdt_core.health.detection import Cusum, watch
 
 N, NOTHING = FLIGHTS, work(departure(0)).clear()
 FLIGHT = np.arange(N)
@@ -237,3 +238,59 @@ def test_little_margin_of_a_new_unit_and_in_doubt():
     assert case.facts["since"] == 20
     assert (case.facts["hx_passage_300"], case.facts["hx_fouling"]) == (0.95, 0.1)
     assert low()[0].facts["since"] == 0
+
+
+def test_flights_in_doubt_have_no_part_in_what_a_unit_has_risen_by():
+    """Thirty-one flights alone at 0.25; a doubt lingers for fifteen."""
+    alone = np.where((FLIGHT >= 50) & (FLIGHT < 81), 0.25, 0.05)
+    assert fouling(0.0, hx_fouling_flight=alone) != []
+    assert fouling(0.0, hx_fouling_flight=alone, sick=(FLIGHT >= 50) & (FLIGHT < 66)) == []
+    assert fouling(0.0, hx_fouling_flight=alone, sick=(FLIGHT >= 50) & (FLIGHT < 56)) != []
+
+
+def test_a_jump_of_the_unit_before_or_after_the_loss_is_a_case_of_its_own():
+    jump = np.where(FLIGHT == 50, 0.2, 0.0)
+    names = [("HX_SUDDEN_CLOG", 50, 60), ("HX_FOULING", 68, None)]
+    assert spans(fouling(np.where(FLIGHT < 61, 0.14, 0.2), work_before(60), hx_fouling_step_3=jump)) == names
+    before = fouling(0.2, hx_fouling_step_3=jump)
+    assert [(c.diagnosis, c.raised_flight) for c in before] == [("HX_SUDDEN_CLOG", 50), ("HX_FOULING", 2)]
+    # one case ends with the later of the two: thirty flights of a jump, or fifteen after the loss
+    for lost_until, closed in ((60, 80), (85, 99)):
+        loss = np.where((FLIGHT >= 52) & (lost_until > FLIGHT), 0.2, np.where(FLIGHT < 52, 0.14, 0.05))
+        assert spans(fouling(loss, hx_fouling_step_3=jump)) == [("HX_SUDDEN_CLOG", 50, closed)]
+
+
+@pytest.mark.parametrize(("shrinks", "grows"), [(25, 60), (21, 60), (15, 99)])
+def test_a_diameter_is_watched_from_its_twentieth_flight_on(shrinks, grows):
+    """Three quarters of a deviation of 2.2 % are no news; a sum of 8 calls, of 1 ends; the level is never forgotten."""
+    diameter = 0.16 * np.where((shrinks <= FLIGHT) & (grows > FLIGHT), 0.93, 1.0)
+    settings = Cusum(slack=0.75, decide=8.0, clear=1.0, ceiling=14.0, clip=4.5, learn_flights=20, memory_flights=10**6)
+    seen = watch(np.log(diameter)[None, :, None], np.array([0.022]), np.zeros((1, N, 1), bool), settings)
+    called = (seen.alarm & (seen.departure < -0.025) & (seen.sum_low > seen.sum_high))[0, :, 0]
+    cases = cc_cases(grid(cc_effective_diameter_m=diameter, running=True), NOTHING, Limits(), np.zeros((1, N), bool))
+    edges = np.flatnonzero(np.diff(np.r_[0, called.astype(int), 0])).tolist()
+    assert spans(cases) == [
+        ("CC_DEGRADED", a, b if b < N else None) for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    still = grid(cc_effective_diameter_m=diameter, running=shrinks > FLIGHT)
+    assert cc_cases(still, NOTHING, Limits(), np.zeros((1, N), bool)) == []
+
+
+def test_shares_and_persistence_in_service():
+    limits = Limits()
+    assert (limits.fouling_keep, limits.passage_keep, limits.compressor_excess, limits.compressor_keep) == (
+        0.75,
+        0.6,
+        1.2,
+        0.7,
+    )
+    assert (limits.wear_persistence, limits.clog_persistence, limits.margin_persistence) == (
+        (3, 4, 15),
+        (1, 1, 30),
+        (4, 5, 20),
+    )
+    assert (limits.compressor_persistence, limits.jam_persistence, limits.dropout_persistence) == (
+        (4, 5, 20),
+        (2, 3, 4),
+        (2, 3, 8),
+    )

@@ -13,6 +13,7 @@ from hdt_core.estimation.fit import Fit, noise_variance
 from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, inverted
 from hdt_core.estimation.kalman_step import (
     Affine,
+    LostTrackError,
     corrected,
     innovate,
     is_moving,
@@ -164,8 +165,14 @@ def test_how_a_fit_ends_is_told():
     assert NonlinearLeastSquares().estimate(twins).status == "not_identifiable"
     near = settle(line(), mean + 0.5 * sd, 0, cov=4.0 * optimum.belief.cov)
     np.testing.assert_allclose(near.belief.cov, 4.0 * optimum.belief.cov)
-    far = settle(line(), mean + 2.5 * sd, 0, cov=optimum.belief.cov)
-    np.testing.assert_allclose(far.belief.cov, optimum.belief.cov, rtol=1e-6)
+    for off in ([1.05, 0.0], [0.0, -1.05], [2.5, 2.5]):  # the method's covariance, twice as wide, is of another place
+        moved = mean + np.array(off) * 2.0 * sd
+        far = settle(line(), moved, 0, cov=4.0 * optimum.belief.cov)
+        np.testing.assert_allclose(far.belief.cov, optimum.belief.cov, rtol=1e-6)
+    there = settle(line(), mean + np.array([0.95, -0.95]) * 2.0 * sd, 0, cov=4.0 * optimum.belief.cov)
+    np.testing.assert_allclose(there.belief.cov, 4.0 * optimum.belief.cov)
+    assert settle(line(), mean * [1.0, np.nan], 5).status == "diverged"
+    assert settle(line(), mean, 5, polish=False).n_evals == 5
     assert linearised(line(), mean).n_evals == 5
 
 
@@ -217,6 +224,9 @@ def test_a_kalman_step_is_the_conditional_normal():
     one = corrected(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
     gain = cov @ h[1] / s[1, 1]
     np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])
+    for slope, offset in (([[1.0, np.inf, 0.0]] * 2, [0.0, 0.0]), (h, [0.0, np.nan])):
+        with pytest.raises(LostTrackError):
+            innovate(belief, Affine(np.array(slope), np.array(offset), np.zeros((2, 2))), seen, sigma)
     move = Affine(
         np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3)
     )
