@@ -59,7 +59,7 @@ def _alert(page: Page, target: Path) -> Path:
     """Photograph the first alert, and under it its pack's chart."""
     page.evaluate(
         """() => {
-            const alert = document.querySelector(".alert"), link = document.querySelector("#ranking td a");
+            const alert = document.querySelector(".alert"), link = document.querySelector("#tonight td a");
             document.querySelector("main").replaceChildren(alert, document.querySelector(link.hash));
             document.querySelector("header").remove();
             scrollTo(0, 0);

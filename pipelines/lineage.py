@@ -238,7 +238,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), settings=("limits",), code="16"),
+        alike("features_alerts", parents=("features",), settings=("limits",), code="17"),
     ),
     Stage(
         "raw_components",

@@ -95,7 +95,7 @@ SENSOR_COSTS = "Until it is replaced the pack's health is judged without it, and
 SENSOR_NAMED = "; sensor: {sensor}"
 
 UPSTREAM = (
-    "Find the cause upstream before another unit goes on, this is number {units} here in {days} days: ram inlet and "
+    "Find the cause upstream before another unit goes on (number {units} here in {days} days): ram inlet and "
     "duct, the air it is fed (bleed, filter), flow and temperature control, its sensors"
 )
 THEN = ". Only then: "

@@ -230,40 +230,34 @@ def _print_refusals(home: Path, files: frozenset[str]) -> None:
 def print_ranking(home: Path) -> None:
     """Print the packs, and units of other components, most in need of attention, in the report's order and words."""
     from pipelines.report import words
+    from pipelines.report.facts import OUTLOOKS
     from pipelines.storage.catalog import connect
     from pipelines.words import _
 
+    queries = (*(f"select * from {view} order by place" for view in ("fleet_ranking", "component_ranking")), OUTLOOKS)
     with connect(home) as con:
-        rows, units = (
-            con.sql(f"select * from {view} order by place").pl().to_dicts()
-            for view in ("fleet_ranking", "component_ranking")
-        )
-    table = Table(title=_("Packs most in need of attention"), box=SIMPLE_HEAD, pad_edge=False)
-    names = (_("pack"), _("urgency"), _("UA lost\n(90 %)"), _("flights left\n(90 %)"), _("message\nin 50"))
-    for k, name in enumerate((*names, _("open alerts"))):
-        table.add_column(name, justify="right" if k in (2, 4) else "left", no_wrap=k not in (3, 5))
-    for r in rows[:MAX_ROWS]:
-        outlook = words.loss(r), words.flights_left(r), words.chance(r["p_event_50"])
-        table.add_row(f"{r['operator']} {r['tail']} {r['pack']}", words.urgency(r), *outlook, r["diagnoses"] or "")
-    out.print(table)
-    _print_units(units[:MAX_ROWS])
-    for line in words.unknown([*rows, *units]):
+        packs, units, outlooks = (con.sql(query).pl() for query in queries)
+    _print_rows(_("Packs most in need of attention"), packs.to_dicts(), outlooks)
+    if units.height:
+        _print_rows(_("Other components most in need of attention"), units.to_dicts(), outlooks)
+    for line in words.unknown([*packs.to_dicts(), *units.to_dicts()]):
         out.print(line, markup=False, soft_wrap=True)
 
 
-def _print_units(rows: list[dict[str, Any]]) -> None:
-    """Print the units of declared components; nothing where there are none."""
+def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) -> None:
     from pipelines.report import words
-    from pipelines.words import _
+    from pipelines.words import _, several
 
-    if not rows:
-        return
-    table = Table(title=_("Other components most in need of attention"), box=SIMPLE_HEAD, pad_edge=False)
-    names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("failure\nin 50"))
-    for k, name in enumerate((*names, _("open alerts"))):
-        table.add_column(name, no_wrap=k not in (3, 5))
-    for r in rows:
-        outlook = words.share(r["loss"], r["loss_sd"]), words.flights_left(r), words.chance(r["p_event_50"])
-        name = f"{r['operator']} {r['tail']} {r['component']} {r['pack']}"
-        table.add_row(name, words.urgency(r), *outlook, r["diagnoses"] or "")
+    table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False)
+    names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("message"), _("open alerts"))
+    for k, name in enumerate(names):
+        table.add_column(name, no_wrap=k < 3)
+    for r in rows[:MAX_ROWS]:
+        o = words.likeliest_outlook(outlooks, r)
+        unit = f"{r['operator']} {r['tail']} {r['component'] + ' ' if 'name' in r else ''}{r['pack']}"
+        loss = words.share(r["loss"], r["loss_sd"]) if "name" in r else words.loss(r)
+        diagnoses = words.diagnosis(r["diagnoses"]) if r["diagnoses"] else words.work_done(r)
+        table.add_row(unit, words.urgency(r), loss, words.flights_left(o), words.chance_by(o), diagnoses)
     out.print(table)
+    if (n := len(rows) - MAX_ROWS) > 0:
+        out.print(several("{n} more in the report.", "{n} more in the report.", n))

@@ -13,6 +13,13 @@ from hdt_core.calibration.dsm import Dsm
 from pipelines.storage.catalog import connect
 from pipelines.storage.publication import views
 
+OUTLOOKS = """
+    select c.*, d.due_on, d.due_low_on, d.due_high_on, d.status as due_status,
+        case when c.check_name is not null then c.until_on end as check_on
+    from check_chances as c left join due_dates as d
+    on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component"""
+"""Chance of a message before the next chance to act, and due date, of each unit and component."""
+
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",
     "components": "select * from component_ranking order by place",
@@ -34,7 +41,15 @@ _FRAMES = {
     "cases": "select alert_id, state, owner, muted_until, finding, found_by, found_on from cases",
     "due": "select * from due_dates",
     "rates": "select operator, tail, flights_per_day from flight_rates",
-    "stops": "select * from next_stop order by place nulls last, choice",
+    "stops": """
+        select *, max(expected_cost) filter (choice = 'defer')
+            over (partition by operator, tail, pack, component) as defer_cost
+        from next_stop order by place nulls last, choice""",
+    "outlooks": OUTLOOKS,
+    "margins": """
+        select operator, tail, pack, arg_max(hx_margin_hot_day_k, departed_at) as margin_k,
+            arg_max(door_full_open_share, departed_at) as door_share
+        from features group by operator, tail, pack""",
     "hit_rates": "select * from alert_hit_rates order by component, diagnosis",
     "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
     "messages": "select * from tables.raw_messages order by message_time, code",

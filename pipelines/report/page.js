@@ -9,7 +9,7 @@
     let packs = 0;
     for (const item of items) {
       item.hidden = !words.every((w) => item.dataset.find.includes(w));
-      if (!item.hidden && item.closest("#ranking")) packs += 1;
+      if (!item.hidden && item.closest("#tonight")) packs += 1;
     }
     for (const group of document.querySelectorAll("[data-group]")) {
       group.hidden = group.querySelector("[data-find]:not([hidden])") === null;

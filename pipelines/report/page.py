@@ -9,15 +9,16 @@ from typing import Any
 import polars as pl
 from markupsafe import Markup
 
+from hdt_core.alerts.cases import Limits
 from pipelines.report import charts, tracks, words
 from pipelines.report.answers import answers
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.figures import figures
-from pipelines.report.headline import headline
 from pipelines.report.templating import policy, render
 from pipelines.report.thresholds import thresholds
+from pipelines.report.tonight import tonight
 from pipelines.storage.files import replacing
-from pipelines.storage.settings import changed_limits
+from pipelines.storage.settings import alert_limits, changed_limits
 from pipelines.words import _
 
 CLOSED_DAYS = 180  # alerts closed longer ago stand in the catalog only
@@ -32,10 +33,18 @@ def write_report(home: Path, target: Path, units: str = "si", with_thresholds: b
     """
     rows = thresholds(home) if with_thresholds else ()
     with replacing(target.resolve()) as temporary:
-        temporary.write_text(page(read_facts(home), units, rows, changed_limits(home)), encoding="utf-8")
+        temporary.write_text(
+            page(read_facts(home), units, rows, changed_limits(home), alert_limits(home).fouling), encoding="utf-8"
+        )
 
 
-def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] = (), limits: Sequence[str] = ()) -> str:
+def page(
+    facts: Facts,
+    units: str = "si",
+    thresholds: Sequence[dict[str, Any]] = (),
+    limits: Sequence[str] = (),
+    fouling_limit: float = Limits().fouling,
+) -> str:
     """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
     paper_figures, data = figures(facts), _data(facts)
     for k, chart in enumerate(c for f in paper_figures for c in f["charts"]):
@@ -50,7 +59,7 @@ def page(facts: Facts, units: str = "si", thresholds: Sequence[dict[str, Any]] =
         policy=policy(*scripts),
         scripts=[Markup(s) for s in scripts],
         data=data,
-        tonight=headline(facts),
+        tonight=tonight(facts, data["charts"], fouling_limit),
         ranking=facts["ranking"].to_dicts(),
         alerts=_alerts(facts),
         charted=data["charts"].keys(),

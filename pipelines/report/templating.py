@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 
 from hdt_core.alerts.evidence import ROLES
 from pipelines.report import words
-from pipelines.report.units import estimate, in_words, threshold
+from pipelines.report.units import estimate, in_words, quantity, threshold
 from pipelines.report.words import visible
 from pipelines.words import _, language, several
 
@@ -42,7 +42,7 @@ def _environment() -> Environment:
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # unsorted: a chart's parts refer back
     environment.globals |= {
         "_": html_text, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,
-        "threshold": threshold, "words": words,
+        "quantity": quantity, "threshold": threshold, "words": words,
     }  # fmt: skip
     return environment
 

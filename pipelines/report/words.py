@@ -5,6 +5,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import polars as pl
+
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.components import components
 from hdt_core.flight.admission import SECOND_LEVEL
@@ -108,6 +110,35 @@ def chance(value: float | None) -> str:
     return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else percent(value)
 
 
+def likeliest_outlook(outlooks: pl.DataFrame, row: Row) -> dict[str, Any]:
+    """Return the outlook of a row's component whose message before the next chance to act is likeliest.
+
+    `outlooks` has a row a unit and component; without one all values are None.
+    """
+    codes = [row["component"]] if "name" in row else ["HX", "CC"]
+    own = outlooks.filter(operator=row["operator"], tail=row["tail"], pack=row["pack"])
+    rows = own.filter(pl.col("component").is_in(codes)).to_dicts()
+    empty = dict.fromkeys(outlooks.columns) | {"component": codes[0]}
+    return min(rows, key=lambda o: (-(chance_before_check(o) or 0.0), codes.index(o["component"])), default=empty)
+
+
+def chance_before_check(outlook: Row) -> float | None:
+    """Return the chance of a message before the next chance to act, or the nearest to it that is known."""
+    chances = (outlook[k] for k in ("chance", "chance_at_least", "p_event_50"))
+    return next((c for c in chances if c is not None), None)
+
+
+def chance_by(outlook: Row) -> str:
+    """Format that chance with its day: `67 % by 2024-07-07`."""
+    until = " ".join(filter(None, (outlook["check_name"], day(outlook["until_on"]))))
+    text = chance(chance_before_check(outlook))
+    if outlook["chance"] is not None:
+        return _("{chance} by {until}", chance=text, until=until)
+    if outlook["chance_at_least"] is not None:
+        return _("more than {chance} by {until}", chance=text, until=until)
+    return text if outlook["p_event_50"] is None else _("{chance} in 50 flights", chance=text)
+
+
 def loss(row: Row) -> str:
     """Format conductance lost with its interval."""
     return share(row["hx_fouling"], row["hx_fouling_sd"])
@@ -157,6 +188,14 @@ def flights_left(row: Row) -> str:
     ends = {"low": number(low), "high": number(high)}
     interval = _("{low} to {high} or more", **ends) if high >= HORIZON else _("{low} to {high}", **ends)
     return f"{number(rul)} ({interval})"
+
+
+def work_done(row: Row) -> str:
+    """Write the work since the last flight: `replaced 2024-07-01, no flight since`; nothing where there was none."""
+    if not row["work_action"]:
+        return ""
+    work = row["work_action"].lower()
+    return _("{work} {day}, no flight since", work=_(work), day=day(row["work_on"]))
 
 
 def diagnosis(code: str) -> str:

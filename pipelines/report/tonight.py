@@ -1,0 +1,169 @@
+"""Build the report's first screen: a table with a pack, or a unit of another component, a row."""
+
+import re
+from collections.abc import Iterator, Mapping
+from datetime import date, datetime, timedelta
+from typing import Any
+
+import polars as pl
+
+from hdt_core.components import components
+from pipelines.report import words
+from pipelines.report.answers import CHOICES
+from pipelines.report.facts import Facts
+from pipelines.report.templating import anchor
+from pipelines.words import _, number, several
+
+Row = dict[str, Any]
+AXIS_DAYS = 120
+"""Days that the axis of due dates shows."""
+SPARK_POINTS, SPARK_WIDTH, SPARK_HEIGHT = 40, 90, 26
+WASHABLE = ("HX_FOULING", "CC_DEGRADED")
+"""Diagnoses of wear alone: the choice with the least expected cost is the action."""
+
+
+def tonight(facts: Facts, tracks: Mapping[str, Row], fouling_limit: float) -> dict[str, Any]:
+    """Return the summary, the rows to act on or plan, the other rows, and what is not known.
+
+    `tracks` holds the data of each card's chart by the card's id; `fouling_limit` is the loss that raises an alert.
+    """
+    ranking, units = facts["ranking"].to_dicts(), facts["components"].to_dicts()
+    limits = {c.code: c.warn_loss for c in components().values()} | {"HX": fouling_limit}
+    rows = [_row(facts, tracks, limits, r) for r in (*ranking, *units)]
+    act, plan = (sum(r["urgency"] == u for r in ranking) for u in ("act", "plan"))
+    silent = facts["gaps"].filter(gap="silent_now").to_dicts()
+    return {
+        "summary": _summary(act, plan, len(ranking)) if ranking else None,
+        "rows": [r for r in rows if r["urgency"] in ("act", "plan")],
+        "rest": [r for r in rows if r["urgency"] not in ("act", "plan")],
+        "ticks": _ticks(facts.until()),
+        "unknown": words.unknown([*ranking, *units]),
+        "silent": "; ".join(_("{tail} since {day}", tail=g["tail"], day=words.day(g["from_at"])) for g in silent),
+        "flights": _flights_line(facts),
+    }
+
+
+def _summary(act: int, plan: int, n: int) -> str:
+    watched = several("{n} pack watched", "{n} packs watched", n)
+    if not act and not plan:
+        return _("Nothing to do tonight. {watched}, none with an open alert.", watched=watched)
+    first = (
+        several("{n} pack needs work now", "{n} packs need work now", act)
+        if act
+        else _("Nothing has to be done tonight")
+    )
+    later = several(", {n} pack to plan for", ", {n} packs to plan for", plan) if plan else ""
+    return f"{first}{later}. {watched}."
+
+
+def _row(facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], row: Row) -> Row:
+    """Return the cells of a pack or unit; chance and date are those of the component whose message is likelier."""
+    own, key = "name" in row, words.unit_key(row)
+    codes = [row["component"]] if own else ["HX", "CC"]
+    card = anchor("unit", row["component"], *key) if own else anchor("pack", *key)
+    outlook = words.likeliest_outlook(facts["outlooks"], row)
+    declared = facts["components"]["component"].unique().to_list()
+    alerts = facts.of_pack("alerts", *key).filter(pl.col("closed_at").is_null())
+    alerts = alerts.filter(component=codes[0]) if own else alerts.filter(~pl.col("component").is_in(declared))
+    margins = facts.of_pack("margins", *key).to_dicts() if not own and not row["work_action"] else []
+    return {
+        **{k: row[k] for k in ("operator", "urgency", "place")},
+        **(margins[0] if margins else {"margin_k": None, "door_share": None}),
+        "name": words.unit_name(row) if own else words.pack_name(row),
+        "card": card,
+        "find": words.search_text(row, row["diagnoses"]),
+        "notes": list(_notes(facts, row, outlook, alerts.to_dicts())),
+        "loss": row["loss" if own else "hx_fouling"],
+        "loss_text": words.share(row["loss"], row["loss_sd"]) if own else words.loss(row),
+        "spark": _spark(tracks[card]["own"], limits[codes[0]]) if card in tracks else None,
+        "flights": outlook["rul_flights"],
+        "flights_text": words.flights_left(outlook),
+        "due": _due(outlook, facts.until()) if outlook["due_low_on"] else None,
+        "chance": words.chance_before_check(outlook),
+        "chance_text": words.chance_by(outlook),
+        "to_do": _to_do(facts, row, alerts.to_dicts()),
+    }
+
+
+def _notes(facts: Facts, row: Row, outlook: Row, alerts: list[Row]) -> Iterator[str]:
+    """Yield open alerts, work since the last flight, and since when the aircraft is silent."""
+    for a in alerts:
+        day = words.day(a["raised_at"])
+        yield _("{diagnosis} since {day}", diagnosis=words.diagnosis(a["diagnosis"]), day=day)
+    if outlook["component"] == "CC":
+        yield _("flights left are the compressor's: {loss} lost", loss=words.percent(row["cc_efficiency_loss"], 1))
+    if row["work_action"]:
+        yield words.work_done(row)
+    for day in facts["gaps"].filter(gap="silent_now", operator=row["operator"], tail=row["tail"])["from_at"]:
+        yield _("no flight since {day}", day=words.day(day))
+
+
+def _spark(own: Row, limit: float) -> Row:
+    """Return the points of a small line of the loss [%] and the height of the alert's limit."""
+    values = own["y"][:: -(-len(own["y"]) // SPARK_POINTS)] + own["y"][-1:]
+    top = 1.1 * max([100.0 * limit, *values])
+    bottom = min([-0.1 * top, *values])
+    heights = [SPARK_HEIGHT * (top - v) / (top - bottom) for v in (*values, 100.0 * limit)]
+    step = SPARK_WIDTH / max(len(values) - 1, 1)
+    return {
+        "line": " ".join(f"{k * step:.1f},{y:.1f}" for k, y in enumerate(heights[:-1])),
+        "limit": round(heights[-1], 1),
+        "size": (SPARK_WIDTH, SPARK_HEIGHT),
+    }
+
+
+def _due(outlook: Row, until: datetime) -> Row:
+    """Return where date, interval and next check lie on the axis [%], the date, and whether it has passed."""
+    low, due, high, check = (_place(outlook[k], until) for k in ("due_low_on", "due_on", "due_high_on", "check_on"))
+    dated = outlook["due_status"] != "beyond_horizon"
+    day = words.day(outlook["due_on"] if dated else outlook["due_low_on"])
+    return {
+        "low": low,
+        "width": max((100.0 if high is None else high) - (low or 0.0), 1.0),
+        "mark": due if dated else None,
+        "check": check,
+        "text": day if dated else _("after {day}", day=day),
+        "overdue": dated and outlook["due_on"] < until.date(),
+    }
+
+
+def _place(day: date | None, until: datetime) -> float | None:
+    return None if day is None else min(max(100.0 * (day - until.date()).days / AXIS_DAYS, 0.0), 100.0)
+
+
+def _ticks(until: datetime | None) -> list[tuple[float | None, str]]:
+    """Return places [%] and dates of the first of each month on the axis of due dates."""
+    days = [until.date() + timedelta(days=n) for n in range(AXIS_DAYS)] if until else []
+    return [(_place(d, until), f"{d:%m-%d}") for d in days if until and d.day == 1]
+
+
+def _to_do(facts: Facts, row: Row, alerts: list[Row]) -> tuple[str, str]:
+    """Return the one action, and what it and deferring it are expected to cost where that is known."""
+    action = words.plain(alerts[0]["recommended_action"]) if alerts else ""
+    code = alerts[0]["component"] if alerts else row.get("component", "HX")
+    stops = facts.of_pack("stops", *words.unit_key(row)).filter(component=code, place=1).to_dicts()
+    short = re.split(r" \(|; |\. |\.$", action)[0]
+    if not stops or row["urgency"] not in ("act", "plan"):
+        return short, ""
+    best = stops[0]
+    cost = _("{cost} {currency} to expect", cost=number(best["expected_cost"]), currency=best["currency"])
+    if best["choice"] != "defer" and best["defer_cost"] is not None:
+        cost = _("{cost}, {more} deferred", cost=cost, more=number(best["defer_cost"]))
+    if alerts and (alerts[0]["diagnosis"] not in WASHABLE or _(". Only then: ") in action):
+        return short, cost
+    choice = CHOICES[best["choice"]]
+    return _(choice).capitalize(), cost
+
+
+def _flights_line(facts: Facts) -> str:
+    """Return the number of flights and the last one."""
+    flights = facts["flights"]
+    if not flights.height:
+        return _("No flight yet.")
+    return several(
+        "{n} flight of {aircraft} aircraft; the last left on {last}.",
+        "{n} flights of {aircraft} aircraft; the last left on {last}.",
+        flights.height,
+        aircraft=words.count(flights.select("operator", "tail").n_unique()),
+        last=words.clock(facts.until()),
+    )
