@@ -71,7 +71,7 @@ def test_work_since_the_last_flight_is_named_and_the_margin_before_it_is_not(fac
     [
         ("HX_FOULING", "Plan a wash (ATA 21-52); look first", "Wash"),
         ("HX_FOULING", "Find the cause upstream. Only then: plan a wash (ATA 21-52)", "Find the cause upstream"),
-        ("HX_LOW_MARGIN", "Not an exchanger alone: check target (ATA 21-53, rigging)", "Not an exchanger alone: check target"),
+        ("HX_LOW_MARGIN", "Not the core: check target (ATA 21-53, rigging)", "Not the core: check target"),
     ],
 )  # fmt: skip
 def test_one_action_is_the_cheapest_choice_unless_the_cause_lies_elsewhere(facts, diagnosis, action, to_do):
