@@ -99,7 +99,7 @@ def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, 
     """
     flown = with_lives(flight_rows(features), lives, component)
     truth = flown.select("tail", "flight_id", "pack", "left", "failed", life="life_id")
-    hit = pl.col("failed") & pl.col("left").is_between(1, 50)
+    hit = pl.col("failed") & (pl.col("left") <= 50)
     return (
         prognoses.filter(pl.col("component") == component)
         .join(truth, on=["tail", "flight_id", "pack"], validate="m:1")
