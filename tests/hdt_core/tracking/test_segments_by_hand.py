@@ -1,0 +1,67 @@
+"""Segments of fifty flights: what a smoothed value knows, where checkpoints stand, what a branch leaves its parent."""
+
+import numpy as np
+import pytest
+
+from hdt_core.tracking import multiple_model_filter as mmf
+from hdt_core.tracking.flight_panel import FlightPanel
+from hdt_core.tracking.segments import _collapsed, filter_segments
+from hdt_core.tracking.wear_model import Settings
+
+SETTINGS = Settings(0.0, 0.01, 0.05)
+NONE = np.zeros(2, dtype=np.int64)
+
+
+def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
+    """Two packs side by side, the second with fewer flights; rows are numbered pack by pack."""
+    n, m = len(first), len(second)
+    row = np.column_stack([np.arange(n), np.where(np.arange(n) < m, n + np.arange(n), -1)])
+    ratio = np.column_stack([first, np.r_[second, np.full(n - m, np.nan)]])
+    flat = np.zeros((n, 2))
+    return FlightPanel(row, ratio, flat + 4e-4, flat + 1.0, flat, flat, flat)
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    first, second = (0.01 * rng.standard_normal(n) - 0.001 * np.arange(n) for n in (112, 56))
+    return first, second, filter_segments(panel(first, second), SETTINGS, NONE, {}).found
+
+
+def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
+    first, second, found = flown
+    assert found.shape == (4, 168)
+    assert np.isfinite(found).all()
+    for changed, known in ((99, 50), (100, 100)):  # flight 99 is known from 0 on, flight 100 from 50 on
+        other = first.copy()
+        other[changed] += 0.05
+        moved = filter_segments(panel(other, second), SETTINGS, NONE, {}).found
+        assert np.flatnonzero(np.any(moved[:2] != found[:2], axis=0)).tolist() == list(range(changed, 112))
+        smoothed = np.flatnonzero(np.any(moved[2:] != found[2:], axis=0))
+        assert smoothed.min() == (0 if known == 50 else 50)
+        assert smoothed.max() == 111
+    np.testing.assert_allclose(found[2:, [111, 167]], found[:2, [111, 167]])  # nothing follows the last
+
+
+def test_a_night_goes_on_from_a_checkpoint(flown):
+    first, second, found = flown
+    whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
+    assert sorted(whole.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
+    begin = np.array([1, 0])
+    later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).found
+    assert np.isnan(later[:, :50]).all()
+    np.testing.assert_allclose(later[:, 50:], found[:, 50:], rtol=1e-12)
+
+
+def test_branches_of_one_parent_are_merged_by_their_moments():
+    before = mmf.start(1, SETTINGS)
+    parent, weight = np.array([3, 3, 5]), np.array([0.2, 0.6, 0.1])
+    mean, cov = np.zeros((3, 5)), np.tile(1e-9 * np.eye(5), (3, 1, 1))
+    mean[:, 0] = 0.1, 0.2, 0.3
+    after = _collapsed(before, parent, weight, mean, cov)
+    np.testing.assert_allclose(np.exp(after.log_weight[[3, 5]]), [0.8, 0.1])
+    assert np.exp(np.delete(after.log_weight, [3, 5])).max() < 1e-200
+    np.testing.assert_allclose(after.mean[[3, 5], 0], [0.175, 0.3])
+    # of one hypothesis a hundredth of a per cent is left at the least
+    np.testing.assert_allclose(after.cov[[3, 5], 0, 0], [0.25 * 0.075**2 + 0.75 * 0.025**2 + 1e-9, 1e-8])
+    np.testing.assert_allclose(after.cov[5, 1, 1], 1e-9)
