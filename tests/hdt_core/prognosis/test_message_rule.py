@@ -85,3 +85,12 @@ def test_without_any_message_the_prior_stands():
     rule = learn_rules(overheat, np.full_like(message, -1), np.full(8, "XXX"))["XXX"]
     assert rule.excess_k == pytest.approx(PRIOR.excess_k, abs=0.3)
     assert rule.of == PRIOR.of
+
+
+def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
+    """What is exact counts half; near, missed and spurious are rarer, in this order of likelihood."""
+    prior = message_rule.PRIOR_OF
+    assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
+    met, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
+    np.testing.assert_allclose(np.exp(message_rule._fit(met, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
+    assert len(message_rule.RULES) == 2 * 3 * 15
