@@ -153,7 +153,7 @@ def _features(record: Array, critical: Array, where: tuple[Index, Index]) -> Arr
     # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
-    rate = wear_rate(np.asarray(np.where(run >= 60.0, slope["100"], slope["segment"]), dtype=float), run)
+    rate = wear_rate(slope["100"], run)
     rows |= _passages(ratio, np.stack([asks[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
 

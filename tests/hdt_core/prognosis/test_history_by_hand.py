@@ -107,14 +107,12 @@ def rows(level: np.ndarray, asks: float, ratio: float, flight: int) -> dict[str,
     return dict(zip(FEATURES, feature_rows(table, critical, (np.array([0]), np.array([flight])))[0], strict=True))
 
 
-@pytest.mark.parametrize(
-    ("flight", "rate"), [(40, "slope_segment"), (58, "slope_segment"), (59, "slope_100"), (119, "slope_100")]
-)
-def test_the_physical_forecast_takes_the_rate_of_a_hundred_flights_once_there_are_sixty(flight, rate):
+@pytest.mark.parametrize("flight", [40, 99, 119])
+def test_the_physical_forecast_takes_the_rate_of_the_last_hundred_flights(flight):
     """The wear of a fraction is larger in ln of what is left, by that."""
     found = rows(WAVY, -0.5, -0.2, flight)
     slopes = record(WAVY)
-    per_flight = slopes[rate][flight] / (1.0 - WAVY[flight])
+    per_flight = slope(WAVY, max(flight - 99, 0), flight) / (1.0 - WAVY[flight])
     edges = np.array([0.0, 10, 25, 50, 75, 100, 150, 200, 250, 300])
     wear = wear_rate(np.array([per_flight]), np.array([flight + 1.0]))
     by = passage(np.array([-0.2]), np.array([0.012]), np.full((1, len(LEVELS)), -0.5), *wear, edges)[0]
