@@ -33,7 +33,7 @@ def test_a_loss_beyond_its_warning_with_probability_7_of_10(odds, raised):
 
 
 def test_three_flights_of_four_held_for_fifteen_above_three_quarters():
-    for after, closed in ((0.749, 54), (0.751, None)):
+    for after, closed in ((0.749, 54), (0.75, 54), (0.751, None)):
         told = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
         assert told["closed_at"].to_list() == [departure(closed) if closed else None]
     gap = np.where(np.isin(FLIGHT, (30, 32, 33)), 2.0 * WARN, 0.0)

@@ -58,7 +58,7 @@ def test_three_flights_of_four_say_so(pattern, first):
     assert [case.raised_flight for case in fouling(loss)] == ([first] if first else [])
 
 
-@pytest.mark.parametrize(("after", "held"), [(0.066, False), (0.069, True)])
+@pytest.mark.parametrize(("after", "held"), [(0.066, False), (0.75 * 0.09, False), (0.069, True)])
 def test_a_case_is_held_for_15_flights_below_three_quarters_of_the_soon_limit(after, held):
     assert spans(fouling(np.where(FLIGHT < 40, 0.2, after))) == [("HX_FOULING", 2, None if held else 54)]
 
@@ -179,7 +179,7 @@ def test_a_compressor_has_lost_6_per_cent_and_5_with_probability_9_of_10(loss, s
 
 def test_a_compressors_case_is_held_for_20_flights_and_ends_with_it():
     none = np.zeros((1, N), bool)
-    for after, closed in ((0.0349, 59), (0.0351, None)):
+    for after, closed in ((0.0349, 59), (0.7 * 0.05, 59), (0.0351, None)):
         worn = grid(cc_efficiency_loss=np.where(FLIGHT < 40, 0.08, after), cc_efficiency_loss_sd=0.005)
         assert spans(cc_cases(worn, NOTHING, Limits(), none)) == [("CC_DEGRADED", 3, closed)]
     worn = grid(cc_efficiency_loss=0.08, cc_efficiency_loss_sd=0.005)
@@ -227,7 +227,7 @@ def test_little_margin_is_a_message_within_300_flights_at_9_of_10_that_wear_does
 def test_little_margin_on_four_flights_of_five_is_held_for_20():
     assert spans(low(np.where(FLIGHT % 5 == 1, 0.8, 0.95))) == [("HX_LOW_MARGIN", 4, None)]
     assert low(np.where(FLIGHT % 2 == 1, 0.8, 0.95)) == []
-    for after, closed in ((0.539, 59), (0.541, None)):
+    for after, closed in ((0.539, 59), (0.6 * 0.9, 59), (0.541, None)):
         assert spans(low(np.where(FLIGHT < 40, 0.95, after))) == [("HX_LOW_MARGIN", 3, closed)]
 
 
