@@ -21,7 +21,7 @@ from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks as testify
 from hdt_core.margin.control_schedules import learn_schedules
 from hdt_core.margin.exchanger_demand import CRITICAL, exchanger_demand
-from hdt_core.prognosis.feature_rows import ASKS
+from hdt_core.prognosis.feature_rows import MARGIN_FEATURES
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.service import update_model
 from hdt_core.records.keys import PACK
@@ -88,7 +88,7 @@ def features(
     compared = compare(samples, alone, dsm)
     seen = describe(health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin)
     key = [*PACK, "flight_id"]
-    asks = margin.select(*key, *(c for c in (*CRITICAL, *ASKS) if c not in seen.columns))
+    asks = margin.select(*key, *(c for c in (*CRITICAL, *MARGIN_FEATURES) if c not in seen.columns))
     return {"features": seen.join(asks, on=key, how="left", maintain_order="left")}
 
 

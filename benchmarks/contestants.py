@@ -38,7 +38,7 @@ class Asked:
 
     frame: pl.DataFrame
     inputs: dict[str, Array]
-    left: Array
+    remaining: Array
     failed: NDArray[np.bool_]
     life: NDArray[np.int_]
 
@@ -62,7 +62,11 @@ def rows_of(fleet: Frames) -> Asked:
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
     kept = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
     return Asked(
-        kept, inputs | {"health": health, "health parameters alone": health}, known.left, known.failed, known.at[:, 0]
+        kept,
+        inputs | {"health": health, "health parameters alone": health},
+        known.remaining,
+        known.failed,
+        known.at[:, 0],
     )
 
 
@@ -72,7 +76,7 @@ def together(parts: list[Asked]) -> Asked:
     life = np.concatenate([p.life + k for p, k in zip(parts, first, strict=True)])
     frame = pl.concat([p.frame for p in parts]).with_columns(life_id=pl.Series(life))
     inputs = {name: np.vstack([p.inputs[name] for p in parts]) for name in parts[0].inputs}
-    left, failed = (np.concatenate([getattr(p, name) for p in parts]) for name in ("left", "failed"))
+    left, failed = (np.concatenate([getattr(p, name) for p in parts]) for name in ("remaining", "failed"))
     return Asked(frame, inputs, left, failed, life)
 
 
@@ -88,15 +92,15 @@ class Learner:
     def fit(cls, asked: Asked, name: str, seed: int = 0) -> "Learner":
         """Two thirds of the tails teach the hazard, the last third the interval."""
         # a probe that no taught aircraft carries tells nothing
-        use = (asked.left >= 1) & (np.arange(asked.left.size) % THIN == 0)
+        use = (asked.remaining >= 1) & (np.arange(asked.remaining.size) % THIN == 0)
         tails = asked.frame["tail"].to_numpy()
         held = np.isin(tails, np.unique(tails)[::3])
         known = np.isfinite(asked.inputs[name][use & ~held]).any(axis=0)
         x = np.where(known, asked.inputs[name], 0.0)
-        model = fit_hazard(x[use & ~held], asked.left[use & ~held], asked.failed[use & ~held], seed)
+        model = fit_hazard(x[use & ~held], asked.remaining[use & ~held], asked.failed[use & ~held], seed)
         check = use & held
         by = event_by(hazards([model], x[check]))
-        left, failed, life = (v[check] for v in (asked.left, asked.failed, asked.life))
+        left, failed, life = (v[check] for v in (asked.remaining, asked.failed, asked.life))
         return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), known)
 
     def say(self, asked: Asked, name: str) -> pl.DataFrame:
@@ -119,10 +123,10 @@ def extrapolated(taught: Asked, asked: Asked) -> pl.DataFrame:
         middle = rows.inputs["health"][:, FEATURES.index("passage_median")]
         return np.clip(np.nan_to_num(middle, nan=EDGES[-1]), 1.0, EDGES[-1])
 
-    known = (taught.left >= 1) & (taught.failed | (taught.left >= EDGES[-1]))
-    factor = np.quantile(np.minimum(taught.left, EDGES[-1])[known] / left(taught)[known], [0.05, 0.95])
-    seen = (taught.left >= 1) & (taught.failed | (taught.left > 50))
-    hit = taught.failed & (taught.left <= 50)
+    known = (taught.remaining >= 1) & (taught.failed | (taught.remaining >= EDGES[-1]))
+    factor = np.quantile(np.minimum(taught.remaining, EDGES[-1])[known] / left(taught)[known], [0.05, 0.95])
+    seen = (taught.remaining >= 1) & (taught.failed | (taught.remaining > 50))
+    hit = taught.failed & (taught.remaining <= 50)
     odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(left(taught)[seen], hit[seen].astype(float))
     said = left(asked)
     low, high = np.sort(np.clip(np.outer(factor, said), 0.0, 300.0), axis=0)
@@ -138,10 +142,10 @@ def extrapolated(taught: Asked, asked: Asked) -> pl.DataFrame:
 def outcome(asked: Asked) -> pl.DataFrame:
     """What became of each row, as `score_prognoses` wants it."""
     told = asked.frame.with_columns(
-        left=pl.Series(asked.left), failed=pl.Series(asked.failed), life=pl.Series(asked.life)
+        remaining=pl.Series(asked.remaining), failed=pl.Series(asked.failed), life=pl.Series(asked.life)
     )
-    hit = pl.col("failed") & pl.col("left").is_between(1, 50)
-    return told.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("left") > 50).then(0.0))
+    hit = pl.col("failed") & pl.col("remaining").is_between(1, 50)
+    return told.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
 
 
 def lead_at_budget(said: pl.DataFrame, early_per_1000: float = 2.0) -> tuple[float, float, float]:
@@ -154,7 +158,7 @@ def lead_at_budget(said: pl.DataFrame, early_per_1000: float = 2.0) -> tuple[flo
     ordered = said.sort(*life, "index").with_columns(
         risk=pl.col("risk").rolling_median(3, min_samples=1).over(life), first=pl.col("life").is_first_distinct()
     )
-    risk, loss, left = (ordered[c].to_numpy() for c in ("risk", "loss", "left"))
+    risk, loss, left = (ordered[c].to_numpy() for c in ("risk", "loss", "remaining"))
     first, failed, number = (ordered[c].to_numpy() for c in ("first", "failed", "life"))
     flights = ordered["flight_id"].n_unique()
     lives = np.unique(number[failed & (loss >= 0.05)])

@@ -22,7 +22,7 @@ from benchmarks.harness import arguments, markdown, show
 from benchmarks.prognosis import PAGE, SIZE, TAUGHT
 from benchmarks.survival import censored_scores
 from hdt_core.prognosis.history import FEATURES, WEAR
-from hdt_core.prognosis.metrics import judge, score_prognoses
+from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 
 SCORES = ("auc", "brier_skill", "c_index", "brier_100_skill", "interval_skill", "coverage", "mae_flights")
 INPUTS = ("loss and trends", "margin", "both", "both, true loss")
@@ -58,8 +58,8 @@ def table(fleets: dict[str, chain.Made], own: list[chain.Made]) -> str:
         for taught, teacher in teachers.items():
             for inputs in INPUTS if taught != name else ():
                 said = Learner.fit(teacher, inputs).say(rows[name], inputs)
-                lines.append(line(name, taught, inputs, said.filter(pl.col("left") >= 1)))
-        judged = judge(made["prognoses"], made["features"], made["lives"])
+                lines.append(line(name, taught, inputs, said.filter(pl.col("remaining") >= 1)))
+        judged = join_outcomes(made["prognoses"], made["features"], made["lives"])
         judged = judged.with_columns(risk="p_event_100")
         lines.append(line(name, "simulated lives, own other tails", "the product", judged))
     return markdown(lines)

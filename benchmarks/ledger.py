@@ -37,7 +37,7 @@ from benchmarks.alerts import overall, tally
 from benchmarks.changed_source import changed
 from benchmarks.harness import put
 from benchmarks.twin import fouling_numbers
-from hdt_core.prognosis.metrics import judge, score_prognoses
+from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "constants.md"
@@ -73,7 +73,7 @@ def ledger() -> list[Constant]:
 def figures(made: chain.Made) -> dict[str, float]:
     """What a change is judged by, keys of `MOVES`."""
     lives = samples.true_lives(made["features"], made["truth"], made["events"])
-    life = score_prognoses(judge(made["prognoses"], made["features"], lives))
+    life = score_prognoses(join_outcomes(made["prognoses"], made["features"], lives))
     key = ["tail", "flight_id", "pack"]
     legs = made["truth"].filter("arrived").join(made["admitted"].select(*key, "admitted"), on=key)
     worn = made["health"].filter(parameter="hx_fouling").drop_nulls("value").join(made["truth"], on=key)

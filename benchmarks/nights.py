@@ -26,7 +26,7 @@ from benchmarks.harness import arguments, machine, markdown, show
 from benchmarks.scale import Silent, fly_again, ranking_ms
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import run_night
 from pipelines.orchestration.runs import publish_night
 from pipelines.storage import delta, upkeep
@@ -66,7 +66,7 @@ def night(landing: Path, home: Path) -> dict[str, float]:
         commits.append(1e3 * (time.perf_counter() - since))
         return done
 
-    with patch.object(delta.Deltas, "_commit", timed), holding(home):
+    with patch.object(delta.Deltas, "_commit", timed), lock_home(home):
         done = run_night(landing, home, Silent())
         assert not done.failed, done.failed
         assert not done.idle

@@ -62,11 +62,11 @@ def life_figures(judged: pl.DataFrame) -> dict[str, float]:
     }
 
 
-_COLUMNS = ("left", "rul_flights", "rul_low", "rul_high")
+_COLUMNS = ("remaining", "rul_flights", "rul_low", "rul_high")
 
 
 def _ended(judged: pl.DataFrame) -> pl.DataFrame:
-    outlived = pl.col("failed") | (pl.col("left") >= CAP)
+    outlived = pl.col("failed") | (pl.col("remaining") >= CAP)
     return judged.filter(outlived & pl.col("rul_flights").is_not_null())
 
 
@@ -93,7 +93,7 @@ def by_horizon(judged: dict[str, pl.DataFrame]) -> str:
     lines = [["flights left", "contestant", "rows", "mean absolute error", "bias", "within 20 %", "coverage", "width"]]
     for low, high in HORIZONS:
         for name, frame in judged.items():
-            part = _ended(frame).filter("failed", (pl.col("left") > low) & (pl.col("left") <= high))
+            part = _ended(frame).filter("failed", (pl.col("remaining") > low) & (pl.col("remaining") <= high))
             if part.height:
                 t, s, a, b = (part[c].to_numpy() for c in _COLUMNS)
                 cells = [np.abs(s - t).mean(), (s - t).mean(), alpha_lambda(t, s), ((a <= t) & (t <= b)).mean()]
@@ -144,7 +144,7 @@ def ablation(taught: list[Frames], scored: list[Frames]) -> str:
     head = ["inputs", "mean absolute error", "interval skill", "coverage", "Brier skill", "AUC"]
     lines = [[*head, "interval score", "lead, median", "lead, 10th", "early in 1,000"]]
     for name, frame in forecast.items():
-        judged = frame.filter(pl.col("left") >= 1)
+        judged = frame.filter(pl.col("remaining") >= 1)
         scores = score_prognoses(judged)
         names = ("mae_flights", "interval_skill", "coverage", "brier_skill", "auc", "interval_score_flights")
         cells = [*(scores.get(n, np.nan) for n in names), *lead_at_budget(judged)]
@@ -154,7 +154,7 @@ def ablation(taught: list[Frames], scored: list[Frames]) -> str:
 
 def constant(judged: pl.DataFrame) -> pl.DataFrame:
     """One forecast for every row, from the rows' own true lives: the best that a constant can do."""
-    ended = np.minimum(_ended(judged)["left"].to_numpy(), CAP)
+    ended = np.minimum(_ended(judged)["remaining"].to_numpy(), CAP)
     low, middle, high = np.quantile(ended, [0.05, 0.5, 0.95])
     share = judged["event_50"].mean()
     return judged.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))

@@ -142,7 +142,7 @@ def reopen(landing: Path, home: Path) -> Spent:
     for part, owner, name in places:
         setattr(owner, name, _timed(getattr(owner, name), part, spent))
     try:
-        with around_night.holding(home):
+        with around_night.lock_home(home):
             _timed(nightly.run_night, "all", spent)(landing, home, Until())
     except BegunError as step:
         if str(step) != "flights and legs":

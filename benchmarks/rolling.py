@@ -14,12 +14,12 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks.fleets import Frames
-from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, simulated_rows, tracks_before
+from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, simulated_rows, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, passage_hazards, quantile
 from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD
-from hdt_core.prognosis.metrics import judge
-from hdt_core.prognosis.model import ComponentFit, Prognosis, predict_prognosis, untaught_levels
+from hdt_core.prognosis.metrics import join_outcomes
+from hdt_core.prognosis.model import ComponentFit, Prognosis, predict_prognosis, prior_levels
 from hdt_core.prognosis.recalibrate import NOMINAL
 from hdt_core.prognosis.service import update_model
 from pipelines.learned import shipped_base
@@ -36,7 +36,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
     record = FleetRecord(fleet["features"], fleet["messages"], fleet["maintenance"])
     lives, base = record.lives(), shipped_base()
     product = update_model(base, None, record).prognoses
-    alone = {c: ComponentFit(rule, levels=untaught_levels(base, c)) for c, rule in PRIOR_RULES.items()}
+    alone = {c: ComponentFit(rule, levels=prior_levels(base, c)) for c, rule in PRIOR_RULES.items()}
     by_base = predict_prognosis(Prognosis(base.hazard, base.base_levels, alone, "base"), record.features, lives)
     track = record.tracks()[component]
     rows = fleet_rows(track, PRIOR_RULES[component]).features
@@ -49,7 +49,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
         orient="row",
     )
     return {
-        name: judge(prognoses, record.features, lives, component)
+        name: join_outcomes(prognoses, record.features, lives, component)
         .with_columns(month=pl.col("departed_at").dt.month_start().dt.date())
         .join(on_record, on="month", validate="m:1")
         for name, prognoses in by_contestant.items()
@@ -57,7 +57,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
 
 
 def _failures(record: FleetRecord, month, component: str) -> int:
-    return record.before(start_of(month)).lives().filter(pl.col("failed"), component=component).height
+    return record.as_of(start_of(month)).lives().filter(pl.col("failed"), component=component).height
 
 
 def _physics(track: Tracks, rows: Array, component: str) -> pl.DataFrame:
@@ -71,11 +71,11 @@ def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str) -
     trend, month_at = _trend(rows), month_of(track.keys["departed_at"])
     by = np.full((len(rows), EDGES.size), np.nan)
     for month in record.months():
-        before = record.before(start_of(month))
-        own = fleet_rows(tracks_before(track, start_of(month), before.lives(), component), PRIOR_RULES[component])
-        taught = own.take((own.left >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")]))
+        before = record.as_of(start_of(month))
+        own = fleet_rows(tracks_as_of(track, start_of(month), before.lives(), component), PRIOR_RULES[component])
+        taught = own.take((own.remaining >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")]))
         asked = (month_at == month).to_numpy()
-        by[asked] = _fitted(_trend(taught.features), taught.left, taught.failed)(trend[asked])
+        by[asked] = _fitted(_trend(taught.features), taught.remaining, taught.failed)(trend[asked])
     return _prognoses(track, by, component)
 
 
@@ -86,7 +86,7 @@ def _trend(rows: Array) -> Array:
 @cache
 def _simulated() -> tuple[Array, Array, NDArray[np.bool_]]:
     lives = simulated_rows(SEED, FLEETS)
-    return _trend(lives.features), lives.left, lives.failed
+    return _trend(lives.features), lives.remaining, lives.failed
 
 
 def _fitted(trend: Array, left: Array, failed: NDArray[np.bool_]):

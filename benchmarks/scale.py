@@ -76,7 +76,7 @@ class Bare:
         self.keys["aircraft"] = sorted(aircraft | set(self.keys["aircraft"]))
         self.keys["flight"] = sorted(flights | set(self.keys["flight"]))
 
-    def known(self, wanted: pl.DataFrame | None = None) -> PartitionIndex:
+    def partition_index(self, cells: pl.DataFrame | None = None) -> PartitionIndex:
         """Partitions as they are now, and who flew which."""
         return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flights_on_file()))
 
@@ -95,7 +95,7 @@ class Bare:
 
 def night(landing: Path, home: Path, shared: bool = True) -> None:
     """What `hdt nightly` does, side by side where that is worth it."""
-    with around_night.holding(home):
+    with around_night.lock_home(home):
         done = nightly.run_night(landing, home, Silent(), jobs=cores() if shared else 1)
         assert not done.failed, done.failed
         if not done.idle:

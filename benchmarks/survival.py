@@ -27,8 +27,8 @@ def censored_scores(judged: pl.DataFrame, risk: str) -> dict[str, float]:
        in Medicine 18, 1999.
     """
     rows = judged.drop_nulls(risk)
-    left = np.minimum(rows["left"].to_numpy(), END)
-    seen = Surv.from_arrays(rows["failed"].to_numpy() & (rows["left"].to_numpy() < END), left)
+    left = np.minimum(rows["remaining"].to_numpy(), END)
+    seen = Surv.from_arrays(rows["failed"].to_numpy() & (rows["remaining"].to_numpy() < END), left)
     said = rows[risk].to_numpy()
     concordant = concordance_index_ipcw(seen, seen, said, tau=END - 1.0)[0]
     brier, same = (

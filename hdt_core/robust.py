@@ -1,4 +1,4 @@
-"""Robust statistics: spread by the median of absolute deviations, error of a median, Huber's weights.
+"""Robust statistics: standard deviation by the median of absolute deviations, error of a median, Huber's weights.
 
 References
 ----------
@@ -25,29 +25,29 @@ HUBER_K = 1.345
 
 
 def spread(deviations: Array) -> float:
-    """Standard deviation that the deviations from a known centre show; unknown ones (NaN) are left out."""
+    """Estimate a standard deviation from deviations about a known centre, without NaN."""
     return float(MAD_TO_SD * np.nanmedian(np.abs(deviations)))
 
 
 def spread_expr(deviations: pl.Expr) -> pl.Expr:
-    """The same of a column."""
+    """Build `spread` as an expression."""
     return deviations.abs().median() * MAD_TO_SD
 
 
 def median_error(n: Column) -> Column:
-    """Standard error of the median of n normal values, over their standard deviation."""
+    """Compute the standard error of the median of n normal values, over their standard deviation."""
     error: Column = MEDIAN_SD / n**0.5
     return error
 
 
-def huber_weights(off: Array, scale: Array | float, k: float = HUBER_K) -> Array:
-    """Weights of values by how far they are off: 1 within `k` of their `scale`, less beyond.
+def huber_weights(deviation: Array, scale: Array | float, k: float = HUBER_K) -> Array:
+    """Compute Huber's weights: 1 within `k` of the `scale`, less beyond.
 
     Parameters
     ----------
-    off : array, shape (n,)
+    deviation : array, shape (n,)
         Absolute deviations.
     scale : array, shape (n,), or float
-        Standard deviation of the values that are sound; zero counts as very small.
+        Standard deviation of good values; zero counts as very small.
     """
-    return np.asarray(1.0 / np.maximum(1.0, off / (k * np.maximum(scale, 1e-9))))
+    return np.asarray(1.0 / np.maximum(1.0, deviation / (k * np.maximum(scale, 1e-9))))

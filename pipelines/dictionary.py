@@ -21,7 +21,7 @@ _TITLE = """# Data dictionary
 
 Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
 headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
-is NULL, never NaN. A column is explained where it first stands; later sections name it under "As above". Columns that
+is NULL, never NaN. A column is explained where it first occurs; later sections name it under "As above". Columns that
 differ by a number are explained once. Behind a type of a table, `?` says that it may be NULL, `0..1` its least and
 greatest value. Six views to start with are in [the catalog](catalog.md); every column's meaning is also its comment
 there, and `describe tables.features` lists the columns of components of your own.
@@ -91,19 +91,19 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict
 
     Neighbouring columns that differ by a number share a line, with the words of the first.
     """
-    here = {(name, meaning) for name, _, meaning in rows}
-    above = set().union(*explained.values())
-    whole = max((s for s in explained if explained[s] <= here), key=lambda s: len(explained[s]), default="")
-    fresh = [row for row in rows if (row[0], row[2]) not in above]
-    families = [list(group) for _, group in groupby(fresh, key=_family)]
+    present = {(name, meaning) for name, _, meaning in rows}
+    explained_before = set().union(*explained.values())
+    included = max((s for s in explained if explained[s] <= present), key=lambda s: len(explained[s]), default="")
+    new_rows = [row for row in rows if (row[0], row[2]) not in explained_before]
+    families = [list(group) for _, group in groupby(new_rows, key=_family)]
     lines = [
         f"- {', '.join(f'`{name}`' for name, _, _ in group)} ({_type(group[0][1])}): {group[0][2].removesuffix(' [-]')}"
         for group in families
     ]
-    by_name = above - explained.get(whole, set())
-    names = [f"all of `{whole}`"] * bool(whole)
+    by_name = explained_before - explained.get(included, set())
+    names = [f"all of `{included}`"] * bool(included)
     names += [f"`{name}`" for name, _, meaning in rows if (name, meaning) in by_name]
-    explained[section] = here
+    explained[section] = present
     return "\n".join([*lines, *([f"- As above: {', '.join(names)}"] if names else [])]) + "\n"
 
 

@@ -1,8 +1,8 @@
-"""Every stage of the chain, declared once: what it makes, from what, by which version of the code.
+"""Declare every stage of the chain once: its tables, their parents and the version of the code.
 
 The order of runs (`pipelines.orchestration.order`), what is stale (`pipelines.versions`) and Dagster's graph
-(`pipelines.assets`) follow from these declarations. The functions stand in `pipelines/assets/`, each under its stage's
-name. Nothing here needs Dagster, so a night with nothing new stays quick.
+(`pipelines.assets`) follow from these declarations. The functions are in `pipelines/assets/`, each named like its
+stage. Nothing here needs Dagster, so a night with nothing new stays quick.
 """
 
 from collections.abc import Mapping
@@ -14,17 +14,17 @@ from hdt_core.components import components
 from hdt_core.tables import TABLES
 
 Grain = Literal["flight", "aircraft", "fleet"]
-FOLDED = {"flight": 4, "aircraft": 20, "fleet": 1}
+BATCH_FACTORS = {"flight": 4, "aircraft": 20, "fleet": 1}
 PACK, COMPONENT = "pack", "component"
 FLIGHT_FILES = ("acms", "history", "cpl", "recorder")
 RECORD_FILES = ("messages", "maintenance", "reports")
 DECLARED = "1 " + " ".join(c.version for c in components().values())
-"""Of what follows from the components that are declared: a change of one makes its results again."""
+"""Version of the declared components: a change of one makes its results again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What a table is made from; its cells' versions are hashes of it, so an edit here makes them again.
+    """Inputs of a table; its cells' versions are hashes of them, so an edit here makes them again.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Recipe:
     baseline : bool
         Only the commissioning window of the parents counts.
     settings : tuple of str
-        What the home sets that counts: accepted physical terms, alert limits (`settings.HOME_SETTINGS`).
+        Settings of the home that count: accepted physical terms, alert limits (`settings.HOME_SETTINGS`).
     code : str
         Version of the code; raise it when what is computed changes.
     """
@@ -56,20 +56,20 @@ class Stage:
     name : str
         Name of the function.
     group : str
-        Group it is drawn in.
+        Group in Dagster's graph.
     tables : mapping of str to Recipe
         Tables in the order in which they are returned and stored.
     untracked : tuple of str
-        Tables that are read as they are: made before, but a change of them makes nothing stale.
+        Tables that are read but not tracked: a change of them makes nothing stale.
     fresh : str
-        The table that every flight moves: no news of it is news.
+        Table that every flight updates, whose freshness is checked.
     label : str
-        What the run is called that begins with this stage.
-    folded : int, optional
-        How many times as many flights a run may take as one that reads files; by grain where it is not given. The
-        fewer runs, the less is bookkeeping.
+        Name of the run that begins with this stage.
+    batch_factor : int, optional
+        Flights that a run may take, as a multiple of those of a run that reads files; by grain where not given. Fewer
+        runs cost less bookkeeping.
     road : str
-        `pack`, or `component` for what few aircraft have: a run goes along one of them.
+        `pack`, or `component` for what few aircraft have; a run's stages share it.
     """
 
     name: str
@@ -78,12 +78,12 @@ class Stage:
     untracked: tuple[str, ...] = ()
     fresh: str = ""
     label: str = ""
-    folded: int | None = None
+    batch_factor: int | None = None
     road: str = PACK
 
     @cached_property
     def grain(self) -> Grain:
-        """Partition that all its tables are computed in."""
+        """Partition of all its tables."""
         (grain,) = {TABLES[table].grain for table in self.tables}
         return grain
 
@@ -94,27 +94,27 @@ class Stage:
 
     @cached_property
     def size(self) -> int:
-        """How many times as many flights a run may take as one that reads files."""
-        return FOLDED[self.grain] if self.folded is None else self.folded
+        """Flights that a run may take, as a multiple of those of a run that reads files."""
+        return BATCH_FACTORS[self.grain] if self.batch_factor is None else self.batch_factor
 
 
-def followed(stage: Stage) -> set[str]:
-    """Tables a change of which makes the stage stale: its parents, what is made with them and what they follow.
+def upstream_tables(stage: Stage) -> set[str]:
+    """Collect tables a change of which makes the stage stale: its parents, their siblings and their own parents.
 
-    What a baseline follows is not among them, for it follows that within its window only.
+    Parents of a baseline are not among them, for it depends on them within its window only.
     """
-    found, left = set[str](), list(stage.parents)
-    while left:
-        table = left.pop()
-        if table not in found:
+    tables, pending = set[str](), list(stage.parents)
+    while pending:
+        table = pending.pop()
+        if table not in tables:
             recipe = LINEAGE[table]
-            found |= {t for t, r in MAKER[table].tables.items() if r == recipe}
-            left += () if recipe.baseline else recipe.parents
-    return found
+            tables |= {t for t, r in MAKER[table].tables.items() if r == recipe}
+            pending += () if recipe.baseline else recipe.parents
+    return tables
 
 
-def alike(*tables: str, **recipe: object) -> dict[str, Recipe]:
-    """Tables made by one recipe."""
+def same_recipe(*tables: str, **recipe: object) -> dict[str, Recipe]:
+    """Declare tables with the same recipe."""
     return dict.fromkeys(tables, Recipe(**recipe))  # type: ignore[arg-type]
 
 
@@ -123,7 +123,7 @@ STAGES = (
         "raw_fleet",
         "raw",
         {
-            **alike(
+            **same_recipe(
                 "raw_fleet",
                 "raw_files_deliveries",
                 "raw_files_quarantine",
@@ -143,7 +143,7 @@ STAGES = (
             "raw_maintenance": Recipe(files=("maintenance", "findings"), code="5"),
             "raw_cases": Recipe(files=("cases",)),
             "raw_reports": Recipe(files=("reports",)),
-            **alike("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="3"),
+            **same_recipe("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="3"),
         },
         untracked=("raw_fleet",),
         label="messages and maintenance",
@@ -151,24 +151,24 @@ STAGES = (
     Stage(
         "raw",
         "raw",
-        alike(
+        same_recipe(
             "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", files=FLIGHT_FILES, code="3"
         ),
         untracked=("raw_fleet",),
         fresh="raw_flights",
         label="flights and legs",
-        folded=1,
+        batch_factor=1,
     ),
     Stage(
         "legs",
         "legs",
-        alike("legs_samples", "legs_verdicts", parents=("raw_flights",), code="3"),
+        same_recipe("legs_samples", "legs_verdicts", parents=("raw_flights",), code="3"),
         fresh="legs_verdicts",
     ),
     Stage(
         "calibration",
         "calibration",
-        alike(
+        same_recipe(
             "calibration_dsm",
             "calibration_design",
             "calibration_schedules",
@@ -182,37 +182,37 @@ STAGES = (
     Stage(
         "twin_flights",
         "twin",
-        alike("twin_flights", parents=("legs_samples", "calibration_dsm"), code="5"),
+        same_recipe("twin_flights", parents=("legs_samples", "calibration_dsm"), code="5"),
         fresh="twin_flights",
         label="operational twins",
     ),
     Stage(
         "residuals",
         "residuals",
-        alike("residuals", parents=("twin_flights",), code="3"),
+        same_recipe("residuals", parents=("twin_flights",), code="3"),
         fresh="residuals",
     ),
     Stage(
         "indicators",
         "features",
-        alike("legs_indicators", "features_cross_checks", parents=("legs_samples", "calibration_schedules")),
+        same_recipe("legs_indicators", "features_cross_checks", parents=("legs_samples", "calibration_schedules")),
     ),
     Stage(
         "features_margin",
         "features",
-        alike("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3"),
+        same_recipe("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3"),
     ),
     Stage(
         "twin_health",
         "twin",
-        alike("twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"), code="13"),
+        same_recipe("twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"), code="13"),
         fresh="twin_health",
         label="health, features, alerts",
     ),
     Stage(
         "legs_admitted",
-        "features",  # what the twin decides about legs comes after it: no arrow leads back
-        alike(
+        "features",  # legs are admitted after the twin, which does not depend on it
+        same_recipe(
             "legs_admitted",
             parents=(
                 "twin_health",
@@ -228,7 +228,7 @@ STAGES = (
     Stage(
         "features",
         "features",
-        alike(
+        same_recipe(
             "features",
             parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
             code="8",
@@ -238,12 +238,12 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        alike("features_alerts", parents=("features",), settings=("limits",), code="17"),
+        same_recipe("features_alerts", parents=("features",), settings=("limits",), code="17"),
     ),
     Stage(
         "raw_components",
         "raw",
-        alike(
+        same_recipe(
             "raw_components",
             "raw_components_deliveries",
             "raw_components_quarantine",
@@ -257,7 +257,7 @@ STAGES = (
     Stage(
         "calibration_components",
         "calibration",
-        alike(
+        same_recipe(
             "legs_components",
             "calibration_components",
             parents=("raw_components", "raw_maintenance", "raw_reports"),
@@ -269,22 +269,22 @@ STAGES = (
     Stage(
         "twin_components",
         "twin",
-        alike("twin_components", "residuals_components", parents=("calibration_components",), code="3"),
+        same_recipe("twin_components", "residuals_components", parents=("calibration_components",), code="3"),
         road=COMPONENT,
     ),
     Stage(
         "features_components",
         "features",
-        alike("features_components", "features_component_alerts", parents=("twin_components",), code="4"),
+        same_recipe("features_components", "features_component_alerts", parents=("twin_components",), code="4"),
         road=COMPONENT,
     ),
-    Stage("declared_components", "raw", alike("components", code=DECLARED)),
-    Stage("prognosis_base", "prognosis", alike("prognosis_base", code="4"), label="prognosis"),
-    # what a model has spoken about is stored with it, so prognoses come first: a kill between them costs only work
+    Stage("declared_components", "raw", same_recipe("components", code=DECLARED)),
+    Stage("prognosis_base", "prognosis", same_recipe("prognosis_base", code="4"), label="prognosis"),
+    # a model is stored with its scored flights, so prognoses come first: a kill between them costs only work
     Stage(
         "prognosis",
         "prognosis",
-        alike(
+        same_recipe(
             "prognoses",
             "prognosis_model",
             "prognosis_lives",
@@ -296,7 +296,7 @@ STAGES = (
     Stage(
         "prognoses_components",
         "prognosis",
-        alike(
+        same_recipe(
             "prognoses_components",
             "prognoses_components_lives",
             parents=("features_components", "raw_messages", "raw_maintenance"),
@@ -308,4 +308,4 @@ STAGES = (
 STAGE = {stage.name: stage for stage in STAGES}
 MAKER = {table: stage for stage in STAGES for table in stage.tables}
 LINEAGE = {table: recipe for stage in STAGES for table, recipe in stage.tables.items()}
-FOLLOWED = {stage.name: followed(stage) for stage in STAGES}
+UPSTREAM = {stage.name: upstream_tables(stage) for stage in STAGES}

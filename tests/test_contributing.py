@@ -87,7 +87,7 @@ def tree(tmp_path_factory) -> Path:
         '    "flight_counts": StoredTable(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + kept
     ))  # fmt: skip
     replaced(top / "pipelines/lineage.py", '    Stage("prognosis_base",', (
-        '    Stage("flight_counts", "raw", alike("flight_counts", parents=("raw_flights",))),\n'
+        '    Stage("flight_counts", "raw", same_recipe("flight_counts", parents=("raw_flights",))),\n'
         '    Stage("prognosis_base",'
     ))  # fmt: skip
     (top / "pipelines/assets/flight_counts.py").write_text(STAGE)

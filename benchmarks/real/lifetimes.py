@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, quantile
-from hdt_core.prognosis.history import FEATURES, SEEN, Panel, feature_rows, record_rows
+from hdt_core.prognosis.history import FEATURES, THERMAL, Panel, feature_rows, record_rows
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, Levels, learn_levels
 
@@ -59,7 +59,7 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
     # nothing is asked that differs from cycle to cycle: a unit ends at a limit, as a compressor does
     critical = np.full_like(level, np.log1p(-min(limit, 0.95)))
     told = feature_rows(record_rows(panel, (unit, cycle)), critical, (unit, cycle))
-    return told[:, np.array([name not in SEEN for name in FEATURES])]
+    return told[:, np.array([name not in THERMAL for name in FEATURES])]
 
 
 def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0) -> Foretold:

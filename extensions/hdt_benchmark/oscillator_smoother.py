@@ -1,4 +1,4 @@
-"""The backward pass of the spring-mass-damper's filters, compiled: `hdt_core.estimation.kalman.smoothed` for one
+"""The backward pass of the spring-mass-damper's filters, compiled: `hdt_core.estimation.kalman.smooth` for one
 model."""
 
 from __future__ import annotations

@@ -10,20 +10,27 @@ from typing import Any
 import numpy as np
 
 from hdt_core.estimation.estimate import Estimate, Status
-from hdt_core.estimation.kalman import STILL_SD, lost, passes_cost, report, standardised, trajectory
+from hdt_core.estimation.kalman import (
+    STILL_SD,
+    diverged_estimate,
+    passes_cost,
+    report,
+    standardise_innovations,
+    trajectory,
+)
 from hdt_core.estimation.kalman_step import (
     Correction,
     LostTrackError,
-    corrected,
     innovate,
     is_moving,
     joint_belief,
     limits,
+    linearise_step,
     outputs,
-    predicted,
-    projected,
-    stepped,
+    predict_belief,
+    project_on_bounds,
     tangent,
+    update_belief,
 )
 from hdt_core.estimation.problem import Array, Belief, Problem
 
@@ -70,7 +77,7 @@ def fading_estimate(
                 if still or (last.faded and not own_objective):
                     break
     except (LostTrackError, np.linalg.LinAlgError):
-        return lost(problem, cost * made, method)
+        return diverged_estimate(problem, cost * made, method)
     if last.faded and not own_objective:
         last, reached, own_objective = first, "approximate", True
     told |= {"path": first.path, "path_sd": first.path_sd, "own_objective": own_objective}
@@ -90,7 +97,7 @@ class _Pass:
 
 
 def _inside(problem: Problem, made: _Pass) -> Array:
-    return projected(made.belief, *problem.bounds.T)
+    return project_on_bounds(made.belief, *problem.bounds.T)
 
 
 def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: Array | None = None) -> _Pass:
@@ -109,14 +116,14 @@ def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: 
         correction = innovate(wide, model, problem.measured[i], problem.sigma)
         corrections.append(correction)
         faded |= fade > 1.0
-        belief = corrected(wide, correction)
-        honest = Belief(belief.mean, corrected(honest, correction).cov)
+        belief = update_belief(wide, correction)
+        honest = Belief(belief.mean, update_belief(honest, correction).cov)
         path[i], path_sd[i] = belief.mean[s:], honest.sd[s:]
         if i + 1 < k:
-            step = stepped(problem, tangent, belief if about is None else point, i)
-            honest, belief = predicted(honest, step), predicted(belief, step)
+            step = linearise_step(problem, tangent, belief if about is None else point, i)
+            honest, belief = predict_belief(honest, step), predict_belief(belief, step)
     end = Belief(path[-1].copy(), honest.cov[s:, s:])
-    return _Pass(end, path, path_sd, standardised(problem, corrections), faded)
+    return _Pass(end, path, path_sd, standardise_innovations(problem, corrections), faded)
 
 
 def _headroom(belief: Belief, ceiling: Array) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdt_core.estimation.conclude import CLOSE, conclude
-from hdt_core.estimation.descent import Point, distance_to_optimum, linearised
+from hdt_core.estimation.descent import Point, distance_to_optimum, quadratic_model
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Problem
 
@@ -36,7 +36,7 @@ class GradientDescent:
         first = float(problem.objective(problem.origin[None])[0])
         if not np.isfinite(first):
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
-        at, history, step = linearised(problem, problem.origin, 1), [first], 1.0
+        at, history, step = quadratic_model(problem, problem.origin, 1), [first], 1.0
         scale, lowest = _scale(at), at  # scaled once, at the start
         reached: Status = "max_steps"
         for _ in range(self.max_steps):
@@ -46,7 +46,7 @@ class GradientDescent:
             move, objective, tried = _descend(
                 problem, at.theta, at.gradient, scale, step=step, ceiling=max(history[-MEMORY:])
             )
-            later = linearised(problem, at.theta + move, at.n_evals + tried)
+            later = quadratic_model(problem, at.theta + move, at.n_evals + tried)
             curved = float(move @ (later.gradient - at.gradient))
             step = float(np.clip((move / scale) @ (move / scale) / curved, 1e-6, 1e6)) if curved > 0.0 else 1.0
             at = later

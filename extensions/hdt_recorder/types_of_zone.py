@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from pathlib import Path
 
-from hdt_core.packages import brought
+from hdt_core.packages import load_entry_points
 from hdt_recorder.aircraft_types import AircraftType, AircraftTypeError, read_type
 from pipelines.intake.faults import Fault
 from pipelines.intake.fleet_list import FleetLine, fleet_lines
@@ -80,7 +80,7 @@ def _hash_of(*files: Path) -> str:
 @cache
 def shipped() -> tuple[Path, ...]:
     """Descriptions that come along, and those of packages: an entry point of the group `hdt.types` names a path."""
-    others = (Path(str(found)) for _, found in brought("hdt.types", "type of aircraft", ReaderError))
+    others = (Path(str(found)) for _, found in load_entry_points("hdt.types", "type of aircraft", ReaderError))
     return (*sorted((Path(__file__).parent / "types").glob("*.toml")), *others)
 
 

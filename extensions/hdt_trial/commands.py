@@ -181,10 +181,10 @@ def dossier(
 @contextmanager
 def _one_writer(home: Path | None) -> Iterator[Path]:
     """The home, held: no night seals meanwhile."""
-    from pipelines.orchestration.around_night import holding
+    from pipelines.orchestration.around_night import lock_home
 
     where = home_folder(home)
-    with _one_line(), holding(where):
+    with _one_line(), lock_home(where):
         yield where
 
 

@@ -31,7 +31,7 @@ class Diagnosis:
     severity : callable
         `low`, `medium` or `high` by the facts of a moment.
     evidence : callable
-        Evidence by the facts of a moment and the flight since which the finding stands.
+        Evidence by the facts of a moment and the flight since which the finding holds.
     features : tuple of str
         Columns that are facts of any moment, beside those the case was raised with.
     addendum : callable, optional

@@ -14,7 +14,7 @@ STOP_MEMORY = 40
 SAME_STOP = 0.03
 """Openings closer than this may be one stop: noise, quantisation and a flight's last approach to it. [-]"""
 JAM_ABOVE, PEG_ABOVE = 0.06, 0.15
-"""A door no wider than this above its lower stop may rest there; its outlet then says nothing of its travel. [-]"""
+"""A door no wider than this above its lower stop may rest there; its outlet is then no evidence of its travel. [-]"""
 SURE_PEG_K, SURE_PEG_SAMPLES = 3.0, 3
 """Excess and samples at the stop with which one flight is enough: nine sigma of a sound flight, and more
 than a TAT error of 5 K feigns. [K]"""

@@ -1,12 +1,13 @@
-"""Calibration: from nominal flights to the Digital System Model that nobody handed over."""
+"""Calibrate the Digital System Model from nominal flights."""
 
 from dataclasses import replace
 
 import numpy as np
 import polars as pl
 
+from hdt_core.calibration import arrays
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.arrays import Array, Points, as_met, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.arrays import Array, Points, cruise_samples, flights_of, level_points, to_points
 from hdt_core.calibration.compressor import compressor_samples, probe_corrections
 from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
@@ -38,46 +39,46 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
     maintenance : DataFrame
         `operator, tail, done_on, pack, component, action`; exchanger replacements split a pack's baseline into units.
     terms : tuple of str
-        Physical terms accepted by name (`physics.terms`); coefficient and design are found in turn.
+        Physical terms accepted by name (`physics.terms`); coefficient and design are estimated in turn.
 
     Returns
     -------
     Dsm
-        Depends on the data set alone. With no usable flight it holds the priors, and says so through its deviations.
+        Depends on the data set alone. With no usable flight it holds the priors and their standard deviations.
     """
-    model = _calibrated(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
+    model = _calibrate(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
     for _ in range(TERM_ROUNDS if terms else 0):
-        seen = estimate_flights(baseline_samples(samples), model)
-        found = coefficients(seen, model, terms)
-        model = _calibrated(samples, legs, maintenance, {n: within(n, model.terms[n] + found[n]) for n in terms})
+        estimates = estimate_flights(baseline_samples(samples), model)
+        changes = coefficients(estimates, model, terms)
+        model = _calibrate(samples, legs, maintenance, {n: within(n, model.terms[n] + changes[n]) for n in terms})
     return model
 
 
 def baseline_samples(samples: pl.DataFrame) -> pl.DataFrame:
-    """Samples of the baseline's flights, of worn packs too: what changes from flight to flight is not their wear."""
+    """Select samples of the baseline's flights, of worn packs too: changes from flight to flight are not wear."""
     return samples.filter(pl.col("flight_id").is_in(baseline_flights(flights_of(samples))))
 
 
-def _calibrated(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
-    draft = _without_levels(samples, legs, terms)
-    seen = of_each_aircraft(baseline_samples(samples), lambda own: estimate_flights(own, draft))
-    model = fleet_levels(seen, maintenance, draft)
-    return replace(model, levels=exchanger_levels(seen, model))
+def _calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+    draft = _draft_model(samples, legs, terms)
+    estimates = of_each_aircraft(baseline_samples(samples), lambda pack_samples: estimate_flights(pack_samples, draft))
+    model = fleet_levels(estimates, maintenance, draft)
+    return replace(model, levels=exchanger_levels(estimates, model))
 
 
-def _without_levels(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, float]) -> Dsm:
-    """The model before it is known how clean the fleet was when it was built."""
-    everything = flights_of(samples)
-    base = everything.filter(pl.col("flight_id").is_in(baseline_flights(everything)))
-    admitted = _admitted(base, legs)
+def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+    """Build the model without the fleet's clean level, which needs its flight estimates."""
+    flights = flights_of(samples)
+    base = flights.filter(pl.col("flight_id").is_in(baseline_flights(flights)))
+    admitted = _select_admitted(base, legs)
     window = baseline_samples(samples)
     cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
-    packs = everything.select(PACK).unique().sort(PACK)
-    points = to_points(level_points(as_met(cruise, terms), everything), packs)
+    packs = flights.select(PACK).unique().sort(PACK)
+    points = to_points(level_points(arrays.correct_inputs(cruise, terms), flights), packs)
     fit = fit_exchanger(points, *sensor_prior(cruise, packs))
-    flying = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
-    corrections = probe_corrections(flying, packs)
-    compressor = fit_compressor(compressor_samples(flying, corrections))
+    machine = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    corrections = probe_corrections(machine, packs)
+    compressor = fit_compressor(compressor_samples(machine, corrections))
     at = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
     ratio = hx.ln_conductance_ratio(points.signals, fit.mean, at)
     slopes = design_gradient(points.signals, fit.mean, at, ratio)
@@ -117,12 +118,12 @@ def _without_levels(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, 
         cruise_flows_kg_s=_middle_flows(points, fit.mean),
         terms=terms,
     )
-    ordered = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
-    return replace(draft, hot_inlet=learn_inlet(ordered, draft.design, draft.bias_of(ordered)))
+    rows_in_order = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
+    return replace(draft, hot_inlet=learn_inlet(rows_in_order, draft.design, draft.bias_of(rows_in_order)))
 
 
 def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
-    """Median hot and ram flow of the points, the reference flows where there are none. [kg/s]"""
+    """Compute median hot and ram flow of the points, the reference flows without any. [kg/s]"""
     if not len(points):
         return REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
     ram = clean_ram_flow_kg_s(points.signals, design)
@@ -130,9 +131,9 @@ def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
 
 
 def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel, ...]:
-    """Conductance as built of each operator and pack, pooled with the fleet: a pack of ten flights borrows from it.
+    """Estimate conductance as built of each operator and pack, pooled with the fleet.
 
-    A pack's own word is what its first flights show, cleared of the wear that it likely brought along.
+    A pack's own estimate comes from its first flights, corrected for the expected wear at entry.
     """
     first = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER).group_by(PACK, maintain_order=True)
     packs = (
@@ -143,18 +144,16 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel,
     if not packs.height:
         return ()
     error = dsm.flight_sd * median_error(packs["n"].to_numpy())
-    found = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
-    named = packs.with_columns(
-        value=pl.Series(packs["seen"].to_numpy() + found.wear),
-        error_sd=pl.Series(np.sqrt(error**2 + found.wear_var)),
+    posterior = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
+    levels = packs.with_columns(
+        value=pl.Series(packs["seen"].to_numpy() + posterior.wear),
+        error_sd=pl.Series(np.sqrt(error**2 + posterior.wear_var)),
     )
     at = hx.NAMES.index("ln_ua_reference")
     ln_ua, ln_sd = dsm.exchanger[at], float(np.sqrt(dsm.exchanger_cov[at][at]))
-    found_levels = levels_of(named, "hx_ua_reference_w_k")[1]
-    ua = [float(np.exp(ln_ua + v.value)) for v in found_levels]
-    return tuple(
-        replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(found_levels, ua, strict=True)
-    )
+    ln_levels = levels_of(levels, "hx_ua_reference_w_k")[1]
+    ua = [float(np.exp(ln_ua + v.value)) for v in ln_levels]
+    return tuple(replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(ln_levels, ua, strict=True))
 
 
 def _inputs(window: pl.DataFrame) -> pl.DataFrame:
@@ -162,11 +161,10 @@ def _inputs(window: pl.DataFrame) -> pl.DataFrame:
     return window.select(columns).sort(*FLIGHT_PACK, "time_utc")
 
 
-def _admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
-    """Legs fit to calibrate from; all where the filter has let none of a pack through, for a prior beats
-    nothing."""
+def _select_admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Select admitted legs, or all of `base` without verdicts."""
     if "admitted" not in legs.columns or not legs.height:
         return base
     verdicts = legs.select(*FLIGHT_PACK, "admitted").unique(FLIGHT_PACK)
-    judged = base.join(verdicts, on=FLIGHT_PACK, how="left", validate="m:1")
-    return judged.filter(pl.col("admitted").fill_null(True))
+    rows = base.join(verdicts, on=FLIGHT_PACK, how="left", validate="m:1")
+    return rows.filter(pl.col("admitted").fill_null(True))

@@ -1,4 +1,4 @@
-"""How the twin reads a compressor: effective diameter, flow group and efficiency of each sample and flight."""
+"""Compute a compressor's effective diameter, flow group and efficiency of each sample and flight."""
 
 import numpy as np
 import polars as pl
@@ -17,7 +17,7 @@ CORRECTIONS = ("inlet_bias_k", "inlet_bias_ln", "exit_bias_ln")
 
 
 def _share(own_sd: float | None, other_sd: float | None) -> float:
-    """Part of the difference of two sensors that is the first one's, by their declared calibration errors."""
+    """Compute the share of two sensors' difference that belongs to the first, by their declared calibration errors."""
     return declared(own_sd) ** 2 / (declared(own_sd) ** 2 + declared(other_sd) ** 2)
 
 
@@ -30,27 +30,27 @@ STEADY_SAMPLES = 5
 
 
 def probe_corrections(cruise: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame:
-    """What each pack's compressor probes read too high: `CORRECTIONS`, one row a pack of `packs`.
+    """Estimate biases of each pack's compressor probes: `CORRECTIONS`, one row a pack of `packs`.
 
     The inlet sits behind the same intake everywhere, so its temperature over TAT and pressure over total pressure are
-    the fleet's, and so is the exit pressure that altitude and flow call for; what a pack shows beyond that is shared
-    out between its probes by their known quality.
+    the fleet's, and so is the exit pressure by altitude and flow; a pack's difference is shared between its
+    probes by their known quality.
     """
     ratio = (pl.col("cc_in_pa") / pl.col("total_pressure_pa")).log()
-    seen = cruise.group_by(PACK).agg(
+    medians = cruise.group_by(PACK).agg(
         (pl.col("cc_in_k") - pl.col("tat_k")).median().alias("above_k"), ratio.median().alias("ln_ratio")
     )
-    beyond = seen.with_columns(
+    biases = medians.with_columns(
         ((pl.col("above_k") - pl.col("above_k").median()) * SHARE_K).alias("inlet_bias_k"),
         ((pl.col("ln_ratio") - pl.col("ln_ratio").median()) * SHARE_LN).alias("inlet_bias_ln"),
     )
-    joined = packs.join(beyond, on=PACK, how="left", maintain_order="left", validate="m:1")
-    joined = joined.join(_exit_pressure_bias(cruise), on=PACK, how="left", maintain_order="left", validate="m:1")
-    return joined.select(*PACK, pl.col(CORRECTIONS).fill_nan(0.0).fill_null(0.0))
+    rows = packs.join(biases, on=PACK, how="left", maintain_order="left", validate="m:1")
+    rows = rows.join(_exit_pressure_bias(cruise), on=PACK, how="left", maintain_order="left", validate="m:1")
+    return rows.select(*PACK, pl.col(CORRECTIONS).fill_nan(0.0).fill_null(0.0))
 
 
 def _exit_pressure_bias(cruise: pl.DataFrame) -> pl.DataFrame:
-    """Exit pressure of each pack beyond what its altitude and flow call for, fleet-wide: `exit_bias_ln`."""
+    """Estimate each pack's excess exit pressure over the fleet's law of altitude and flow: `exit_bias_ln`."""
     flow = pl.mean_horizontal(pl.col("cc_flow_kg_s").log(), pl.col("pack_flow_kg_s").log())
     flights = (
         cruise.with_columns(flow.alias("ln_flow"), (pl.col("altitude_m") / 1e4).alias("height"))
@@ -66,16 +66,16 @@ def _exit_pressure_bias(cruise: pl.DataFrame) -> pl.DataFrame:
     law = np.linalg.lstsq(columns, flights["cc_out_pa"].to_numpy(), rcond=None)[0]
     beyond = flights.with_columns((pl.col("cc_out_pa") - pl.Series(columns @ law)).alias("beyond"))
     packs = beyond.group_by(PACK).agg(pl.col("beyond").median())
-    spread = packs["beyond"].to_numpy()
-    share = min(MAX_EXIT_SHARE, EXIT_BIAS_SD_LN**2 / max(float(np.var(spread, ddof=1)), 1e-12))
-    return packs.select(*PACK, ((pl.col("beyond") - float(np.median(spread))) * share).alias("exit_bias_ln"))
+    deviations = packs["beyond"].to_numpy()
+    share = min(MAX_EXIT_SHARE, EXIT_BIAS_SD_LN**2 / max(float(np.var(deviations, ddof=1)), 1e-12))
+    return packs.select(*PACK, ((pl.col("beyond") - float(np.median(deviations))) * share).alias("exit_bias_ln"))
 
 
 def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.DataFrame:
-    """Cruise samples with `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and the inlet they stand
-    on, `inlet_k` and `inlet_pa`; null where not recorded."""
-    ordered = cruise.sort(*FLIGHT_PACK, "time_utc")
-    rows = _steadied(ordered).join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
+    """Add `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and their inlet, `inlet_k` and
+    `inlet_pa`, to cruise samples; null where not recorded."""
+    cruise_rows = cruise.sort(*FLIGHT_PACK, "time_utc")
+    rows = _average_levels(cruise_rows).join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
     s = {
         c: rows[c].to_numpy().astype(float)
         for c in ("cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_speed_rad_s", "cc_flow_kg_s")
@@ -84,23 +84,23 @@ def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.Da
     exit_pa = s["cc_out_pa"] * np.exp(-rows["exit_bias_ln"].fill_null(0.0).to_numpy())
     inlet_pa = s["cc_in_pa"] * np.exp(-rows["inlet_bias_ln"].fill_null(0.0).to_numpy())
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        found = {
+        values = {
             "inlet_k": inlet_k,
             "inlet_pa": inlet_pa,
             "diameter_m": effective_diameter_m(inlet_pa, exit_pa, inlet_k, s["cc_speed_rad_s"]),
             "group_m3": area_diameter_tan_beta_m3(s["cc_flow_kg_s"], inlet_pa, inlet_k, s["cc_speed_rad_s"]),
             "efficiency": isentropic_efficiency(inlet_pa, exit_pa, inlet_k, s["cc_out_k"]),
         }
-    sane = {name: np.where(np.isfinite(v) & (v > 0.0), v, np.nan) for name, v in found.items()}
-    return ordered.with_columns(pl.Series(name, v).fill_nan(None) for name, v in sane.items())
+    valid = {name: np.where(np.isfinite(v) & (v > 0.0), v, np.nan) for name, v in values.items()}
+    return cruise_rows.with_columns(pl.Series(name, v).fill_nan(None) for name, v in valid.items())
 
 
-def _steadied(cruise: pl.DataFrame) -> pl.DataFrame:
-    """Inlet from the air data at each flight's own distance, and pressures and temperatures averaged along a cruise
-    level.
+def _average_levels(cruise: pl.DataFrame) -> pl.DataFrame:
+    """Average pressures and temperatures along a cruise level, the inlet's from the air data plus the flight's offset.
 
-    In a cruise the states of the air move slowly while speed and diffuser hunt from one sample to the next: a flight's
-    median diameter is one sample's, and should not be that sample's noise. Nor must a missing reading cost the sample.
+    In a cruise the states of the air move slowly while speed and diffuser vary from one sample to the next: a flight's
+    median diameter is one sample's, and should not have that sample's noise. Nor must a missing reading cost the
+    sample.
     """
     above_k = (pl.col("cc_in_k") - pl.col("tat_k")).median().over(FLIGHT_PACK)
     ratio = (pl.col("cc_in_pa") / pl.col("total_pressure_pa")).median().over(FLIGHT_PACK)
@@ -121,13 +121,12 @@ def _steadied(cruise: pl.DataFrame) -> pl.DataFrame:
 
 
 def compressor_flights(samples: pl.DataFrame) -> pl.DataFrame:
-    """Medians of each flight and pack, with the standard error of each: what scatters in flight is the machine
-    itself."""
+    """Compute medians of each flight and pack, with the standard error of each."""
     columns = ("diameter_m", "group_m3", "efficiency", "vda_counts")
 
     def error(name: str) -> pl.Expr:
-        spread = spread_expr(pl.col(name) - pl.col(name).median())
-        return (spread * median_error(pl.col(name).count())).alias(f"{name}_se")
+        sd = spread_expr(pl.col(name) - pl.col(name).median())
+        return (sd * median_error(pl.col(name).count())).alias(f"{name}_se")
 
     return samples.group_by(FLIGHT_PACK).agg(
         *(pl.col(c).median() for c in columns),

@@ -1,5 +1,5 @@
-"""What thousands of nominal flights say of the compressor as built: equation (6) and its rivals, the group of
-equations (2)-(4), the efficiency.
+"""Fit the compressor as built to nominal flights: equation (6) and its rivals, the group of equations (2)-(4), the
+efficiency.
 
 A diameter is a flight's own level times a curve of the diffuser's position that the fleet shares.
 """
@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.diffuser_line import BLOCK_FLIGHTS, rows_of, shared_line
+from hdt_core.calibration.diffuser_line import BLOCK_FLIGHTS, fit_line, rows_of
 from hdt_core.calibration.forms import FormFit, compare_forms
 from hdt_core.calibration.pooling import PooledLevel, levels_of
 from hdt_core.calibration.sensor_priors import CC_FLOW_BIAS_SD
@@ -23,11 +23,11 @@ from hdt_core.robust import median_error, spread
 PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
 """The paper's law with a wide band, as the component declares it."""
 BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO = float(np.deg2rad(36.0)), float(np.deg2rad(3.0)), 0.4
-"""Angle from tangential and hub to eye diameter of inducers of this kind: assumed, seen in no record."""
+"""Angle from tangential and hub to eye diameter of inducers of this kind: assumed, not recorded."""
 MIN_POINTS = 30
 ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
-"""Mean ln loss of diameter of a compressor when first seen, how well that is known, and the spread of units: by so much
-an as-built level lies above the seen one. No record tells; efficiency loses twice as much."""
+"""Mean ln loss of diameter of a compressor at entry, its sd, and the sd over units: by so much an as-built level lies
+above the measured one. Assumed, not recorded; efficiency loses twice as much."""
 PROBE_SD_LN = 0.003
 """Calibration error of an efficiency, which no number of flights takes out of one pack."""
 
@@ -60,16 +60,16 @@ class CompressorFit:
     levels: tuple[PooledLevel, ...] = ()
 
     def diameter_m(self, vda_counts: Array) -> Array:
-        """Effective diameter of a sound machine with the diffuser at these positions. [m]"""
+        """Compute the effective diameter of a sound machine with the diffuser at these positions. [m]"""
         return expected_diameter_m(vda_counts, np.asarray(self.intercept_m), np.asarray(self.slope_m_per_count))
 
     def group_at_m3(self, vda_counts: Array) -> Array:
-        """A D tan(beta) with the diffuser at these positions. [m3]"""
-        given = map(np.asarray, (self.group_m3, self.vda_counts, self.group_slope_m3_per_count))
-        return group_at_m3(vda_counts, *given)
+        """Compute A D tan(beta) with the diffuser at these positions. [m3]"""
+        law = map(np.asarray, (self.group_m3, self.vda_counts, self.group_slope_m3_per_count))
+        return group_at_m3(vda_counts, *law)
 
     def position_counts(self, group_m3: Array) -> Array:
-        """Positions at which the group is this: `group_at_m3` turned round. [count]"""
+        """Compute positions from the group, the inverse of `group_at_m3`. [count]"""
         return self.vda_counts + (group_m3 - self.group_m3) / self.group_slope_m3_per_count
 
 
@@ -89,7 +89,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     Notes
     -----
     The diffuser's reading is noisy, which flattens a slope by the share of noise in its variance; the slope is raised
-    by as much. Levels are those of machines as first seen, raised by the wear that these bring along.
+    by as much. Levels are those of machines at entry, raised by their expected wear.
     """
     rows = rows_of(samples, "diameter_m")
     group, group_sd, group_levels = _pooled(
@@ -101,10 +101,10 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     flights = samples.select(FLIGHT_PACK).unique().height
     if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
         return _prior(flights)  # one flight a pack: nothing to compare within a machine
-    line = shared_line(rows)
-    seen = pl.DataFrame({"seen": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
-    as_built, as_built_sd = _as_built(seen["seen"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
-    # the slope belongs to machines as they were; an as-built one is that much larger
+    line = fit_line(rows)
+    first_levels = pl.DataFrame({"seen": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
+    as_built, as_built_sd = _as_built(first_levels["seen"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
+    # the slope is proportional to the level, so it is raised likewise
     slope = line.slope * as_built / float(np.mean(line.level))
     slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
     group_slope, group_slope_sd = _group_slope(samples)
@@ -133,7 +133,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
 
 
 def _prior(flights: int) -> CompressorFit:
-    """The paper's equation (6) with a wide band, where the fleet's own records hold too little."""
+    """Return the paper's equation (6) with a wide band, where the fleet's own records hold too little."""
     return CompressorFit(
         *PRIOR["cc_diameter_vda_intercept"], *PRIOR["cc_diameter_vda_slope"], 0.0055, 0.0055, 0.0,
         *PRIOR["cc_area_diameter_tan_beta_m3"], *PRIOR["cc_efficiency"], 400.0, flights, 0.0, 0.0, 0.0,
@@ -141,29 +141,29 @@ def _prior(flights: int) -> CompressorFit:
 
 
 def _group_slope(samples: pl.DataFrame) -> tuple[float, float]:
-    """What a count of the diffuser adds to the group, and its standard error; 0 where too few tell. [m3/count]"""
+    """Fit the group's slope over the diffuser's position, and its standard error; 0 with too few points. [m3/count]"""
     rows = rows_of(samples, "group_m3")
     if len(rows.x) < MIN_POINTS:
         return 0.0, 0.0
-    line = shared_line(rows)
+    line = fit_line(rows)
     return line.slope, line.slope_sd
 
 
-def _as_built(seen: Array, wear: float, wear_sd: float) -> tuple[float, float]:
-    """Level as built of machines seen a little worn, and its standard error."""
-    middle = float(np.median(seen))
-    scatter = max(ENTRY_UNIT_SD * middle, spread(seen - middle))
+def _as_built(levels: Array, wear: float, wear_sd: float) -> tuple[float, float]:
+    """Estimate the level as built from machines a little worn, and its standard error."""
+    middle = float(np.median(levels))
+    scatter = max(ENTRY_UNIT_SD * middle, spread(levels - middle))
     # the median over machines whose wear is exponential: ln 2 times its mean
-    raised = middle * (1.0 + float(np.log(2.0)) * wear)
-    return raised, float(np.hypot(scatter * median_error(float(len(seen))), wear_sd * middle))
+    as_built = middle * (1.0 + float(np.log(2.0)) * wear)
+    return as_built, float(np.hypot(scatter * median_error(float(len(levels))), wear_sd * middle))
 
 
 def _pooled(
     samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, wear: bool
 ) -> tuple[float, float, tuple[PooledLevel, ...]]:
-    """A quantity's fleet value, its standard deviation, and its levels by operator and pack.
+    """Pool a quantity: fleet value, standard deviation, and levels by operator and pack.
 
-    With `wear` it is taken from each pack's first flights, and raised by what a machine has lost by then.
+    With `wear` it is taken from each pack's first flights and raised by the expected wear at entry.
     """
     flights = samples.group_by(*FLIGHT_PACK).agg(pl.col(column).median(), pl.col("time_utc").min()).drop_nulls(column)
     by_pack = flights.sort(*PACK, "time_utc", "flight_id").group_by(PACK, maintain_order=True)
@@ -181,11 +181,11 @@ def _pooled(
 
 
 def inlet_geometry(group_m3: float, group_sd_m3: float) -> dict[str, tuple[float, float]]:
-    r"""Inlet area, eye diameter and blade angle from the group A D tan(beta) and a *prior* on the angle: value and sd.
+    r"""Compute inlet area, eye diameter and blade angle from the group and a *prior* on the angle: value and sd.
 
     Notes
     -----
-    The group is all that flow tells. With the angle from elsewhere and the annulus between hub and eye,
+    Flow determines the group alone. With the angle given and the annulus between hub and eye,
     :math:`A = \tfrac{\pi}{4} D^2 (1 - \nu^2)`, diameter and area follow; the angle comes back as it went in.
     """
     share = 0.25 * np.pi * (1.0 - HUB_RATIO**2)

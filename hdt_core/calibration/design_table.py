@@ -1,4 +1,4 @@
-"""The Digital System Model as a table of design parameters, each with what is known of it and how."""
+"""Tabulate the design parameters of the Digital System Model with their uncertainty."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,7 +17,7 @@ _AT_REFERENCE = f"W/K at {REFERENCE_HOT_FLOW_KG_S} kg/s hot, {REFERENCE_RAM_FLOW
 
 
 def design_parameters(dsm: Dsm) -> pl.DataFrame:
-    """Design parameters as the catalog holds them: one row a scope, component and parameter."""
+    """Build the table of design parameters: one row a scope, component and parameter."""
     rows = [*_exchanger_rows(dsm), *_compressor_rows(dsm), *_inlet_rows(dsm)]
     rows += [*_level_rows(dsm), *_pack_rows(dsm)]
     schema = {
@@ -56,9 +56,9 @@ def _exchanger_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 
 def elasticities(dsm: Dsm) -> tuple[Array, Array]:
-    """d ln UA / d ln flow of the hot and the ram side in the middle of the baseline, and their standard deviations.
+    """Compute d ln UA / d ln flow of the hot and ram side in the middle of the baseline, with standard deviations.
 
-    An exponent enters only as its product with its film's share of the resistance: this is what cruise shows.
+    An exponent enters only as its product with its film's share of the resistance, which cruise data determine.
     """
     at, slopes = _with_slopes(dsm.design, dsm.cruise_flows_kg_s)
     return at, np.sqrt(np.diag(slopes @ np.array(dsm.exchanger_cov) @ slopes.T))
@@ -69,10 +69,10 @@ def _elasticity_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
     unit = f"- at {hot:.2f} kg/s hot, {ram:.2f} kg/s ram"
     slopes = _with_slopes(hx.MEAN, dsm.cruise_flows_kg_s)[1]
     prior = np.sqrt(np.diag((slopes * hx.SD**2) @ slopes.T))
-    found = zip(("hx_flow_elasticity_hot", "hx_flow_elasticity_cold"), *elasticities(dsm), prior, strict=True)
+    estimates = zip(("hx_flow_elasticity_hot", "hx_flow_elasticity_cold"), *elasticities(dsm), prior, strict=True)
     return [
         ("fleet", None, None, None, "HX", name, float(v), float(s), unit, dsm.n_flights, bool(s < 0.5 * p))
-        for name, v, s, p in found
+        for name, v, s, p in estimates
     ]
 
 
@@ -94,14 +94,15 @@ def _compressor_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 
 def _inlet_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
-    """Inlet area, eye diameter and blade angle: the group alone knows none of them, so the prior is printed."""
+    """Build rows of inlet area, eye diameter and blade angle with their prior: the group determines none of them."""
     c = dsm.compressor
     inlet = inlet_geometry(c.group_m3, c.group_sd_m3)
     angle, angle_sd = np.rad2deg(BLADE_ANGLE_RAD), np.rad2deg(BLADE_ANGLE_SD_RAD)
-    given = f"given a blade angle of {angle:.0f} ± {angle_sd:.0f} degrees and a hub of {HUB_RATIO:g} eye diameters"
+    condition = f"given a blade angle of {angle:.0f} ± {angle_sd:.0f} degrees and a hub of {HUB_RATIO:g} eye diameters"
     units = {"cc_inlet_area_m2": "m2", "cc_eye_diameter_m": "m", "cc_blade_angle_rad": "rad"}
     return [
-        ("fleet", None, None, None, "CC", n, *inlet[n], f"{u}, {given}", c.n_flights, False) for n, u in units.items()
+        ("fleet", None, None, None, "CC", n, *inlet[n], f"{u}, {condition}", c.n_flights, False)
+        for n, u in units.items()
     ]
 
 
@@ -127,7 +128,7 @@ def _pack_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
 
 
 def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float) -> Array:
-    """d ln UA / d ln flow of the hot and the ram side at these flows: exponent times the film's share. (2, ...) [-]"""
+    """Compute d ln UA / d ln flow of hot and ram side at these flows: exponent times the film's share. (2, ...) [-]"""
     p = core_values(design)
     hot_share = p["hx_hot_share"]
     hot = hot_share * (hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S) ** -p["hx_exponent_hot"]
@@ -137,7 +138,7 @@ def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float)
 
 
 def _with_slopes(design: Array, flows_kg_s: tuple[float, float]) -> tuple[Array, Array]:
-    """Elasticities and their derivatives by the design vector, (2,) and (2, p)."""
+    """Compute elasticities and their derivatives by the design vector, (2,) and (2, p)."""
     n = len(hx.NAMES)
     at = flow_elasticities(design[:, None] + 1e-5 * np.eye(n, n + 1, 1), *flows_kg_s)
     return at[:, 0], (at[:, 1:] - at[:, :1]) / 1e-5

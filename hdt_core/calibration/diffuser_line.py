@@ -1,4 +1,4 @@
-"""What machines share over the diffuser's position: a line, each block of a pack's flights at a level of its own.
+"""Fit a line over the diffuser's position that machines share, each block of a pack's flights with its own level.
 
 Levels are free for every twenty flights of a pack, so that units, sensors, wear and replacements fall into them and not
 into the line.
@@ -20,7 +20,7 @@ BLOCK_FLIGHTS = 20
 VDA_NOISE_COUNTS = declared(CC.model.signal("vda_counts").sigma)
 HUBER_STEPS = 8
 FAR_SD = 4.0
-"""Robust standard deviations beyond which a position is a spike of its sensor: one would turn a slope."""
+"""Robust standard deviations beyond which a position is a spike of its sensor: one would bias a slope."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +35,18 @@ class BlockRows:
 
 
 def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
-    """A column of `compressor_samples` against the diffuser's position, by pack and time."""
-    known = samples.select(*PACK, "time_utc", "flight_id", "vda_counts", column)
-    known = known.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
+    """Build rows of a column of `compressor_samples` against the diffuser's position, by pack and time."""
+    rows = samples.select(*PACK, "time_utc", "flight_id", "vda_counts", column)
+    rows = rows.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
     middle = pl.col("vda_counts").median().over(PACK)
     scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
-    known = known.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
-    order = known.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
-    turned = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
-    block = turned.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
-    flight = turned.select(pl.struct(*PACK, "order").rle_id())[:, 0].to_numpy().astype(np.int64)
-    blocks = turned.select(*PACK, "turn").unique(maintain_order=True)
-    x, y = (known[c].to_numpy().astype(float) for c in ("vda_counts", column))
+    rows = rows.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
+    order = rows.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
+    turns = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
+    block = turns.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
+    flight = turns.select(pl.struct(*PACK, "order").rle_id())[:, 0].to_numpy().astype(np.int64)
+    blocks = turns.select(*PACK, "turn").unique(maintain_order=True)
+    x, y = (rows[c].to_numpy().astype(float) for c in ("vda_counts", column))
     return BlockRows(x, y, block, flight, blocks)
 
 
@@ -54,7 +54,7 @@ def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
 class Line:
     """A line over the diffuser's positions that machines share, the slope that of a machine of mean level.
 
-    `level` is each block's at `centre`; `residual` what is left of each row.
+    `level` is each block's at `centre`.
     """
 
     slope: float
@@ -64,20 +64,20 @@ class Line:
     residual: Array
 
 
-def shared_line(rows: BlockRows) -> Line:
-    """The shared line, its slope raised by what noise in the positions flattens."""
-    slope, level, weight = _shared_slope(rows)
+def fit_line(rows: BlockRows) -> Line:
+    """Fit the shared line, its slope corrected for the attenuation by noise in the positions."""
+    slope, level, weight = _fit_slope(rows)
     x_mean = np.bincount(rows.block, weight * rows.x) / np.bincount(rows.block, weight)
-    inside = rows.x - x_mean[rows.block]
-    reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(inside**2, weights=weight)), 0.5)
+    deviation = rows.x - x_mean[rows.block]
+    reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(deviation**2, weights=weight)), 0.5)
     centre = float(np.average(rows.x, weights=weight))
-    residual = rows.y - _fitted(rows, slope, level, centre)
-    slope_sd = _clustered_sd(inside, residual, rows.flight, weight) / reliable
+    residual = rows.y - _line_values(rows, slope, level, centre)
+    slope_sd = _clustered_sd(deviation, residual, rows.flight, weight) / reliable
     return Line(slope / reliable, slope_sd, level, centre, residual)
 
 
-def _shared_slope(rows: BlockRows) -> tuple[float, Array, Array]:
-    """Slope of a machine of mean level, level of each block at the mean position, Huber's weights."""
+def _fit_slope(rows: BlockRows) -> tuple[float, Array, Array]:
+    """Estimate the slope of a machine of mean level, the level of each block at the mean position, Huber's weights."""
     x, y, block = rows.x, rows.y, rows.block
     weight, scale = np.ones(len(x)), np.ones(len(rows.blocks))
     slope, level = 0.0, scale
@@ -87,19 +87,19 @@ def _shared_slope(rows: BlockRows) -> tuple[float, Array, Array]:
         dx, dy = x - x_mean[block], (y - y_mean[block]) / scale[block]
         slope = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9))
         level = y_mean + slope * scale * (np.average(x, weights=weight) - x_mean)
-        # wear takes its share of the whole diameter, of the slope too
+        # wear scales the whole diameter, the slope too
         scale = level / level.mean()
-        off = np.abs(dy - slope * dx)
-        weight = huber_weights(off, spread(off))
+        deviation = np.abs(dy - slope * dx)
+        weight = huber_weights(deviation, spread(deviation))
     return slope, level, weight
 
 
-def _fitted(rows: BlockRows, slope: float, level: Array, centre: float) -> Array:
+def _line_values(rows: BlockRows, slope: float, level: Array, centre: float) -> Array:
     return np.asarray(level[rows.block] * (1.0 + slope / level.mean() * (rows.x - centre)))
 
 
-def _clustered_sd(inside: Array, residual: Array, flight: Array, weight: Array) -> float:
-    """Standard error of the slope where samples of a flight err together: sandwich over flights, of Huber's
-    estimate, to whose slope a sample beyond the bend adds nothing."""
-    score = np.bincount(flight, weight * inside * residual)
-    return float(np.sqrt((score**2).sum()) / max((inside[weight >= 1.0] ** 2).sum(), 1e-9))
+def _clustered_sd(deviation: Array, residual: Array, flight: Array, weight: Array) -> float:
+    """Compute the slope's standard error with errors clustered by flight: sandwich of Huber's estimate, to which a
+    sample beyond the bend adds nothing."""
+    score = np.bincount(flight, weight * deviation * residual)
+    return float(np.sqrt((score**2).sum()) / max((deviation[weight >= 1.0] ** 2).sum(), 1e-9))

@@ -1,7 +1,7 @@
-"""Drift audit of a baseline: what each pack did while the model was learned from it.
+"""Audit the drift of each pack within the baseline.
 
-A model that learns wear as normal hides it. The clean level is anchored in each pack's first flights and the baseline
-ends at a milestone, so wear that came later cannot move it; what crept in before the milestone is shown here.
+A model that takes wear as normal hides it. The clean level is anchored in each pack's first flights and the baseline
+ends at a milestone, so wear that came later cannot move it; wear before the milestone is reported here.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from hdt_core.records.unit_index import number_units
 
 MIN_FLIGHTS = 20
 DRIFT_SD, LEAST_DRIFT = 3.0, 0.01
-"""A drift is told of where it is both certain and at least one per cent in a hundred flights."""
+"""A drift is reported where it is both significant and at least one per cent in a hundred flights."""
 
 
 def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """How far every unit's conductance and every compressor's diameter moved over the baseline.
+    """Estimate the drift of each unit's conductance over the baseline.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm)
     maintenance : DataFrame
         Replaced exchangers begin a new unit.
     dsm : Dsm
-        The model the flights were judged by.
+        The model of the flight estimates.
 
     Returns
     -------
@@ -38,10 +38,10 @@ def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm)
         `drift_sd`, `unlearned` (ln ratio of its last ten flights below its first: what the anchor keeps out of the
         model), and `drifts` (bool).
     """
-    known = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER)
+    flights = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER)
     rows = [
-        _one(dict(zip((*PACK, "unit"), key, strict=True)), unit["ln_ua_ratio"].to_numpy(), dsm.clean_level)
-        for key, unit in number_units(known, maintenance).group_by(*PACK, "unit", maintain_order=True)
+        _audit_unit(dict(zip((*PACK, "unit"), key, strict=True)), unit["ln_ua_ratio"].to_numpy(), dsm.clean_level)
+        for key, unit in number_units(flights, maintenance).group_by(*PACK, "unit", maintain_order=True)
         if unit.height >= MIN_FLIGHTS
     ]
     schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "unit": pl.Int64, "n_flights": pl.Int64}
@@ -49,11 +49,11 @@ def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm)
     return pl.DataFrame(rows, schema={**schema, "drifts": pl.Boolean}).sort(*PACK, "unit")
 
 
-def _one(named: dict[str, object], ratio: np.ndarray, clean_level: float) -> dict[str, object]:
+def _audit_unit(keys: dict[str, object], ratio: np.ndarray, clean_level: float) -> dict[str, object]:
     slope = theilslopes(ratio, alpha=0.6827)
     sd = 0.5 * (slope.high_slope - slope.low_slope)
     first, last = float(np.median(ratio[:FIRST_FLIGHTS])), float(np.median(ratio[-FIRST_FLIGHTS:]))
-    return named | {
+    return keys | {
         "n_flights": len(ratio),
         "anchor": first - clean_level,
         "drift_per_100_flights": 100.0 * slope.slope,

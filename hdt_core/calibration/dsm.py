@@ -18,12 +18,12 @@ from hdt_core.physics.model import Array
 from hdt_core.records.keys import PACK
 
 ROWS_AT_ONCE = 20_000
-"""Rows that are text at a time while they are hashed."""
+"""Rows formatted as text at once while hashing."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorBiases:
-    """What one pack's sensors read too high (`hx.BIASES`, then the compressor's probes), from its baseline flights."""
+    """Biases of one pack's sensors (`hx.BIASES`, then the compressor's probes), from its baseline flights."""
 
     operator: str
     tail: str
@@ -86,7 +86,7 @@ class Dsm:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "Dsm":
-        """Turn `to_dict` round."""
+        """Build a model from the result of `to_dict`."""
         values = dict(plain)
         compressor = dict(values["compressor"])
         compressor["forms"] = tuple(FormFit(**f) for f in compressor["forms"])
@@ -101,11 +101,11 @@ class Dsm:
 
     @property
     def design(self) -> Array:
-        """Design vector in the order of `hx.NAMES`."""
+        """Return the design vector in the order of `hx.NAMES`."""
         return np.array(self.exchanger)
 
     def pack_table(self) -> pl.DataFrame:
-        """One row a pack: `PACK`, compressor probe corrections and sensor biases as `bias_<signal>`."""
+        """Tabulate packs: `PACK`, compressor probe corrections and sensor biases as `bias_<signal>`."""
         rows = [
             {
                 "operator": p.operator,
@@ -124,14 +124,14 @@ class Dsm:
         return pl.DataFrame(rows, schema=schema)
 
     def bias_of(self, frame: pl.DataFrame) -> Array:
-        """Sensor biases of each row's pack, 0 for a pack the model has not met. (6, n)"""
+        """Look up sensor biases of each row's pack, 0 for an unknown pack. (6, n)"""
         columns = [f"bias_{name}" for name in hx.BIASES]
         rows = frame.select(PACK).join(self.pack_table(), on=PACK, how="left", maintain_order="left", validate="m:1")
         return rows.select(pl.col(columns).fill_null(0.0)).to_numpy().T
 
 
 def version_of(*frames: pl.DataFrame) -> str:
-    """Hash of the values of frames in the order of their rows: twelve hexadecimal digits."""
+    """Hash the values of frames in the order of their rows: twelve hexadecimal digits."""
     digest = hashlib.sha256()
     for frame in frames:
         digest.update("|".join(frame.columns).encode())

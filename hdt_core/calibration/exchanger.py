@@ -1,7 +1,7 @@
-"""How the twin reads a heat exchanger: measured over expected conductance, with the ram flow from the clean duct's map.
+"""Compute measured over expected conductance of a heat exchanger, with the ram flow of the clean duct's map.
 
-Design, priors, bounds and sensors are those of the component's declaration; what is here is its inverse, sample by
-sample, with the sensors' errors taken out.
+Design, priors, bounds and sensors are those of the component's declaration; this module inverts it, sample by
+sample, with the sensors' biases removed.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ BIAS_SDS, NOISE_SDS = np.array(list(BIAS_SD.values())), np.array(list(NOISE_SD.v
 
 
 def without_bias(signals: Mapping[str, Array], bias: Array) -> dict[str, Array]:
-    """Signals with the sensor biases taken out.
+    """Remove the sensor biases from signals.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def without_bias(signals: Mapping[str, Array], bias: Array) -> dict[str, Array]:
 
 
 def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Array) -> Array:
-    """Logarithm of measured over expected UA: unit offset minus wear, in the mean. (n,) NaN where no exchanger fits."""
+    """Compute ln of measured over expected UA: unit offset minus wear, in the mean. (n,) NaN without a solution."""
     s = without_bias(signals, bias)
     ram = clean_ram_flow_kg_s(s, design)
     with np.errstate(divide="ignore", invalid="ignore"):  # a shut door or a pack at rest has no exchanger to fit
@@ -58,7 +58,7 @@ def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Arra
 
 
 def ln_ram_flow_ratio(signals: Mapping[str, Array], design: Array, bias: Array) -> Array:
-    """Logarithm of the ram flow that the heat balance shows, with `ram_out_k`, over that of the clean map. (n,)"""
+    """Compute ln of the ram flow by heat balance, with `ram_out_k`, over that of the clean map. (n,)"""
     s = without_bias(signals, bias)
     with np.errstate(divide="ignore", invalid="ignore"):
         hot_j_kg = mean_specific_heat_j_kg_k(s["hx_in_k"], s["hx_out_k"]) * (s["hx_in_k"] - s["hx_out_k"])

@@ -1,10 +1,9 @@
-"""One robust fit over a fleet: design shared by all, sensor biases by pack, health free flight by flight.
+"""Fit a fleet robustly: design shared by all, sensor biases by pack, health free flight by flight.
 
 Gauss-Newton on the logarithm of measured over expected conductance. Health is a random walk of each pack with a wide
-step, estimated together with the design, so wear in the data isn't learned as normal. The controller opens the door
-when the core cools less, for whatever reason: a plain fit would take the door's answer for the duct's doing. So
-flights are compared through instruments only, the weather and the flight level that move the door and can't be moved
-by it.
+step, estimated together with the design, so wear in the data isn't taken as normal. The controller opens the door when
+the core cools less, so the door depends on health and a plain fit is biased. Flights are therefore compared by
+instrumental variables, the weather and the flight level, which move the door and don't depend on it.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,14 +23,12 @@ FLIGHT_SD = 0.02
 """Scatter of a flight's conductance about its health: weather, trim, the map's own error."""
 LAW_SD = 0.01
 DESIGN_EFFECT, DESIGN_EFFECT_BLIND = 10.0, 40.0
-"""Errors of neighbouring points are not independent (season, route, what the law leaves out): each counts as 1/10.
-Where no ram outlet is measured the scale of the ram flow hangs on such small effects alone, and they are trusted less
-still."""
+"""Errors of neighbouring points are not independent (season, route, model error): each counts as 1/10. Where no ram
+outlet is measured the scale of the ram flow depends on small effects alone, and each counts as 1/40."""
 RAM_BALANCE_SD, RAM_DESIGN_EFFECT = 0.015, 10.0
 MIN_RAM_POINTS = 20
 LN_FLOW_RATIO, LN_FLOW_RATIO_SD = float(np.log(1.5)), 0.15
-"""Ram over pack flow in cruise as packs are built: more costs drag, less can't cool. Decides where no ram outlet is
-measured."""
+"""Prior of ram over pack flow in cruise: more costs drag, less can't cool. Matters where no ram outlet is measured."""
 MAX_AVERAGED = 6.0
 FIRST_LEVEL_SD = 0.3
 ITERATIONS, MIN_ITERATIONS, TOLERANCE, MAX_STEP = 15, 6, 1e-4, 0.5
@@ -73,7 +70,7 @@ class _Pack(NamedTuple):
 
 
 class _Elimination(NamedTuple):
-    """What gets a pack's bias and health back once the design has moved."""
+    """Terms that give a pack's bias and health back after a step of the design."""
 
     health_response: Array  # (flights, p + 6 + 1)
     factor: tuple[Array, bool]
@@ -89,49 +86,49 @@ def fit_exchanger(points: Points, bias_mean: Array, bias_sd: Array) -> Exchanger
     points : Points
         Level medians, sorted by pack and flight.
     bias_mean, bias_sd : array
-        What is known of each pack's sensors beforehand, (packs, 6); a pack without points keeps it.
+        Prior of each pack's sensors, (packs, 6); a pack without points keeps it.
 
     Notes
     -----
     Eliminating the random walk of a pack costs a tridiagonal solve, eliminating its biases a 6 x 6 one: the work is
-    linear in flights. Weights are Cauchy's, steps of health beyond 4 sd are let go (a replacement, a clog).
+    linear in flights. Weights are Cauchy's, steps of health beyond 4 sd are freed (a replacement, a clog).
     """
     ram_seen = bool(np.isfinite(points.signals["ram_out_k"]).sum() >= MIN_RAM_POINTS)
     effect = DESIGN_EFFECT if ram_seen else DESIGN_EFFECT_BLIND
     packs = {k: _pack(points, k, bias_mean[k], bias_sd[k]) for k in range(len(bias_mean)) if (points.pack == k).any()}
-    design, bias, spread = hx.MEAN.copy(), bias_mean.copy(), bias_sd.copy()
+    design, bias, sd = hx.MEAN.copy(), bias_mean.copy(), bias_sd.copy()
     health, cov, converged = np.full(len(points), np.nan), np.diag(hx.SD**2), not packs
     instruments = instruments_of(points.signals)
     for iteration in range(ITERATIONS if packs else 0):
         hot = _hot(points, design, bias, health, effect)
         ram = _ram(points, design, bias, robust=iteration > 0) if ram_seen else None
-        fitted = _first_stage(packs, hot, instruments, effect)
+        explained = _first_stage(packs, hot, instruments, effect)
         normal, right = _prior_terms(points, design)
-        solved = {}
+        eliminations = {}
         for k, pack in packs.items():
-            gram, response = _gram(pack, hot, ram, fitted, effect)
-            solved[k] = _eliminate(gram, response, pack, bias[k])
-            coupling, factor = solved[k].coupling, solved[k].factor
+            gram, response = _gram(pack, hot, ram, explained, effect)
+            eliminations[k] = _eliminate(gram, response, pack, bias[k])
+            coupling, factor = eliminations[k].coupling, eliminations[k].factor
             normal += gram[:N_DESIGN, :N_DESIGN] - coupling @ cho_solve(factor, coupling.T)
-            right += -gram[:N_DESIGN, -1] - coupling @ cho_solve(factor, solved[k].right)
+            right += -gram[:N_DESIGN, -1] - coupling @ cho_solve(factor, eliminations[k].right)
         cov = np.linalg.inv(normal)
-        moved = np.clip(design + np.clip(cov @ right, -MAX_STEP, MAX_STEP), hx.LOW, hx.HIGH)
-        step, design = moved - design, moved
-        for k, (response, factor, coupling, bias_right) in solved.items():
+        new_design = np.clip(design + np.clip(cov @ right, -MAX_STEP, MAX_STEP), hx.LOW, hx.HIGH)
+        step, design = new_design - design, new_design
+        for k, (response, factor, coupling, bias_right) in eliminations.items():
             change = cho_solve(factor, bias_right - coupling.T @ step)
-            bias[k], spread[k] = bias[k] + change, np.sqrt(np.diag(cho_solve(factor, np.eye(N_BIAS))))
+            bias[k], sd[k] = bias[k] + change, np.sqrt(np.diag(cho_solve(factor, np.eye(N_BIAS))))
             level = response @ np.r_[step, change, 1.0]
             health[packs[k].rows] = level[packs[k].flight_of_row]
             if iteration >= JUMPS_FROM_ITERATION:
-                packs[k] = packs[k]._replace(gaps=_freed(points, packs[k], level))
+                packs[k] = packs[k]._replace(gaps=_widen_jumps(points, packs[k], level))
         converged = bool(np.abs(step).max() < TOLERANCE)
         if converged and iteration >= MIN_ITERATIONS:
             break
-    return ExchangerFit(design, cov, bias, spread, converged, ram_seen)
+    return ExchangerFit(design, cov, bias, sd, converged, ram_seen)
 
 
 def instruments_of(signals: Mapping[str, Array]) -> Array:
-    """What moves the door and isn't moved by it: weather, level, speed, and the air the pack is asked for. (n, 8)"""
+    """Compute instrumental variables of the door: weather, level, speed, and the pack's demand. (n, 8)"""
     base = np.stack(
         [
             np.log(signals["tat_k"] / 255.0),
@@ -151,14 +148,14 @@ def _pack(points: Points, k: int, bias_mean: Array, bias_sd: Array) -> _Pack:
     return _Pack(rows, flight_of_row, np.diff(flights).astype(float), bias_mean, bias_sd)
 
 
-def _freed(points: Points, pack: _Pack, level: Array) -> Array:
-    """Steps between flights, widened where health jumps."""
+def _widen_jumps(points: Points, pack: _Pack, level: Array) -> Array:
+    """Widen steps between flights where health jumps."""
     gaps = np.diff(np.unique(points.flight[pack.rows])).astype(float)
     return np.asarray(gaps * (1.0 + JUMP_FREEDOM * (np.abs(np.diff(level)) > JUMP_SD * HEALTH_STEP)))
 
 
-def _linearised(function: Residual, points: Points, design: Array, bias: Array) -> Array:
-    """Columns of `_Linear` by forward differences: every equation is smooth."""
+def _linearise(function: Residual, points: Points, design: Array, bias: Array) -> Array:
+    """Compute columns of `_Linear` by forward differences."""
     at = bias[points.pack].T
     residual = function(points.signals, design, at)
     columns = []
@@ -166,13 +163,13 @@ def _linearised(function: Residual, points: Points, design: Array, bias: Array) 
         step = 1e-4 if design[j] + 1e-4 <= hx.HIGH[j] else -1e-4
         columns.append((function(points.signals, design + step * np.eye(N_DESIGN)[j], at) - residual) / step)
     for j, sd in enumerate(hx.BIAS_SDS):
-        moved = at + 0.01 * sd * np.eye(N_BIAS)[j][:, None]
-        columns.append((function(points.signals, design, moved) - residual) / (0.01 * sd))
+        shifted_bias = at + 0.01 * sd * np.eye(N_BIAS)[j][:, None]
+        columns.append((function(points.signals, design, shifted_bias) - residual) / (0.01 * sd))
     return np.stack([*columns, residual], axis=1)
 
 
 def _weighted(columns: Array, averaged: Array, law_sd: float) -> _Linear:
-    """Weigh by sensor noise, carried through the equation, and the law's own error."""
+    """Weigh by sensor noise, propagated through the equation, and the model's own error."""
     usable = np.asarray(np.isfinite(columns).all(axis=1))
     columns = np.where(usable[:, None], columns, 0.0)
     noise = ((columns[:, N_DESIGN:-1] * hx.NOISE_SDS) ** 2).sum(axis=1) / np.minimum(averaged, MAX_AVERAGED)
@@ -180,20 +177,20 @@ def _weighted(columns: Array, averaged: Array, law_sd: float) -> _Linear:
 
 
 def _hot(points: Points, design: Array, bias: Array, health: Array, effect: float) -> _Linear:
-    columns, weight = _weighted(_linearised(hx.ln_conductance_ratio, points, design, bias), points.n_samples, LAW_SD)
-    off = np.where(np.isnan(health), 0.0, (columns[:, -1] - health) ** 2 * weight)
-    return _Linear(columns, weight / (1.0 + off / CAUCHY_SD**2) / effect)
+    columns, weight = _weighted(_linearise(hx.ln_conductance_ratio, points, design, bias), points.n_samples, LAW_SD)
+    square = np.where(np.isnan(health), 0.0, (columns[:, -1] - health) ** 2 * weight)
+    return _Linear(columns, weight / (1.0 + square / CAUCHY_SD**2) / effect)
 
 
 def _ram(points: Points, design: Array, bias: Array, *, robust: bool) -> _Linear:
-    columns = _linearised(hx.ln_ram_flow_ratio, points, design, bias)
+    columns = _linearise(hx.ln_ram_flow_ratio, points, design, bias)
     columns, weight = _weighted(columns, points.n_samples, RAM_BALANCE_SD)
-    off = columns[:, -1] ** 2 * weight if robust else np.zeros(len(weight))
-    return _Linear(columns, weight / (1.0 + off / CAUCHY_SD**2) / RAM_DESIGN_EFFECT)
+    square = columns[:, -1] ** 2 * weight if robust else np.zeros(len(weight))
+    return _Linear(columns, weight / (1.0 + square / CAUCHY_SD**2) / RAM_DESIGN_EFFECT)
 
 
 def _prior_terms(points: Points, design: Array) -> tuple[Array, Array]:
-    """Normal matrix and right side of the design's prior and of the ram to pack flow prior."""
+    """Compute normal matrix and right side of the design's prior and of the ram to pack flow prior."""
 
     def ratio(values: Array) -> float:
         flow = np.log(clean_ram_flow_kg_s(points.signals, values)) - np.log(points.signals["pack_flow_kg_s"])
@@ -207,7 +204,7 @@ def _prior_terms(points: Points, design: Array) -> tuple[Array, Array]:
 
 
 def _flight_means(pack: _Pack, weight: Array, columns: Array) -> tuple[Array, Array]:
-    """Weighted mean of columns over each flight, and the weight of each flight."""
+    """Average columns over each flight with weights; return also the weight of each flight."""
     n = len(pack.gaps) + 1
     total = np.bincount(pack.flight_of_row, weight, n) + 1e-9
     means = np.stack([np.bincount(pack.flight_of_row, weight * c, n) for c in columns.T], axis=1)
@@ -215,43 +212,42 @@ def _flight_means(pack: _Pack, weight: Array, columns: Array) -> tuple[Array, Ar
 
 
 def _level_weight(per_flight: Array, effect: float) -> Array:
-    """Weight of a flight's mean against health: its points, and its own scatter."""
+    """Compute the weight of a flight's mean against health, from its points and its own scatter."""
     return np.asarray(1.0 / (1.0 / per_flight + FLIGHT_SD**2 * effect))
 
 
 def _first_stage(packs: Mapping[int, _Pack], hot: _Linear, instruments: Array, effect: float) -> Array:
-    """Derivatives as far as the instruments explain them, (n, p + 6): the first stage of two-stage least squares."""
+    """Regress derivatives on the instruments, (n, p + 6): the first stage of two-stage least squares."""
     n = instruments.shape[1]
-    own, cross = 1e-9 * np.eye(n), np.zeros((n, N_DESIGN + N_BIAS))
+    normal, cross = 1e-9 * np.eye(n), np.zeros((n, N_DESIGN + N_BIAS))
     for pack in packs.values():
         weight = hot.weight[pack.rows]
         mean, per_flight = _flight_means(pack, weight, np.c_[instruments[pack.rows], hot.columns[pack.rows, :-1]])
         level_weight = _level_weight(per_flight, effect)
         moment = mean[:, :n].T @ ((mean - _smooth(level_weight, pack.gaps, mean, effect)) * level_weight[:, None])
-        own, cross = own + moment[:, :n], cross + moment[:, n:]
-    return np.asarray(instruments @ np.linalg.solve(own, cross))
+        normal, cross = normal + moment[:, :n], cross + moment[:, n:]
+    return np.asarray(instruments @ np.linalg.solve(normal, cross))
 
 
-def _gram(pack: _Pack, hot: _Linear, ram: _Linear | None, fitted: Array, effect: float) -> tuple[Array, Array]:
-    """Cross products of a pack's columns with health eliminated, (p + 6 + 1) square, and how health follows the
-    columns."""
+def _gram(pack: _Pack, hot: _Linear, ram: _Linear | None, derivatives: Array, effect: float) -> tuple[Array, Array]:
+    """Compute cross products of a pack's columns with health eliminated, (p + 6 + 1) square, and health's response."""
     columns, weight = hot.columns[pack.rows], hot.weight[pack.rows]
     mean, per_flight = _flight_means(pack, weight, columns)
-    within = columns - mean[pack.flight_of_row]
-    gram = (within * weight[:, None]).T @ within
+    deviations = columns - mean[pack.flight_of_row]
+    gram = (deviations * weight[:, None]).T @ deviations
     level_weight = _level_weight(per_flight, effect)
-    explained = _flight_means(pack, weight, fitted[pack.rows])[0]
-    apart = (explained - _smooth(level_weight, pack.gaps, explained, effect)) * level_weight[:, None]
-    gram[:-1, :-1] += explained.T @ apart
-    gram[:-1, -1] += apart.T @ mean[:, -1]
+    explained = _flight_means(pack, weight, derivatives[pack.rows])[0]
+    innovation = (explained - _smooth(level_weight, pack.gaps, explained, effect)) * level_weight[:, None]
+    gram[:-1, :-1] += explained.T @ innovation
+    gram[:-1, -1] += innovation.T @ mean[:, -1]
     if ram is not None:
-        seen = ram.columns[pack.rows]
-        gram += (seen * ram.weight[pack.rows, None]).T @ seen
+        ram_columns = ram.columns[pack.rows]
+        gram += (ram_columns * ram.weight[pack.rows, None]).T @ ram_columns
     return gram, _smooth(level_weight, pack.gaps, mean, effect)
 
 
 def _eliminate(gram: Array, response: Array, pack: _Pack, bias: Array) -> _Elimination:
-    """Solve a pack's biases for whatever the design does."""
+    """Eliminate a pack's biases, for any step of the design."""
     part = slice(N_DESIGN, -1)
     factor = cho_factor(gram[part, part] + np.diag(pack.bias_sd**-2.0))
     right = -gram[part, -1] + (pack.bias_mean - bias) / pack.bias_sd**2
@@ -259,7 +255,7 @@ def _eliminate(gram: Array, response: Array, pack: _Pack, bias: Array) -> _Elimi
 
 
 def _smooth(weight: Array, gaps: Array, values: Array, effect: float) -> Array:
-    """Best random walk through values (flights, columns) seen with these weights: a tridiagonal solve."""
+    """Smooth values (flights, columns) by a random walk with these weights: a tridiagonal solve."""
     stiffness = 1.0 / (HEALTH_STEP**2 * effect * gaps)
     band = np.zeros((2, len(weight)))
     band[1] = weight

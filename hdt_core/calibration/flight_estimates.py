@@ -1,10 +1,10 @@
-"""What one flight alone says of each pack: maximum likelihood for all flights at once, in closed form per sample."""
+"""Estimate each pack from one flight alone: maximum likelihood for all flights at once, in closed form per sample."""
 
 import numpy as np
 import polars as pl
 
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.arrays import as_met, complete_air_data, cruise_samples, flights_of
+from hdt_core.calibration.arrays import complete_air_data, correct_inputs, cruise_samples, flights_of
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.inlet_law import inlet_above_law
@@ -19,7 +19,7 @@ SAMPLE_SD = 0.025
 """Noise of one sample's ln conductance, for flights too short to show their own."""
 ROBUST_STEPS = 6
 ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
-"""Height from which climb and descent count: ice and slow flight below, and a hot side that has not settled yet."""
+"""Height from which climb and descent count (below are ice, slow flight and transients), fewest samples, least flow."""
 SLOPES = (
     ("ratio_per_exit_k", "hx_out_k", 0.01),
     ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4),
@@ -28,13 +28,13 @@ SLOPES = (
     ("ratio_per_door", "ram_door_open", 1e-4),
 )
 MOST_LN = 5.0
-"""No core conducts 150 times what it should, or a 150th: readings that say so are none of it."""
+"""Largest credible ln conductance ratio, 150 times the expected conductance."""
 EXCHANGER = ("ln_ua_ratio", "ln_ua_ratio_sd", "ln_ua_ratio_map_sd", "ua_w_k")
 MEDIANS = (*hx.SIGNALS, "ram_out_k")
 
 
 def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """Per-flight estimates of every flight and pack in `samples`, from the model and that flight only.
+    """Estimate every flight and pack in `samples` from the model and that flight only.
 
     Parameters
     ----------
@@ -50,21 +50,21 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         that of the clean duct), its random `_sd` and the model's `_map_sd`; `ua_w_k`, `ram_flow_kg_s`,
         `effectiveness`; `ln_ram_ratio` (ram flow by heat balance over the clean map) where the ram outlet is measured;
         medians of the signals; effective diameter, group, efficiency of the compressor and what equation (6) expects.
-        `status`: ok, few_samples, no_cruise, implausible. Missing is null, and so is what came out as no number.
+        `status`: ok, few_samples, no_cruise, implausible. Missing and non-finite values are null.
     """
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
-    exchanger = _exchanger(as_met(cruise, dsm.terms), dsm)
-    witnesses = _witnesses(samples, cruise, exchanger, dsm)
-    flying = cruise_samples(samples, monitored=False)
-    machine = compressor_flights(compressor_samples(flying, dsm.pack_table()))
-    joined = flights.join(exchanger, on=FLIGHT_PACK, how="left", validate="m:1")
-    for more in (witnesses, machine):
-        joined = joined.join(more, on=FLIGHT_PACK, how="left", validate="m:1")
-    joined = finite(joined)
+    exchanger = _exchanger(correct_inputs(cruise, dsm.terms), dsm)
+    checks = _cross_checks(samples, cruise, exchanger, dsm)
+    cruise_all = cruise_samples(samples, monitored=False)
+    machine = compressor_flights(compressor_samples(cruise_all, dsm.pack_table()))
+    rows = flights.join(exchanger, on=FLIGHT_PACK, how="left", validate="m:1")
+    for table in (checks, machine):
+        rows = rows.join(table, on=FLIGHT_PACK, how="left", validate="m:1")
+    rows = finite(rows)
     odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
     odd &= pl.col("ln_ua_ratio").is_not_null()
-    expected_m = dsm.compressor.diameter_m(joined["vda_counts"].cast(pl.Float64).to_numpy())
+    expected_m = dsm.compressor.diameter_m(rows["vda_counts"].cast(pl.Float64).to_numpy())
     status = (
         pl.when(odd)
         .then(pl.lit("implausible"))
@@ -75,7 +75,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         .otherwise(pl.lit("ok"))
     )
     return (
-        joined.with_columns(
+        rows.with_columns(
             pl.Series("expected_diameter_m", expected_m).fill_nan(None),
             pl.col("n_samples", "cc_n_samples").fill_null(0).cast(pl.Int32),
             status.alias("status"),
@@ -94,86 +94,86 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     clean = hx.without_bias(signals, bias)
     ram = clean_ram_flow_kg_s(clean, dsm.design)
     balance = hx.ln_ram_flow_ratio(signals, dsm.design, bias)
-    found = rows.with_columns(
+    values = rows.with_columns(
         pl.Series("ratio", ratio),
         pl.Series("balance", balance),
         pl.Series("ram_flow_kg_s", ram),
         pl.Series("ln_expected", ln_clean_conductance(clean, ram, dsm.design)),
         pl.Series("effectiveness", (clean["hx_in_k"] - clean["hx_out_k"]) / (clean["hx_in_k"] - clean["tat_k"])),
     ).filter(pl.col("ratio").is_finite())
-    located = _located(found, "ratio", "ln_ua_ratio").join(
-        _located(found.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"),
+    locations = _locate(values, "ratio", "ln_ua_ratio").join(
+        _locate(values.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"),
         on=FLIGHT_PACK,
         how="left",
         validate="m:1",
     )
-    medians = found.group_by(FLIGHT_PACK).agg(
+    medians = values.group_by(FLIGHT_PACK).agg(
         pl.col(MEDIANS).median(),
         pl.col("ram_flow_kg_s", "effectiveness", "ln_expected").median(),
     )
-    joined = (
-        located.rename({"n": "n_samples"})
+    estimates = (
+        locations.rename({"n": "n_samples"})
         .drop("n_right", strict=False)
         .join(_sensitivities(medians, dsm), on=FLIGHT_PACK, validate="m:1")
     )
     expected = pl.col("ln_expected").exp()
-    return joined.with_columns(
+    return estimates.with_columns(
         expected.alias("ua_expected_w_k"), (expected * pl.col("ln_ua_ratio").exp()).alias("ua_w_k")
     ).drop("ln_expected")
 
 
-def _witnesses(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """What else speaks of each flight's sensors: see `hdt_core.tracking.sensor_shifts`."""
-    seen = cruise.group_by(FLIGHT_PACK).agg(
+def _cross_checks(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Compute cross checks of each flight's sensors: see `hdt_core.tracking.sensor_shifts`."""
+    checks = cruise.group_by(FLIGHT_PACK).agg(
         (pl.col("pack_flow_kg_s") / pl.col("cc_flow_kg_s")).log().median().alias("flows_apart_ln"),
         (pl.col("tat_k") - pl.col("cc_in_k")).median().alias("tat_apart_k"),
     )
-    others = (
+    tables = (
         exit_differences(cruise).rename({"apart_k": "exit_apart_k"}),
         inlet_above_law(cruise, dsm.hot_inlet, dsm.design, dsm.bias_of(cruise)),
-        _door_apart(samples, exchanger, dsm),
+        _door_difference(samples, exchanger, dsm),
     )
-    for other in others:
-        seen = seen.join(other, on=FLIGHT_PACK, how="left", validate="m:1")
-    return seen
+    for table in tables:
+        checks = checks.join(table, on=FLIGHT_PACK, how="left", validate="m:1")
+    return checks
 
 
-def _door_apart(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """ln conductance ratio of climb and descent over that of the cruise: `FLIGHT_PACK`, `door_apart_ln`.
+def _door_difference(samples: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+    """Compute the ln conductance ratio of climb and descent less that of the cruise: `FLIGHT_PACK`, `door_apart_ln`.
 
-    One exchanger flew both, so its wear drops out; the door stands elsewhere, so an error of its position does not.
+    The exchanger's wear cancels; an error of the door's position does not, for the door moves between the two.
     """
-    moving = samples.filter(
+    transients = samples.filter(
         pl.col("phase").is_in(["climb", "descent"])
         & (pl.col("altitude_m") > ALOFT_M)
         & (pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     )
-    rows = complete_air_data(moving).drop_nulls(list(hx.SIGNALS))
+    rows = complete_air_data(transients).drop_nulls(list(hx.SIGNALS))
     signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
     with np.errstate(all="ignore"):  # no ram pressure, no flow and no ratio
         ratio = pl.Series("ratio", hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(rows)))
-    there = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
-    found = there.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
-    both = found.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK, validate="m:1")
-    return both.select(*FLIGHT_PACK, (pl.col("ratio") - pl.col("ln_ua_ratio")).alias("door_apart_ln"))
+    ratios = rows.select(FLIGHT_PACK).with_columns(ratio).filter(pl.col("ratio").is_finite())
+    medians = ratios.group_by(FLIGHT_PACK).agg(pl.col("ratio").median(), pl.len().alias("n"))
+    pairs = medians.filter(pl.col("n") >= FEWEST_MOVING).join(exchanger, on=FLIGHT_PACK, validate="m:1")
+    return pairs.select(*FLIGHT_PACK, (pl.col("ratio") - pl.col("ln_ua_ratio")).alias("door_apart_ln"))
 
 
 def _sensitivities(medians: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """What errors of the sensors and of the design do to the ln conductance ratio, at each flight's medians."""
+    """Compute sensitivities of the ln conductance ratio to sensors and design, at each flight's medians."""
     signals = with_static_pressure({name: medians[name].to_numpy().astype(float) for name in MEDIANS})
     bias = dsm.bias_of(medians)
-    here = hx.ln_conductance_ratio(signals, dsm.design, bias)
-    columns = [pl.Series("ln_ua_ratio_map_sd", _map_sd(signals, dsm, bias, here)).fill_nan(None)]
+    base_ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)
+    columns = [pl.Series("ln_ua_ratio_map_sd", _map_sd(signals, dsm, bias, base_ratio)).fill_nan(None)]
     for name, signal, step in SLOPES:
-        moved = bias.copy()
-        moved[hx.BIASES.index(signal)] -= step
-        slope = (hx.ln_conductance_ratio(signals, dsm.design, moved) - here) / step
+        shifted_bias = bias.copy()
+        shifted_bias[hx.BIASES.index(signal)] -= step
+        slope = (hx.ln_conductance_ratio(signals, dsm.design, shifted_bias) - base_ratio) / step
         columns.append(pl.Series(name, slope).fill_nan(None))
     return medians.with_columns(columns)
 
 
 def _map_sd(signals: dict[str, Array], dsm: Dsm, bias: Array, ratio: Array) -> Array:
-    """Standard deviation that the model's own uncertainty gives the ratio, relative to where the model is anchored."""
+    """Compute the ratio's standard deviation by the model's own uncertainty, relative to the model's anchor."""
     covariance = np.array(dsm.exchanger_cov)
     gradient = design_gradient(signals, dsm.design, bias, ratio) - np.array(dsm.gradient)
     variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
@@ -181,36 +181,36 @@ def _map_sd(signals: dict[str, Array], dsm: Dsm, bias: Array, ratio: Array) -> A
 
 
 def design_gradient(signals: dict[str, Array], design: Array, bias: Array, ratio: Array) -> Array:
-    """Derivative of the ln conductance ratio by each design parameter. (n, p)"""
+    """Compute the derivative of the ln conductance ratio by each design parameter. (n, p)"""
     columns = []
     for j in range(len(design)):
         step = 1e-4 if design[j] + 1e-4 <= hx.HIGH[j] else -1e-4
-        moved = design.copy()
-        moved[j] += step
-        columns.append((hx.ln_conductance_ratio(signals, moved, bias) - ratio) / step)
+        shifted = design.copy()
+        shifted[j] += step
+        columns.append((hx.ln_conductance_ratio(signals, shifted, bias) - ratio) / step)
     return np.stack(columns, axis=1)
 
 
-def _located(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
-    """Huber's location of a column in each flight and pack, its standard error and count: one pass over all flights."""
+def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
+    """Estimate Huber's location of a column by flight and pack, with standard error and count."""
     if not rows.height:
         schema = {c: rows.schema[c] for c in FLIGHT_PACK}
         return pl.DataFrame(schema=schema | {name: pl.Float64, f"{name}_sd": pl.Float64, "n": pl.UInt32})
-    ordered = rows.select(*FLIGHT_PACK, column).sort(FLIGHT_PACK, maintain_order=True)  # sums keep their last digits
-    keys = ordered.group_by(FLIGHT_PACK, maintain_order=True).agg(
+    values = rows.select(*FLIGHT_PACK, column).sort(FLIGHT_PACK, maintain_order=True)  # sums keep their last digits
+    keys = values.group_by(FLIGHT_PACK, maintain_order=True).agg(
         pl.col(column).median().alias("start"), pl.len().alias("n")
     )
     count = keys["n"].to_numpy().astype(float)
     group = np.repeat(np.arange(keys.height), keys["n"].to_numpy())
-    value, centre = ordered[column].to_numpy(), keys["start"].to_numpy().astype(float)
-    off = (
+    value, centre = values[column].to_numpy(), keys["start"].to_numpy().astype(float)
+    deviations = (
         pl.DataFrame({"g": group, "a": np.abs(value - centre[group])})
         .group_by("g", maintain_order=True)
         .agg(pl.col("a").median())
     )
-    # a short flight's own spread says little: shrink its variance to the usual one with the weight of five samples
-    spread2 = ((MAD_TO_SD * off["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
-    scale = np.sqrt(spread2)
+    # a short flight's own variance is uncertain: shrink it to the usual one with the weight of five samples
+    variance = ((MAD_TO_SD * deviations["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
+    scale = np.sqrt(variance)
     weight = np.ones(len(value))
     for _ in range(ROBUST_STEPS):
         weight = huber_weights(np.abs(value - centre[group]), scale[group])

@@ -1,4 +1,4 @@
-"""Forms that equation (6) may take, ranked: a constant, a line, and richer curves of the diffuser's position."""
+"""Rank forms of equation (6): constant, line, and higher polynomials of the diffuser's position."""
 
 from dataclasses import dataclass
 
@@ -19,11 +19,11 @@ class FormFit:
     Attributes
     ----------
     cv_mae_m, cv_rmse_m : float
-        Error of flights left out, five folds.
+        Error of held-out flights, five folds.
     aic : float
         Akaike's criterion, above that of the best form.
     r_squared, r_squared_low, r_squared_high : float
-        Share of the variance about the levels that it explains, with a 95 % interval (flights resampled).
+        Explained share of the variance about the levels, with a 95 % interval (flights resampled).
     """
 
     form: str
@@ -36,12 +36,12 @@ class FormFit:
 
 
 def compare_forms(rows: BlockRows) -> tuple[FormFit, ...]:
-    """Constant, linear, quadratic and cubic in the diffuser's position, by error on flights left out and by AIC.
+    """Compare constant, linear, quadratic and cubic forms by error on held-out flights and by AIC.
 
-    Errors are those of one sample against the curve at its pack's level, which the flights kept in show. Empty where
+    Errors are those of one sample against the curve at its pack's level, estimated from the other flights. Empty where
     there are fewer flights than folds.
     """
-    rows = _enough(rows)
+    rows = _thin(rows)
     n_flights = int(rows.flight.max()) + 1
     if n_flights < FOLDS:
         return ()
@@ -50,43 +50,43 @@ def compare_forms(rows: BlockRows) -> tuple[FormFit, ...]:
     rng = np.random.default_rng(0)
     picks = rng.multinomial(n_flights, np.full(n_flights, 1.0 / n_flights), RESAMPLES).astype(float)
     picks = picks[picks.any(axis=1)]  # of two flights a resample may hold none
-    found, aics = [], []
+    scores, aics = [], []
     for form, degree in FORMS.items():
         basis = np.stack([z**k for k in range(1, degree + 1)], axis=1) if degree else np.zeros((len(z), 0))
-        left_out = np.full(len(z), np.nan)
+        predicted = np.full(len(z), np.nan)
         for k in range(FOLDS):
-            left_out[fold == k] = _predicted(rows, basis, fold != k)[fold == k]
-        error = rows.y - left_out
+            predicted[fold == k] = _predict(rows, basis, fold != k)[fold == k]
+        error = rows.y - predicted
         error = error[np.isfinite(error)]
-        about, rest = (rows.y - _predicted(rows, b, np.ones(len(z), dtype=bool)) for b in (basis[:, :0], basis))
+        about, rest = (rows.y - _predict(rows, b, np.ones(len(z), dtype=bool)) for b in (basis[:, :0], basis))
         parts = (picks @ np.bincount(rows.flight, v**2) for v in (rest, about))
         low, high = np.quantile(1.0 - np.divide(*parts), [0.025, 0.975])
         share = 1.0 - float((rest**2).sum() / (about**2).sum())
         aics.append(len(z) * float(np.log((rest**2).mean())) + 2.0 * (degree + len(rows.blocks)))
-        found.append((form, float(np.abs(error).mean()), float(np.sqrt((error**2).mean())), share, low, high))
+        scores.append((form, float(np.abs(error).mean()), float(np.sqrt((error**2).mean())), share, low, high))
     return tuple(
         FormFit(form, mae, rmse, aic - min(aics), share, float(low), float(high))
-        for (form, mae, rmse, share, low, high), aic in zip(found, aics, strict=True)
+        for (form, mae, rmse, share, low, high), aic in zip(scores, aics, strict=True)
     )
 
 
-def _enough(rows: BlockRows) -> BlockRows:
-    """A bounded number of samples: whole flights, evenly taken, are enough to rank forms."""
+def _thin(rows: BlockRows) -> BlockRows:
+    """Select whole flights evenly, up to a number of samples that suffices to rank forms."""
     step = max(1, len(rows.x) // MOST_SAMPLES)
-    keep = rows.flight % step == 0
-    flight = np.unique(rows.flight[keep], return_inverse=True)[1]
-    numbers, block = np.unique(rows.block[keep], return_inverse=True)
-    return BlockRows(rows.x[keep], rows.y[keep], block, flight, rows.blocks[numbers.tolist()])
+    mask = rows.flight % step == 0
+    flight = np.unique(rows.flight[mask], return_inverse=True)[1]
+    numbers, block = np.unique(rows.block[mask], return_inverse=True)
+    return BlockRows(rows.x[mask], rows.y[mask], block, flight, rows.blocks[numbers.tolist()])
 
 
-def _predicted(rows: BlockRows, basis: Array, use: Array) -> Array:
-    """Least squares on `use`, a level for each block; NaN where a block has none."""
+def _predict(rows: BlockRows, basis: Array, use: Array) -> Array:
+    """Predict by least squares on `use`, with a level for each block; NaN where a block has none."""
     n = np.bincount(rows.block, use, len(rows.blocks))
     with np.errstate(invalid="ignore"):
         y_mean = np.bincount(rows.block, use * rows.y, len(n)) / n
         if not basis.size:
             return np.asarray(y_mean[rows.block])
-        means = np.stack([np.bincount(rows.block, use * b, len(n)) / n for b in basis.T], axis=1)
-    inside = basis - means[rows.block]
-    slopes = np.linalg.lstsq(inside[use], (rows.y - y_mean[rows.block])[use], rcond=None)[0]
-    return np.asarray(y_mean[rows.block] + inside @ slopes)
+        basis_means = np.stack([np.bincount(rows.block, use * b, len(n)) / n for b in basis.T], axis=1)
+    deviations = basis - basis_means[rows.block]
+    slopes = np.linalg.lstsq(deviations[use], (rows.y - y_mean[rows.block])[use], rcond=None)[0]
+    return np.asarray(y_mean[rows.block] + deviations @ slopes)

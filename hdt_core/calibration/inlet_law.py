@@ -1,9 +1,9 @@
-"""The exchanger's hot inlet, told by what lies before it: compressor discharge and the ram air that has left the core.
+"""Predict the exchanger's hot inlet from compressor discharge and the ram air behind the core.
 
 Air on its way from the compressor to this inlet gives part of its heat to the same ram air, downstream of the core. So
-the inlet follows the discharge and the ram outlet, by an effectiveness that both flows set. The core's film has hardly
-a part in it: what leaves this law is the inlet's sensor, the discharge's, the door's (from which the ram flow is
-known), or a ram flow that is not the clean duct's.
+the inlet follows the discharge and the ram outlet, by an effectiveness that both flows set. The core's film has
+hardly an effect: a departure from this law means an error of the inlet's sensor, the discharge's or the door's (from
+which the ram flow is computed), or a ram flow that is not the clean duct's.
 """
 
 import numpy as np
@@ -18,19 +18,19 @@ from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import huber_weights, spread
 
 NOMINAL_EFFICIENCY = 0.75
-"""Of a compressor whose discharge temperature is not recorded; what it is off by is the pack's own constant."""
+"""Efficiency assumed for a compressor without recorded discharge temperature; its error is a constant of the pack."""
 TERMS = ("discharge", "ram_outlet", "ln_ram", "ln_flow", "apart_by_ln_ram", "apart_by_ln_flow")
-"""Effectiveness of the way there, linear in the logarithms of both flows, times the two streams' difference."""
+"""Effectiveness of the exchange, linear in the logarithms of both flows, times the two streams' difference."""
 MOST_EFFECTIVE = 0.8
-"""More heat than this share no exchanger of a pack gives up on the way; a law bent by noise is not followed further."""
+"""Largest credible effectiveness; beyond it a law fitted to noise is clipped."""
 HUBER_STEPS = 8
 FEWEST = 200
 RIDGE = 1e-4
 
 
 def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float, ...]:
-    """Slopes of the hot inlet's law by `TERMS`, by Huber regression about each pack's medians; empty where too few
-    samples speak.
+    """Fit slopes of the hot inlet's law by `TERMS`, by Huber regression about each pack's medians; empty with too few
+    samples.
 
     Parameters
     ----------
@@ -46,22 +46,22 @@ def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float
     """
     x, y = _terms(cruise, design, bias), cruise["hx_in_k"].to_numpy().astype(float)
     free = cruise["ram_door_open"].is_between(*DOOR_FREE).fill_null(False).to_numpy()
-    known = np.isfinite(x).all(axis=1) & np.isfinite(y) & free
-    if known.sum() < FEWEST:
+    usable = np.isfinite(x).all(axis=1) & np.isfinite(y) & free
+    if usable.sum() < FEWEST:
         return ()
     columns = pl.concat([cruise.select(PACK), pl.DataFrame(np.column_stack([x, y]))], how="horizontal")
     values = pl.exclude(PACK)
-    within = columns.filter(pl.Series(known)).select(values - values.median().over(PACK)).to_numpy()
-    return tuple(float(v) for v in _huber(within[:, :-1], within[:, -1]))
+    deviations = columns.filter(pl.Series(usable)).select(values - values.median().over(PACK)).to_numpy()
+    return tuple(float(v) for v in _huber(deviations[:, :-1], deviations[:, -1]))
 
 
 def inlet_above_law(cruise: pl.DataFrame, slopes: tuple[float, ...], design: Array, bias: Array) -> pl.DataFrame:
-    """By how much the hot inlet of each flight and pack leaves the law, a constant of the pack's own included:
-    `FLIGHT_PACK`, `inlet_apart_k`."""
+    """Compute the hot inlet's residual of each flight and pack, with the pack's own constant: `FLIGHT_PACK`,
+    `inlet_apart_k`."""
     if not slopes:
         return cruise.select(FLIGHT_PACK).unique().with_columns(inlet_apart_k=pl.lit(None, pl.Float64))
-    above = cruise["hx_in_k"].to_numpy().astype(float) - _terms(cruise, design, bias) @ np.array(slopes)
-    rows = cruise.select(*FLIGHT_PACK, "ram_door_open").with_columns(pl.Series("inlet_apart_k", above).fill_nan(None))
+    excess = cruise["hx_in_k"].to_numpy().astype(float) - _terms(cruise, design, bias) @ np.array(slopes)
+    rows = cruise.select(*FLIGHT_PACK, "ram_door_open").with_columns(pl.Series("inlet_apart_k", excess).fill_nan(None))
     rows = rows.filter(pl.col("ram_door_open").is_between(*DOOR_FREE))
     return rows.group_by(FLIGHT_PACK).agg(pl.col("inlet_apart_k").median())
 
@@ -69,7 +69,7 @@ def inlet_above_law(cruise: pl.DataFrame, slopes: tuple[float, ...], design: Arr
 def full_open_inlet_k(
     rows: pl.DataFrame, slopes: tuple[float, ...], design: Array, bias: Array, held_k: Array
 ) -> Array:
-    """What the hot inlet would be with the ram door full open and the outlet at its level. (n,) [K]
+    """Predict the hot inlet with the ram door full open and the outlet at its level. (n,) [K]
 
     An opening door brings more ram air, which leaves the core cooler and cools what comes from the compressor: a sound
     exchanger, its door half shut, meets hotter air than the same one at the end of its life. As recorded where the law
@@ -95,11 +95,11 @@ def full_open_inlet_k(
         ram, full_ram = (clean_ram_flow_kg_s(of, design) for of in (signals, full))
         now = _by_stream(discharge_k, _ram_outlet_k(signals, ram), ram, signals) @ np.array(slopes)
         # linear in the ram outlet, which is itself linear in the inlet
-        at_tat, per_k = (_by_stream(discharge_k, signals["tat_k"] + up, full_ram, signals) for up in (0.0, 1.0))
+        at_tat, per_k = (_by_stream(discharge_k, signals["tat_k"] + rise_k, full_ram, signals) for rise_k in (0.0, 1.0))
         share = np.clip((per_k - at_tat) @ np.array(slopes), 0.0, MOST_EFFECTIVE)
         above_held = recorded - inlet_bias + at_tat @ np.array(slopes) - now - held_k
-        moved = above_held / (1.0 - share * (signals["pack_flow_kg_s"] / full_ram)) + held_k + inlet_bias
-    return np.where(np.isfinite(moved), moved, recorded)
+        full_open_k = above_held / (1.0 - share * (signals["pack_flow_kg_s"] / full_ram)) + held_k + inlet_bias
+    return np.where(np.isfinite(full_open_k), full_open_k, recorded)
 
 
 def _signals(rows: pl.DataFrame, bias: Array) -> dict[str, Array]:
@@ -107,7 +107,7 @@ def _signals(rows: pl.DataFrame, bias: Array) -> dict[str, Array]:
 
 
 def _terms(cruise: pl.DataFrame, design: Array, bias: Array) -> Array:
-    """What the hot inlet follows, in the order of `TERMS`. (n, 6); NaN where a reading is missing"""
+    """Compute the regressors in the order of `TERMS`. (n, 6); NaN where a reading is missing"""
     signals = _signals(cruise, bias)
     with np.errstate(all="ignore"):
         ram = clean_ram_flow_kg_s(signals, design)
@@ -115,7 +115,7 @@ def _terms(cruise: pl.DataFrame, design: Array, bias: Array) -> Array:
 
 
 def _ram_outlet_k(signals: dict[str, Array], ram: Array) -> Array:
-    """Ram air behind the core, by the heat that the bleed air lost there. (n,) [K]"""
+    """Compute the ram air behind the core by the heat balance. (n,) [K]"""
     heated_k = signals["pack_flow_kg_s"] / ram * (signals["hx_in_k"] - signals["hx_out_k"])
     return np.asarray(signals["tat_k"] + heated_k)
 
@@ -129,17 +129,16 @@ def _by_stream(discharge_k: Array, ram_outlet_k: Array, ram: Array, signals: dic
 
 
 def _discharge_k(cruise: pl.DataFrame) -> Array:
-    """Compressor exit temperature as recorded; on flights without any, what the pressure ratio asks for. (n,) [K]"""
+    """Return compressor exit temperature as recorded, on flights without any by the pressure ratio. (n,) [K]"""
     inlet_k, inlet_pa, exit_pa = (cruise[c].to_numpy().astype(float) for c in ("tat_k", "cc_in_pa", "cc_out_pa"))
     with np.errstate(all="ignore"):
-        told = exit_temperature_k(inlet_k, exit_pa / inlet_pa, np.full(len(inlet_k), NOMINAL_EFFICIENCY))
-    silent = cruise.select((pl.col("cc_out_k").count() == 0).over(FLIGHT_PACK))[:, 0].to_numpy()
-    return np.asarray(np.where(silent, told, cruise["cc_out_k"].to_numpy().astype(float)))
+        modelled = exit_temperature_k(inlet_k, exit_pa / inlet_pa, np.full(len(inlet_k), NOMINAL_EFFICIENCY))
+    unrecorded = cruise.select((pl.col("cc_out_k").count() == 0).over(FLIGHT_PACK))[:, 0].to_numpy()
+    return np.asarray(np.where(unrecorded, modelled, cruise["cc_out_k"].to_numpy().astype(float)))
 
 
 def _huber(x: Array, y: Array) -> Array:
-    """Slopes of y by x, both about their packs' medians; a weak ridge keeps a fleet that never moves a term
-    solvable."""
+    """Fit slopes of y by x, both about their packs' medians; a weak ridge keeps constant terms solvable."""
     scale = np.maximum(x.std(axis=0), 1e-9)
     unit, weight, slopes = x / scale, np.ones(len(y)), np.zeros(x.shape[1])
     for _ in range(HUBER_STEPS):

@@ -1,4 +1,4 @@
-"""Partial pooling: what a pack shows, drawn towards its operator and its fleet as far as its own data leave open."""
+"""Pool packs partially: shrink each pack's estimate towards its operator and its fleet by its uncertainty."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,12 +9,12 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 
 SPREADS = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4])
-"""Grid of spreads between operators, and between packs of one, as shares of the spread that all packs show."""
+"""Grid of sds between operators, and between packs of one, as shares of the sd over all packs."""
 
 
 @dataclass(frozen=True, slots=True)
 class PooledLevel:
-    """What one operator (`tail` and `pack` null) or one pack shows, pooled with its fleet."""
+    """Level of one operator (`tail` and `pack` null) or one pack, pooled with its fleet."""
 
     operator: str
     tail: str | None
@@ -37,37 +37,37 @@ class PoolingResult(NamedTuple):
 
 
 def levels_of(packs: pl.DataFrame, parameter: str) -> tuple[PoolingResult, tuple[PooledLevel, ...]]:
-    """Pool a quantity and name what comes out.
+    """Pool a quantity; return levels of each operator and pack.
 
     Parameters
     ----------
     packs : DataFrame
-        `operator, tail, pack, value, error_sd, n`: what each pack shows alone, from how many flights.
+        `operator, tail, pack, value, error_sd, n`: each pack's own estimate, from `n` flights.
     """
     codes, operator = np.unique(packs["operator"].to_numpy(), return_inverse=True)
     pooled = pool(packs["value"].to_numpy().astype(float), packs["error_sd"].to_numpy().astype(float), operator)
     flights = np.bincount(operator, packs["n"].to_numpy(), len(codes))
-    found = [
+    levels = [
         PooledLevel(str(o), None, None, parameter, float(m), float(s), int(n))
         for o, m, s, n in zip(codes, pooled.operator, pooled.operator_sd, flights, strict=True)
     ]
     rows = packs.select("operator", "tail", "pack", "n").rows()
-    found += [
+    levels += [
         PooledLevel(operator, tail, int(pack), parameter, float(m), float(s), int(n))
         for (operator, tail, pack, n), m, s in zip(rows, pooled.pack, pooled.pack_sd, strict=True)
     ]
-    return pooled, tuple(found)
+    return pooled, tuple(levels)
 
 
 def pool(value: Array, error_sd: Array, operator: Array) -> PoolingResult:
-    r"""Pool packs within operators within a fleet, the spreads between them integrated out.
+    r"""Pool packs within operators within a fleet, with the sds between them integrated out.
 
     Parameters
     ----------
     value, error_sd : array (n,)
-        What each pack shows alone and its standard error; `value` NaN where it shows nothing.
+        Each pack's own estimate and its standard error; `value` NaN without data.
     operator : array of int (n,)
-        Whose pack it is, counted from 0.
+        Operator of each pack, counted from 0.
 
     Notes
     -----
@@ -79,13 +79,13 @@ def pool(value: Array, error_sd: Array, operator: Array) -> PoolingResult:
     ----------
     .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, sections 5.4 and 5.5.
     """
-    known = np.isfinite(value) & np.isfinite(error_sd)
+    is_known = np.isfinite(value) & np.isfinite(error_sd)
     n_operators = int(operator.max()) + 1 if len(operator) else 0
-    if not known.any():
+    if not is_known.any():
         return PoolingResult(*(np.nan, np.nan), *np.full((2, n_operators), np.nan), *np.full((2, len(value)), np.nan))
-    spread = max(float(np.std(value[known])), float(np.median(error_sd[known])), 1e-12)
+    scale = max(float(np.std(value[is_known])), float(np.median(error_sd[is_known])), 1e-12)
     cases = [
-        _given(value, error_sd, operator, known=known, tau_operator=spread * a, tau_pack=spread * b)
+        _posterior(value, error_sd, operator, is_known=is_known, tau_operator=scale * a, tau_pack=scale * b)
         for a in (SPREADS if n_operators > 1 else SPREADS[:1])
         for b in SPREADS[1:]
     ]
@@ -95,34 +95,34 @@ def pool(value: Array, error_sd: Array, operator: Array) -> PoolingResult:
     mean = weight @ np.array([c[1] for c in cases])
     square = weight @ np.array([c[2] + c[1] ** 2 for c in cases])
     sd = np.sqrt(np.maximum(square - mean**2, 0.0))
-    split = [1, 1 + n_operators]
-    (fleet, operators, packs), (fleet_sd, operators_sd, packs_sd) = np.split(mean, split), np.split(sd, split)
+    sections = [1, 1 + n_operators]
+    (fleet, operators, packs), (fleet_sd, operators_sd, packs_sd) = np.split(mean, sections), np.split(sd, sections)
     return PoolingResult(float(fleet[0]), float(fleet_sd[0]), operators, operators_sd, packs, packs_sd)
 
 
-def _given(
-    value: Array, error_sd: Array, operator: Array, *, known: Array, tau_operator: float, tau_pack: float
+def _posterior(
+    value: Array, error_sd: Array, operator: Array, *, is_known: Array, tau_operator: float, tau_pack: float
 ) -> tuple[float, Array, Array]:
-    """Log evidence, means and variances of (fleet, operators, packs) for given spreads, in closed form."""
-    y, variance, group = value[known], error_sd[known] ** 2 + tau_pack**2, operator[known]
+    """Compute log evidence, means and variances of (fleet, operators, packs) for given sds, in closed form."""
+    y, variance, group = value[is_known], error_sd[is_known] ** 2 + tau_pack**2, operator[is_known]
     n = int(operator.max()) + 1
     weight = np.bincount(group, 1.0 / variance, n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        seen = np.where(weight > 0.0, np.bincount(group, y / variance, n) / weight, 0.0)
-        seen_var = np.where(weight > 0.0, 1.0 / weight, np.inf)
-    total = 1.0 / (seen_var + tau_operator**2)
+        operator_mean = np.where(weight > 0.0, np.bincount(group, y / variance, n) / weight, 0.0)
+        operator_var = np.where(weight > 0.0, 1.0 / weight, np.inf)
+    total = 1.0 / (operator_var + tau_operator**2)
     fleet_var = 1.0 / total.sum()
-    fleet = fleet_var * (total * seen).sum()
+    fleet = fleet_var * (total * operator_mean).sum()
     share = np.where(weight > 0.0, tau_operator**2 * total, 0.0)
-    operators = fleet + share * (seen - fleet)
+    operators = fleet + share * (operator_mean - fleet)
     operators_var = (1.0 - share) * tau_operator**2 + (1.0 - share) ** 2 * fleet_var
-    gain = np.where(known, tau_pack**2 / (np.where(known, error_sd, 1.0) ** 2 + tau_pack**2), 0.0)
-    packs = operators[operator] + gain * (np.where(known, value, 0.0) - operators[operator])
+    gain = np.where(is_known, tau_pack**2 / (np.where(is_known, error_sd, 1.0) ** 2 + tau_pack**2), 0.0)
+    packs = operators[operator] + gain * (np.where(is_known, value, 0.0) - operators[operator])
     packs_var = (1.0 - gain) * tau_pack**2 + (1.0 - gain) ** 2 * operators_var[operator]
-    within = (np.log(variance) + (y - seen[group]) ** 2 / variance).sum()
+    within_groups = (np.log(variance) + (y - operator_mean[group]) ** 2 / variance).sum()
     present = weight > 0.0
-    between = (np.log(weight[present] / total[present]) + total[present] * (seen[present] - fleet) ** 2).sum()
-    evidence = -0.5 * (within + between + np.log(total.sum()))
+    between = (np.log(weight[present] / total[present]) + total[present] * (operator_mean[present] - fleet) ** 2).sum()
+    evidence = -0.5 * (within_groups + between + np.log(total.sum()))
     return (
         float(evidence),
         np.r_[fleet, operators, packs],

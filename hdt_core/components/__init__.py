@@ -10,7 +10,7 @@ from hdt_core.components.compressor import CC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.components.unmetered_exchanger import HXT
-from hdt_core.packages import brought
+from hdt_core.packages import load_entry_points
 
 __all__ = [
     "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record", "component_rows", "components",
@@ -30,7 +30,7 @@ def components() -> dict[str, Component]:
         A package can't be loaded, names something else than a `Component`, or one of a code that is taken.
     """
     known = {c.code: c for c in (HX, CC, HXT, CAC)}
-    for named, found in brought(GROUP, "component", ComponentError):
+    for named, found in load_entry_points(GROUP, "component", ComponentError):
         if not isinstance(found, Component):
             raise ComponentError(f"{named} is no Component")
         if found.code in known:

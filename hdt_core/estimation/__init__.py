@@ -14,9 +14,9 @@ from hdt_core.estimation.pinn import PhysicsInformedNet
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.estimation.pso import ParticleSwarm
 from hdt_core.estimation.ukf import UnscentedKalman
-from hdt_core.packages import brought
+from hdt_core.packages import load_entry_points
 
-OWN: tuple[Estimator, ...] = (
+METHODS: tuple[Estimator, ...] = (
     NonlinearLeastSquares(), ParticleSwarm(), ExtendedKalman(), UnscentedKalman(), PhysicsInformedNet(),
 )  # fmt: skip
 """The methods of the paper."""
@@ -29,19 +29,19 @@ __all__ = [
 
 @cache
 def estimators() -> dict[str, Estimator]:
-    """Every method by its name: the paper's, then those of other packages.
+    """Return every method by its name: the paper's, then those of other packages.
 
-    A package brings one by an entry point of the group `hdt.estimators` that names an `Estimator` or its class.
+    A package adds one by an entry point of the group `hdt.estimators` that names an `Estimator` or its class.
 
     Raises
     ------
     ValueError
-        A package brings a method of a name that is taken.
+        A package adds a method of a name that is taken.
     """
-    methods = {e.name: e for e in OWN}
-    for named, found in brought("hdt.estimators", "estimator", ValueError):
-        method = found() if isinstance(found, type) else found
+    methods = {e.name: e for e in METHODS}
+    for label, loaded in load_entry_points("hdt.estimators", "estimator", ValueError):
+        method = loaded() if isinstance(loaded, type) else loaded
         if method.name in methods:
-            raise ValueError(f"{named}: there is a method {method.name} already")
+            raise ValueError(f"{label}: there is a method {method.name} already")
         methods[method.name] = method
     return methods

@@ -19,12 +19,12 @@ except ImportError:  # numba accelerates; nothing depends on it
 def compiled(function: F) -> F:
     """Compile on the first call and keep the machine code on disk; leave the function as it is without numba.
 
-    Of fast arithmetic only the fused multiply-add is let in: it rounds once where the formula rounds twice. Code kept
-    on disk is renewed when the function's own file changes, not when a file it calls into does: save both.
+    Of fast arithmetic only the fused multiply-add is allowed, which rounds once where the formula rounds twice. Code
+    kept on disk is renewed when the function's own file changes, not when a file it calls into does: save both.
     """
     return cast("F", njit(cache=True, fastmath={"contract"})(function)) if COMPILED else function
 
 
 def linked(function: F, **callees: object) -> F:
-    """The same function calling these in the place of its own callees: compiled code can call only compiled code."""
+    """Copy a function with other callees: compiled code can call only compiled code."""
     return cast("F", FunctionType(function.__code__, function.__globals__ | callees, function.__name__))

@@ -1,4 +1,4 @@
-"""The step of Levenberg and Marquardt, shared by the interpreted and the compiled least squares."""
+"""Step of Levenberg and Marquardt, shared by the interpreted and the compiled least squares."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SETTLED = 1e-22  # the same for records without noise, in squared sigmas
 def damped_step(
     normal: Array, gradient: Array, size: Array, damping: float, theta: Array, lower: Array, upper: Array
 ) -> tuple[Array, float]:
-    r"""Step that reduces the linearised sum of squares, inside the bounds, and the reduction it promises.
+    r"""Compute the step that reduces the linearised sum of squares inside the bounds, and the predicted reduction.
 
     .. math:: (J^T J + \mu D^2) p = -J^T r
 
@@ -79,29 +79,29 @@ def damped_step(
 
 
 @compiled
-def next_damping(damping: float, growth: float, won: float, promised: float) -> tuple[float, float]:
-    """Damping and its growth factor after a step that won `won` of the `promised` reduction (Nielsen 1999)."""
-    if won > 0.0 and promised > 0.0:
-        gain = min(won / promised, 1.0)
+def next_damping(damping: float, growth: float, reduction: float, promised: float) -> tuple[float, float]:
+    """Update damping and its growth factor after a step with this `reduction`, of `promised` (Nielsen 1999)."""
+    if reduction > 0.0 and promised > 0.0:
+        gain = min(reduction / promised, 1.0)
         return max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
     return damping * growth, 2.0 * growth
 
 
 @compiled
 def is_settled(promised: float, cost: float, n_values: int) -> bool:
-    """Whether the step is the last and may be taken untried: it promises next to nothing."""
+    """Check whether the step is the last and may be taken untried: its predicted reduction is negligible."""
     return abs(promised) <= max(SETTLED_SHARE * cost / n_values, SETTLED)
 
 
 @compiled
-def is_exhausted(promised: float, won: float, cost: float) -> bool:
-    """Whether a step that did not pay promised less than rounding lets us see."""
-    return won <= 0.0 and abs(promised) <= 1e-12 * cost
+def is_exhausted(promised: float, reduction: float, cost: float) -> bool:
+    """Check whether a step without reduction promised less than rounding resolves."""
+    return reduction <= 0.0 and abs(promised) <= 1e-12 * cost
 
 
 @compiled
 def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (compiled: loops, not calls)
-    """Inverse (n, n) of a symmetric matrix, and the determinant of the matrix scaled to unit diagonal.
+    """Invert a symmetric matrix (n, n); return also the determinant of the matrix scaled to unit diagonal.
 
     The determinant, between 0 and 1, bounds the smallest eigenvalue of the scaled matrix from below by a third of
     itself; where it is not positive the inverse is void.
@@ -140,14 +140,14 @@ def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (co
 
 
 @compiled
-def judged(normal: Array, gradient: Array, theta: Array, bounds: Array) -> tuple[Array, float, float, bool]:
-    """Inverse of `normal` (n, n) and its scaled determinant, the distance to the optimum in standard deviations
-    (Newton's decrement), and whether `theta` lies off its bounds by more than a thousandth of one."""
+def assess_optimum(normal: Array, gradient: Array, theta: Array, bounds: Array) -> tuple[Array, float, float, bool]:
+    """Compute the inverse of `normal` (n, n) and its scaled determinant, the distance to the optimum in standard
+    deviations (Newton's decrement), and whether `theta` is off its bounds by more than a thousandth of one."""
     inverse, determinant = inverse_spd(normal)
-    square, inside = 0.0, determinant > 0.0
+    square, is_inside = 0.0, determinant > 0.0
     for i in range(theta.size):
         margin = 1e-3 * np.sqrt(inverse[i, i])
-        inside = inside and bounds[i, 0] + margin < theta[i] < bounds[i, 1] - margin
+        is_inside = is_inside and bounds[i, 0] + margin < theta[i] < bounds[i, 1] - margin
         for j in range(theta.size):
             square += gradient[i] * inverse[i, j] * gradient[j]
-    return inverse, determinant, np.sqrt(max(square, 0.0)), inside
+    return inverse, determinant, np.sqrt(max(square, 0.0)), is_inside

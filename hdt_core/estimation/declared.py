@@ -1,4 +1,4 @@
-"""From a declared physics model and its record to the question an estimator answers."""
+"""Build an estimation problem from a declared physics model and its record."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def declared_problem(
     measured : mapping of output name to array (k,)
         NaN where missing; outputs without a record, or without a sensor's sigma, are not compared.
     prior : Belief, optional
-        Nominal values of which nothing more is known where not given.
+        Nominal values with infinite variance by default.
     dt_s : float
         Time between samples [s], for models with states.
     flights_per_sample : float
@@ -40,7 +40,7 @@ def declared_problem(
         where every sample is a flight.
     """
     params = [next(p for p in model.params if p.name == name) for name in free]
-    seen = [(j, s) for j, s in enumerate(model.outputs) if s.name in measured and s.sigma is not None]
+    sensors = [(j, s) for j, s in enumerate(model.outputs) if s.name in measured and s.sigma is not None]
     unsure = np.diag(np.full(len(params), np.inf))
 
     def values(x: Array, theta: Array, i: Sample) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
@@ -49,26 +49,26 @@ def declared_problem(
         return {name: theta[j] for j, name in enumerate(free)}, signals, states
 
     def observe(x: Array, theta: Array, i: Sample) -> Array:
-        given, signals, states = values(x, theta, i)
-        outputs = list(model.predict(given, signals, states).values())
-        return np.stack(np.broadcast_arrays(*(outputs[j] for j, _ in seen)))
+        theta_by_name, signals, states = values(x, theta, i)
+        outputs = list(model.predict(theta_by_name, signals, states).values())
+        return np.stack(np.broadcast_arrays(*(outputs[j] for j, _ in sensors)))
 
     def transition(x: Array, theta: Array, i: Sample) -> Array:
-        given, signals, states = values(x, theta, i)
-        return np.stack(np.broadcast_arrays(*model.advance(given, signals, states, dt_s).values()))
+        theta_by_name, signals, states = values(x, theta, i)
+        return np.stack(np.broadcast_arrays(*model.advance(theta_by_name, signals, states, dt_s).values()))
 
     def refined(x: Array, theta: Array, i: Sample) -> Array:
-        given, signals, states = values(x, theta, i)
-        halfway = model.advance(given, signals, states, 0.5 * dt_s)
-        return np.stack(np.broadcast_arrays(*model.advance(given, signals, halfway, 0.5 * dt_s).values()))
+        theta_by_name, signals, states = values(x, theta, i)
+        halfway = model.advance(theta_by_name, signals, states, 0.5 * dt_s)
+        return np.stack(np.broadcast_arrays(*model.advance(theta_by_name, signals, halfway, 0.5 * dt_s).values()))
 
     n_states = len(model.states)
     return Problem(
         names=tuple(free),
         bounds=np.array([p.bounds for p in params], float),
         prior=Belief(np.array([p.nominal for p in params]), unsure) if prior is None else prior,
-        measured=np.column_stack([np.asarray(measured[s.name], float) for _, s in seen]),
-        sigma=np.array([s.sigma for _, s in seen], float),
+        measured=np.column_stack([np.asarray(measured[s.name], float) for _, s in sensors]),
+        sigma=np.array([s.sigma for _, s in sensors], float),
         observe=observe,
         transition=transition if model.states else None,
         refined=refined if model.states else None,

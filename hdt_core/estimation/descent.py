@@ -1,4 +1,4 @@
-"""The descent of Levenberg and Marquardt inside bounds, and how far a point still is from an optimum."""
+"""Descent of Levenberg and Marquardt inside bounds, and the distance of a point from the optimum."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from hdt_core.estimation.damped import (
 )
 from hdt_core.estimation.problem import Array, Problem
 
-SEEN = 1e-14  # eigenvalue of the scaled normal matrix, to its largest, below which a direction counts as unseen
+OBSERVABLE = 1e-14  # eigenvalue of the scaled normal matrix, to its largest, from which a direction is observable
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """The objective about a point, and what it cost to get there.
+    """Quadratic model of the objective about a point, and its cost.
 
     Parameters
     ----------
     theta : array (n,)
     objective : float
-        Twice the negative log posterior; infinite where the model has no answer.
+        Twice the negative log posterior; infinite where the model fails.
     gradient : array (n,)
         Half the objective's gradient, J^T r with the prior's part.
     normal : array (n, n)
@@ -44,27 +44,27 @@ class Point:
     n_evals: int = 0
 
 
-def linearised(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
-    """Objective and its quadratic model about `theta` (n,); `n_evals` passes went before."""
+def quadratic_model(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
+    """Compute the objective and its quadratic model about `theta` (n,), after `n_evals` passes."""
     residual, slope = problem.residual(theta).ravel(), problem.sensitivity(theta)
-    away, belief = theta - problem.prior.mean, problem.prior.information
+    deviation, information = theta - problem.prior.mean, problem.prior.information
     with np.errstate(over="ignore", invalid="ignore"):
-        cost = float(residual @ residual + away @ belief @ away)
-        gradient, normal = slope.T @ residual + belief @ away, slope.T @ slope + belief
+        cost = float(residual @ residual + deviation @ information @ deviation)
+        gradient, normal = slope.T @ residual + information @ deviation, slope.T @ slope + information
     return Point(theta, cost, gradient, normal, n_evals + 1 + 2 * theta.size)
 
 
 def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> Point:
-    """Least squares from `origin` (n,): the point reached, with the derivatives of the step before it.
+    """Minimise the objective from `origin` (n,); return the point reached, with derivatives of the last step.
 
-    Where the model has no answer at `origin`, it stays there and its objective is infinite.
+    Where the model fails at `origin`, it stays there and its objective is infinite.
     """
     lower, upper = problem.bounds[:, 0], problem.bounds[:, 1]
     cost = float(problem.objective(origin[None])[0])
     if not np.isfinite(cost):
         n = origin.size
         return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1)
-    at = linearised(problem, origin, n_evals)
+    at = quadratic_model(problem, origin, n_evals)
     evals, size = at.n_evals, np.full(origin.size, np.finfo(float).tiny)
     damping, growth = FIRST_DAMPING, 2.0
     for _ in range(max_steps):
@@ -73,19 +73,19 @@ def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int 
         trial = at.theta + step
         if is_settled(promised, at.objective, max(problem.n_values, 1)):
             return Point(trial, at.objective, at.gradient, at.normal, evals)
-        won = at.objective - float(problem.objective(trial[None])[0])
+        reduction = at.objective - float(problem.objective(trial[None])[0])
         evals += 1
-        damping, growth = next_damping(damping, growth, won, promised)
-        if won > 0.0:
-            at = linearised(problem, trial, evals)
+        damping, growth = next_damping(damping, growth, reduction, promised)
+        if reduction > 0.0:
+            at = quadratic_model(problem, trial, evals)
             evals = at.n_evals
-        if is_exhausted(promised, won, at.objective) or damping > MOST_DAMPING:
+        if is_exhausted(promised, reduction, at.objective) or damping > MOST_DAMPING:
             break
     return Point(at.theta, at.objective, at.gradient, at.normal, evals)
 
 
 def distance_to_optimum(at: Point, bounds: Array) -> float:
-    r"""How far the optimum of the quadratic model lies, in standard deviations: Newton's decrement.
+    r"""Compute the distance to the quadratic model's optimum in standard deviations: Newton's decrement.
 
     .. math:: \sqrt{g^T (J^T J + P_0^{-1})^{-1} g}
 
@@ -107,14 +107,14 @@ def distance_to_optimum(at: Point, bounds: Array) -> float:
     size = np.sqrt(np.maximum(normal.diagonal(), 0.0))
     size[size == 0.0] = 1.0
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    seen = values > SEEN * max(float(values[-1]), 0.0)
-    along = vectors[:, seen].T @ (gradient / size) / np.sqrt(values[seen])
-    step = -(vectors[:, seen] @ (along / np.sqrt(values[seen]))) / size
-    inside = (at.theta[free] + step >= lower[free]) & (at.theta[free] + step <= upper[free])
-    if inside.all():
+    observable = values > OBSERVABLE * max(float(values[-1]), 0.0)
+    along = vectors[:, observable].T @ (gradient / size) / np.sqrt(values[observable])
+    step = -(vectors[:, observable] @ (along / np.sqrt(values[observable]))) / size
+    is_inside = (at.theta[free] + step >= lower[free]) & (at.theta[free] + step <= upper[free])
+    if is_inside.all():
         return float(np.linalg.norm(along))
-    root = np.sqrt(values[seen])[:, None] * vectors[:, seen].T
+    root = np.sqrt(values[observable])[:, None] * vectors[:, observable].T
     room = np.column_stack([lower, upper])[free] - at.theta[free, None]
-    scaled = lsq_linear(root, -along, bounds=(room * size[:, None]).T, method="bvls" if seen.all() else "trf").x
+    scaled = lsq_linear(root, -along, bounds=(room * size[:, None]).T, method="bvls" if observable.all() else "trf").x
     promised = -2.0 * float(gradient / size @ scaled) - float(np.sum((root @ scaled) ** 2))
     return float(np.sqrt(max(promised, 0.0)))

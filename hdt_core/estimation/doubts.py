@@ -1,7 +1,7 @@
-"""What makes an optimum doubtful: a better one elsewhere, or a likelihood that is no bell about it.
+"""Check an optimum: search for a better one, and profile a likelihood that is not Gaussian about it.
 
-Both cost evaluations, so each is looked into only where a cheap sign asks for it: a misfit that noise does not explain,
-a rise along the principal axes that the quadratic model does not foresee.
+Both cost evaluations, so each runs only after a cheap test: a misfit that noise does not explain, a rise along the
+principal axes that the quadratic model does not predict.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from hdt_core.estimation.swarm import search_box
 
 LEADERS, MORE_STEPS = 4, 60  # of the search: descents, and steps of each
 BETTER = 1e-4  # of the noise's variance: an objective lower by less is the same optimum
-REACH = 2.0  # standard deviations at which the quadratic model is put to the test
-BENT = 2.0  # times more or less than foreseen
+REACH = 2.0  # standard deviations at which the quadratic model is tested
+BENT = 2.0  # times more or less than predicted
 RISE = 3.841459  # of the objective at the ends of a 95 % interval of one parameter
 STRETCHES = 12  # at most, to the end of an interval
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Intervals by profile likelihood: the objective with one parameter held, all others fitted anew.
+    """Intervals by profile likelihood: the objective with one parameter fixed and all others refitted.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Profile:
         Ends where the data set no limit.
     n_evals : int
     better : array (n,) or None
-        A point of a lower objective, met on the way.
+        A point of a lower objective, if found.
 
     References
     ----------
@@ -52,12 +52,12 @@ class Profile:
 
     @property
     def unlimited(self) -> tuple[str, ...]:
-        """Parameters that the data leave open on one side or both."""
+        """Parameters without a limit on one side or both."""
         return tuple(name for name, ends in zip(self.names, self.open, strict=True) if ends.any())
 
 
 def better_optimum(problem: Problem, at: Point, variance: float) -> tuple[Point | None, int]:
-    """An optimum below `at`, if a search of the box finds one, and the passes that it took.
+    """Search the box for an optimum below `at`; return it or None, and the passes.
 
     Half the points fill the box evenly, half lie about `at` at other orders of magnitude; the best few descend.
     """
@@ -70,34 +70,34 @@ def better_optimum(problem: Problem, at: Point, variance: float) -> tuple[Point 
     cloud[:, ~free] = problem.origin[~free]
     objectives = problem.objective(cloud)
     best, n_evals = at, n
-    for start in _apart(cloud, objectives, upper - lower):
-        found = descend(problem, start, MORE_STEPS)
-        n_evals += found.n_evals
-        best = found if found.objective < best.objective else best
-    lower_by = at.objective - best.objective
-    return (best if lower_by > _worth(variance) else None), n_evals
+    for start in _distinct_points(cloud, objectives, upper - lower):
+        optimum = descend(problem, start, MORE_STEPS)
+        n_evals += optimum.n_evals
+        best = optimum if optimum.objective < best.objective else best
+    gain = at.objective - best.objective
+    return (best if gain > _worth(variance) else None), n_evals
 
 
 def _worth(variance: float) -> float:
-    """By how much an objective must be lower to be another optimum: never less than a thousandth of sigma, squared."""
+    """Return the least reduction of the objective that counts as another optimum: at least (sigma / 1000) squared."""
     return max(BETTER * variance, 1e-6)
 
 
-def _apart(cloud: Array, objectives: Array, width: Array) -> Array:
-    """The best few points that are not neighbours of each other."""
-    chosen: list[int] = []
+def _distinct_points(cloud: Array, objectives: Array, width: Array) -> Array:
+    """Select the best few points that are not neighbours of each other."""
+    rows: list[int] = []
     scale = np.where(width > 0.0, width, 1.0)
     for row in np.argsort(objectives, kind="stable"):
-        if len(chosen) == LEADERS or not np.isfinite(objectives[row]):
+        if len(rows) == LEADERS or not np.isfinite(objectives[row]):
             break
-        if all(np.abs((cloud[row] - cloud[other]) / scale).max() > 0.05 for other in chosen):
-            chosen.append(int(row))
-    return cloud[chosen]
+        if all(np.abs((cloud[row] - cloud[previous]) / scale).max() > 0.05 for previous in rows):
+            rows.append(int(row))
+    return cloud[rows]
 
 
 def is_bent(problem: Problem, at: Point, variance: float) -> bool:
-    """Whether the objective two standard deviations along the principal axes is not what its curvature foresees, or a
-    parameter without a prior could lie beyond its bound for all that curvature says."""
+    """Check whether the objective at two standard deviations along the principal axes departs from its curvature's
+    prediction, or a parameter without a prior may lie beyond its bound."""
     free = np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1])
     normal = at.normal[np.ix_(free, free)]
     size = np.sqrt(np.maximum(normal.diagonal(), np.finfo(float).tiny))
@@ -113,29 +113,29 @@ def is_bent(problem: Problem, at: Point, variance: float) -> bool:
     if (beyond & np.isinf(problem.prior.sd[free])).any():
         return True
     ends = np.clip(ends, *problem.bounds.T)
-    moved = ends - at.theta
-    foreseen = 2.0 * moved @ at.gradient + np.einsum("pi,ij,pj->p", moved, at.normal, moved)
-    risen = problem.objective(ends) - at.objective
-    told = foreseen > 0.1 * REACH**2 * variance  # cut short by a bound, an end shows nothing
-    ratio = risen[told] / foreseen[told]
+    change = ends - at.theta
+    expected = 2.0 * change @ at.gradient + np.einsum("pi,ij,pj->p", change, at.normal, change)
+    rise = problem.objective(ends) - at.objective
+    is_testable = expected > 0.1 * REACH**2 * variance  # an end cut short by a bound is no test
+    ratio = rise[is_testable] / expected[is_testable]
     return bool(((ratio < 1.0 / BENT) | (ratio > BENT)).any())
 
 
-def profiled(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> Profile:
-    """Profile intervals of every free parameter from the optimum `at` with covariance `cov` (n, n).
+def profile_intervals(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> Profile:
+    """Compute profile intervals of every free parameter from the optimum `at` with covariance `cov` (n, n).
 
     Parameters
     ----------
     variance : float
-        Of the noise over the declared one: the rise asked for is 3.84 times this.
+        Of the noise over the declared one: the target rise is 3.84 times this.
     """
     n = at.theta.size
     ends, unlimited, n_evals = np.tile(at.theta[:, None], (1, 2)), np.zeros((n, 2), bool), 0
     lowest = at
     for i in np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1]):
         for side, sign in enumerate((-1.0, 1.0)):
-            ends[i, side], unlimited[i, side], spent, low = _end(problem, at, cov, int(i), sign, variance)
-            n_evals += spent
+            ends[i, side], unlimited[i, side], passes, low = _end(problem, at, cov, int(i), sign, variance)
+            n_evals += passes
             lowest = low if low.objective < lowest.objective else lowest
     better = lowest.theta if lowest.objective < at.objective - _worth(variance) else None
     return Profile(problem.names, ends, unlimited, n_evals, better)
@@ -144,24 +144,24 @@ def profiled(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> 
 def _end(
     problem: Problem, at: Point, cov: Array, i: int, sign: float, variance: float
 ) -> tuple[float, bool, int, Point]:
-    """End of parameter i's interval on one side, whether it is open, passes spent, and the lowest point met."""
-    wall, asked = problem.bounds[i, int(sign > 0.0)], RISE * variance
+    """Find the end of parameter i's interval on one side, whether it is open, passes, and the lowest point found."""
+    wall, target_rise = problem.bounds[i, int(sign > 0.0)], RISE * variance
     sd = float(np.sqrt(cov[i, i] * variance))
     step = 1.96 * sd if np.isfinite(sd) and sd > 0.0 else max(abs(float(at.theta[i])), 1.0)
-    inner, low, spent, point = (0.0, 0.0), at, 0, at
+    inner, low, passes, point = (0.0, 0.0), at, 0, at
     for _ in range(STRETCHES):
         beyond = (at.theta[i] + sign * step - wall) * sign >= 0.0
         step = float(abs(wall - at.theta[i])) if beyond else step
-        point = _held(problem, point, i, wall if beyond else at.theta[i] + sign * step)
-        spent, low = spent + point.n_evals, point if point.objective < low.objective else low
-        risen = point.objective - at.objective
-        if risen >= asked:
-            length, more = _crossing(problem, at, point, (i, sign), (inner, (step, risen)), asked)
-            return float(at.theta[i] + sign * length), False, spent + more, low
+        point = _refit_fixed(problem, point, i, wall if beyond else at.theta[i] + sign * step)
+        passes, low = passes + point.n_evals, point if point.objective < low.objective else low
+        rise = point.objective - at.objective
+        if rise >= target_rise:
+            length, extra = _crossing(problem, at, point, (i, sign), (inner, (step, rise)), target_rise)
+            return float(at.theta[i] + sign * length), False, passes + extra, low
         if beyond:
-            return float(wall), True, spent, low
-        inner, step = (step, max(risen, 0.0)), 2.0 * step
-    return sign * np.inf, True, spent, low
+            return float(wall), True, passes, low
+        inner, step = (step, max(rise, 0.0)), 2.0 * step
+    return sign * np.inf, True, passes, low
 
 
 def _crossing(
@@ -170,36 +170,36 @@ def _crossing(
     near: Point,
     way: tuple[int, float],
     bracket: tuple[tuple[float, float], tuple[float, float]],
-    asked: float,
+    target_rise: float,
 ) -> tuple[float, int]:
-    """Distance at which the profile has risen by `asked`, to 2 %, and the passes: false position on the root of the
-    rise, which is a straight line for a parabola."""
+    """Find the distance at which the profile has risen by `target_rise`, to 2 %, and the passes: false position on the
+    root of the rise, which is linear for a parabola."""
     (inner, low), (outer, high) = bracket
     i, sign = way
-    spent = 0
+    passes = 0
     for _ in range(6):
-        share = (np.sqrt(asked) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) if np.isfinite(high) else 0.5
+        share = (np.sqrt(target_rise) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) if np.isfinite(high) else 0.5
         middle = inner + (outer - inner) * float(np.clip(share, 0.05, 0.95))
-        near = _held(problem, near if np.isfinite(near.objective) else at, i, float(at.theta[i] + sign * middle))
-        spent, risen = spent + near.n_evals, max(near.objective - at.objective, 0.0)
-        if abs(np.sqrt(risen / asked) - 1.0) < 0.02:
-            return middle, spent
-        inner, low, outer, high = (middle, risen, outer, high) if risen < asked else (inner, low, middle, risen)
-    return outer, spent
+        near = _refit_fixed(problem, near if np.isfinite(near.objective) else at, i, float(at.theta[i] + sign * middle))
+        passes, rise = passes + near.n_evals, max(near.objective - at.objective, 0.0)
+        if abs(np.sqrt(rise / target_rise) - 1.0) < 0.02:
+            return middle, passes
+        inner, low, outer, high = (middle, rise, outer, high) if rise < target_rise else (inner, low, middle, rise)
+    return outer, passes
 
 
-def _held(problem: Problem, near: Point, i: int, value: float) -> Point:
-    """All else fitted anew with parameter i held at `value`, from the linear guess about the point `near`."""
-    bounds, others = problem.bounds.copy(), np.arange(near.theta.size) != i
+def _refit_fixed(problem: Problem, near: Point, i: int, value: float) -> Point:
+    """Refit all parameters but i, fixed at `value`, from the linear guess about the point `near`."""
+    bounds, is_free = problem.bounds.copy(), np.arange(near.theta.size) != i
     bounds[i] = value
-    plain = np.where(others, near.theta, value)
+    plain = np.where(is_free, near.theta, value)
     guess = plain.copy()
     if np.isfinite(near.normal).all():
         size = np.sqrt(np.maximum(near.normal.diagonal(), np.finfo(float).tiny))
         scaled = near.normal / np.outer(size, size)
-        pull = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, i], rcond=1e-9)[0]
-        guess[others] -= pull * size[i] / size[others] * (value - near.theta[i])
-    held = replace(problem, bounds=bounds)
+        pull = np.linalg.lstsq(scaled[np.ix_(is_free, is_free)], scaled[is_free, i], rcond=1e-9)[0]
+        guess[is_free] -= pull * size[i] / size[is_free] * (value - near.theta[i])
+    fixed_problem = replace(problem, bounds=bounds)
     starts = [np.clip(start, *bounds.T) for start in (guess, plain)]
-    start = starts[int(np.argmin(held.objective(np.array(starts))))]
-    return descend(held, start, 25, 2)
+    start = starts[int(np.argmin(fixed_problem.objective(np.array(starts))))]
+    return descend(fixed_problem, start, 25, 2)

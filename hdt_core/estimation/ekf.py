@@ -20,7 +20,7 @@ class ExtendedKalman:
     Parameters
     ----------
     smoother_passes : int
-        At most: they end when the estimate stands still. With none the causal filter's own answer is reported.
+        At most: they end when the estimate settles. With none the causal filter's own answer is reported.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""What an estimator answers, its report, and the contract every one of them keeps."""
+"""Estimate and its report, and the protocol of every estimator."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Status = Literal[
     "diverged",
 ]
 
-SAID = 0.1  # correlations below this are left out, as by lmfit
+LEAST_CORRELATION = 0.1  # correlations below this are not reported, as by lmfit
 MEANING = {
     "adequate": "model and sigma explain the record",
     "lack_of_fit": "residuals larger than sigma allows, or following one another: model or sigma is wrong",
@@ -38,7 +38,7 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """An answer and how it was reached. How a fit ended is a value, not an exception.
+    """A posterior and how it was reached. How a fit ended is a value, not an exception.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ class Estimate:
     status : Status
         `converged`: an optimum of the method's objective, to a thousandth of a standard deviation, and none better is
         known; `at_bound`: a parameter rests on its limit, its interval is one-sided at best; `max_steps`: stopped
-        before it settled; `approximate`: an answer that is no optimum by the method's nature; `local_optimum`: settled
+        before it settled; `approximate`: by the method's nature no optimum; `local_optimum`: settled
         where a better optimum is known, see `better`; `weakly_identifiable`: an optimum, but the data leave a
         parameter's interval open; `not_identifiable`: they leave a direction open that the prior does not close;
         `diverged`: no finite answer, the belief is the prior.
     n_evals : int
         Passes over the record by the model, derivatives counted as passes, until the method stopped.
     identifiability : Identifiability
-        What the data alone say.
+        Information of the data alone.
     path : array (k, n) or None
         The estimate after each sample, for methods that go through them in order.
     path_sd : array (k, n) or None
@@ -64,14 +64,14 @@ class Estimate:
     distance : float
         From the optimum, in standard deviations: Newton's decrement. NaN where it is not known.
     profile : Profile or None
-        Profile intervals, where curvature is a doubtful witness of them.
+        Profile intervals, where curvature may not give them.
     better : array (n,) or None
         A point of a lower objective than this estimate's, where one is known.
     n_checks : int
-        Passes spent on questioning the answer: the search for a better optimum, profiles.
+        Passes of the checks: the search for a better optimum, profiles.
     weak : tuple of str
-        Parameters on which the data set no limit, or that keep most of their declared range: what is reckoned with them
-        away from the conditions recorded is not known.
+        Parameters on which the data set no limit, or that keep most of their declared range: do not extrapolate with
+        them beyond the recorded conditions.
     innovations : array (k, m) or None
         Of a filter whose states or parameters move, each over its standard deviation.
     """
@@ -93,7 +93,7 @@ class Estimate:
 
     @cached_property
     def fit(self) -> Fit:
-        """The record against the model at the estimate; made on first use."""
+        """Residuals and statistics of the record at the estimate, computed on first use."""
         problem, n = self.problem, self.belief.mean.size
         if problem is None:
             raise ValueError("an estimate without its problem has no residuals")
@@ -106,7 +106,7 @@ class Estimate:
 
     @cached_property
     def step_error(self) -> Array | None:
-        """Shift of every parameter, in its standard deviations, were the model stepped twice as finely, (n,); to first
+        """Shift of every parameter, in its standard deviations, with half the time step, (n,), to first
         order. None for a model without states, or one that is not declared with its rates."""
         problem = self.problem
         if problem is None or problem.refined is None or self.status == "diverged":
@@ -119,7 +119,7 @@ class Estimate:
             return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / self.belief.sd))
 
     def summary(self) -> str:
-        """Report in words and numbers, with what lmfit's has."""
+        """Report in words and numbers, with the entries of lmfit's."""
         return _report(self)
 
     def plot(self, axes: Axes) -> None:
@@ -127,13 +127,13 @@ class Estimate:
         self.fit.plot(axes)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the problem behind, whose functions may not travel; take its residuals along."""
-        made = {} if self.problem is None else {"fit": self.fit, "step_error": self.step_error}
-        return {**self.__dict__, **made, "problem": None}
+        """Drop the problem, whose functions may not be picklable, and keep its residuals."""
+        results = {} if self.problem is None else {"fit": self.fit, "step_error": self.step_error}
+        return {**self.__dict__, **results, "problem": None}
 
 
 class Estimator(Protocol):
-    """One question, one answer. Settings are the estimator's fields; nothing is kept from one call to the next."""
+    """One method of estimation. Settings are its fields; it keeps no state between calls."""
 
     @property
     def name(self) -> str:
@@ -141,12 +141,12 @@ class Estimator(Protocol):
         ...
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Answer the problem."""
+        """Estimate the problem's parameters."""
         ...
 
 
 def _report(estimate: Estimate) -> str:
-    """Ends, statistics, parameters with three kinds of standard deviation, correlations."""
+    """Format status, statistics, parameters with three kinds of standard deviation, correlations."""
     fit, problem = estimate.fit, estimate.problem
     lines = [
         "[[Fit]]",
@@ -180,10 +180,10 @@ def _report(estimate: Estimate) -> str:
 
 
 def _parameters(estimate: Estimate, starts: np.ndarray) -> list[str]:
-    moving = estimate.innovations is not None
+    is_filter = estimate.innovations is not None
     n = estimate.belief.mean.size
     fit, none = estimate.fit, np.full(n, np.nan)
-    scaled, sandwich = (none, none) if moving else (fit.scaled_sd, fit.sandwich_sd)
+    scaled, sandwich = (none, none) if is_filter else (fit.scaled_sd, fit.sandwich_sd)
     width = max((len(name) for name in estimate.identifiability.names), default=0)
     lines = []
     for i, name in enumerate(estimate.identifiability.names):
@@ -203,9 +203,9 @@ def _correlations(estimate: Estimate) -> list[str]:
     names, cov = estimate.identifiability.names, estimate.belief.cov
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = cov / np.outer(estimate.belief.sd, estimate.belief.sd)
-    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= SAID]
+    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= LEAST_CORRELATION]
     if not pairs:
         return []
     pairs.sort(key=lambda pair: -abs(correlation[pair]))
-    said = [f"    C({names[j]}, {names[i]}) = {correlation[i, j]:+.4f}" for i, j in pairs]
-    return [f"[[Correlations]] (below {SAID:g} not shown)", *said]
+    lines = [f"    C({names[j]}, {names[i]}) = {correlation[i, j]:+.4f}" for i, j in pairs]
+    return [f"[[Correlations]] (below {LEAST_CORRELATION:g} not shown)", *lines]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtr, chdtrc, chdtri
 
-from hdt_core.estimation.identifiability import inverted
+from hdt_core.estimation.identifiability import invert_information
 from hdt_core.estimation.problem import Array
 
 if TYPE_CHECKING:
@@ -91,12 +91,12 @@ class Fit:
     @property
     def serial_correlation(self) -> float:
         """Correlation of a residual with the next of its output, in standard deviations of pure noise's."""
-        before, after = self.residuals[:-1], self.residuals[1:]
-        pairs = ~np.isnan(before) & ~np.isnan(after)
+        first, second = self.residuals[:-1], self.residuals[1:]
+        pairs = ~np.isnan(first) & ~np.isnan(second)
         power = float(np.nanmean(self.residuals**2)) if self.n_values else 0.0
         if not 0.0 < power < np.inf or not pairs.any():
             return 0.0
-        return float(np.sum((before * after)[pairs]) / power / np.sqrt(pairs.sum()))
+        return float(np.sum((first * second)[pairs]) / power / np.sqrt(pairs.sum()))
 
     @property
     def verdict(self) -> Verdict:
@@ -140,7 +140,7 @@ class Fit:
 
     def _inverse(self, data: Array) -> Array:
         """Covariance of the free parameters from `data` information and the prior's."""
-        return inverted((data + self.prior_information)[np.ix_(self.free, self.free)])[0]
+        return invert_information((data + self.prior_information)[np.ix_(self.free, self.free)])[0]
 
     def _of_free(self, cov: Array) -> Array:
         sd = np.zeros(self.free.size)

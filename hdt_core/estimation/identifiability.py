@@ -1,4 +1,4 @@
-"""What the data can tell about the parameters, and what they cannot: Fisher information."""
+"""Fisher information of the data about the parameters."""
 
 from __future__ import annotations
 
@@ -43,44 +43,44 @@ class Identifiability:
 
     @property
     def condition(self) -> float:
-        """Largest over smallest eigenvalue of the scaled information; infinite where a direction is unseen."""
+        """Largest over smallest eigenvalue of the scaled information; infinite with an unobservable direction."""
         values = np.linalg.eigvalsh(self.scaled)
         return float(values[-1] / values[0]) if values[0] > 0.0 else float("inf")
 
     @property
     def identifiable(self) -> bool:
-        """Whether every direction is seen by the data, to the precision of a numerical derivative."""
+        """Whether every direction is observable, to the precision of a numerical derivative."""
         return self.condition < SINGULAR
 
     @property
     def bound_sd(self) -> Array:
-        """Cramér-Rao bound of the standard deviations, (n,): infinite for a parameter in an unseen direction."""
-        return np.sqrt(np.diag(inverted(self.information)[0]))
+        """Cramér-Rao bound of the standard deviations, (n,): infinite for a parameter in an unobservable direction."""
+        return np.sqrt(np.diag(invert_information(self.information)[0]))
 
     @property
     def correlation(self) -> Array:
-        """Correlation of the estimates, (n, n); NaN in the rows of parameters the data cannot tell."""
-        cov = inverted(self.information)[0]
+        """Correlation of the estimates, (n, n); NaN in the rows of unidentifiable parameters."""
+        cov = invert_information(self.information)[0]
         with np.errstate(invalid="ignore"):
             return np.asarray(cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov))))
 
     @property
     def weakest(self) -> dict[str, float]:
-        """The direction the data see least, in units of each parameter's own precision: what only moves together."""
+        """The least observable direction, in units of each parameter's own precision."""
         vector = np.linalg.eigh(self.scaled)[1][:, 0]
         return dict(zip(self.names, (float(v) for v in vector), strict=True))
 
 
 def fisher(problem: Problem, theta: Array) -> Identifiability:
-    """Information of the measured values about `theta` (n,), at `theta`."""
+    """Compute the information of the measured values about `theta` (n,), at `theta`."""
     slope = problem.sensitivity(theta)
     return Identifiability(problem.names, slope.T @ slope)
 
 
-def inverted(information: Array) -> tuple[Array, bool]:
-    """Inverse of an information matrix (n, n), and whether every direction was seen.
+def invert_information(information: Array) -> tuple[Array, bool]:
+    """Invert an information matrix (n, n); return also whether every direction is observable.
 
-    Where one was not, parameters that lie in it get an infinite variance.
+    Parameters in an unobservable direction get an infinite variance.
     """
     inverse, determinant = inverse_spd(information)
     if determinant > SAFE:
@@ -91,20 +91,20 @@ def inverted(information: Array) -> tuple[Array, bool]:
     values, vectors = np.linalg.eigh(information / scales)
     if values[0] > values[-1] / SINGULAR:
         return (vectors / values) @ vectors.T / scales, True
-    seen = values > max(values[-1], 0.0) / SINGULAR
-    cov = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / scales
-    lost = (np.abs(vectors[:, ~seen]) > 1e-6).any(axis=1)
-    cov[lost] = 0.0
-    cov[:, lost] = 0.0
-    cov[lost, lost] = np.inf
+    observable = values > max(values[-1], 0.0) / SINGULAR
+    cov = (vectors[:, observable] / values[observable]) @ vectors[:, observable].T / scales
+    unobservable = (np.abs(vectors[:, ~observable]) > 1e-6).any(axis=1)
+    cov[unobservable] = 0.0
+    cov[:, unobservable] = 0.0
+    cov[unobservable, unobservable] = np.inf
     return cov, False
 
 
 def covariance_of_free(bounds: Array, total: Array) -> tuple[Array, bool]:
-    """Covariance of all information there is, none for held parameters, and whether it is finite."""
+    """Compute the covariance of the free parameters, zero for fixed ones, and whether it is finite."""
     free = bounds[:, 0] < bounds[:, 1]
     if free.all():
-        return inverted(total)
+        return invert_information(total)
     cov, rows = np.zeros_like(total), np.ix_(free, free)
-    cov[rows], told = inverted(total[rows]) if free.any() else (0.0, True)
-    return cov, told
+    cov[rows], is_finite = invert_information(total[rows]) if free.any() else (0.0, True)
+    return cov, is_finite

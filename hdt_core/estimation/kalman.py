@@ -1,4 +1,4 @@
-"""The recursion every Kalman filter here shares: over a record, forward and smoothed.
+"""Recursion of every Kalman filter here: over a record, forward and smoothed.
 
 References
 ----------
@@ -21,25 +21,25 @@ from hdt_core.estimation.kalman_step import (
     Correction,
     Linearise,
     LostTrackError,
-    corrected,
     innovate,
     is_moving,
     joint_belief,
     limits,
+    linearise_step,
     outputs,
-    predicted,
-    projected,
-    stepped,
+    predict_belief,
+    project_on_bounds,
     tangent,
+    update_belief,
 )
 from hdt_core.estimation.problem import Array, Belief, Problem
 
-STILL_SD = 1e-4  # of its standard deviation: an estimate that another pass moves by less stands still
+STILL_SD = 1e-4  # of its standard deviation: an estimate that another pass moves by less has settled
 
 
 @dataclass(frozen=True, slots=True)
 class FilterPass:
-    """What one forward pass leaves: beliefs after each sample, (k, j) and (k, j, j), and what the smoother needs."""
+    """Result of a forward pass: beliefs after each sample, (k, j) and (k, j, j), and inputs of the smoother."""
 
     means: Array
     covs: Array
@@ -55,8 +55,8 @@ class FilterPass:
 def forward(
     problem: Problem, linearise: Linearise, about: list[Belief] | None = None, centre: Array | None = None
 ) -> FilterPass:
-    """One pass over the record, linearised about the running belief, or about the k beliefs given; what nothing is
-    known of starts at `centre` (n,)."""
+    """Filter the record once, linearised about the running belief, or about the k beliefs given; parameters without a
+    prior start at `centre` (n,)."""
     lower, upper = limits(problem)
     belief = joint_belief(problem, centre)
     k = len(problem.measured)
@@ -66,18 +66,18 @@ def forward(
         point = belief if about is None else about[i]
         model = linearise(partial(outputs, problem, i), point, lower, upper)
         correction = innovate(belief, model, problem.measured[i], problem.sigma)
-        belief = corrected(belief, correction)
+        belief = update_belief(belief, correction)
         means[i], covs[i] = belief.mean, belief.cov
         corrections.append(correction)
         if i + 1 < k:
-            step = stepped(problem, linearise, belief if about is None else about[i], i)
-            belief = predicted(belief, step)
+            step = linearise_step(problem, linearise, belief if about is None else about[i], i)
+            belief = predict_belief(belief, step)
             slopes.append(step.slope)
     return FilterPass(means, covs, slopes, corrections)
 
 
-def smoothed(filtered: FilterPass) -> list[Belief]:
-    """Beliefs given the whole record, by Bryson and Frazier's adjoint: no covariance is ever inverted."""
+def smooth(filtered: FilterPass) -> list[Belief]:
+    """Compute beliefs given the whole record, by Bryson and Frazier's adjoint, which inverts no covariance."""
     k, j = filtered.means.shape
     pull, weight = np.zeros(j), np.zeros((j, j))
     beliefs: list[Belief] = [Belief(filtered.means[-1], filtered.covs[-1])] * k
@@ -85,9 +85,9 @@ def smoothed(filtered: FilterPass) -> list[Belief]:
         mean, cov = filtered.means[i], filtered.covs[i]
         beliefs[i] = Belief(mean - cov @ pull, cov - cov @ weight @ cov)
         c = filtered.corrections[i]
-        kept = np.eye(j) - c.gain @ c.slope
-        pull = kept.T @ pull - c.slope.T @ c.precision @ c.innovation
-        weight = kept.T @ weight @ kept + c.slope.T @ c.precision @ c.slope
+        complement = np.eye(j) - c.gain @ c.slope
+        pull = complement.T @ pull - c.slope.T @ c.precision @ c.innovation
+        weight = complement.T @ weight @ complement + c.slope.T @ c.precision @ c.slope
         if i > 0:
             pull, weight = filtered.slopes[i - 1].T @ pull, filtered.slopes[i - 1].T @ weight @ filtered.slopes[i - 1]
     return beliefs
@@ -105,7 +105,7 @@ def recursive_estimate(
 ) -> Estimate:
     """Filter the record, then filter it again about the smoothed trajectory until the estimate settles.
 
-    The path reported is that of the first pass: at every sample it knows only what came before.
+    The path reported is that of the first pass, which is causal.
 
     Parameters
     ----------
@@ -116,68 +116,68 @@ def recursive_estimate(
     """
     s = problem.start.mean.size
     try:
-        with np.errstate(all="ignore"):  # what overflows ends as a lost track
+        with np.errstate(all="ignore"):  # an overflow ends as a lost track
             first = forward(problem, linearise, about)
-            last, reached, more = _iterated(problem, linearise, first, passes)
+            last, status, n_passes = _iterated(problem, linearise, first, passes)
     except (LostTrackError, np.linalg.LinAlgError):
-        return lost(problem, n_evals + passes_cost(problem), method)
+        return diverged_estimate(problem, n_evals + passes_cost(problem), method)
     path_sd = np.sqrt(np.maximum(np.diagonal(first.covs, axis1=1, axis2=2)[:, s:], 0.0))
     belief = Belief(last.means[-1, s:], last.covs[-1, s:, s:])
-    n_evals += (1 + more) * passes_cost(problem)
-    moved = standardised(problem, last.corrections) if is_moving(problem) else None
-    told: dict[str, Any] = {"path": first.means[:, s:], "path_sd": path_sd, "method": method}
-    return report(problem, belief, reached, n_evals, polish=polish, innovations=moved, **told)
+    n_evals += (1 + n_passes) * passes_cost(problem)
+    innovations = standardise_innovations(problem, last.corrections) if is_moving(problem) else None
+    fields: dict[str, Any] = {"path": first.means[:, s:], "path_sd": path_sd, "method": method}
+    return report(problem, belief, status, n_evals, polish=polish, innovations=innovations, **fields)
 
 
 def passes_cost(problem: Problem) -> int:
-    """Evaluations of the model that a pass takes a sample."""
+    """Count evaluations of the model in a pass, a sample."""
     return 2 * (problem.start.mean.size + problem.prior.mean.size) + 1
 
 
 def _iterated(problem: Problem, linearise: Linearise, first: FilterPass, passes: int) -> tuple[FilterPass, Status, int]:
-    """Filter again until the estimate stands still: the last pass, how it ended, passes made."""
+    """Filter again until the estimate settles; return the last pass, its status and the number of passes."""
     if is_moving(problem):
         return _iterated_moving(problem, linearise, first, passes)
     last, at = first, _point(problem, first)
-    for made in range(1, passes + 1):
-        about = smoothed(last) if linearise is not tangent else trajectory(problem, at)
+    for n_passes in range(1, passes + 1):
+        about = smooth(last) if linearise is not tangent else trajectory(problem, at)
         last = forward(problem, linearise, about, at)
-        later = _paying(problem, at, _point(problem, last))
-        still = _stands_still(later - at, last.covs[-1])
-        at = later
-        if still:
-            return _moved_to(problem, last, at), "converged", made
-    return _moved_to(problem, last, at), "approximate" if passes == 0 else "max_steps", passes
+        new_theta = _line_search(problem, at, _point(problem, last))
+        is_settled = _stands_still(new_theta - at, last.covs[-1])
+        at = new_theta
+        if is_settled:
+            return _with_last_mean(problem, last, at), "converged", n_passes
+    return _with_last_mean(problem, last, at), "approximate" if passes == 0 else "max_steps", passes
 
 
 def _iterated_moving(
     problem: Problem, linearise: Linearise, first: FilterPass, passes: int
 ) -> tuple[FilterPass, Status, int]:
-    """The same where states or parameters move: what is found is the most likely trajectory. Without any pass asked
-    for, one is made to see whether it would change anything."""
+    """Iterate for moving states or parameters, to the most likely trajectory. Without further passes one is made to
+    check for a change."""
     last = first
-    for made in range(1, max(passes, 1) + 1):
-        again = forward(problem, linearise, smoothed(last))
-        still = _stands_still(again.means[-1] - last.means[-1], again.covs[-1])
-        last = again if passes else last
-        if still:
-            return last, "converged", made
+    for n_passes in range(1, max(passes, 1) + 1):
+        refiltered = forward(problem, linearise, smooth(last))
+        is_settled = _stands_still(refiltered.means[-1] - last.means[-1], refiltered.covs[-1])
+        last = refiltered if passes else last
+        if is_settled:
+            return last, "converged", n_passes
     return last, "max_steps" if passes else "approximate", max(passes, 1)
 
 
 def _point(problem: Problem, filtered: FilterPass) -> Array:
-    """Parameters (n,) after the last sample, inside the bounds."""
+    """Return the parameters (n,) after the last sample, inside the bounds."""
     s = problem.start.mean.size
-    return projected(Belief(filtered.means[-1, s:], filtered.covs[-1, s:, s:]), *problem.bounds.T)
+    return project_on_bounds(Belief(filtered.means[-1, s:], filtered.covs[-1, s:, s:]), *problem.bounds.T)
 
 
-def _paying(problem: Problem, at: Array, later: Array) -> Array:
-    """`later`, or as much of the way there as lowers the objective: the line search of Särkkä and Svensson (2020)."""
+def _line_search(problem: Problem, at: Array, target: Array) -> Array:
+    """Search the line to `target` for a lower objective, else return `target` (Särkkä and Svensson 2020)."""
     shares = 0.5 ** np.arange(8)
-    objectives = problem.objective(np.vstack([at, at + shares[:, None] * (later - at)]))
+    objectives = problem.objective(np.vstack([at, at + shares[:, None] * (target - at)]))
     if not np.isfinite(objectives[0]) or not (objectives[1:] < objectives[0]).any():
-        return later
-    return np.asarray(at + shares[int(np.argmax(objectives[1:] < objectives[0]))] * (later - at))
+        return target
+    return np.asarray(at + shares[int(np.argmax(objectives[1:] < objectives[0]))] * (target - at))
 
 
 def _stands_still(move: Array, cov: Array) -> bool:
@@ -185,15 +185,15 @@ def _stands_still(move: Array, cov: Array) -> bool:
     return bool((np.abs(move) <= STILL_SD * sd + 1e-15).all())
 
 
-def _moved_to(problem: Problem, filtered: FilterPass, theta: Array) -> FilterPass:
-    """The pass with the parameters of its last belief at `theta`."""
+def _with_last_mean(problem: Problem, filtered: FilterPass, theta: Array) -> FilterPass:
+    """Replace the parameters of the pass's last belief by `theta`."""
     means = filtered.means.copy()
     means[-1, problem.start.mean.size :] = theta
     return replace(filtered, means=means)
 
 
-def standardised(problem: Problem, corrections: list[Correction]) -> Array:
-    """Innovations, each over its own standard deviation given those of its sample, (k, m); NaN where missing."""
+def standardise_innovations(problem: Problem, corrections: list[Correction]) -> Array:
+    """Whiten innovations over their standard deviations by sample, (k, m); NaN where missing."""
     rows = np.full(problem.measured.shape, np.nan)
     for i, correction in enumerate(corrections):
         values, vectors = np.linalg.eigh(correction.precision)
@@ -205,12 +205,12 @@ def standardised(problem: Problem, corrections: list[Correction]) -> Array:
 def compiled_estimate(
     problem: Problem, sigma_points: bool, smoother_passes: int, *, method: str, polish: bool = False
 ) -> Estimate | None:
-    """The same by the problem's own kernel, which knows no noise but the sensor's; None where that does not serve."""
+    """Estimate by the problem's own kernel, which has sensor noise only; None where that does not apply."""
     if problem.kernels is None or problem.kernels.kalman is None or is_moving(problem):
         return None
     s = problem.start.mean.size
     prior = joint_belief(problem).cov[s:, s:]
-    path, path_sd, mean, cov, made = problem.kernels.kalman(
+    path, path_sd, mean, cov, n_passes = problem.kernels.kalman(
         problem.origin,
         prior,
         np.isinf(problem.prior.sd),
@@ -220,17 +220,17 @@ def compiled_estimate(
         smoother_passes,
         STILL_SD,
     )
-    passes = (1 + made) * (passes_cost(problem) if sigma_points else 2)
-    told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method}
-    found = report(problem, Belief(mean, cov), "approximate", passes, polish=polish, **told)
-    unsettled = smoother_passes > 0 and found.status in ("approximate", "diverged")
-    return None if unsettled else found
+    passes = (1 + n_passes) * (passes_cost(problem) if sigma_points else 2)
+    fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method}
+    estimate = report(problem, Belief(mean, cov), "approximate", passes, polish=polish, **fields)
+    unsettled = smoother_passes > 0 and estimate.status in ("approximate", "diverged")
+    return None if unsettled else estimate
 
 
 def report(
     problem: Problem,
     belief: Belief,
-    reached: Status,
+    status: Status,
     n_evals: int,
     *,
     path: Array,
@@ -240,27 +240,27 @@ def report(
     own_objective: bool = False,
     innovations: Array | None = None,
 ) -> Estimate:
-    """Close a recursion: bounds on what is said, what the data can tell, and whether it ended on an optimum."""
+    """Finish a recursion: project on the bounds, compute information and status."""
     lower, upper = problem.bounds.T
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
-        return lost(problem, n_evals, method)
+        return diverged_estimate(problem, n_evals, method)
     path = np.minimum(np.maximum(path, lower), upper)
-    told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method, "innovations": innovations}
-    said = projected(belief, lower, upper)
+    fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method, "innovations": innovations}
+    theta = project_on_bounds(belief, lower, upper)
     if innovations is not None or own_objective:
-        return conclude(problem, said, reached, n_evals, own_objective=True, cov=belief.cov, **told)
+        return conclude(problem, theta, status, n_evals, own_objective=True, cov=belief.cov, **fields)
     if polish:
-        return settle(problem, said, n_evals, cov=belief.cov, **told)
-    return conclude(problem, said, reached, n_evals, cov=belief.cov, **told)
+        return settle(problem, theta, n_evals, cov=belief.cov, **fields)
+    return conclude(problem, theta, status, n_evals, cov=belief.cov, **fields)
 
 
-def lost(problem: Problem, n_evals: int, method: str) -> Estimate:
-    """Close a recursion that met a sample the model has no answer for."""
+def diverged_estimate(problem: Problem, n_evals: int, method: str) -> Estimate:
+    """Report a recursion that met a sample at which the model fails."""
     return conclude(problem, np.full(problem.prior.mean.size, np.nan), "diverged", n_evals, method=method)
 
 
 def trajectory(problem: Problem, theta: Array) -> list[Belief]:
-    """Beliefs about (states, parameters) without uncertainty to speak of, along the record."""
+    """Simulate beliefs about (states, parameters) without uncertainty along the record."""
     x = problem.start.mean
     flat = np.zeros((x.size + theta.size,) * 2)
     beliefs = []

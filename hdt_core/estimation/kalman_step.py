@@ -1,4 +1,4 @@
-r"""One sample of a Kalman filter: affine models in, a belief corrected and carried on to the next sample.
+r"""Kalman filter step: update a belief by a sample and predict the next, with affine models.
 
 The joint vector is z = (states, parameters). A method differs only in how it replaces the model by an affine one,
 
@@ -26,7 +26,7 @@ Function = Callable[[Array], Array]
 
 
 class LostTrackError(ArithmeticError):
-    """The model has no finite answer where the filter asks for one. Never leaves an estimator."""
+    """The model's output is not finite. Never leaves an estimator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ Linearise = Callable[[Function, Belief, Array, Array], Affine]
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What one sample did: slope H, gain K, inverse of S, innovation and noise of the values that were there."""
+    """Update by one sample: slope H, gain K, inverse of S, innovation and noise of the recorded values."""
 
     slope: Array
     gain: Array
@@ -65,13 +65,13 @@ class Correction:
 
 
 def is_moving(problem: Problem) -> bool:
-    """Whether states or parameters are random: process noise, drift, or a start that is not known exactly."""
+    """Check whether states or parameters are random: process noise, drift, or an uncertain start."""
     noises = (problem.process_sd, problem.drift, problem.start.cov)
     return any(noise is not None and bool(np.any(noise > 0.0)) for noise in noises)
 
 
 def joint_belief(problem: Problem, centre: Array | None = None) -> Belief:
-    """Belief about (states, parameters) at sample 0.
+    """Build the belief about (states, parameters) at sample 0.
 
     An infinite variance becomes that of the bounds' width, or of a thousand times the value where there are none. Such
     a parameter starts from `centre` (n,), where given: from its last estimate, so that passes end on the optimum of
@@ -82,36 +82,36 @@ def joint_belief(problem: Problem, centre: Array | None = None) -> Belief:
     cov[:s, :s] = problem.start.cov
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
     wide = np.where(np.isfinite(width), width**2 / 12.0, 1e6 * np.maximum(np.abs(problem.prior.mean), 1.0) ** 2)
-    known = np.isfinite(np.diag(problem.prior.cov))
-    cov[s:, s:] = np.where(np.outer(known, known), problem.prior.cov, np.diag(wide))
-    held = np.concatenate([np.zeros(s, bool), width == 0.0])
-    cov[held] = 0.0
-    cov[:, held] = 0.0
-    origin = problem.origin if centre is None else np.where(known, problem.origin, centre)
+    is_known = np.isfinite(np.diag(problem.prior.cov))
+    cov[s:, s:] = np.where(np.outer(is_known, is_known), problem.prior.cov, np.diag(wide))
+    is_fixed = np.concatenate([np.zeros(s, bool), width == 0.0])
+    cov[is_fixed] = 0.0
+    cov[:, is_fixed] = 0.0
+    origin = problem.origin if centre is None else np.where(is_known, problem.origin, centre)
     return Belief(np.concatenate([problem.start.mean, origin]), cov)
 
 
 def innovate(belief: Belief, model: Affine, measured: Array, sigma: Array) -> Correction:
-    """Gain and innovation of one sample; missing values are left out.
+    """Compute gain and innovation of one sample, without missing values.
 
     Raises
     ------
     LostTrackError
-        The model has no finite answer at this sample.
+        The model's output is not finite at this sample.
     """
     if not (np.isfinite(model.slope).all() and np.isfinite(model.offset).all()):
         raise LostTrackError
     slope, noise, error = model.slope, model.spread + np.diag(sigma**2), measured - model.offset
-    there = ~np.isnan(measured)
-    if not there.all():
-        slope, noise, error = slope[there], noise[np.ix_(there, there)], error[there]
+    is_recorded = ~np.isnan(measured)
+    if not is_recorded.all():
+        slope, noise, error = slope[is_recorded], noise[np.ix_(is_recorded, is_recorded)], error[is_recorded]
     across = belief.cov @ slope.T
     precision = _inverse(slope @ across + noise)
     return Correction(slope, across @ precision, precision, error - slope @ belief.mean, noise)
 
 
 def _inverse(cov: Array) -> Array:
-    """Inverse of the innovations' covariance; of what is left of it where rounding has eaten its rank."""
+    """Invert the innovations' covariance, by the pseudoinverse where rounding has made it singular."""
     if cov.size == 1:
         return np.asarray(1.0 / cov)
     try:
@@ -120,15 +120,15 @@ def _inverse(cov: Array) -> Array:
         return np.asarray(np.linalg.pinv(cov, hermitian=True))
 
 
-def corrected(belief: Belief, correction: Correction) -> Belief:
-    """Belief after a sample, in Joseph's form: a covariance for any gain, and symmetric for every rounding."""
-    kept = np.eye(belief.mean.size) - correction.gain @ correction.slope
-    cov = kept @ belief.cov @ kept.T + correction.gain @ correction.noise @ correction.gain.T
+def update_belief(belief: Belief, correction: Correction) -> Belief:
+    """Update a belief by a sample in Joseph's form: a covariance for any gain, and symmetric for every rounding."""
+    complement = np.eye(belief.mean.size) - correction.gain @ correction.slope
+    cov = complement @ belief.cov @ complement.T + correction.gain @ correction.noise @ correction.gain.T
     return Belief(belief.mean + correction.gain @ correction.innovation, 0.5 * (cov + cov.T))
 
 
-def stepped(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Affine:
-    """The step from sample i to the next, (j, j), linearised about `point`: its noise is process noise and drift."""
+def linearise_step(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Affine:
+    """Linearise the step from sample i to the next about `point`, (j, j), with process noise and drift."""
     s, j = problem.start.mean.size, point.mean.size
     slope, offset, noise = np.eye(j), np.zeros(j), np.zeros((j, j))
     if problem.transition is not None:
@@ -141,13 +141,13 @@ def stepped(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Af
     return Affine(slope, offset, noise)
 
 
-def predicted(belief: Belief, step: Affine) -> Belief:
-    """Belief one step later."""
+def predict_belief(belief: Belief, step: Affine) -> Belief:
+    """Predict a belief one step later."""
     return Belief(step.slope @ belief.mean + step.offset, step.slope @ belief.cov @ step.slope.T + step.spread)
 
 
 def outputs(problem: Problem, i: int, z: Array) -> Array:
-    """Outputs at sample i of the columns of z (j, p): (m, p)."""
+    """Compute outputs at sample i of the columns of z (j, p): (m, p)."""
     s = problem.start.mean.size
     return np.broadcast_to(np.asarray(problem.observe(z[:s], z[s:], i)), (problem.sigma.size, z.shape[1]))
 
@@ -159,13 +159,13 @@ def _next_states(problem: Problem, i: int, z: Array) -> Array:
 
 
 def limits(problem: Problem) -> tuple[Array, Array]:
-    """Lower and upper limits of the joint vector: none on the states. (j,), (j,)"""
+    """Return lower and upper limits of the joint vector: none on the states. (j,), (j,)"""
     free = np.full(problem.start.mean.size, np.inf)
     return np.concatenate([-free, problem.bounds[:, 0]]), np.concatenate([free, problem.bounds[:, 1]])
 
 
-def projected(belief: Belief, lower: Array, upper: Array) -> Array:
-    """Most likely point inside the bounds when those overstepped are met exactly. (n,)"""
+def project_on_bounds(belief: Belief, lower: Array, upper: Array) -> Array:
+    """Find the most likely point with the violated bounds met exactly. (n,)"""
     mean = belief.mean
     if ((lower <= mean) & (mean <= upper)).all():
         return mean
@@ -181,7 +181,7 @@ def projected(belief: Belief, lower: Array, upper: Array) -> Array:
 
 
 def tangent(function: Function, belief: Belief, lower: Array, upper: Array) -> Affine:
-    """Tangent at the mean moved inside the bounds, by central differences, one-sided on a bound."""
+    """Linearise at the mean moved inside the bounds, by central differences, one-sided on a bound."""
     point = np.clip(belief.mean, lower, upper)
     step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(point), np.minimum(belief.sd, 1e3) + 1e-6)
     above, below = np.minimum(point + step, upper), np.maximum(point - step, lower)

@@ -24,10 +24,10 @@ class NonlinearLeastSquares:
     max_steps: int = 200
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Point of least squares; covariance from the information at that point."""
+        """Minimise the sum of squares; covariance from the information at that point."""
         if problem.kernels is None or problem.kernels.least_squares is None:
             return conclude_at(problem, descend(problem, problem.origin, self.max_steps), method=self.name)
-        found = problem.kernels.least_squares(
+        point = problem.kernels.least_squares(
             problem.origin,
             problem.bounds[:, 0],
             problem.bounds[:, 1],
@@ -35,4 +35,4 @@ class NonlinearLeastSquares:
             problem.prior.information,
             self.max_steps,
         )
-        return conclude_at(problem, Point(*found), method=self.name)
+        return conclude_at(problem, Point(*point), method=self.name)

@@ -13,8 +13,8 @@ from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
 FIRST_DAMPING = 1e-3
-STILL_SD = 3e-4  # of its standard deviation: a parameter that a step moves by less stands still
-STILL_STEPS = 3  # in a row; the net's own weights may go on creeping, they are not what is asked
+STILL_SD = 3e-4  # of its standard deviation: a parameter that a step moves by less has settled
+STILL_STEPS = 3  # in a row; the net's own weights may still change, they are not reported
 
 
 class _Net(NamedTuple):
@@ -46,7 +46,7 @@ class PhysicsInformedNet:
     Levenberg and Marquardt's on all weights, which needs tens of steps where a first-order optimiser needs thousands.
 
     A problem without states has no differential equation and nothing for a net to represent: there the loss is least
-    squares, and so is this method. `Estimate.method` says it.
+    squares, and so is this method. `Estimate.method` reports it.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ class PhysicsInformedNet:
 
     Notes
     -----
-    Training ends when the parameters stand still, three steps in a row that move each by less than 0.0003 of its
-    standard deviation. The net creeps on for hundreds of steps, which would move them by another 0.03.
+    Training ends when the parameters settle, three steps in a row that move each by less than 0.0003 of its
+    standard deviation. The net still changes for hundreds of steps, which would move them by another 0.03.
 
     Deterministic equations leave a net no freedom, so its remaining misfit of the physics, which it cannot help,
     shows as a bias of the parameters of the order of rho. The covariance stated is that of the loss: it takes rho
@@ -82,7 +82,7 @@ class PhysicsInformedNet:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Parameters at the end of training."""
+        """Train the net and the parameters; return the parameters."""
         if problem.transition is None:
             return settle(problem, problem.origin, 0, method=f"{self.name}: least squares, no dynamics")
         guess = _simulated(problem)
@@ -97,8 +97,8 @@ class PhysicsInformedNet:
         vector = np.concatenate([first, problem.origin])
         steps, normal = 0, np.eye(vector.size)
         for rho in self.stages:
-            vector, normal, tried = _train(problem, vector, scale, rho, width=self.width, max_steps=self.max_steps)
-            steps += tried
+            vector, normal, n_steps = _train(problem, vector, scale, rho, width=self.width, max_steps=self.max_steps)
+            steps += n_steps
         n = problem.prior.mean.size
         passes = steps * (1 + 2 * (problem.start.mean.size + n))
         cov = _parameter_cov(normal, n)
@@ -106,7 +106,7 @@ class PhysicsInformedNet:
 
 
 def _simulated(problem: Problem) -> Array:
-    """States along the record at the guess, (k, s)."""
+    """Simulate states along the record at the guess, (k, s)."""
     assert problem.transition is not None
     states = np.empty((len(problem.measured), problem.start.mean.size))
     states[0] = problem.start.mean
@@ -116,7 +116,7 @@ def _simulated(problem: Problem) -> Array:
 
 
 def _first_weights(width: int, guess: Array, scale: _Scale, rng: np.random.Generator) -> Array:
-    """Units spread evenly over the record, each turning over a few spacings; together the simulation at the guess."""
+    """Initialise units evenly over the record, each a few spacings wide, and fit them to the guess."""
     slope = width * rng.uniform(0.3, 1.0, width) * rng.choice([-1.0, 1.0], width)
     shift = -slope * np.linspace(-0.05, 1.05, width)
     hidden = np.column_stack([np.tanh(np.outer(scale.time, slope) + shift), np.ones(len(guess))])
@@ -128,11 +128,11 @@ def _first_weights(width: int, guess: Array, scale: _Scale, rng: np.random.Gener
 def _train(
     problem: Problem, vector: Array, scale: _Scale, rho: float, *, width: int, max_steps: int
 ) -> tuple[Array, Array, int]:
-    """Levenberg and Marquardt on net and parameters: vector, its J^T J, steps."""
+    """Train net and parameters by Levenberg and Marquardt: vector, its J^T J, steps."""
     residual, slope = _loss(problem, vector, scale, rho, width)
-    cost, damping, still, steps = float(residual @ residual), FIRST_DAMPING, 0, 0
+    cost, damping, n_still, steps = float(residual @ residual), FIRST_DAMPING, 0, 0
     normal, n = slope.T @ slope, problem.prior.mean.size
-    while steps < max_steps and still < STILL_STEPS:
+    while steps < max_steps and n_still < STILL_STEPS:
         steps += 1
         gradient, size = slope.T @ residual, np.diag(normal) + 1e-12
         while True:
@@ -144,18 +144,18 @@ def _train(
             if new_cost < cost or damping > 1e8:
                 break
             damping *= 4.0
-        if new_cost >= cost:  # no step pays: the minimum, to rounding
+        if new_cost >= cost:  # no step lowers the cost: the minimum, to rounding
             break
         allowed = STILL_SD * np.sqrt(np.diag(_parameter_cov(normal, n)))
         free = damping <= FIRST_DAMPING  # a step held back by damping is short for another reason
-        still = still + 1 if free and (np.abs(move[-n:]) <= allowed).all() else 0
+        n_still = n_still + 1 if free and (np.abs(move[-n:]) <= allowed).all() else 0
         vector, residual, slope, cost, damping = trial, new_residual, new_slope, new_cost, damping * 0.2
         normal = slope.T @ slope
     return vector, normal, steps
 
 
 def _parameter_cov(normal: Array, n: int) -> Array:
-    """Covariance (n, n) of the parameters, which come last; directions of the net without information do not count."""
+    """Compute the covariance (n, n) of the parameters, which come last, ignoring net directions without information."""
     size = np.sqrt(np.diag(normal) + 1e-12)
     scaled = normal / np.outer(size, size) + 1e-12 * np.eye(size.size)
     cov = np.linalg.solve(scaled, np.eye(size.size)[:, -n:])[-n:] / np.outer(size[-n:], size[-n:])
@@ -163,31 +163,33 @@ def _parameter_cov(normal: Array, n: int) -> Array:
 
 
 def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int) -> tuple[Array, Array]:
-    """Residuals of the loss and their Jacobian by everything trained."""
+    """Compute residuals of the loss and their Jacobian by everything trained."""
     time, size = scale.time, scale.size
     s, n, k = size.size, problem.prior.mean.size, time.size
     theta = vector[-n:]
     states, by_weights = _states(vector[:-n], time, size, width)
     index = np.arange(k)
-    seen, seen_x, seen_theta = _with_slopes(problem.observe, states, theta, index)
+    predicted, predicted_x, predicted_theta = _with_slopes(problem.observe, states, theta, index)
     assert problem.transition is not None
-    later, later_x, later_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
+    next_states, next_x, next_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
     change = rho * scale.change[:, None]
-    there = ~np.isnan(problem.measured.T)
-    data = np.where(there, (seen - np.where(there, problem.measured.T, 0.0)) / problem.sigma[:, None], 0.0)
-    weight = there / problem.sigma[:, None]
+    is_recorded = ~np.isnan(problem.measured.T)
+    data = np.where(
+        is_recorded, (predicted - np.where(is_recorded, problem.measured.T, 0.0)) / problem.sigma[:, None], 0.0
+    )
+    weight = is_recorded / problem.sigma[:, None]
     start_sd = np.maximum(np.sqrt(np.diag(problem.start.cov)), 1e-3 * size)
     root = np.linalg.cholesky(problem.prior.information + 1e-30 * np.eye(n)).T
     rows = [
         (
             data,
-            np.einsum("mk,msk,skw->mkw", weight, seen_x, by_weights),
-            weight[..., None] * np.moveaxis(seen_theta, 1, 2),
+            np.einsum("mk,msk,skw->mkw", weight, predicted_x, by_weights),
+            weight[..., None] * np.moveaxis(predicted_theta, 1, 2),
         ),
         (
-            (states[:, 1:] - later) / change,
-            (by_weights[:, 1:] - np.einsum("ask,skw->akw", later_x, by_weights[:, :-1])) / change[..., None],
-            -np.moveaxis(later_theta, 1, 2) / change[..., None],
+            (states[:, 1:] - next_states) / change,
+            (by_weights[:, 1:] - np.einsum("ask,skw->akw", next_x, by_weights[:, :-1])) / change[..., None],
+            -np.moveaxis(next_theta, 1, 2) / change[..., None],
         ),
         ((states[:, 0] - problem.start.mean) / start_sd, by_weights[:, 0] / start_sd[:, None], np.zeros((s, n))),
         (root @ (theta - problem.prior.mean), np.zeros((n, vector.size - n)), root),
@@ -198,7 +200,7 @@ def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int
 
 
 def _states(weights: Array, time: Array, size: Array, width: int) -> tuple[Array, Array]:
-    """States (s, k) of the net and their derivatives by its weights, (s, k, w)."""
+    """Compute states (s, k) of the net and their derivatives by its weights, (s, k, w)."""
     s = size.size
     net = _Net(weights[:width], weights[width : 2 * width], weights[2 * width : -s].reshape(width, s), weights[-s:])
     hidden = np.tanh(np.outer(time, net.slope) + net.shift)
@@ -214,20 +216,20 @@ def _states(weights: Array, time: Array, size: Array, width: int) -> tuple[Array
 
 
 def _with_slopes(function: Observe, states: Array, theta: Array, index: Sample) -> tuple[Array, Array, Array]:
-    """Function (r, k) along the record, its derivatives by the states (r, s, k) and by the parameters (r, n, k)."""
+    """Evaluate a function (r, k) along the record, with derivatives by states (r, s, k) and parameters (r, n, k)."""
     k = states.shape[1]
     column = np.repeat(theta[:, None], k, axis=1)
     value = np.asarray(function(states, column, index))
-    both = np.concatenate([states, column])
+    arguments = np.concatenate([states, column])
     slopes = []
-    for j in range(len(both)):
-        step = 6e-6 * max(float(np.abs(both[j]).max()), 1e-3)
-        above, below = both.copy(), both.copy()
+    for j in range(len(arguments)):
+        step = 6e-6 * max(float(np.abs(arguments[j]).max()), 1e-3)
+        above, below = arguments.copy(), arguments.copy()
         above[j] += step
         below[j] -= step
-        split = len(states)
-        difference = np.asarray(function(above[:split], above[split:], index)) - np.asarray(
-            function(below[:split], below[split:], index)
+        n_states = len(states)
+        difference = np.asarray(function(above[:n_states], above[n_states:], index)) - np.asarray(
+            function(below[:n_states], below[n_states:], index)
         )
         slopes.append(difference / (2.0 * step))
     slope = np.stack(slopes, axis=1)

@@ -1,4 +1,4 @@
-"""What is asked of an estimator: a belief, a measurement and a model, and nothing about the method."""
+"""Estimation problem: prior, measurements and model, independent of the method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Transition = Callable[[Array, Array, Sample], Array]
 
 @dataclass(frozen=True)
 class Belief:
-    """A Gaussian belief about n quantities.
+    """Gaussian distribution of n quantities.
 
     Parameters
     ----------
@@ -42,29 +42,29 @@ class Belief:
         variance = np.diag(self.cov)
         if np.count_nonzero(self.cov) == np.count_nonzero(variance):
             return np.diag(1.0 / variance)
-        known = np.isfinite(variance)
+        is_known = np.isfinite(variance)
         info = np.zeros_like(self.cov)
-        info[np.ix_(known, known)] = np.linalg.pinv(self.cov[np.ix_(known, known)], hermitian=True)
+        info[np.ix_(is_known, is_known)] = np.linalg.pinv(self.cov[np.ix_(is_known, is_known)], hermitian=True)
         return info
 
     def interval(self, level: float = 0.9) -> Array:
-        """Central interval of every quantity at a probability `level` [0..1], (n, 2)."""
+        """Compute the central interval of every quantity at a probability `level` [0..1], (n, 2)."""
         half = ndtri(0.5 + 0.5 * level) * self.sd
         return np.column_stack([self.mean - half, self.mean + half])
 
-    def widened(self, sd: Array) -> Belief:
-        """The same mean, variances grown by `sd`**2: what is known one step of random-walk drift later."""
+    def widen(self, sd: Array) -> Belief:
+        """Add `sd`**2 to the variances, as after one step of random-walk drift."""
         return Belief(self.mean, self.cov + np.diag(np.square(sd)))
 
 
 def unknown(mean: Array) -> Belief:
-    """A starting point `mean` (n,) about which nothing is known."""
+    """Build a start at `mean` (n,) with infinite variance."""
     return Belief(np.asarray(mean, float), np.diag(np.full(len(mean), np.inf)))
 
 
 @dataclass(frozen=True, slots=True)
 class Kernels:
-    """Compiled equivalents of a problem's functions, bound to its record. The answers must equal those without.
+    """Compiled equivalents of a problem's functions, bound to its record. Results must equal those without.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Problem:
     refined : function like `transition`, optional
         The same in two half steps, for the error that the step leaves in an estimate.
     kernels : Kernels, optional
-        Compiled equivalents of the above: the same answer, sooner.
+        Compiled equivalents of the above.
     """
 
     names: tuple[str, ...]
@@ -147,42 +147,42 @@ class Problem:
 
     @cached_property
     def origin(self) -> Array:
-        """Where every method starts: the prior's mean, moved inside the bounds. (n,)"""
+        """Start of every method: the prior's mean, moved inside the bounds. (n,)"""
         return np.clip(self.prior.mean, self.bounds[:, 0], self.bounds[:, 1])
 
     @cached_property
     def n_values(self) -> int:
-        """How many values were measured: those that are not missing."""
+        """Number of measured values that are not missing."""
         return int(np.count_nonzero(~np.isnan(self.measured)))
 
     def simulate(self, theta: Array) -> Array:
-        """Outputs over the record, noise-free from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m)."""
-        many = np.atleast_2d(theta)
-        outputs = self._simulate(many) if self.kernels is None else self.kernels.simulate(many)
+        """Simulate outputs without noise from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m)."""
+        thetas = np.atleast_2d(theta)
+        outputs = self._simulate(thetas) if self.kernels is None else self.kernels.simulate(thetas)
         return outputs if np.ndim(theta) == 2 else outputs[0]
 
-    def _simulate(self, many: Array) -> Array:
+    def _simulate(self, thetas: Array) -> Array:
         n_samples, n_outputs = self.measured.shape
         if self.transition is None:
             nothing = np.empty((0, 1, 1))
-            outputs = np.asarray(self.observe(nothing, many.T[:, :, None], np.arange(n_samples)))
-            return np.broadcast_to(outputs, (n_outputs, len(many), n_samples)).transpose(1, 2, 0)
-        x = np.repeat(self.start.mean[:, None], len(many), axis=1)
-        collected = np.empty((len(many), n_samples, n_outputs))
+            outputs = np.asarray(self.observe(nothing, thetas.T[:, :, None], np.arange(n_samples)))
+            return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
+        x = np.repeat(self.start.mean[:, None], len(thetas), axis=1)
+        collected = np.empty((len(thetas), n_samples, n_outputs))
         for i in range(n_samples):
-            collected[:, i] = np.asarray(self.observe(x, many.T, i)).T
+            collected[:, i] = np.asarray(self.observe(x, thetas.T, i)).T
             if i + 1 < n_samples:
-                x = np.asarray(self.transition(x, many.T, i))
+                x = np.asarray(self.transition(x, thetas.T, i))
         return collected
 
     def residual(self, theta: Array) -> Array:
-        """(simulated - measured) / sigma, shaped as `simulate`: zero where missing, infinite where the model fails."""
+        """Compute (simulated - measured) / sigma, 0 where missing, infinite where the model fails."""
         with np.errstate(all="ignore"):
             residual = (self.simulate(theta) - self.measured) / self.sigma
         return np.where(np.isnan(self.measured), 0.0, np.where(np.isfinite(residual), residual, np.inf))
 
     def chi2(self, thetas: Array) -> Array:
-        """Weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model has no answer."""
+        """Compute the weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model fails."""
         if self.kernels is not None:
             return self.kernels.chi2(thetas)
         with np.errstate(all="ignore"):
@@ -192,14 +192,13 @@ class Problem:
         return np.where(np.isfinite(total), total, np.inf)
 
     def objective(self, thetas: Array) -> Array:
-        """chi2 plus the prior's Mahalanobis distance for every row of `thetas` (p, n): twice the negative log
-        posterior."""
-        away = thetas - self.prior.mean
-        distance: Array = np.einsum("pi,ij,pj->p", away, self.prior.information, away)
+        """Compute twice the negative log posterior of every row of `thetas` (p, n): chi2 plus the prior's distance."""
+        deviation = thetas - self.prior.mean
+        distance: Array = np.einsum("pi,ij,pj->p", deviation, self.prior.information, deviation)
         return self.chi2(thetas) + distance
 
     def sensitivity(self, theta: Array) -> Array:
-        """d residual / d theta by central differences kept inside the bounds, (k * m, n)."""
+        """Compute d residual / d theta by central differences kept inside the bounds, (k * m, n)."""
         if self.kernels is not None and self.kernels.sensitivity is not None:
             slope = self.kernels.sensitivity(theta) / self.sigma[:, None]
         else:
@@ -218,12 +217,12 @@ class Problem:
         return np.nan_to_num(np.moveaxis(slope, 0, -1), nan=0.0, posinf=1e150, neginf=-1e150)
 
     def with_prior(self, prior: Belief) -> Problem:
-        """The same question asked by someone who believes `prior`."""
+        """Replace the prior."""
         return replace(self, prior=prior)
 
 
 def _scale(problem: Problem) -> Array:
-    """A magnitude for every parameter that may be zero: from the prior, else from the bounds, else its own size."""
+    """Estimate a magnitude for every parameter: from the prior, else from the bounds, else its own size."""
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
     for candidate in (problem.prior.sd, width):
         usable = np.isfinite(candidate) & (candidate > 0.0)

@@ -14,7 +14,7 @@ from hdt_core.estimation.swarm import swarm_search
 
 @dataclass(frozen=True, slots=True)
 class ParticleSwarm:
-    """The best point a swarm finds; with `polish`, which is the default, least squares from there.
+    """Best point of a particle swarm; with `polish`, which is the default, least squares from there.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class ParticleSwarm:
     inertia, cognitive, social : float
         Clerc and Kennedy's constants.
     polish : bool
-        Finish with Levenberg and Marquardt: the swarm finds the valley, least squares its bottom.
+        Finish with Levenberg and Marquardt.
     seed : int
     """
 
@@ -36,7 +36,7 @@ class ParticleSwarm:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Point of the smallest objective; covariance from the information at that point."""
+        """Minimise the objective; covariance from the information at that point."""
         swarm = swarm_search(
             problem,
             np.random.default_rng(self.seed),

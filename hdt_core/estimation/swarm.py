@@ -52,16 +52,16 @@ def swarm_search(
     at = lower + (upper - lower) * rng.random(shape)
     at[0] = problem.origin
     speed = 0.1 * (upper - lower) * (2.0 * rng.random(shape) - 1.0)
-    own, own_objective = at.copy(), problem.objective(at)
+    best_at, best_objective = at.copy(), problem.objective(at)
     for _ in range(n_iterations):
         pull = rng.random((2, *shape))
-        leader = own[own_objective.argmin()]
-        speed = inertia * speed + cognitive * pull[0] * (own - at) + social * pull[1] * (leader - at)
+        leader = best_at[best_objective.argmin()]
+        speed = inertia * speed + cognitive * pull[0] * (best_at - at) + social * pull[1] * (leader - at)
         free = at + speed
         at = np.minimum(np.maximum(free, lower), upper)
         speed[free != at] = 0.0
         objective = problem.objective(at)
-        better = objective < own_objective
-        own[better], own_objective[better] = at[better], objective[better]
-    best = int(own_objective.argmin())
-    return Swarm(own[best], float(own_objective[best]), n_particles * (n_iterations + 1))
+        better = objective < best_objective
+        best_at[better], best_objective[better] = at[better], objective[better]
+    best = int(best_objective.argmin())
+    return Swarm(best_at[best], float(best_objective[best]), n_particles * (n_iterations + 1))

@@ -27,10 +27,10 @@ class UnscentedKalman:
     Parameters
     ----------
     alpha, beta, kappa : float
-        Spread of Merwe's scaled points. The defaults give equal weights, none negative, so that the covariance of
-        what the regression leaves over cannot lose its sign.
+        Spread of Merwe's scaled points. The defaults give equal weights, none negative, so that the residual
+        covariance stays positive.
     smoother_passes : int
-        At most: they end when the estimate stands still.
+        At most: they end when the estimate settles.
     polish : bool
         Where nothing moves, finish with least squares: the fixed point of a regression is near the optimum, not on it.
     """
@@ -43,7 +43,7 @@ class UnscentedKalman:
     polish: bool = True
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Belief about the parameters after the last sample; path of the first, causal pass."""
+        """Estimate the parameters after the last sample; path of the first, causal pass."""
         if (self.alpha, self.beta, self.kappa) == (1.0, 0.0, 0.0):
             quick = compiled_estimate(problem, True, self.smoother_passes, method=self.name, polish=self.polish)
             if quick is not None:
@@ -60,8 +60,7 @@ class UnscentedKalman:
 def regression(
     points: MerweScaledSigmaPoints, function: Function, belief: Belief, lower: Array, upper: Array
 ) -> Affine:
-    """Affine function with the mean, cross-covariance and covariance of `function` over sigma points
-    (García-Fernández).
+    """Fit an affine function with the mean, cross-covariance and covariance of `function` over sigma points.
 
     Raises
     ------
@@ -70,26 +69,26 @@ def regression(
     """
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
         raise LostTrackError
-    breadth = np.square(HAIR * belief.mean)  # what is known to rounding still has to be told apart from the mean
+    breadth = np.square(HAIR * belief.mean)  # sigma points must differ from the mean beyond rounding
     cloud = points.sigma_points(belief.mean, belief.cov + np.diag(breadth)).T
     values = function(np.clip(cloud, lower[:, None], upper[:, None]))
     if not np.isfinite(values).all():
         raise LostTrackError
     mean = values @ points.Wm
-    away, response = cloud - belief.mean[:, None], values - mean[:, None]
+    deviation, response = cloud - belief.mean[:, None], values - mean[:, None]
     # pairs of opposite points: their difference over their distance is exact however flat the belief
     j = belief.mean.size
-    half = 0.5 * (away[:, 1 : j + 1] - away[:, j + 1 :])
+    half = 0.5 * (deviation[:, 1 : j + 1] - deviation[:, j + 1 :])
     slope = np.linalg.solve(half.T, 0.5 * (values[:, 1 : j + 1] - values[:, j + 1 :]).T).T
-    left = response - slope @ away
-    return Affine(slope, mean - slope @ belief.mean, (left * points.Wc) @ left.T)
+    residual = response - slope @ deviation
+    return Affine(slope, mean - slope @ belief.mean, (residual * points.Wc) @ residual.T)
 
 
 def upper_root(cov: Array) -> Array:
-    """Upper triangular root of a covariance that may have lost its definiteness to rounding, or have none by design.
+    """Compute an upper triangular root of a covariance that may be singular, by rounding or by design.
 
-    A covariance that has no Cholesky factor gets the least multiple of its own diagonal that gives it one.
-    Directions that are known exactly get a hair's breadth, enough to take a derivative along them.
+    A covariance without a Cholesky factor gets the least multiple of its own diagonal that gives it one. Directions
+    without variance get a tiny one, enough to take a derivative along them.
     """
     size = np.sqrt(np.maximum(np.diag(cov), 0.0))
     size = np.where(size > 0.0, size, 1e-6 * max(float(size.max(initial=0.0)), 1e-6))

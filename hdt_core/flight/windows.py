@@ -9,7 +9,7 @@ TAIL_KEY = ("operator", "tail")
 # flights of the tail before an entry that may be sick, and after it that may still be: entries come up to five
 # flights late
 AROUND_MAINTENANCE = {**{c.code: c.around_work for c in (HX, CC)}, "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
-# messages of the pack's own exchanger and compressor; others (trim air, cabin fans) say nothing about it
+# messages of the pack's own exchanger and compressor; others (trim air, cabin fans) do not concern it
 AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
 # an inspection changes nothing, and the flights around a wash show by themselves how foul the exchanger was
 HARMLESS = ("INSPECTED", "CLEANED")

@@ -1,1 +1,1 @@
-"""What each flight says of health: residuals, sensor checks, features, detection."""
+"""Compute each flight's evidence of health: residuals, sensor checks, features, detection."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-"""Floats, or booleans where the name says so."""
+"""Floats or booleans."""
 
 PRIOR_FLIGHTS = 20.0
 """Weight of a series' prior scatter beside the unit's own, in flights."""

@@ -224,8 +224,8 @@ def _pack_differences(wide: pl.DataFrame) -> pl.DataFrame:
         (3 - pl.col("pack")).cast(pl.Int32).alias("pack"),
         *(pl.col(n).alias(f"other_{n}") for n in names),
     )
-    both = wide.join(other, on=LEG, how="left", validate="m:1")
-    return both.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
+    rows = wide.join(other, on=LEG, how="left", validate="m:1")
+    return rows.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
         f"other_{n}" for n in names
     )
 
@@ -233,14 +233,14 @@ def _pack_differences(wide: pl.DataFrame) -> pl.DataFrame:
 def _usage(wide: pl.DataFrame) -> pl.DataFrame:
     """Add columns under the consumers' names, and cumulative usage."""
     names = set(wide.columns)
-    more = (
+    columns = (
         [pl.col("hx_out_sensor_minus_dsm_k").alias("hx_out_excess_k")] if "hx_out_sensor_minus_dsm_k" in names else []
     )
     if "door_median" in names:
-        more += [
+        columns += [
             pl.col("door_median").alias("ram_door_open_cruise"),
             (1.0 - pl.col("door_max")).alias("ram_door_margin"),
         ]
     if "flight_hours" in names:
-        more.append(pl.col("flight_hours").cum_sum().over(PACK).alias("usage_hours"))
-    return wide.with_columns(more)
+        columns.append(pl.col("flight_hours").cum_sum().over(PACK).alias("usage_hours"))
+    return wide.with_columns(columns)

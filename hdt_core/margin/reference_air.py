@@ -12,7 +12,7 @@ from hdt_core.physics.model import Array
 
 REFERENCE_M, REFERENCE_MACH = 11_000.0, 0.84
 HIGH_CRUISE_M = 12_497.0
-"""41,000 ft, the highest usual cruise level: thin air asks most of a compressor. [m]"""
+"""41,000 ft, the highest usual cruise level: thin air demands most of a compressor. [m]"""
 HOT_DAY_K = 15.0
 """The hot day that a margin is stated for: the standard atmosphere and 15 K, at the flight's level, speed and flow."""
 

@@ -67,7 +67,7 @@ def core_values(design: Array) -> dict[str, Array]:
 def clean_ram_flow_kg_s(signals: Mapping[str, Array], design: Array) -> Array:
     """Ram flow of a clean core at this door position. (n,) [kg/s]
 
-    Signals that come `with_static_pressure` are not asked for it again: a fit varies the design, never the weather.
+    Static pressure of signals `with_static_pressure` is not computed again: a fit varies the design, not the weather.
     """
     static_pa = signals.get("static_pressure_pa")
     if static_pa is None:

@@ -1,4 +1,4 @@
-"""What is on record of a fleet, and which of its flights have a prognosis already."""
+"""A fleet's record, and the flights of it that have a prognosis already."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.keys import PACK
 
 ScoredFlights = dict[str, tuple[int, str]]
-"""Of each pack, `component|operator|tail|pack`: its flights of a month, and a digest of what a prognosis is made of."""
+"""Of each pack, `component|operator|tail|pack`: its flights of a month, and a digest of a prognosis's inputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class FleetRecord:
     messages: pl.DataFrame
     maintenance: pl.DataFrame
 
-    def before(self, moment: datetime) -> "FleetRecord":
-        """What was on record then: nothing that was flown, raised or signed later."""
+    def as_of(self, moment: datetime) -> "FleetRecord":
+        """Return the record at a moment, without later flights, messages or log entries."""
         return FleetRecord(
             self.features.filter(pl.col("departed_at") < moment),
             self.messages.filter(pl.col("message_time") < moment),
@@ -42,31 +42,31 @@ class FleetRecord:
         )
 
     def months(self) -> list[date]:
-        """First days of the months in which flights departed, UTC."""
+        """Return first days of the months in which flights departed, UTC."""
         return month_of(self.features["departed_at"]).unique().sort().to_list()
 
     def lives(self) -> pl.DataFrame:
-        """Lives of all units."""
+        """Cut the lives of all units."""
         return episodes(self.features, self.messages, self.maintenance)
 
     def tracks(self) -> "FleetTracks":
-        """Health tracks by component."""
+        """Return health tracks by component."""
         return FleetTracks(self.features, self.lives())
 
 
 def month_of(departed_at: pl.Series) -> pl.Series:
-    """First day of each flight's month, UTC."""
+    """Return the first day of each flight's month, UTC."""
     return departed_at.dt.month_start().dt.date()
 
 
 def start_of(month: date) -> datetime:
-    """First moment of a month, UTC."""
+    """Return the first moment of a month, UTC."""
     return datetime(month.year, month.month, month.day, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
 class FleetTracks(Mapping[str, Tracks]):
-    """Health tracks by component, cut whenever one is asked for: those of a large fleet are larger than its record."""
+    """Health tracks by component, computed at each access, for those of a large fleet are larger than its record."""
 
     features: pl.DataFrame
     lives: pl.DataFrame
@@ -82,33 +82,33 @@ class FleetTracks(Mapping[str, Tracks]):
 
 
 def score_months(
-    track: Tracks, component: str, earlier: Mapping[date, ScoredFlights]
+    track: Tracks, component: str, scored_before: Mapping[date, ScoredFlights]
 ) -> tuple[dict[date, ScoredFlights], NDArray[np.bool_]]:
-    """Digests of each pack's flights by month, and which flights are not, or not as they now are, in `earlier`. (n,)
+    """Digest each pack's flights by month; return also which flights are new or changed since `scored_before`. (n,)
 
-    The prognosis of a flight follows from it and those before it, so all after one that changed are as new.
+    The prognosis of a flight follows from it and those before it, so all after one that changed count as new.
     """
     scored: dict[date, ScoredFlights] = {}
-    new, start, stands = np.ones(len(track.at), dtype=bool), 0, True
+    is_new, start, is_unchanged = np.ones(len(track.at), dtype=bool), 0, True
     last: list[object] = []
     months = track.keys.select(*PACK, month_of(track.keys["departed_at"]).alias("month"))
     for *pack, month, flights in months.group_by(*PACK, "month", maintain_order=True).len().rows():
         name, numbers = "|".join(str(part) for part in (component, *pack)), _inputs(track, start, start + flights)
         scored.setdefault(month, {})[name] = (flights, _digest(*numbers, flights))
-        n, digest = earlier.get(month, {}).get(name, (0, ""))
-        stands = (stands or pack != last) and 0 < n <= flights and _digest(*numbers, n) == digest
-        new[start : start + n] = not stands
-        stands, last, start = stands and n == flights, pack, start + flights
-    return scored, new
+        n, digest = scored_before.get(month, {}).get(name, (0, ""))
+        is_unchanged = (is_unchanged or pack != last) and 0 < n <= flights and _digest(*numbers, n) == digest
+        is_new[start : start + n] = not is_unchanged
+        is_unchanged, last, start = is_unchanged and n == flights, pack, start + flights
+    return scored, is_new
 
 
 def _inputs(track: Tracks, start: int, end: int) -> tuple[NDArray[np.float64], list[str]]:
-    """What a prognosis is made of, flight by flight: health, margin, age, and the flight's name."""
+    """Return a prognosis's inputs flight by flight: health, margin, age, and the flight's name."""
     life, column = track.at[start:end].T
-    pack, flight = track.where[start:end].T
-    known = [getattr(track.panel, f.name)[life, column] for f in fields(track.panel)]
+    pack, flight = track.curve_index[start:end].T
+    state = [getattr(track.panel, f.name)[life, column] for f in fields(track.panel)]
     curves = track.curves[pack, flight].reshape(end - start, -1)
-    return np.column_stack([*known, column, curves]).astype(float), track.keys["flight_id"][start:end].to_list()
+    return np.column_stack([*state, column, curves]).astype(float), track.keys["flight_id"][start:end].to_list()
 
 
 def _digest(numbers: NDArray[np.float64], names: list[str], flights: int) -> str:

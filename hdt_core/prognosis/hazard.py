@@ -1,7 +1,7 @@
-"""Discrete-time hazard by gradient boosting: the chance that the event falls in each of the coming spans of flights.
+"""Discrete-time hazard by gradient boosting: the probability of the event in each of the coming spans of flights.
 
-A row at risk in a span is one sample of a classifier whose inputs are the unit's features and the span. A life that was
-cut short leaves the risk set when it was cut, which is all that is known of it, so censored lives need no guess.
+A row at risk in a span is one sample of a classifier whose inputs are the unit's features and the span. A censored
+life leaves the risk set when it was cut, so it needs no assumption about its end.
 """
 
 from collections.abc import Sequence
@@ -22,20 +22,20 @@ AHEAD = (25, 50, 100, 200, 300)
 """Flights for which the probability of a message is reported."""
 _LEAST_ALIVE = 1e-9
 ROWS_AT_ONCE = 8_192
-"""Rows asked together, so that memory does not grow with the fleet."""
+"""Rows predicted at once, so that memory does not grow with the fleet."""
 
 
 def at_risk(
-    left: Array, failed: NDArray[np.bool_]
+    remaining: Array, failed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.bool_], Array]:
-    """Every (row, span) in which a row was still at risk, whether the event fell in it, and for how much of it.
+    """List every (row, span) in which a row was still at risk, whether the event fell in it, and for how much of it.
 
     Parameters
     ----------
-    left : array, shape (n,)
+    remaining : array, shape (n,)
         Flights until the event, or until the life was cut short. [flight], >= 0
     failed : array of bool, shape (n,)
-        Whether `left` ended in the event.
+        Whether `remaining` ended in the event.
 
     Returns
     -------
@@ -43,46 +43,46 @@ def at_risk(
         A span in which a life was cut short counts for the share of it that was survived (the actuarial rule); every
         other one counts in full.
     """
-    row = np.repeat(np.arange(left.size), SPANS)
-    span = np.tile(np.arange(SPANS), left.size)
+    row = np.repeat(np.arange(remaining.size), SPANS)
+    span = np.tile(np.arange(SPANS), remaining.size)
     starts, ends = EDGES[span], EDGES[span + 1]
-    hit = failed[row] & (left[row] > starts) & (left[row] <= ends)
-    exposure = np.where(hit, 1.0, np.clip((left[row] - starts) / (ends - starts), 0.0, 1.0))
-    keep = exposure > 0.0
-    return row[keep], span[keep], hit[keep], exposure[keep]
+    is_event = failed[row] & (remaining[row] > starts) & (remaining[row] <= ends)
+    exposure = np.where(is_event, 1.0, np.clip((remaining[row] - starts) / (ends - starts), 0.0, 1.0))
+    is_exposed = exposure > 0.0
+    return row[is_exposed], span[is_exposed], is_event[is_exposed], exposure[is_exposed]
 
 
 def with_span(features: Array, span: NDArray[np.int_]) -> Array:
-    """Classifier inputs: the features and the end of the span."""
+    """Append the end of the span to the features."""
     return np.concatenate([features, EDGES[span + 1][:, None]], axis=1)
 
 
 def fit_hazard(
     features: Array,
-    left: Array,
+    remaining: Array,
     failed: NDArray[np.bool_],
     seed: int,
     rises: Sequence[int] | None = None,
     share: float = 0.3,
 ) -> HistGradientBoostingClassifier:
-    """Classifier of P(event in span | alive at its start).
+    """Fit a classifier of P(event in span | alive at its start).
 
     Parameters
     ----------
     features : array, shape (n, p)
         NaN where unknown.
-    left, failed : array, shape (n,)
+    remaining, failed : array, shape (n,)
         As in `at_risk`.
     seed : int
         Draws which (row, span) samples are kept.
     rises : sequence of int, optional
         For each feature 1 where physics lets the hazard only rise with it, -1 where only fall, 0 where either.
     share : float
-        Share of the samples kept; neighbours along a life say the same thing.
+        Share of the samples kept, for neighbours along a life are nearly equal.
     """
-    row, span, hit, exposure = at_risk(left, failed)
-    keep = np.random.default_rng(seed).random(row.size) < share
-    row, span, hit, exposure = row[keep], span[keep], hit[keep], exposure[keep]
+    row, span, is_event, exposure = at_risk(remaining, failed)
+    is_sampled = np.random.default_rng(seed).random(row.size) < share
+    row, span, is_event, exposure = row[is_sampled], span[is_sampled], is_event[is_sampled], exposure[is_sampled]
     model = HistGradientBoostingClassifier(
         max_iter=150,
         learning_rate=0.08,
@@ -95,36 +95,36 @@ def fit_hazard(
         monotonic_cst=None if rises is None else [*rises, 0],
     )
     with _threads().limit(limits=1, user_api="openmp"):
-        return model.fit(with_span(features[row], span), hit, sample_weight=exposure)
+        return model.fit(with_span(features[row], span), is_event, sample_weight=exposure)
 
 
 @cache
 def _threads() -> ThreadpoolController:
-    """What holds boosting to one thread: on a busy machine its threads spin, ten times the processor for nothing.
+    """Return a controller that limits boosting to one thread: on a busy machine threads spin at ten times the cost.
 
-    To look for the libraries takes 7 ms.
+    It is cached, for finding the libraries takes 7 ms.
     """
     return ThreadpoolController()
 
 
 def hazards(models: Sequence[HistGradientBoostingClassifier], features: Array) -> Array:
-    """P(event in span | alive at its start), the mean over the models, shape (n, SPANS)."""
-    told = np.empty((features.shape[0], SPANS))
+    """Predict P(event in span | alive at its start), the mean over the models, shape (n, SPANS)."""
+    hazard = np.empty((features.shape[0], SPANS))
     with _threads().limit(limits=1, user_api="openmp"):
-        for first in range(0, len(told), ROWS_AT_ONCE):
-            some = features[first : first + ROWS_AT_ONCE]
-            told[first : first + ROWS_AT_ONCE] = sum(probabilities(m, some, EDGES[1:]) for m in models) / len(models)
-    return told
+        for first in range(0, len(hazard), ROWS_AT_ONCE):
+            chunk = features[first : first + ROWS_AT_ONCE]
+            hazard[first : first + ROWS_AT_ONCE] = sum(probabilities(m, chunk, EDGES[1:]) for m in models) / len(models)
+    return hazard
 
 
 def event_by(hazard: Array) -> Array:
-    """P(event within EDGES flights), shape (n, SPANS + 1), from 0 at no flights."""
+    """Compute P(event within EDGES flights), shape (n, SPANS + 1), from 0 at no flights."""
     alive = np.cumprod(1.0 - hazard, axis=1)
     return np.concatenate([np.zeros((hazard.shape[0], 1)), 1.0 - alive], axis=1)
 
 
 def passage_hazards(by: Array, ahead: Sequence[float]) -> Array:
-    """Hazards of a first passage of which P(event) within each of `ahead` flights is known. (n, SPANS)
+    """Compute hazards of a first passage from P(event) within each of `ahead` flights. (n, SPANS)
 
     Linear between those horizons. NaN where one is not known.
 
@@ -135,13 +135,13 @@ def passage_hazards(by: Array, ahead: Sequence[float]) -> Array:
     0.625
     """
     at, rising = np.array([0.0, *ahead]), np.maximum.accumulate(by, axis=1)
-    whole = np.stack([np.interp(EDGES, at, [0.0, *row]) for row in rising]) if len(by) else np.zeros((0, EDGES.size))
-    alive = np.clip(1.0 - whole, _LEAST_ALIVE, 1.0)
+    filled = np.stack([np.interp(EDGES, at, [0.0, *row]) for row in rising]) if len(by) else np.zeros((0, EDGES.size))
+    alive = np.clip(1.0 - filled, _LEAST_ALIVE, 1.0)
     return np.asarray(1.0 - alive[:, 1:] / alive[:, :-1])
 
 
 def quantile(by: Array, level: float) -> Array:
-    """Flights by which the event has come with probability `level`, linear between edges; the last edge at most."""
+    """Compute the flights within which the event has probability `level`, linear between edges, up to the last."""
     rising = by + 1e-9 * np.arange(by.shape[1])
     j = np.clip((rising < level).sum(axis=1), 1, by.shape[1] - 1)
     rows = np.arange(by.shape[0])
@@ -150,16 +150,16 @@ def quantile(by: Array, level: float) -> Array:
     return np.asarray(EDGES[j - 1] + share * (EDGES[j] - EDGES[j - 1]))
 
 
-def position(by: Array, left: Array) -> Array:
-    """Probability that the event has come by `left` flights (the probability integral transform)."""
-    j = np.clip(np.searchsorted(EDGES, left, side="left"), 1, by.shape[1] - 1)
+def position(by: Array, remaining: Array) -> Array:
+    """Compute the probability that the event comes by `remaining` flights (the probability integral transform)."""
+    j = np.clip(np.searchsorted(EDGES, remaining, side="left"), 1, by.shape[1] - 1)
     rows = np.arange(by.shape[0])
-    share = np.clip((left - EDGES[j - 1]) / (EDGES[j] - EDGES[j - 1]), 0.0, 1.0)
+    share = np.clip((remaining - EDGES[j - 1]) / (EDGES[j] - EDGES[j - 1]), 0.0, 1.0)
     return np.asarray(by[rows, j - 1] + share * (by[rows, j] - by[rows, j - 1]))
 
 
 def events_ahead(by: Array) -> dict[str, Array]:
-    """P(event) within each of `AHEAD` flights, linear between edges, by column of `prognoses`.
+    """Compute P(event) within each of `AHEAD` flights, linear between edges, by column of `prognoses`.
 
     Examples
     --------

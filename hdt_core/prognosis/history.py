@@ -1,7 +1,7 @@
-"""What the record of a unit says about its future: causal features, one row a unit, one column a flight.
+"""Causal features of a unit's record, one row a unit, one column a flight.
 
 Every feature at flight k is a function of flights up to k. Nothing is divided by a fleet's limit: wear, reserve and
-what flights ask are in ln of conductance, which means the same for every type.
+demand are in ln of conductance, which is comparable between types.
 """
 
 from dataclasses import dataclass, fields
@@ -42,7 +42,7 @@ RESERVE = (
 )
 PASSAGE_AHEAD = (50.0, 100.0, 200.0, 300.0)
 PASSAGE = (*(f"passage_{round(k)}" for k in PASSAGE_AHEAD), "passage_median")
-SEEN = (
+THERMAL = (
     "overheat_10",
     "overheat_40",
     "overheat_most_40",
@@ -53,15 +53,15 @@ SEEN = (
     "season_sin",
     "season_cos",
 )
-FEATURES = (*WEAR, *RESERVE, *PASSAGE, *SEEN)
-RECORD = (*WEAR, *SEEN, "ratio", "run")
-"""What does not depend on the message's rule."""
+FEATURES = (*WEAR, *RESERVE, *PASSAGE, *THERMAL)
+RECORD = (*WEAR, *THERMAL, "ratio", "run")
+"""Features that do not depend on the message's rule."""
 FALLING = ("reserve_", "left_linear_", "passage_median")
 RISING = ("passage_", "overheat_", "hot_share_", "full_open_")
 RISES = tuple(-1 if name.startswith(FALLING) else 1 if name.startswith(RISING) else 0 for name in FEATURES)
 """How the hazard may follow each feature: less in reserve, or hotter flights, never make a message less likely."""
 UNITS_AT_ONCE, ROWS_AT_ONCE = 64, 8_192
-"""Units and flights that are looked at together, so that memory does not grow with the fleet."""
+"""Units and flights computed at once, so that memory does not grow with the fleet."""
 HOT_K = 3.0
 """A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
 _EDGES = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0])
@@ -80,9 +80,9 @@ class Panel:
     age : ndarray
         Flights since installation; NaN where the unit was already flying when the record began. [flight]
     ratio : ndarray
-        Ln conductance ratio that is left, in the unit in which flights ask for it. [-]
+        Ln of the conductance ratio, in the same unit as demand. [-]
     overheat_k, overheat_half_k, full_open : ndarray
-        Outlet above its held level in the hottest fifth and in half of a flight's high samples [K]; share of them with
+        Outlet above its set point in the hottest fifth and in half of a flight's high samples [K]; share of them with
         the ram door full open [-].
     day : ndarray
         Day of the year. [day]
@@ -99,7 +99,7 @@ class Panel:
 
 
 def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
-    """What the record alone says at some flights, whatever the message's rule. (n, q), columns `RECORD`.
+    """Compute features that depend on the record alone at some flights. (n, q), columns `RECORD`.
 
     Parameters
     ----------
@@ -109,52 +109,52 @@ def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
         Unit and flight of each row, as the panel counts them.
     """
     unit, flight = at
-    told = np.empty((len(unit), len(RECORD)))
+    values = np.empty((len(unit), len(RECORD)))
     for first in range(0, len(panel.level), UNITS_AT_ONCE):
         rows = (unit >= first) & (unit < first + UNITS_AT_ONCE)
-        some = Panel(*(getattr(panel, f.name)[first : first + UNITS_AT_ONCE] for f in fields(Panel)))
-        for column, along in enumerate(_along(some)):
-            told[rows, column] = along[unit[rows] - first, flight[rows]]
-    return told
+        chunk = Panel(*(getattr(panel, f.name)[first : first + UNITS_AT_ONCE] for f in fields(Panel)))
+        for column, along in enumerate(_along(chunk)):
+            values[rows, column] = along[unit[rows] - first, flight[rows]]
+    return values
 
 
 def _along(panel: Panel) -> list[Array]:
-    """`RECORD` at every flight of some units. (units, flights) each"""
+    """Compute `RECORD` at every flight of some units. (units, flights) each"""
     start = _segment_start(panel.level)
     run = np.asarray(np.arange(panel.level.shape[1]) - start + 1.0, dtype=float)
-    along = _wear(panel, start) | _seen(panel) | {"ratio": panel.ratio, "run": run}
+    along = _wear(panel, start) | _thermal_features(panel) | {"ratio": panel.ratio, "run": run}
     return [along[name] for name in RECORD]
 
 
-def feature_rows(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
-    """Features of some flights. (n, p), columns `FEATURES`, NaN where undefined.
+def feature_rows(record: Array, critical: Array, place: tuple[Index, Index]) -> Array:
+    """Compute features of some flights. (n, p), columns `FEATURES`, NaN where undefined.
 
     Parameters
     ----------
     record : array, shape (n, q)
         From `record_rows`.
     critical : array, shape (packs, flights)
-        What each flight of a pack asked, whichever unit flew. See `conditions.demand_quantiles`.
-    where : tuple of array
+        Demand of each flight of a pack, whichever unit flew. See `conditions.demand_quantiles`.
+    place : tuple of array
         Pack and flight of each row, as `critical` counts them.
     """
-    told = np.empty((len(record), len(FEATURES)))
+    values = np.empty((len(record), len(FEATURES)))
     for first in range(0, len(record), ROWS_AT_ONCE):
-        some = slice(first, first + ROWS_AT_ONCE)
-        told[some] = _features(record[some], critical, (where[0][some], where[1][some]))
-    return told
+        chunk = slice(first, first + ROWS_AT_ONCE)
+        values[chunk] = _features(record[chunk], critical, (place[0][chunk], place[1][chunk]))
+    return values
 
 
-def _features(record: Array, critical: Array, where: tuple[Index, Index]) -> Array:
+def _features(record: Array, critical: Array, place: tuple[Index, Index]) -> Array:
     rows = dict(zip(RECORD, record.T, strict=True))
-    asks, ratio, run = demand_quantiles(critical, *where), rows["ratio"], rows["run"]
-    rows |= {name.replace("asked", "reserve"): ratio - asks[name] for name in QUANTILES}
-    rows["asked_trend"] = asks["asked_trend"]
-    # losses wear on in fractions, reserves are in ln: the same step is the larger the less is left
+    demand, ratio, run = demand_quantiles(critical, *place), rows["ratio"], rows["run"]
+    rows |= {name.replace("asked", "reserve"): ratio - demand[name] for name in QUANTILES}
+    rows["asked_trend"] = demand["asked_trend"]
+    # losses are fractions, reserves are in ln: the same step weighs more the smaller the remaining ratio
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
-    rows |= {f"left_linear_{name}": _left_linear(rows["reserve_95"], s) for name, s in slope.items()}
+    rows |= {f"left_linear_{name}": _remaining_linear(rows["reserve_95"], s) for name, s in slope.items()}
     rate = wear_rate(slope["100"], run)
-    rows |= _passages(ratio, np.stack([asks[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
+    rows |= _passages(ratio, np.stack([demand[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
 
 
@@ -162,11 +162,11 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
     level = panel.level
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     slope: dict[str, Array] = {f"slope_{h}": _slope(level, np.maximum(start, k - h + 1)) for h in HORIZONS}
-    jump = np.nan_to_num(level - _back(level, 3))
+    jump = np.nan_to_num(level - _lag(level, 3))
     peak = np.asarray(np.fmax.accumulate(level, axis=1))
     largest = np.asarray(np.maximum.accumulate(jump, axis=1))
     entry = np.broadcast_to(np.asarray(level[:, :5].mean(axis=1, keepdims=True)), level.shape)
-    risen = np.cumsum(np.maximum(jump - 0.02, 0.0), axis=1) / 3.0
+    jump_total = np.cumsum(np.maximum(jump - 0.02, 0.0), axis=1) / 3.0
     return {
         "level": level,
         "level_sd": panel.sd,
@@ -181,62 +181,62 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
         "roughness": _roughness(level),
         "jump_10": _rolling_max(jump, 10),
         "jump_largest": largest,
-        "jump_share": risen / np.maximum(peak, 0.02),
+        "jump_share": jump_total / np.maximum(peak, 0.02),
     }
 
 
-def _passages(ratio: Array, asks: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
-    """The physical forecast at each flight, before any learner: see `first_passage`."""
-    by = passage(ratio, np.full(rate.size, RATIO_SD), asks, rate, rate_sd, _EDGES)
+def _passages(ratio: Array, demand: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
+    """Compute the physical forecast at each flight; see `first_passage`."""
+    by = passage(ratio, np.full(rate.size, RATIO_SD), demand, rate, rate_sd, _EDGES)
     at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], PASSAGE_AHEAD, strict=True)}
     return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
 
 
-def _seen(panel: Panel) -> dict[str, Array]:
+def _thermal_features(panel: Panel) -> dict[str, Array]:
     angle = 2.0 * np.pi * panel.day / 365.25
     hot = np.where(np.isnan(panel.overheat_k), np.nan, panel.overheat_k > HOT_K)
     return {
-        "overheat_10": _mean_known(panel.overheat_k, 10),
-        "overheat_40": _mean_known(panel.overheat_k, 40),
+        "overheat_10": _mean_finite(panel.overheat_k, 10),
+        "overheat_40": _mean_finite(panel.overheat_k, 40),
         "overheat_most_40": _rolling_max(np.nan_to_num(panel.overheat_k), 40) + 0.0 * panel.overheat_k,
-        "overheat_half_40": _mean_known(panel.overheat_half_k, 40),
-        "hot_share_40": _mean_known(hot, 40),
-        "full_open_10": _mean_known(panel.full_open, 10),
-        "full_open_40": _mean_known(panel.full_open, 40),
+        "overheat_half_40": _mean_finite(panel.overheat_half_k, 40),
+        "hot_share_40": _mean_finite(hot, 40),
+        "full_open_10": _mean_finite(panel.full_open, 10),
+        "full_open_40": _mean_finite(panel.full_open, 40),
         "season_sin": np.sin(angle),
         "season_cos": np.cos(angle),
     }
 
 
-def _back(values: Array, flights: int) -> Array:
-    """Values some flights earlier; the first value before that."""
+def _lag(values: Array, flights: int) -> Array:
+    """Shift values by some flights; the first value fills."""
     return np.concatenate([np.repeat(values[:, :1], flights, axis=1), values[:, :-flights]], axis=1)[
         :, : values.shape[1]
     ]
 
 
 def _segment_start(level: Array) -> Index:
-    """Flight on which the current stretch began: entry, or the last clear drop (a wash, a change not yet logged)."""
+    """Find the flight on which the current segment began: entry, or the last drop (a wash, a change not logged)."""
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
-    dropped = np.nan_to_num(_back(level, 3) - level) > _DROP
-    return np.asarray(np.maximum.accumulate(np.where(dropped, k, 0), axis=1))
+    is_drop = np.nan_to_num(_lag(level, 3) - level) > _DROP
+    return np.asarray(np.maximum.accumulate(np.where(is_drop, k, 0), axis=1))
 
 
 def _slope(level: Array, start: Index) -> Array:
-    """Least-squares slope over flights `start`..k, per flight; 0 while fewer than five are seen, NaN-free."""
+    """Fit a least-squares slope over flights `start`..k, per flight; 0 with fewer than five flights."""
     k = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
     y = np.nan_to_num(level)
     n = k - start + 1.0
     mean_k = 0.5 * (k + start)
     sum_y, sum_ky = _span_sum(y, start), _span_sum(k * y, start)
-    spread = n * (n**2 - 1.0) / 12.0
-    return np.asarray(np.where(n >= 5, (sum_ky - mean_k * sum_y) / np.maximum(spread, 1.0), 0.0), dtype=float)
+    sum_squares = n * (n**2 - 1.0) / 12.0
+    return np.asarray(np.where(n >= 5, (sum_ky - mean_k * sum_y) / np.maximum(sum_squares, 1.0), 0.0), dtype=float)
 
 
 def _span_sum(values: Array, start: Index) -> Array:
     total = np.cumsum(values, axis=1)
-    before = np.take_along_axis(total - values, start, axis=1)
-    return np.asarray(total - before)
+    sum_before = np.take_along_axis(total - values, start, axis=1)
+    return np.asarray(total - sum_before)
 
 
 def _rolling_max(values: Array, flights: int) -> Array:
@@ -245,22 +245,22 @@ def _rolling_max(values: Array, flights: int) -> Array:
 
 
 def _roughness(level: Array) -> Array:
-    """Root mean square of the flight-to-flight change over 30 flights. [-]"""
+    """Compute the root mean square of the flight-to-flight change over 30 flights. [-]"""
     change = np.nan_to_num(np.diff(level, axis=1, prepend=level[:, :1])) ** 2
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     start = np.maximum(k - 29, 0)
     return np.asarray(np.sqrt(np.maximum(_span_sum(change, start), 0.0) / (k - start + 1.0)))
 
 
-def _mean_known(values: Array, flights: int) -> Array:
-    """Mean of what is known of the last flights; NaN where nothing is."""
+def _mean_finite(values: Array, flights: int) -> Array:
+    """Average the finite values of the last flights; NaN without any."""
     k = np.broadcast_to(np.arange(values.shape[1]), values.shape)
     start = np.maximum(k - flights + 1, 0)
-    known = np.isfinite(values)
-    total, count = _span_sum(np.where(known, values, 0.0), start), _span_sum(known.astype(float), start)
+    is_finite = np.isfinite(values)
+    total, count = _span_sum(np.where(is_finite, values, 0.0), start), _span_sum(is_finite.astype(float), start)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1.0), np.nan))
 
 
-def _left_linear(reserve: Array, slope: Array) -> Array:
-    """Flights until a reserve is used up at this rate, 0 to `_FAR`."""
+def _remaining_linear(reserve: Array, slope: Array) -> Array:
+    """Extrapolate a reserve linearly to 0: flights, 0 to `_FAR`."""
     return np.asarray(np.where(slope > 1e-6, np.clip(reserve / np.maximum(slope, 1e-6), 0.0, _FAR), _FAR))

@@ -1,4 +1,4 @@
-"""How good a prognosis was: error, intervals, probabilities and horizons, each a number a reader can check by hand.
+"""Score prognoses: error, intervals, probabilities and horizons.
 
 References
 ----------
@@ -22,7 +22,7 @@ CAP = 300.0
 
 
 def interval_score(truth: ArrayLike, low: ArrayLike, high: ArrayLike, alpha: float = 0.1) -> Array:
-    """Width plus 2/alpha times what falls outside, per row; smaller is better. Same unit as the truth.
+    """Compute width plus 2/alpha times the miss, per row; smaller is better. Same unit as the truth.
 
     Examples
     --------
@@ -34,105 +34,110 @@ def interval_score(truth: ArrayLike, low: ArrayLike, high: ArrayLike, alpha: flo
 
 
 def constant_interval_score(truth: ArrayLike, alpha: float = 0.1) -> float:
-    """Mean interval score of one interval for every row, from the true lives' own quantiles."""
+    """Compute the mean interval score of one interval for every row, from the true lives' own quantiles."""
     t = np.asarray(truth, dtype=float)
     low, high = np.quantile(t, [alpha / 2.0, 1.0 - alpha / 2.0])
     return float(interval_score(t, np.full(t.size, low), np.full(t.size, high), alpha).mean())
 
 
 def brier_skill(happened: ArrayLike, probability: ArrayLike) -> float:
-    """1 - Brier score over that of the base rate; 0 says nothing, 1 is perfect."""
+    """Compute 1 - Brier score over that of the base rate; 0 is no skill, 1 is perfect."""
     y, p = np.asarray(happened, dtype=float), np.asarray(probability, dtype=float)
     return float(1.0 - np.mean((p - y) ** 2) / (y.mean() * (1.0 - y.mean())))
 
 
 def auc(happened: ArrayLike, probability: ArrayLike) -> float:
-    """Chance that a row with the event was given more than one without, ties counted half."""
+    """Compute the probability that a row with the event ranks above one without, ties counted half."""
     y, p = np.asarray(happened, dtype=bool), np.asarray(probability, dtype=float)
     hits = int(y.sum())
     return float((rankdata(p)[y].sum() - hits * (hits + 1) / 2.0) / (hits * (y.size - hits)))
 
 
-def alpha_lambda(truth: ArrayLike, said: ArrayLike, alpha: float = 0.2) -> float:
-    """Share of rows within +-alpha of the true remaining life [1]."""
-    t, s = np.asarray(truth, dtype=float), np.asarray(said, dtype=float)
+def alpha_lambda(truth: ArrayLike, predicted: ArrayLike, alpha: float = 0.2) -> float:
+    """Compute the share of rows within +-alpha of the true remaining life [1]."""
+    t, s = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     return float(np.mean(np.abs(s - t) <= alpha * t))
 
 
-def prognostic_horizon(truth: ArrayLike, said: ArrayLike, band: float) -> float:
-    """Remaining life from which one life's prognosis stays within +-`band` to the end [1]. [flight]"""
-    t, s = np.asarray(truth, dtype=float), np.asarray(said, dtype=float)
+def prognostic_horizon(truth: ArrayLike, predicted: ArrayLike, band: float) -> float:
+    """Compute the remaining life from which one life's prognosis stays within +-`band` to the end [1]. [flight]"""
+    t, s = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     order = np.argsort(t)
-    outside = np.abs(s - t)[order] > band
-    return float(t[order][-1] if not outside.any() else 0.0 if outside[0] else t[order][outside.argmax() - 1])
+    is_outside = np.abs(s - t)[order] > band
+    return float(t[order][-1] if not is_outside.any() else 0.0 if is_outside[0] else t[order][is_outside.argmax() - 1])
 
 
 def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> pl.DataFrame:
-    """What was said against what came: said, came, n for each tenth of the probability scale that was used."""
+    """Compute a reliability table: predicted, observed, n for each bin of the probability scale with rows."""
     frame = pl.DataFrame({"p": np.asarray(probability, dtype=float), "y": np.asarray(happened, dtype=float)})
     bin_ = (pl.col("p") * bins).floor().clip(0, bins - 1).alias("bin")
     return (
-        frame.group_by(bin_).agg(said=pl.col("p").mean(), came=pl.col("y").mean(), n=pl.len()).sort("bin").drop("bin")
+        frame.group_by(bin_)
+        .agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
+        .sort("bin")
+        .drop("bin")
     )
 
 
 def bootstrap(
-    frame: pl.DataFrame, metric: Callable[[pl.DataFrame], float], by: str = "tail", draws: int = 200, seed: int = 0
+    frame: pl.DataFrame, metric: Callable[[pl.DataFrame], float], by: str = "tail", n_draws: int = 200, seed: int = 0
 ) -> tuple[float, float]:
-    """5 and 95 % points of a metric when whole groups are drawn again: flights of a tail aren't independent."""
+    """Bootstrap a metric over whole groups, for flights of a tail aren't independent; return its 5 and 95 % points."""
     rng = np.random.default_rng(seed)
     parts = frame.partition_by(by)
-    values = [metric(pl.concat([parts[i] for i in rng.integers(0, len(parts), len(parts))])) for _ in range(draws)]
-    found = np.asarray(values)[np.isfinite(values)]
-    low, high = np.quantile(found, [0.05, 0.95])
+    values = [metric(pl.concat([parts[i] for i in rng.integers(0, len(parts), len(parts))])) for _ in range(n_draws)]
+    finite = np.asarray(values)[np.isfinite(values)]
+    low, high = np.quantile(finite, [0.05, 0.95])
     return float(low), float(high)
 
 
-def judge(prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, component: str = "HX") -> pl.DataFrame:
-    """Prognoses with what became of them.
+def join_outcomes(
+    prognoses: pl.DataFrame, features: pl.DataFrame, lives: pl.DataFrame, component: str = "HX"
+) -> pl.DataFrame:
+    """Join prognoses with the outcomes of their lives.
 
     Returns
     -------
     DataFrame
-        The prognoses' columns and `left` (flights until the message or until the life was cut), `failed`, `life`, and
-        `event_50` (null where fewer than 50 flights were seen after and none failed).
+        The prognoses' columns and `remaining` (flights until the message or the end of the record), `failed`, `life`,
+        and `event_50` (null for a life censored within 50 flights).
     """
-    flown = with_lives(flight_rows(features), lives, component)
-    truth = flown.select("tail", "flight_id", "pack", "left", "failed", life="life_id")
-    hit = pl.col("failed") & (pl.col("left") <= 50)
+    flights = with_lives(flight_rows(features), lives, component)
+    truth = flights.select("tail", "flight_id", "pack", "remaining", "failed", life="life_id")
+    is_hit = pl.col("failed") & (pl.col("remaining") <= 50)
     return (
         prognoses.filter(pl.col("component") == component)
         .join(truth, on=["tail", "flight_id", "pack"], validate="m:1")
-        .filter(pl.col("left") >= 1)
-        .with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("left") > 50).then(0.0))
+        .filter(pl.col("remaining") >= 1)
+        .with_columns(event_50=pl.when(is_hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
     )
 
 
-def score_prognoses(judged: pl.DataFrame) -> dict[str, float]:
-    """Figures over judged prognoses; remaining life capped at 300 flights.
+def score_prognoses(prognoses: pl.DataFrame) -> dict[str, float]:
+    """Score prognoses with outcomes; remaining life is capped at 300 flights.
 
-    Of every flight of which it is known: the message came, or the unit outlived 300 more flights. Lives that ended in
-    the message alone would reward whoever always foretells one. A figure that can't be computed is left out.
+    A flight counts where the message came or the unit outlived 300 more flights; lives that ended in the message alone
+    would reward predicting one always. Scores that can't be computed are omitted.
     """
-    outlived = pl.col("failed") | (pl.col("left") >= CAP)
-    ended = judged.filter(outlived & pl.col("rul_flights").is_not_null())
-    asked = judged.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
-    scores: dict[str, float] = {"failures": float(ended.filter("failed")["life"].n_unique())}
-    if ended.height:
-        truth, said, low, high = (
-            np.minimum(ended[c].to_numpy(), CAP) for c in ("left", "rul_flights", "rul_low", "rul_high")
+    is_known = pl.col("failed") | (pl.col("remaining") >= CAP)
+    outcomes = prognoses.filter(is_known & pl.col("rul_flights").is_not_null())
+    events = prognoses.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
+    scores: dict[str, float] = {"failures": float(outcomes.filter("failed")["life"].n_unique())}
+    if outcomes.height:
+        truth, predicted, low, high = (
+            np.minimum(outcomes[c].to_numpy(), CAP) for c in ("remaining", "rul_flights", "rul_low", "rul_high")
         )
-        scores["mae_flights"] = float(np.abs(said - truth).mean())
+        scores["mae_flights"] = float(np.abs(predicted - truth).mean())
         scores["interval_score_flights"] = float(interval_score(truth, low, high).mean())
         scores["coverage"] = float(((low <= truth) & (truth <= high)).mean())
         constant = constant_interval_score(truth)
-        if constant > 0.0:  # where all units outlived, one interval says it all
+        if constant > 0.0:  # 0 where all units outlived the cap
             scores["interval_skill"] = 1.0 - scores["interval_score_flights"] / constant
         near = truth <= 100
         if near.any():
             scores["coverage_last_100"] = float(((low <= truth) & (truth <= high))[near].mean())
-            scores["alpha_lambda_20"] = alpha_lambda(truth[near], said[near])
-    if 0 < asked["event_50"].sum() < asked.height:
-        y, p = asked["event_50"].to_numpy(), asked["p_event_50"].to_numpy()
+            scores["alpha_lambda_20"] = alpha_lambda(truth[near], predicted[near])
+    if 0 < events["event_50"].sum() < events.height:
+        y, p = events["event_50"].to_numpy(), events["p_event_50"].to_numpy()
         scores |= {"brier": float(np.mean((p - y) ** 2)), "brier_skill": brier_skill(y, p), "auc": auc(y, p)}
     return scores

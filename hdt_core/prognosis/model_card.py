@@ -1,4 +1,4 @@
-"""What is stored of a model: its base and what a fleet taught it, its card, and when one model replaces another."""
+"""Serialise a model's base and fits, describe it in a card, and decide on promotion."""
 
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -13,26 +13,26 @@ Card = dict[str, Any]
 
 
 def to_parts(base: Prognosis) -> dict[str, Any]:
-    """The base as a dict of scikit-learn objects and numbers, which skops stores without custom types."""
+    """Return the base as a dict of scikit-learn objects and numbers, which skops stores without custom types."""
     return {"hazard": list(base.hazard), "base_levels": list(base.base_levels)}
 
 
 def from_parts(parts: dict[str, Any]) -> Prognosis:
-    """A base from what `to_parts` gave."""
+    """Build a base from the result of `to_parts`."""
     low, middle, high = parts["base_levels"]
     return Prognosis(tuple(parts["hazard"]), (low, middle, high))
 
 
 def fits_to_json(model: Prognosis) -> dict[str, Any]:
-    """What a fleet taught a model, to be kept as JSON."""
-    folds = [{"held": list(fold.held), "fits": _plain(fold.fits)} for fold in model.folds]
+    """Return a model's fits to a fleet as JSON types."""
+    folds = [{"held": list(fold.groups), "fits": _plain(fold.fits)} for fold in model.folds]
     return {"version": model.version, "fits": _plain(model.fits), "folds": folds}
 
 
-def with_fits(base: Prognosis, lessons: dict[str, Any]) -> Prognosis:
-    """A base with what `fits_to_json` gave."""
-    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in lessons["folds"])
-    return replace(base, fits=_fits(lessons["fits"]), version=lessons["version"], folds=folds)
+def with_fits(base: Prognosis, stored: dict[str, Any]) -> Prognosis:
+    """Return a base with the fits of `fits_to_json`."""
+    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in stored["folds"])
+    return replace(base, fits=_fits(stored["fits"]), version=stored["version"], folds=folds)
 
 
 def _plain(fits: Fits) -> dict[str, Any]:
@@ -56,12 +56,12 @@ def _rule(plain: dict[str, Any]) -> FailureRule:
     return Limit(**plain) if "mean" in plain else {name: MessageRule(**rule) for name, rule in plain.items()}
 
 
-def _told(rule: FailureRule) -> dict[str, Any]:
+def _rule_to_dict(rule: FailureRule) -> dict[str, Any]:
     return asdict(rule) if isinstance(rule, Limit) else {name: asdict(rule) for name, rule in rule.items()}
 
 
 def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card:
-    """What a reader of the model must know: what it says, what it was trained on, how well it did out of fold.
+    """Describe a model: its outputs, training data and out-of-fold scores.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card
         "learned_from": "simulated lives (base); the fleet's own failed and censored lives (rule, hazard, interval)",
         "failures": {component: fit.failures for component, fit in model.fits.items()},
         "lives": {component: fit.lives for component, fit in model.fits.items()},
-        "message": {component: _told(fit.rule) for component, fit in model.fits.items()},
+        "message": {component: _rule_to_dict(fit.rule) for component, fit in model.fits.items()},
         "not_for": "removals for other reasons than the message; components without a health track",
         "scores": scores or {},
     }
@@ -94,7 +94,7 @@ class Verdict:
 
 
 def promote(candidate: Card, in_service: Card | None, tolerance: float = 0.02) -> Verdict:
-    """A model that does worse than the one in service isn't promoted.
+    """Decide whether a model replaces the one in service: only if it scores no worse.
 
     Both cards must have been scored on the same flights; the figures compared are the interval score and the Brier
     score, which can't be improved by hedging. A rise of more than `tolerance` (a share) in either is worse.
@@ -102,11 +102,11 @@ def promote(candidate: Card, in_service: Card | None, tolerance: float = 0.02) -
     if in_service is None or not in_service.get("scores"):
         return Verdict(True, "no scored model is in service")
     for name in ("interval_score_flights", "brier"):
-        new, old = candidate["scores"].get(name), in_service["scores"].get(name)
-        if old is None:
+        candidate_score, service_score = candidate["scores"].get(name), in_service["scores"].get(name)
+        if service_score is None:
             continue
-        if new is None:
-            return Verdict(False, f"{name} of the candidate is unknown, {old:.4g} is in service")
-        if new > old * (1.0 + tolerance):
-            return Verdict(False, f"{name} is {new:.4g}, worse than {old:.4g} in service")
+        if candidate_score is None:
+            return Verdict(False, f"{name} of the candidate is unknown, {service_score:.4g} is in service")
+        if candidate_score > service_score * (1.0 + tolerance):
+            return Verdict(False, f"{name} is {candidate_score:.4g}, worse than {service_score:.4g} in service")
     return Verdict(True, "no score is worse than in service")

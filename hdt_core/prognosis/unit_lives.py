@@ -1,4 +1,4 @@
-"""Lives of units, cut from flights, messages and the maintenance log."""
+"""Cut lives of units from flights, messages and the maintenance log."""
 
 from dataclasses import dataclass
 
@@ -15,20 +15,20 @@ ANSWER_FLIGHTS = 20
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What ends the life of a component's unit: a message code that is answered by a replacement."""
+    """Failure of a component's unit: a message code that is answered by a replacement."""
 
     component: str
     message_code: str
 
 
 FAILURES = tuple(Failure(c.code, c.message_code) for c in (HX, CC) if c.message_code)
-"""Of the parts of the pack."""
+"""Failures of the pack's parts."""
 
 
 def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Lives of the exchangers and compressors, failed or censored.
+    """Cut lives of the exchangers and compressors, failed or censored.
 
-    A message ends a life only if the unit is replaced soon after it and nobody found the unit sound in between: a
+    A message ends a life only if the unit is replaced soon after it and no inspection cleared the unit in between: a
     jammed ram door raises the same message. A replacement without a message is preventive and censors the life.
 
     Parameters
@@ -43,15 +43,15 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
     DataFrame
         operator, tail, pack, component, life (0..), first_row and end_row (the pack's flights counted from 0; the end
         is the message's flight, or the last flight of the unit plus one), failed, removed (another unit came),
-        age_known, mute (the operator has given no message of any kind, so that its lives end unheard).
+        age_known, mute (the operator has sent no message of any kind, so that its failures are not recorded).
     """
     flights = flight_rows(features)
     parts = [_lives(flights, messages, maintenance, failure) for failure in FAILURES]
     return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=_mute(messages))
 
 
-def told_lives(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
-    """Lives as they are told to people: what ended each, and the flights between which it ran.
+def life_table(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
+    """Build the table of lives: what ended each, and its first and last flight.
 
     Parameters
     ----------
@@ -67,32 +67,32 @@ def told_lives(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
         n_flights, first_row and end_row as in `episodes`, first_flight_id and first_departed_at, end_flight_id and
         end_departed_at (the message's flight, else the unit's last).
     """
-    flown = flight_rows(features).select(*PACK, "row", "flight_id", "departed_at")
+    flights = flight_rows(features).select(*PACK, "row", "flight_id", "departed_at")
     last = pl.when("failed").then("end_row").otherwise(pl.col("end_row") - 1)
-    ends = lives.with_columns(last_row=last, ended_by=_ended_by(), censored=~pl.col("failed"))
+    ends = lives.with_columns(last_row=last, ended_by=_end_reason(), censored=~pl.col("failed"))
     first, end = (
-        flown.rename({"row": f"{at}_row", "flight_id": f"{name}_flight_id", "departed_at": f"{name}_departed_at"})
+        flights.rename({"row": f"{at}_row", "flight_id": f"{name}_flight_id", "departed_at": f"{name}_departed_at"})
         for at, name in (("first", "first"), ("last", "end"))
     )
-    told = ends.join(first, on=[*PACK, "first_row"], how="left", validate="m:1").join(
+    table = ends.join(first, on=[*PACK, "first_row"], how="left", validate="m:1").join(
         end, on=[*PACK, "last_row"], how="left", validate="m:1"
     )
-    return told.with_columns(n_flights=pl.col("end_row") - pl.col("first_row"))
+    return table.with_columns(n_flights=pl.col("end_row") - pl.col("first_row"))
 
 
-def _ended_by() -> pl.Expr:
-    """`message` where the life is a failure; a unit that went without one was `replaced`, by a mute fleet `unheard`."""
-    went = pl.when("mute").then(pl.lit("unheard")).otherwise(pl.lit("replaced"))
-    return pl.when("failed").then(pl.lit("message")).when("removed").then(went)
+def _end_reason() -> pl.Expr:
+    """Build the reason for a life's end: `message`, `replaced`, or `unheard` for a mute operator."""
+    removal = pl.when("mute").then(pl.lit("unheard")).otherwise(pl.lit("replaced"))
+    return pl.when("failed").then(pl.lit("message")).when("removed").then(removal)
 
 
 def _mute(messages: pl.DataFrame) -> pl.Expr:
-    """Whether an operator has given no message of any kind."""
+    """Flag operators that have sent no message of any kind."""
     return ~pl.col("operator").is_in(messages["operator"].unique().implode())
 
 
 def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
-    """Flights of each pack in order of departure, counted from 0 in `row`, with further columns on demand."""
+    """Number flights of each pack in order of departure, from 0 in `row`, with further `columns`."""
     keys = features.select(*PACK, "flight_id", "departed_at", *columns).unique([*PACK, "flight_id"], keep="first")
     return keys.sort(*PACK, "departed_at", "flight_id").with_columns(
         pl.int_range(pl.len()).over(PACK).cast(pl.Int64).alias("row"), pl.col("departed_at").dt.date().alias("day")
@@ -100,39 +100,38 @@ def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
 
 
 def with_lives(flights: pl.DataFrame, lives: pl.DataFrame, component: str) -> pl.DataFrame:
-    """Flights of `flight_rows` with the life of the component's unit that flew, `life_id` over the fleet, and `left`,
-    flights until the life's end."""
-    own = lives.filter(pl.col("component") == component).drop("component").sort("first_row")
-    flown = flights.join_asof(  # both sides are in order within each pack, which Polars can't see
-        own, left_on="row", right_on="first_row", by=PACK, coalesce=False, check_sortedness=False
+    """Join flights of `flight_rows` with the unit's life: `life_id` over the fleet, `remaining` flights to its end."""
+    units = lives.filter(pl.col("component") == component).drop("component").sort("first_row")
+    rows = flights.join_asof(  # both sides are in order within each pack, which Polars can't see
+        units, left_on="row", right_on="first_row", by=PACK, coalesce=False, check_sortedness=False
     ).drop_nulls("life")
-    return flown.with_columns(
+    return rows.with_columns(
         life_id=pl.struct(*PACK, "life").rank("dense").cast(pl.Int64) - 1,
-        left=(pl.col("end_row") - pl.col("row")).cast(pl.Float64),
+        remaining=(pl.col("end_row") - pl.col("row")).cast(pl.Float64),
     )
 
 
 def installations(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> pl.DataFrame:
-    """Rows on which another unit flies first, by `records.unit_index`: operator, tail, pack, first_row."""
-    found = first_flights(flights, maintenance, (component,))
-    return found.select(*PACK, first_row="row").unique()
+    """Find rows on which another unit flies first, by `records.unit_index`: operator, tail, pack, first_row."""
+    changes = first_flights(flights, maintenance, (component,))
+    return changes.select(*PACK, first_row="row").unique()
 
 
 def component_lives(
     features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
 ) -> pl.DataFrame:
-    """Lives of one component, as of `episodes`."""
+    """Cut lives of one component, as in `episodes`."""
     return _lives(flight_rows(features), messages, maintenance, failure).with_columns(mute=_mute(messages))
 
 
 def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure) -> pl.DataFrame:
-    installed = installations(flights, maintenance, failure.component)
-    entered = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
+    replaced_units = installations(flights, maintenance, failure.component)
+    initial = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
-    lives = pl.concat([entered, installed]).unique().sort(*PACK, "first_row")
+    lives = pl.concat([initial, replaced_units]).unique().sort(*PACK, "first_row")
     lives = lives.join(last, on=PACK, validate="m:1").with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
-    told = _credible_messages(flights, messages, maintenance, failure)
-    ends = lives.join(told, on=PACK, how="left", validate="m:m").filter(
+    ends = _credible_messages(flights, messages, maintenance, failure)
+    ends = lives.join(ends, on=PACK, how="left", validate="m:m").filter(
         (pl.col("message_row") >= pl.col("first_row"))
         & (pl.col("message_row") <= pl.col("next_row"))
         & (pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
@@ -154,14 +153,14 @@ def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFr
 def _credible_messages(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
 ) -> pl.DataFrame:
-    """Rows with the component's message, less those after which the component was inspected and found sound."""
-    told = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
-    told = flights.join(told, on=["tail", "flight_id", "pack"], validate="m:1")
-    sound = maintenance.filter(
+    """Select rows with the component's message, without those followed by an inspection that found no fault."""
+    rows = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
+    rows = flights.join(rows, on=["tail", "flight_id", "pack"], validate="m:1")
+    inspections = maintenance.filter(
         (pl.col("component") == failure.component) & (pl.col("finding") == "NO_FAULT_FOUND")
     ).select(*PACK, "done_on")
     # inspected the same day or within three days after: the message had another cause
-    cleared = told.join(sound, on=PACK, validate="m:m").filter(
+    false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(
         (pl.col("done_on") - pl.col("day")).is_between(pl.duration(days=1), pl.duration(days=3))
     )
-    return told.join(cleared, on=[*PACK, "row"], how="anti").select(*PACK, pl.col("row").alias("message_row"))
+    return rows.join(false_rows, on=[*PACK, "row"], how="anti").select(*PACK, pl.col("row").alias("message_row"))

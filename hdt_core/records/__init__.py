@@ -1,1 +1,1 @@
-"""What many parts of the twin ask of a fleet's records, answered in one place."""
+"""Queries on a fleet's records that many modules share."""

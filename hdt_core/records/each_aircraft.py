@@ -1,4 +1,4 @@
-"""What is found of each aircraft by itself, for a whole fleet."""
+"""Apply a function to each aircraft of a fleet."""
 
 from collections.abc import Callable
 
@@ -7,11 +7,10 @@ import polars as pl
 AIRCRAFT = ["operator", "tail"]
 
 
-def of_each_aircraft(samples: pl.DataFrame, find: Callable[[pl.DataFrame], pl.DataFrame]) -> pl.DataFrame:
-    """`find` asked of one aircraft's samples after the other, what it says of each one beneath the other's.
+def of_each_aircraft(samples: pl.DataFrame, function: Callable[[pl.DataFrame], pl.DataFrame]) -> pl.DataFrame:
+    """Apply `function` to each aircraft's samples and concatenate the results.
 
-    The same as asked of all at once where it looks at no other aircraft, and the steps on the way there take the memory
-    of one aircraft instead of the fleet's.
+    Equal to one call where rows of other aircraft do not matter, with the memory of one aircraft instead of the fleet.
 
     Examples
     --------
@@ -19,5 +18,5 @@ def of_each_aircraft(samples: pl.DataFrame, find: Callable[[pl.DataFrame], pl.Da
     >>> of_each_aircraft(rows, lambda own: own.group_by("tail").agg(pl.col("x").sum())).rows()
     [('A1', 4), ('B1', 7)]
     """
-    own = samples.group_by(AIRCRAFT, maintain_order=True)
-    return pl.concat([find(samples.clear()), *(find(part) for _, part in own)])
+    parts = samples.group_by(AIRCRAFT, maintain_order=True)
+    return pl.concat([function(samples.clear()), *(function(part) for _, part in parts)])

@@ -1,4 +1,4 @@
-"""What the maintenance log says of new and washed parts, flight by flight."""
+"""Flag flights on which the maintenance log renews or washes parts."""
 
 from typing import Any
 
@@ -12,29 +12,29 @@ from hdt_core.records.unit_index import date_entries, first_flights, select_entr
 Flags = npt.NDArray[Any]
 LOG_WINDOW = pl.duration(days=1)
 NOTHING, WASHED, REPLACED = range(3)
-DONE = ("REPLACED", "CLEANED")
+RENEWALS = ("REPLACED", "CLEANED")
 
 
 def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> tuple[Flags, Flags]:
-    """Where the log speaks of a component: on flights within a day of an entry's moment (open), and on the first flight
-    that counts as flown after it (due); the moment is that of `records.unit_index`.
+    """Flag a component's log entries: on flights within a day of an entry's moment (open), and on the first flight that
+    counts as flown after it (due); the moment is that of `records.unit_index`.
 
     `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An entry may be days late:
-    that is for the filter to see. An entry from before a pack's first flight says nothing: how long the part flew until
-    the record begins is not known.
+    the filter models that. An entry before a pack's first flight is ignored, for the part's age when the record begins
+    is unknown.
     """
     row = pl.int_range(pl.len())
     rows = flights.select(*PACK, "departed_at", row=row, begins=row == row.min().over(PACK))
-    entries = select_entries(maintenance, (component,), DONE)
-    after = pl.col("departed_at") - pl.col("counts_from")
-    near = entries.join(rows, on=PACK, validate="m:m").filter((after >= -LOG_WINDOW) & (after < LOG_WINDOW))
-    due = first_flights(rows, maintenance, (component,), DONE).filter(~pl.col("begins") | (after < LOG_WINDOW))
+    entries = select_entries(maintenance, (component,), RENEWALS)
+    delay = pl.col("departed_at") - pl.col("counts_from")
+    near = entries.join(rows, on=PACK, validate="m:m").filter((delay >= -LOG_WINDOW) & (delay < LOG_WINDOW))
+    due = first_flights(rows, maintenance, (component,), RENEWALS).filter(~pl.col("begins") | (delay < LOG_WINDOW))
     return _flags(near, flights.height), _flags(due, flights.height)
 
 
 def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
-    """Whether the aircraft's log has spoken since its record began, of whatever part: before it has, that it names no
-    new core says nothing, for some operators give no log. (n,) bool"""
+    """Flag flights after the first log entry of the aircraft's record, of whatever part: before it the lack of an entry
+    means nothing, for some operators send no log. (n,) bool"""
     tail = ["operator", "tail"]
     begins = flights.group_by(tail).agg(pl.col("departed_at").min().alias("begins"))
     entries = (
@@ -43,8 +43,8 @@ def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
         .filter(pl.col("counts_from") >= pl.col("begins"))
     )
     spoke = entries.group_by(tail).agg(pl.col("counts_from").min().alias("spoke"))
-    known = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left", validate="m:1")
-    return known.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
+    rows = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left", validate="m:1")
+    return rows.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
 
 
 def _flags(entries: pl.DataFrame, n: int) -> Flags:

@@ -1,4 +1,4 @@
-"""Which unit was flying: the one answer, for every component and for all who ask.
+"""Number the units of each position by the maintenance log, for every component.
 
 The rule. A flight flies with a new (or repaired) part if it departs at or after the moment from which the entry of the
 maintenance log counts. An entry with a time of day counts from that time. An entry with a day alone counts from the end
@@ -21,7 +21,7 @@ UTC = pl.Datetime("us", "UTC")
 
 
 def date_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
-    """The log with `counts_from` (UTC), the moment from which each entry counts.
+    """Add `counts_from` (UTC) to the log, the moment from which each entry counts.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ def date_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
 
 
 def select_entries(maintenance: pl.DataFrame, components: Sequence[str], actions: Sequence[str]) -> pl.DataFrame:
-    """Work of a kind, each pack, moment and action once: `PACK`, `action`, `counts_from`; by moment."""
-    wanted = pl.col("component").is_in(components) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
-    entries = date_entries(maintenance).filter(wanted & pl.col("counts_from").is_not_null())
+    """Select work of a kind, each pack, moment and action once: `PACK`, `action`, `counts_from`; by moment."""
+    is_selected = pl.col("component").is_in(components) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
+    entries = date_entries(maintenance).filter(is_selected & pl.col("counts_from").is_not_null())
     columns = ("operator", "tail", pl.col("pack").cast(pl.Int32), "action", "counts_from")
     return entries.select(columns).unique().sort("counts_from", *PACK, "action")
 
@@ -48,7 +48,7 @@ def number_units(
     name: str = "unit",
     actions: Sequence[str] = NEW_UNIT,
 ) -> pl.DataFrame:
-    """Add `name`: how often the component was replaced (or what `actions` say) before the flight, by the log.
+    """Add `name`: the number of replacements of the component (or other `actions`) before the flight, by the log.
 
     Parameters
     ----------
@@ -58,17 +58,17 @@ def number_units(
         `PACK`, `component`, `action`, and what `date_entries` reads.
     """
     renewed = select_entries(maintenance, (component,), actions).rename({"counts_from": "departed_at"})
-    counted = renewed.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
-    placed = flights.sort("departed_at", maintain_order=True).join_asof(
-        counted, on="departed_at", by=PACK, check_sortedness=False
+    numbers = renewed.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
+    rows = flights.sort("departed_at", maintain_order=True).join_asof(
+        numbers, on="departed_at", by=PACK, check_sortedness=False
     )
-    return placed.with_columns(pl.col(name).fill_null(0))
+    return rows.with_columns(pl.col(name).fill_null(0))
 
 
 def first_flights(
     flights: pl.DataFrame, maintenance: pl.DataFrame, components: Sequence[str], actions: Sequence[str] = NEW_UNIT
 ) -> pl.DataFrame:
-    """Each entry of a kind with the first flight that counts as flown after it; entries without one are left out.
+    """Join each entry of a kind with the first flight that counts as flown after it; drop entries without one.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def first_flights(
         `PACK`, `action`, `counts_from`, and the other columns of `flights`.
     """
     entries = select_entries(maintenance, components, actions)
-    later = flights.sort("departed_at", maintain_order=True)
+    ordered = flights.sort("departed_at", maintain_order=True)
     return entries.join_asof(
-        later, left_on="counts_from", right_on="departed_at", by=PACK, strategy="forward", check_sortedness=False
+        ordered, left_on="counts_from", right_on="departed_at", by=PACK, strategy="forward", check_sortedness=False
     ).drop_nulls("departed_at")

@@ -1,7 +1,7 @@
-"""Unit lives as the twin would see them: the training episodes of the prognosis model.
+"""Simulate unit lives as the twin would estimate them: training episodes of the prognosis model.
 
-A life is a wear curve, washed now and then, watched through the twin's noise, and ended by the message that the
-aircraft raises when flights ask for more conductance than is left (`hdt_core.simulate.margins`). A compressor's ends
+A life is a wear curve with washes, observed with the twin's noise, and ended by the message that the aircraft raises
+when demand exceeds the remaining conductance (`hdt_core.simulate.margins`). A compressor's ends
 where its loss passes a limit that varies from unit to unit and day to day.
 """
 
@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hdt_core.margin.margin import MessageRule
-from hdt_core.simulate.margins import OutletExcess, ask, critical_ratio, excess_at
+from hdt_core.simulate.margins import OutletExcess, critical_ratio, draw_demand, excess_at
 from hdt_core.simulate.wear import Array, WearSettings, draw_wear
 
 LEAD = 150
-"""Flights of the pack before the unit was installed: what they asked is known by then."""
+"""Flights of the pack before the unit was installed, whose demand is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class EpisodeSettings:
     rule : MessageRule
         When the message comes.
     believed_excess_k : float
-        What is believed of the rule's excess. [K]
+        Assumed excess of the rule. [K]
     map_error, pack_error : float
-        Spread over fleets, and over packs, of the error in what a flight is said to ask. ln [-]
+        Standard deviation over fleets, and over packs, of the error of a flight's demand. ln [-]
     unit_sd : float
         Spread of conductance over units as built. ln [-]
     worn_at_entry : float
@@ -65,7 +65,7 @@ class EpisodeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Episodes:
-    """Lives with known ends; arrays are (units, flights) where nothing else is said.
+    """Lives with known ends; arrays are (units, flights) by default.
 
     Attributes
     ----------
@@ -73,8 +73,8 @@ class Episodes:
         True loss, the twin's filtered loss and its stated standard deviation. [-]
     ratio : ndarray
         The twin's filtered ln conductance ratio. [-]
-    asked : ndarray, shape (units, LEAD + flights)
-        Critical ln ratio of each flight as believed, NaN before the record begins. [-]
+    demand : ndarray, shape (units, LEAD + flights)
+        Estimated critical ln ratio of each flight, NaN before the record begins. [-]
     overheat_k, overheat_half_k, full_open : ndarray
         How far the outlet was above its level in the hottest fifth and in half of the high samples [K], and share of
         them with the ram door full open [-]; NaN for a compressor.
@@ -92,7 +92,7 @@ class Episodes:
     measured: Array
     sd: Array
     ratio: Array
-    asked: Array
+    demand: Array
     overheat_k: Array
     overheat_half_k: Array
     full_open: Array
@@ -101,8 +101,8 @@ class Episodes:
     age_known: NDArray[np.bool_]
     first_message: NDArray[np.int_] | None = None
 
-    def left(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Flights to the next message or the end of what was followed, and whether it is a message. (units, flights)"""
+    def remaining(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Compute flights to the next message or the record's end, and whether it is a message. (units, flights)"""
         k = np.arange(self.loss.shape[1])[None, :]
         end = np.broadcast_to(self.message[:, None], self.loss.shape)
         if self.first_message is not None:
@@ -111,7 +111,7 @@ class Episodes:
 
 
 def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
-    """Lives of exchangers from installation or entry to the message, or to the end of the record.
+    """Draw lives of exchangers from installation or entry to the message, or to the end of the record.
 
     Parameters
     ----------
@@ -121,97 +121,97 @@ def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
         The fleet to draw.
     """
     rng = np.random.default_rng(seed)
-    flights = ask(rng, settings.aircraft, LEAD + settings.flights)
+    flights = draw_demand(rng, settings.aircraft, LEAD + settings.flights)
     units = flights.day.shape[0]
-    old = np.asarray(rng.random(units) < settings.worn_at_entry)
-    loss = _losses(rng, old, settings)
-    built = settings.unit_sd * rng.standard_normal((units, 1))
-    left = built + np.log1p(-loss)
-    seen = excess_at(flights.after(LEAD), left)
-    message = _message(seen, settings.rule)
-    age_known = ~old & (rng.random(units) < 0.7)
-    watched = _observe(rng, loss, settings, old, age_known)
-    hot = np.quantile(seen, [0.5, 0.8], axis=2)
+    is_worn = np.asarray(rng.random(units) < settings.worn_at_entry)
+    loss = _losses(rng, is_worn, settings)
+    unit_offset = settings.unit_sd * rng.standard_normal((units, 1))
+    ln_ratio = unit_offset + np.log1p(-loss)
+    excess_k = excess_at(flights.skip(LEAD), ln_ratio)
+    message = _message(excess_k, settings.rule)
+    age_known = ~is_worn & (rng.random(units) < 0.7)
+    observed = _observe(rng, loss, settings, is_worn, age_known)
+    hot = np.quantile(excess_k, [0.5, 0.8], axis=2)
     return Episodes(
         loss=loss,
-        measured=watched[0],
-        sd=watched[1],
-        ratio=built + watched[2],
-        asked=_believed(rng, flights, old, settings),
+        measured=observed[0],
+        sd=observed[1],
+        ratio=unit_offset + observed[2],
+        demand=_estimate_demand(rng, flights, is_worn, settings),
         overheat_k=np.maximum(hot[1], 0.0),
         overheat_half_k=np.maximum(hot[0], 0.0),
-        full_open=np.asarray((seen > -0.5).mean(axis=2)),
+        full_open=np.asarray((excess_k > -0.5).mean(axis=2)),
         day=flights.day[:, LEAD:],
         message=message,
         age_known=age_known,
     )
 
 
-def draw_limited(seed: int, settings: EpisodeSettings, limit: float, believed: float) -> Episodes:
-    """Lives of compressors: the message comes where the loss passes a limit, `limit` in the mean of the fleet.
+def draw_limited(seed: int, settings: EpisodeSettings, limit: float, estimate: float) -> Episodes:
+    """Draw lives of compressors: the message comes where the loss passes a limit, `limit` in the mean of the fleet.
 
     Parameters
     ----------
     seed, settings
         As in `draw_episodes`.
-    limit, believed : float
-        Mean loss at the message, and what is believed of it. [-]
+    limit, estimate : float
+        Mean loss at the message, and its estimate. [-]
     """
     rng = np.random.default_rng(seed)
     units = 2 * settings.aircraft
-    old = np.asarray(rng.random(units) < settings.worn_at_entry)
-    loss = _losses(rng, old, settings)
-    own = limit + 0.03 * rng.standard_normal((units, 1))
-    over = loss + 0.012 * rng.standard_normal(loss.shape) > own
-    age_known = ~old & (rng.random(units) < 0.7)
-    watched = _observe(rng, loss, settings, old, age_known)
+    is_worn = np.asarray(rng.random(units) < settings.worn_at_entry)
+    loss = _losses(rng, is_worn, settings)
+    unit_limit = limit + 0.03 * rng.standard_normal((units, 1))
+    over = loss + 0.012 * rng.standard_normal(loss.shape) > unit_limit
+    age_known = ~is_worn & (rng.random(units) < 0.7)
+    observed = _observe(rng, loss, settings, is_worn, age_known)
     unknown = np.full(loss.shape, np.nan)
     return Episodes(
-        loss=loss, measured=watched[0], sd=watched[1], ratio=np.log1p(-np.minimum(watched[0], 0.95)),
-        asked=np.full((units, LEAD + settings.flights), np.log1p(-believed)),
+        loss=loss, measured=observed[0], sd=observed[1], ratio=np.log1p(-np.minimum(observed[0], 0.95)),
+        demand=np.full((units, LEAD + settings.flights), np.log1p(-estimate)),
         overheat_k=unknown, overheat_half_k=unknown, full_open=unknown, day=unknown,
         message=np.asarray(np.where(over.any(axis=1), over.argmax(axis=1), settings.flights)), age_known=age_known,
     )  # fmt: skip
 
 
-def _losses(rng: np.random.Generator, old: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
-    age = np.where(old, rng.uniform(0.0, 0.7, old.size), 0.0)
+def _losses(rng: np.random.Generator, is_worn: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
+    age = np.where(is_worn, rng.uniform(0.0, 0.7, is_worn.size), 0.0)
     return np.minimum(_wash(rng, draw_wear(rng, age, settings.flights, settings.wear).loss, settings), 0.9)
 
 
 def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> Array:
-    """Scheduled washes: each takes away a part of what had been deposited by then."""
+    """Apply scheduled washes: each removes a part of the deposit."""
     units, flights = loss.shape
     washed = rng.random((units, 1)) < settings.wash_share
     due = (rng.random(loss.shape) < 1.0 / settings.wash_every_flights) & washed
-    left = rng.uniform(0.1, 0.6, loss.shape)
+    remaining_share = rng.uniform(0.1, 0.6, loss.shape)
     step = np.asarray(np.diff(loss, axis=1, prepend=np.zeros((units, 1))))
     out = np.empty_like(loss)
     level = np.zeros(units)
     for k in range(flights):
-        level = np.where(due[:, k], level * left[:, k], level) + step[:, k]
+        level = np.where(due[:, k], level * remaining_share[:, k], level) + step[:, k]
         out[:, k] = level
     return out
 
 
-def _message(seen: Array, rule: MessageRule) -> NDArray[np.int_]:
-    """First flight on which the rule is met; `flights` where it never is."""
-    hot = np.quantile(seen, 1.0 - rule.share, axis=2) > rule.excess_k
-    before = np.zeros_like(hot)
+def _message(excess_k: Array, rule: MessageRule) -> NDArray[np.int_]:
+    """Find the first flight on which the rule is met; `flights` where it never is."""
+    hot = np.quantile(excess_k, 1.0 - rule.share, axis=2) > rule.excess_k
+    is_repeat = np.zeros_like(hot)
     for lag in range(1, rule.of):
-        before[:, lag:] |= hot[:, :-lag]
-    met = hot & (before if rule.of > 1 else True)
-    return np.asarray(np.where(met.any(axis=1), met.argmax(axis=1), hot.shape[1]))
+        is_repeat[:, lag:] |= hot[:, :-lag]
+    is_met = hot & (is_repeat if rule.of > 1 else True)
+    return np.asarray(np.where(is_met.any(axis=1), is_met.argmax(axis=1), hot.shape[1]))
 
 
-def _believed(
-    rng: np.random.Generator, flights: OutletExcess, old: NDArray[np.bool_], settings: EpisodeSettings
+def _estimate_demand(
+    rng: np.random.Generator, flights: OutletExcess, is_worn: NDArray[np.bool_], settings: EpisodeSettings
 ) -> Array:
-    """What each flight is said to ask: by a rule not known exactly, through a model with its errors."""
+    """Simulate the estimate of each flight's demand: by an uncertain rule, through a model with errors."""
     critical = critical_ratio(flights, 0.2, settings.believed_excess_k)
-    error = settings.map_error * rng.standard_normal() + settings.pack_error * rng.standard_normal((old.size, 1))
+    error = settings.map_error * rng.standard_normal() + settings.pack_error * rng.standard_normal((is_worn.size, 1))
     flight = 0.015 * rng.standard_normal(critical.shape)
-    known_from = np.where(old, LEAD, rng.integers(0, LEAD, old.size))
+    known_from = np.where(is_worn, LEAD, rng.integers(0, LEAD, is_worn.size))
     unknown = np.arange(critical.shape[1])[None, :] < known_from[:, None]
     return np.where(unknown, np.nan, critical + error + flight)
 
@@ -220,27 +220,27 @@ def _observe(
     rng: np.random.Generator,
     loss: Array,
     settings: EpisodeSettings,
-    old: NDArray[np.bool_],
+    is_worn: NDArray[np.bool_],
     age_known: NDArray[np.bool_],
 ) -> tuple[Array, Array, Array]:
-    """Loss, its stated sd and ln of what is left as a filter returns them: noisy flights smoothed with a unit's own
-    gain, slow errors; the loss with the offset of its zero as well.
+    """Simulate a filter's loss, stated sd and ln ratio: noisy flights smoothed with a unit's own gain, slow errors; the
+    loss with the offset of its zero as well.
     """
     units = loss.shape[0]
     offset = settings.offset_sd * np.where(age_known, 0.5, 1.0) * rng.standard_normal(units)
     gain = rng.uniform(0.15, 0.6, units)
     flight = loss + settings.noise_sd * rng.standard_normal(loss.shape)
-    followed = np.empty_like(loss)
+    filtered = np.empty_like(loss)
     level, drift = flight[:, 0], settings.drift_sd * rng.standard_normal(units)
     for k in range(loss.shape[1]):
-        surprise = flight[:, k] - level
-        # the twin's filter opens up for a clear step, so a clog isn't smeared over weeks
-        level = level + np.where(np.abs(surprise) > 4.0 * settings.noise_sd, 0.9, gain) * surprise
+        innovation = flight[:, k] - level
+        # the twin's filter raises its gain at a clear step, so a clog isn't smeared over weeks
+        level = level + np.where(np.abs(innovation) > 4.0 * settings.noise_sd, 0.9, gain) * innovation
         drift = 0.98 * drift + np.sqrt(1.0 - 0.98**2) * settings.drift_sd * rng.standard_normal(units)
-        followed[:, k] = level + drift
-    # nobody saw the unit new: what it had lost by entry can be missing from all that is said of it
-    rebased = old & (rng.random(units) < settings.rebased_share)
+        filtered[:, k] = level + drift
+    # the unit was not recorded when new: its loss at entry can be missing from every estimate
+    rebased = is_worn & (rng.random(units) < settings.rebased_share)
     missing = (rebased * rng.uniform(0.0, 0.9, units) * loss[:, 0])[:, None]
-    spread = np.sqrt(settings.offset_sd**2 + settings.drift_sd**2 + (settings.noise_sd * 0.5) ** 2)
-    sd = spread * rng.uniform(0.7, 1.4, (units, 1)) * np.ones_like(loss)
-    return followed + offset[:, None] - missing, sd, np.log1p(-np.minimum(followed, 0.95))
+    sd_unit = np.sqrt(settings.offset_sd**2 + settings.drift_sd**2 + (settings.noise_sd * 0.5) ** 2)
+    sd = sd_unit * rng.uniform(0.7, 1.4, (units, 1)) * np.ones_like(loss)
+    return filtered + offset[:, None] - missing, sd, np.log1p(-np.minimum(filtered, 0.95))

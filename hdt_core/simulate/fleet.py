@@ -18,7 +18,7 @@ from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, t
 from hdt_core.simulate.truth import health_truth
 
 PACKS = (1, 2)
-_Outside = tuple[flight_conditions.Conditions, dict[str, Array] | None]
+_Weather = tuple[flight_conditions.Conditions, dict[str, Array] | None]
 """Conditions of a flight and air data as recorded."""
 
 
@@ -71,8 +71,8 @@ def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator
     size = settings or FleetSettings()
     rng = np.random.default_rng(seed)
     design, operators = draw_design(rng), draw_operators(rng, size)
-    for number, drawn in enumerate(operators):
-        operator = drawn if size.suite == "contract" else replace(drawn, temperature_step_k=0.0, missing=())
+    for number, draw in enumerate(operators):
+        operator = draw if size.suite == "contract" else replace(draw, temperature_step_k=0.0, missing=())
         for place, tail in enumerate(operator.tails):
             yield _aircraft(np.random.default_rng([seed, number, place]), design, operator, tail, size)
 
@@ -105,24 +105,24 @@ def _aircraft(
 ) -> Aircraft:
     plan = _plan(rng, design, operator, tail, size)
     now = flight_conditions.conditions(rng, plan.schedule, *flight_conditions.snapshot_times(rng, plan.schedule))
-    read = recorded_air(now, size.missing)
-    air = record(rng, air_data(read), plan.biases[0], operator.temperature_step_k, plan.suite)
+    probe = recorded_air(now, size.missing)
+    air = record(rng, air_data(probe), plan.biases[0], operator.temperature_step_k, plan.suite)
     arrived = rng.random(size.flights) > 0.01
     logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
     rows, truth, book = [], [], log_writer.LogWriter(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
-    outside: dict[int, _Outside] = {}
+    weather: dict[int, _Weather] = {}
     for pack in PACKS:
-        asked = demand(rng, design, now)
-        history = unit_histories.draw_history(rng, operator, design, *pick(now, asked, size.flights))
-        true = true_signals(rng, design, now, asked=asked, history=history)
-        seen = recorded_pack(true, read, size.missing)
-        rows.append(pack_rows(rng, plan, now, true=seen, history=history, pack=pack, air=air))
+        load = demand(rng, design, now)
+        history = unit_histories.draw_history(rng, operator, design, *pick(now, load, size.flights))
+        true = true_signals(rng, design, now, load=load, history=history)
+        signals = recorded_pack(true, probe, size.missing)
+        rows.append(pack_rows(rng, plan, now, true=signals, history=history, pack=pack, air=air))
         truth.append(health_truth(plan, now, true, history=history, pack=pack, arrived=arrived))
         book.write(rng, history, pack, truth[-1])
         for index in logged:
             cpl.setdefault(str(plan.ids[index]), []).append(
-                _log_1hz(rng, plan, int(index), history, pack, size.missing, outside)
+                _log_1hz(rng, plan, int(index), history, pack, size.missing, weather)
             )
     snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[arrived].tolist()))
     return Aircraft(
@@ -153,22 +153,22 @@ def _log_1hz(
     history: unit_histories.PackHistory,
     pack: int,
     missing: dict[str, float],
-    outside: dict[int, _Outside],
+    weather: dict[int, _Weather],
 ) -> pl.DataFrame:
-    """One flight at 1 Hz: the core's heat lags what the snapshots' steady exchanger shows.
+    """Simulate one flight at 1 Hz with the core's thermal lag.
 
-    Both packs fly in the same air: what the first has drawn of a flight stands in `outside`.
+    Both packs fly in the same air: the first pack's draw is kept in `weather`.
     """
     end_s = flight_conditions.CLIMB_S + plan.schedule.cruise_s[index] + flight_conditions.DESCENT_S
     after_s = np.arange(-plan.suite.taxi_s, end_s)
-    # every flight of the schedule draws its own weather; the log's is drawn anew, as two recorders never agree exactly
-    drawn = flight_conditions.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
-    now, known = outside.get(index, (drawn, None))
-    true = true_signals(rng, plan.design, now, asked=demand(rng, plan.design, now), history=history, dt_s=1.0)
-    read = recorded_air(now, missing)
-    air = record(rng, air_data(read), plan.biases[0], plan.operator.temperature_step_k, plan.suite)
-    air = known or air | {"mach": np.maximum(air["mach"], plan.suite.least_mach)}
-    outside[index] = now, air
-    return pack_rows(rng, plan, now, true=recorded_pack(true, read, missing), history=history, pack=pack, air=air).drop(
-        "phase_code"
-    )
+    # the log's weather is drawn again, as two recorders never agree exactly
+    new_weather = flight_conditions.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    now, recorded = weather.get(index, (new_weather, None))
+    true = true_signals(rng, plan.design, now, load=demand(rng, plan.design, now), history=history, dt_s=1.0)
+    probe = recorded_air(now, missing)
+    air = record(rng, air_data(probe), plan.biases[0], plan.operator.temperature_step_k, plan.suite)
+    air = recorded or air | {"mach": np.maximum(air["mach"], plan.suite.least_mach)}
+    weather[index] = now, air
+    return pack_rows(
+        rng, plan, now, true=recorded_pack(true, probe, missing), history=history, pack=pack, air=air
+    ).drop("phase_code")

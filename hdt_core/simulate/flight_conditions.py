@@ -64,15 +64,15 @@ class Conditions:
 
 
 def draw_schedule(rng: np.random.Generator, operator: Operator, flights: int) -> Schedule:
-    """Legs one after another, turnarounds between, nights at the base."""
+    """Draw legs with turnarounds between them and nights at the base."""
     per_day = np.clip(rng.poisson(operator.legs_per_day, flights), 1, 6)
     day = np.repeat(np.arange(flights), per_day)[:flights]
     cruise_s = 3600.0 * np.clip(operator.sector_hours * np.exp(0.35 * rng.standard_normal(flights)), 0.4, 3.2)
     # 24 h shared by at most six legs, so that a day's legs stay in order
     gap_s = np.minimum(cruise_s + CLIMB_S + DESCENT_S + 2700.0, 86400.0 / (per_day[day] + 0.5))
     start_s = 86400.0 * day + rng.uniform(3.5, 7.0, flights)[day] * 3600.0
-    before = np.cumsum(gap_s) - gap_s
-    departed_s = start_s + before - before[np.searchsorted(day, day)]
+    elapsed_s = np.cumsum(gap_s) - gap_s
+    departed_s = start_s + elapsed_s - elapsed_s[np.searchsorted(day, day)]
     season = 5.0 * np.sin(2.0 * np.pi * (departed_s / 86400.0 - 30.0) / 365.0)
     weather = np.convolve(rng.standard_normal(flights + 9), np.ones(10) / np.sqrt(10.0), "valid")
     return Schedule(
@@ -85,29 +85,29 @@ def draw_schedule(rng: np.random.Generator, operator: Operator, flights: int) ->
 
 
 def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[NDArray[np.int_], Array]:
-    """Flight and seconds after departure of each snapshot: close in climb and descent, 3 to 10 minutes in between."""
+    """Draw flight and seconds after departure of each snapshot: dense in climb and descent."""
     flight, times = [], []
     for number, cruise_s in enumerate(schedule.cruise_s):
         climb = CLIMB_S * (np.arange(8) + rng.uniform(0.2, 0.8, 8)) / 8.0
         level = CLIMB_S + np.cumsum(rng.uniform(180.0, 600.0, int(cruise_s // 180.0) + 1))
-        down = CLIMB_S + cruise_s + DESCENT_S * (np.arange(7) + rng.uniform(0.2, 0.8, 7)) / 7.0
-        at = np.concatenate([climb, level[level < CLIMB_S + cruise_s], down])
+        descent = CLIMB_S + cruise_s + DESCENT_S * (np.arange(7) + rng.uniform(0.2, 0.8, 7)) / 7.0
+        at = np.concatenate([climb, level[level < CLIMB_S + cruise_s], descent])
         flight.append(np.full(at.size, number))
         times.append(np.round(at))
     return np.concatenate(flight), np.concatenate(times)
 
 
 def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.int_], after_s: Array) -> Conditions:
-    """Altitude, Mach number, temperature and pressure at instants of flights, rows of one flight in order of time.
+    """Compute altitude, Mach number, temperature and pressure at instants of flights, each flight in order of time.
 
     Before 0 s the aircraft taxies.
     """
     cruise_s, top_m = schedule.cruise_s[flight], schedule.cruise_m[flight]
-    up = np.clip(after_s / CLIMB_S, 0.0, 1.0)
-    down = np.clip((after_s - CLIMB_S - cruise_s) / DESCENT_S, 0.0, 1.0)
+    climb = np.clip(after_s / CLIMB_S, 0.0, 1.0)
+    descent = np.clip((after_s - CLIMB_S - cruise_s) / DESCENT_S, 0.0, 1.0)
     # air masses and the autopilot wander along the way: slow waves, so that 1 Hz rows stay smooth
     wave = rng.uniform(0.0, 2.0 * np.pi, schedule.cruise_s.size)[flight]
-    altitude_m = top_m * (1.0 - (1.0 - up) ** 1.6) * (1.0 - down**1.15) + 3.0 * np.sin(after_s / 140.0 + wave)
+    altitude_m = top_m * (1.0 - (1.0 - climb) ** 1.6) * (1.0 - descent**1.15) + 3.0 * np.sin(after_s / 140.0 + wave)
     mach = 0.28 + (schedule.cruise_mach[flight] - 0.28) * np.clip(altitude_m / top_m, 0.0, 1.0) ** 0.75
     mach = mach + 0.002 * np.sin(after_s / 310.0 + 2.0 * wave)
     taxies = after_s < 0.0
@@ -117,7 +117,7 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.
     return Conditions(
         flight=flight,
         time_s=schedule.departed_s[flight] + after_s,
-        phase=np.where(taxies, "GR", _phase(up, down)),
+        phase=np.where(taxies, "GR", _phase(climb, descent)),
         altitude_m=altitude_m,
         mach=mach,
         ram_mach=np.where(taxies, FAN_MACH, mach),
@@ -126,6 +126,6 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.
     )
 
 
-def _phase(up: Array, down: Array) -> NDArray[np.str_]:
-    index = np.select([up < 0.08, up < 1.0, down <= 0.0, down < 0.85], [0, 1, 2, 3], 4)
+def _phase(climb: Array, descent: Array) -> NDArray[np.str_]:
+    index = np.select([climb < 0.08, climb < 1.0, descent <= 0.0, descent < 0.85], [0, 1, 2, 3], 4)
     return np.asarray(_PHASES[index])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, measured_conductance_w_k, outlets_k
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.physics.ram_duct import RAM_DUCT
-from hdt_core.simulate.packs import FULL_OPEN, held_door
+from hdt_core.simulate.packs import FULL_OPEN, bisect_door
 from hdt_core.simulate.recorder import FOOT, LB_PER_MIN, PSI, SENSORS, with_sensor_fault
 from hdt_core.simulate.signals import ZERO_C
 
@@ -147,70 +147,64 @@ def inject(
         column = rows[fault.column].cast(pl.Float64).to_numpy()
         rng = np.random.default_rng(seed)
         broken = with_sensor_fault(rng, column, flight=since, faulty=since >= 0, kind=fault.kind, size=fault.size)
-        new = {fault.column: broken}
+        new_values = {fault.column: broken}
     else:
-        new = _flown(rows, fault, since, duct, exchanger)
-    changed = rows.with_columns(pl.Series(name, values).fill_nan(None) for name, values in new.items())
-    return Injection(changed, _truth(order, number, fault, pack))
+        new_values = _physics_values(rows, fault, since, duct, exchanger)
+    faulty_rows = rows.with_columns(pl.Series(name, values).fill_nan(None) for name, values in new_values.items())
+    return Injection(faulty_rows, _truth(order, number, fault, pack))
 
 
 def _check_columns(rows: pl.DataFrame, fault: Fault) -> None:
-    needed = (
-        "altitude_ft",
-        "mach",
-        "tat_degc",
-        "pt_psia",
-        "hx_in_degc",
-        "hx_out_degc",
-        "ram_door_pct",
-        "pack_flow_lbpm",
-    )
-    names = (fault.column,) if isinstance(fault, SensorFault) else needed
-    absent = [name for name in names if name not in rows.columns]
-    if absent:
-        raise ValueError(f"the rows lack {', '.join(absent)}")
+    air = ("altitude_ft", "mach", "tat_degc", "pt_psia")
+    required = (*air, "hx_in_degc", "hx_out_degc", "ram_door_pct", "pack_flow_lbpm")
+    names = (fault.column,) if isinstance(fault, SensorFault) else required
+    missing = [name for name in names if name not in rows.columns]
+    if missing:
+        raise ValueError(f"the rows lack {', '.join(missing)}")
 
 
 def _loss(fault: Fault, since: NDArray[np.int_]) -> Array:
-    """Share of the conductance lost on each flight."""
+    """Compute the share of conductance lost on each flight."""
     if not isinstance(fault, Fouling):
         return np.zeros(since.size)
-    grown = np.minimum((since + 1.0) / max(fault.over_flights, 1), 1.0)
-    return np.where(since >= 0, fault.loss * grown, 0.0)
+    ramp = np.minimum((since + 1.0) / max(fault.over_flights, 1), 1.0)
+    return np.where(since >= 0, fault.loss * ramp, 0.0)
 
 
-def _flown(
+def _physics_values(
     rows: pl.DataFrame, fault: Fouling | DoorLimit, since: NDArray[np.int_], duct: PhysicsModel, exchanger: PhysicsModel
 ) -> dict[str, Array]:
-    """Door, outlet and ram outlet as recorded where there is no fault, and by the physics where there is."""
-    seen = {n: rows[n].cast(pl.Float64).to_numpy() for n in SENSORS if n in rows.columns}
-    flow, hot_k = seen["pack_flow_lbpm"] * LB_PER_MIN, seen["hx_in_degc"] + ZERO_C
-    out_k, cold_k = seen["hx_out_degc"] + ZERO_C, seen["tat_degc"] + ZERO_C
-    door, loss = 0.01 * seen["ram_door_pct"], _loss(fault, since)
-    air = {"total_pressure_pa": PSI * seen["pt_psia"], "tat_k": cold_k, "altitude_m": FOOT * seen["altitude_ft"]}
+    """Compute door, outlet and ram outlet: by the physics where there is a fault, else as recorded."""
+    signals = {n: rows[n].cast(pl.Float64).to_numpy() for n in SENSORS if n in rows.columns}
+    flow, hot_k = signals["pack_flow_lbpm"] * LB_PER_MIN, signals["hx_in_degc"] + ZERO_C
+    out_k, cold_k = signals["hx_out_degc"] + ZERO_C, signals["tat_degc"] + ZERO_C
+    door, loss = 0.01 * signals["ram_door_pct"], _loss(fault, since)
+    air = {"total_pressure_pa": PSI * signals["pt_psia"], "tat_k": cold_k, "altitude_m": FOOT * signals["altitude_ft"]}
     films = {name: np.asarray(exchanger.nominal[name]) for name in (*_FILMS, "hx_ua_reference_w_k")}
 
     def ram(at: Array) -> Array:
-        return duct.predict({}, air | {"mach": seen["mach"], "ram_door_open": np.clip(at, 0.0, 1.0)})["ram_flow_kg_s"]
+        return duct.predict({}, air | {"mach": signals["mach"], "ram_door_open": np.clip(at, 0.0, 1.0)})[
+            "ram_flow_kg_s"
+        ]
 
-    def outlets(at: Array, lost: Array) -> tuple[Array, Array]:
+    def outlets(at: Array, share: Array) -> tuple[Array, Array]:
         scale = clean_conductance_w_k(flow, ram(at), **films) / clean_conductance_w_k(flow, ram(door), **films)
-        return outlets_k(flow, ram(at), hot_k, cold_k, (1.0 - lost) * scale * own)
+        return outlets_k(flow, ram(at), hot_k, cold_k, (1.0 - share) * scale * ua_w_k)
 
     with np.errstate(all="ignore"):
-        own = measured_conductance_w_k(flow, ram(door), hot_k, out_k, cold_k)
+        ua_w_k = measured_conductance_w_k(flow, ram(door), hot_k, out_k, cold_k)
         if isinstance(fault, DoorLimit):
-            moved = np.minimum(door, fault.reach)
+            new_door = np.minimum(door, fault.reach)
         elif fault.masked:
-            moved = held_door(lambda at: outlets(at, loss)[0] > out_k, door, np.maximum(door, FULL_OPEN), STEPS)
+            new_door = bisect_door(lambda at: outlets(at, loss)[0] > out_k, door, np.maximum(door, FULL_OPEN), STEPS)
         else:
-            moved = door
-        before, after = outlets(door, 0.0 * loss), outlets(moved, loss)
-    touched = (since >= 0) & np.isfinite(own) & np.isfinite(after[0])
-    found = {"ram_door_pct": 100.0 * (moved - door), "hx_out_degc": after[0] - out_k}
-    if "ram_out_degc" in seen:
-        found["ram_out_degc"] = after[1] - before[1]
-    return {name: seen[name] + np.where(touched, change, 0.0) for name, change in found.items()}
+            new_door = door
+        old_outlets, new_outlets = outlets(door, 0.0 * loss), outlets(new_door, loss)
+    is_faulty = (since >= 0) & np.isfinite(ua_w_k) & np.isfinite(new_outlets[0])
+    changes = {"ram_door_pct": 100.0 * (new_door - door), "hx_out_degc": new_outlets[0] - out_k}
+    if "ram_out_degc" in signals:
+        changes["ram_out_degc"] = new_outlets[1] - old_outlets[1]
+    return {name: signals[name] + np.where(is_faulty, change, 0.0) for name, change in changes.items()}
 
 
 def _truth(order: list[str], number: dict[str, int], fault: Fault, pack: int) -> pl.DataFrame:

@@ -54,7 +54,7 @@ def fleet_row(rng: np.random.Generator, operator: Operator, tail: str) -> pl.Dat
 
 
 class LogWriter:
-    """Collects what was written about one aircraft, pack by pack."""
+    """Messages, log entries and events of one aircraft, pack by pack."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -65,19 +65,24 @@ class LogWriter:
     def write(self, rng: np.random.Generator, history: PackHistory, pack: int, health: pl.DataFrame) -> None:
         """Add one pack's history."""
         loss = 1.0 - np.minimum(health["ua_ratio"].to_numpy(), health["apparent_ua_ratio"].to_numpy())
-        for said in history.messages:
+        for message in history.messages:
             after_s = rng.uniform(2400.0, 3600.0)
-            moment = self._departed(said["index"]) + timedelta(seconds=float(np.round(after_s)))
-            row = {"message_time": moment, "flight_id": self._id(said["index"]), "pack": pack, "code": said["code"]}
-            self._messages.append(row | {"text": _TEXTS[said["code"]]})
-        for done in history.maintenance:
-            row = {"done_on": self._departed(done["index"]).date(), "pack": pack} | done
+            moment = self._departed(message["index"]) + timedelta(seconds=float(np.round(after_s)))
+            row = {
+                "message_time": moment,
+                "flight_id": self._id(message["index"]),
+                "pack": pack,
+                "code": message["code"],
+            }
+            self._messages.append(row | {"text": _TEXTS[message["code"]]})
+        for entry in history.maintenance:
+            row = {"done_on": self._departed(entry["index"]).date(), "pack": pack} | entry
             self._maintenance.append(row | {"reference": f"WO{rng.integers(10**6, 10**7)}"})
         for event in history.events:
-            self._events.append(self._placed(event, pack, {"HX": loss, "CC": history.cc_loss}))
+            self._events.append(self._event_row(event, pack, {"HX": loss, "CC": history.cc_loss}))
 
     def message_frame(self) -> pl.DataFrame:
-        """Rows of messages.csv, in order of time, each said once."""
+        """Return rows of messages.csv in order of time, without repeats."""
         return (
             _table(self._messages, MESSAGES)
             .unique(["flight_id", "pack", "code"], keep="first", maintain_order=True)
@@ -85,19 +90,19 @@ class LogWriter:
         )
 
     def maintenance_frame(self) -> pl.DataFrame:
-        """Rows of maintenance.csv, in order of date."""
+        """Return rows of maintenance.csv in order of date."""
         return _table(self._maintenance, MAINTENANCE).sort("done_on", "pack", "reference")
 
     def event_frame(self) -> pl.DataFrame:
-        """Truth: one row a life or fault."""
+        """Return the truth: one row a life or fault."""
         return _table(self._events, EVENTS)
 
-    def _placed(self, event: dict[str, Any], pack: int, loss: dict[str, Array]) -> dict[str, Any]:
+    def _event_row(self, event: dict[str, Any], pack: int, loss: dict[str, Array]) -> dict[str, Any]:
         row: dict[str, Any] = {"operator": self._plan.operator.name, "tail": self._plan.tail, "pack": pack} | event
         if event["component"] in loss:
             first, last = event["installed_index"], event["removal_index"] or self._plan.ids.size
-            worn = np.nonzero(loss[event["component"]][first:last] > ONSET_LOSS)[0]
-            row["onset_index"] = first + int(worn[0]) if worn.size else None
+            onsets = np.nonzero(loss[event["component"]][first:last] > ONSET_LOSS)[0]
+            row["onset_index"] = first + int(onsets[0]) if onsets.size else None
         for name in ("onset", "message", "removal"):
             index = row.get(f"{name}_index")
             row[f"{name}_flight_id"] = None if index is None else self._id(index)

@@ -1,7 +1,7 @@
-"""What flights ask of an exchanger: the conductance each needs to hold its outlet, in simulated weather.
+"""Simulate demand on an exchanger: the conductance each flight needs to hold its outlet, in simulated weather.
 
 One fleet is one type of pack with one operator: a design with much or little reserve, a climate with its season, flows
-and targets that differ from flight to flight. No wear is in it; a message comes when wear meets what is asked here.
+and targets that differ from flight to flight. No wear is in it; a message comes when wear reaches this demand.
 """
 
 from dataclasses import dataclass, replace
@@ -18,9 +18,9 @@ from hdt_core.simulate.signals import hot_inlet_k
 Array = NDArray[np.float64]
 
 LN_RATIOS = np.array([-1.1, -0.7, -0.45, -0.25, -0.1, 0.1, 0.4])
-"""Ln conductance ratios at which the pack is asked for its outlet. [-]"""
+"""Ln conductance ratios at which the outlet is computed. [-]"""
 SHARES_OF_FLIGHT = np.array([-0.6, 0.05, 0.3, 0.55, 0.8, 0.98])
-"""Where in a flight it is asked, in cruises after top of climb; the first is in the climb above 15,000 ft."""
+"""Samples of a flight, in cruises after top of climb; the first is in the climb above 15,000 ft."""
 FIRST_DAYS = 365.0
 LEAST_FLOW = 0.6
 """Share of its cruise flow below which a pack is not run. [-]"""
@@ -39,7 +39,7 @@ class Habits:
     warmest_day : float
         Day of the year with the warmest air.
     flow_sd, target_sd_k, inlet_sd_k : float
-        Spread over flights: of the flow asked for (a share), of the outlet's target, of the hot inlet.
+        Standard deviation over flights: of the demanded flow (a share), of the outlet's target, of the hot inlet.
     pack_sd_k : float
         Spread of the target over packs.
     target_slope : float
@@ -62,7 +62,7 @@ class Habits:
 
 @dataclass(frozen=True, slots=True)
 class OutletExcess:
-    """What the flights of some packs ask.
+    """Outlet excess of the flights of some packs.
 
     Attributes
     ----------
@@ -75,13 +75,13 @@ class OutletExcess:
     excess_k: Array
     day: Array
 
-    def after(self, flights: int) -> "OutletExcess":
-        """All but the first flights."""
+    def skip(self, flights: int) -> "OutletExcess":
+        """Drop the first flights."""
         return OutletExcess(self.excess_k[:, flights:], self.day[:, flights:])
 
 
 def draw_habits(rng: np.random.Generator) -> Habits:
-    """One operator's; a spread wide enough to hold climates and controllers that nobody here has seen."""
+    """Draw one operator's habits, over a range wide enough for unknown climates and controllers."""
     u = rng.uniform
     north = rng.random() < 0.85
     return Habits(
@@ -99,14 +99,13 @@ def draw_habits(rng: np.random.Generator) -> Habits:
 
 
 def draw_type(rng: np.random.Generator) -> PackDesign:
-    """A pack of any reserve: the share of its ram door that a clean one needs in cruise runs from a tenth to most."""
+    """Draw a pack design of any reserve: a clean pack needs from a tenth to most of its ram door in cruise."""
     design = draw_design(rng)
     return replace(design, door_sizing=float(rng.uniform(0.12, 0.62)))
 
 
-def excess_at(asked: OutletExcess, ratio: Array) -> Array:
-    """Outlet above its level with the door full open at a ln conductance ratio of each flight. (packs, flights,
-    samples)
+def excess_at(demand: OutletExcess, ratio: Array) -> Array:
+    """Interpolate the outlet's excess at full door at a ln conductance ratio of each flight. (packs, flights, samples)
 
     Parameters
     ----------
@@ -114,21 +113,21 @@ def excess_at(asked: OutletExcess, ratio: Array) -> Array:
     """
     at = np.clip(np.searchsorted(LN_RATIOS, ratio) - 1, 0, LN_RATIOS.size - 2)
     share = ((ratio - LN_RATIOS[at]) / (LN_RATIOS[at + 1] - LN_RATIOS[at]))[:, :, None]
-    low, high = (np.take_along_axis(asked.excess_k, (at + n)[:, :, None, None], 3)[..., 0] for n in (0, 1))
+    low, high = (np.take_along_axis(demand.excess_k, (at + n)[:, :, None, None], 3)[..., 0] for n in (0, 1))
     return np.asarray(low + share * (high - low))
 
 
-def critical_ratio(asked: OutletExcess, share: float, excess_k: float) -> Array:
-    """Ln ratio below which `share` of a flight's samples leave their level by `excess_k`. (packs, flights)"""
-    curve = np.quantile(asked.excess_k, 1.0 - share, axis=2)
+def critical_ratio(demand: OutletExcess, share: float, excess_k: float) -> Array:
+    """Compute the ln ratio below which `share` of a flight's samples exceed it by `excess_k`. (packs, flights)"""
+    curve = np.quantile(demand.excess_k, 1.0 - share, axis=2)
     at = np.clip((curve > excess_k).sum(axis=2) - 1, 0, LN_RATIOS.size - 2)
     high, low = (np.take_along_axis(curve, (at + n)[:, :, None], 2)[..., 0] for n in (0, 1))
     part = (high - excess_k) / np.maximum(high - low, 1e-9)
     return np.asarray(LN_RATIOS[at] + part * (LN_RATIOS[at + 1] - LN_RATIOS[at]))
 
 
-def ask(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
-    """What the flights of a fleet ask of its packs, two an aircraft with the same conditions.
+def draw_demand(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
+    """Draw the demand of a fleet's flights on its packs, two an aircraft with the same conditions.
 
     Parameters
     ----------
@@ -138,9 +137,9 @@ def ask(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
         Size.
     """
     while True:
-        asked = _fleet(rng, aircraft, flights)
-        if (np.quantile(excess_at(asked, np.zeros(asked.day.shape)), 0.8, axis=2) > 7.0).mean() < SOUND_HOT:
-            return asked
+        demand = _fleet(rng, aircraft, flights)
+        if (np.quantile(excess_at(demand, np.zeros(demand.day.shape)), 0.8, axis=2) > 7.0).mean() < SOUND_HOT:
+            return demand
 
 
 def _fleet(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:

@@ -1,4 +1,4 @@
-"""Fleets with a physical term that the twin's model lacks: what is recorded is not what the exchanger meets."""
+"""Simulate fleets with a physical term that the twin's model lacks: recorded values differ from the exchanger's."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,16 +14,16 @@ PACK_SIGNALS = {"hx_in_k": "hot_in_k", "hx_out_k": "hot_out_k", "pack_flow_kg_s"
 
 
 def recorded_air(now: Conditions, missing: Mapping[str, float]) -> Conditions:
-    """Outside conditions as the air data probes read them; terms of the packs left out."""
-    own = {name: value for name, value in missing.items() if TERMS[name].signal == "tat_k"}
-    return replace(now, tat_k=record_signals(_air(now), own)["tat_k"])
+    """Return outside conditions as the air data probes record them, without terms of the packs."""
+    terms = {name: value for name, value in missing.items() if TERMS[name].signal == "tat_k"}
+    return replace(now, tat_k=record_signals(_air(now), terms)["tat_k"])
 
 
 def recorded_pack(true: dict[str, Array], now: Conditions, missing: Mapping[str, float]) -> dict[str, Array]:
-    """A pack's signals as recorded before the sensors' own errors; `now` as the probes read it."""
-    own = {name: value for name, value in missing.items() if TERMS[name].signal != "tat_k"}
-    seen = record_signals(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, own)
-    return true | {of: seen[name] for name, of in PACK_SIGNALS.items()}
+    """Return a pack's signals as recorded before the sensors' own errors; `now` as the probes record it."""
+    terms = {name: value for name, value in missing.items() if TERMS[name].signal != "tat_k"}
+    recorded = record_signals(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, terms)
+    return true | {of: recorded[name] for name, of in PACK_SIGNALS.items()}
 
 
 def _air(now: Conditions) -> dict[str, Array]:

@@ -45,7 +45,7 @@ class ExchangerWear:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What the controller and the cabin ask for: flow [kg/s], hot inlet [K], target of the hot outlet [K]."""
+    """Demand of controller and cabin: flow [kg/s], hot inlet [K], target of the hot outlet [K]."""
 
     flow_kg_s: Array
     hot_in_k: Array
@@ -63,7 +63,7 @@ def ram_flow_kg_s(design: PackDesign, now: Conditions, door: Array, blockage: Ar
     return np.asarray(
         ram_flow(
             ram_door_open=door,
-            total_pressure_pa=now.total_pressure_pa * _raised(now),
+            total_pressure_pa=now.total_pressure_pa * _fan_pressure_ratio(now),
             tat_k=now.tat_k,
             altitude_m=now.altitude_m,
             mach=now.ram_mach,
@@ -74,8 +74,8 @@ def ram_flow_kg_s(design: PackDesign, now: Conditions, door: Array, blockage: Ar
     )
 
 
-def _raised(now: Conditions) -> Array:
-    """By what the fan raises total pressure; exactly 1 where it does not run."""
+def _fan_pressure_ratio(now: Conditions) -> Array:
+    """Compute the fan's total pressure ratio; exactly 1 where it does not run."""
     by_fan = total_to_static_pressure(now.ram_mach) / total_to_static_pressure(now.mach)
     return np.where(now.ram_mach > now.mach, by_fan, 1.0)
 
@@ -83,7 +83,7 @@ def _raised(now: Conditions) -> Array:
 def conductance_w_k(
     design: PackDesign, demand: Demand, flow_kg_s: Array, cold_in_k: Array, wear: ExchangerWear
 ) -> Array:
-    """UA of the worn exchanger at these flows and temperatures. [W/K]"""
+    """Compute UA of the worn exchanger at these flows and temperatures. [W/K]"""
     clean_w_k = clean_conductance_w_k(
         demand.flow_kg_s,
         flow_kg_s,
@@ -99,7 +99,7 @@ def conductance_w_k(
 def outlets(
     design: PackDesign, now: Conditions, demand: Demand, door: Array, wear: ExchangerWear
 ) -> tuple[Array, Array, Array, Array]:
-    """Hot outlet [K], ram outlet [K], ram flow [kg/s] and UA [W/K] at a door position."""
+    """Compute hot outlet [K], ram outlet [K], ram flow [kg/s] and UA [W/K] at a door position."""
     flow = ram_flow_kg_s(design, now, door, wear.blockage)
     cold_in_k = now.tat_k + design.ram_heating_k
     ua = conductance_w_k(design, demand, flow, cold_in_k, wear)
@@ -108,13 +108,13 @@ def outlets(
 
 
 def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: ExchangerWear) -> Array:
-    """Door position that holds the outlet at its target, or the nearer stop where none does."""
+    """Find the door position that holds the outlet at its target, or the nearer stop where none does."""
     low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
-    return held_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
+    return bisect_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
 
 
-def held_door(too_hot: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, steps: int = _STEPS) -> Array:
-    """Door position between two stops from which on the outlet is no longer too hot: bisection."""
+def bisect_door(too_hot: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, steps: int = _STEPS) -> Array:
+    """Bisect for the door position between two stops from which on the outlet is no longer too hot."""
     for _ in range(steps):
         door = 0.5 * (low + high)
         hot = too_hot(door)
@@ -123,68 +123,68 @@ def held_door(too_hot: Callable[[Array], NDArray[np.bool_]], low: Array, high: A
 
 
 def target_k(now: Conditions, demand_k: Array) -> Array:
-    """Outlet temperature the controller aims for: warmer where the air outside is, plus the cabin's wish. [K]"""
+    """Compute the controller's outlet target: warmer with the air outside, plus the cabin's demand. [K]"""
     return demand_k + 0.45 * (now.tat_k - 250.0)
 
 
 def sized_target_k(design: PackDesign) -> float:
-    """Target at 250 K outside for which a clean pack cruises with its door at `door_sizing`. [K]"""
-    one = np.ones(1)
-    now = reference(one)
-    demand = reference_demand(design, one)
-    return float(outlets(design, now, demand, one * design.door_sizing, clean(one))[0][0])
+    """Compute the target at 250 K outside for which a clean pack cruises with its door at `door_sizing`. [K]"""
+    ones = np.ones(1)
+    now = reference(ones)
+    demand = reference_demand(design, ones)
+    return float(outlets(design, now, demand, ones * design.door_sizing, clean(ones))[0][0])
 
 
-def reference(one: Array) -> Conditions:
-    """Cruise at 37,000 ft, Mach 0.84, standard day: where conductance ratios are stated."""
+def reference(ones: Array) -> Conditions:
+    """Return the reference cruise of conductance ratios: 37,000 ft, Mach 0.84, standard day."""
     return Conditions(
-        flight=one.astype(int), time_s=one, phase=np.full(one.shape, "CR"), altitude_m=11277.6 * one,
-        mach=0.84 * one, ram_mach=0.84 * one,
-        tat_k=247.2 * one, total_pressure_pa=34380.0 * one,
+        flight=ones.astype(int), time_s=ones, phase=np.full(ones.shape, "CR"), altitude_m=11277.6 * ones,
+        mach=0.84 * ones, ram_mach=0.84 * ones,
+        tat_k=247.2 * ones, total_pressure_pa=34380.0 * ones,
     )  # fmt: skip
 
 
-def reference_demand(design: PackDesign, one: Array) -> Demand:
-    """Flow and temperatures of that cruise."""
-    return Demand(design.flow_cruise_kg_s * one, (360.0 + design.hot_rise_k) * one, 297.0 * one)
+def reference_demand(design: PackDesign, ones: Array) -> Demand:
+    """Return flow and temperatures of the reference cruise."""
+    return Demand(design.flow_cruise_kg_s * ones, (360.0 + design.hot_rise_k) * ones, 297.0 * ones)
 
 
 def loss_ratios(design: PackDesign, wear: ExchangerWear) -> tuple[Array, Array, Array]:
-    """True and apparent conductance over that of the same unit when clean, and ram flow over the clean core's. [-]
+    """Compute true and apparent conductance over the clean unit's, and ram flow over the clean core's. [-]
 
-    At the reference cruise and door; *apparent* is what an observer finds who takes the ram flow for the clean core's.
+    At the reference cruise and door; *apparent* assumes the clean core's ram flow.
     """
-    one = np.ones_like(wear.blockage)
-    now, demand, door = reference(one), reference_demand(design, one), one * design.door_sizing
-    new = ExchangerWear(0.0 * one, 0.0 * one, 0.0 * one, wear.unit_ua)
+    ones = np.ones_like(wear.blockage)
+    now, demand, door = reference(ones), reference_demand(design, ones), ones * design.door_sizing
+    clean_wear = ExchangerWear(0.0 * ones, 0.0 * ones, 0.0 * ones, wear.unit_ua)
     hot_k, _, flow, ua = outlets(design, now, demand, door, wear)
-    clean_hot_k, _, clean_flow, clean_ua = outlets(design, now, demand, door, new)
+    clean_hot_k, _, clean_flow, clean_ua = outlets(design, now, demand, door, clean_wear)
     cold_k = now.tat_k + design.ram_heating_k
-    seen = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, hot_k, cold_k)
-    seen_clean = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, clean_hot_k, cold_k)
-    return ua / clean_ua, np.asarray(seen / seen_clean), flow / clean_flow
+    apparent_ua = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, hot_k, cold_k)
+    apparent_clean_ua = measured_conductance_w_k(demand.flow_kg_s, clean_flow, demand.hot_in_k, clean_hot_k, cold_k)
+    return ua / clean_ua, np.asarray(apparent_ua / apparent_clean_ua), flow / clean_flow
 
 
 def compressor_rows(
     *, diameter_m: Array, inlet_k: Array, inlet_pa: Array, exit_pa: Array, efficiency: Array
 ) -> tuple[Array, Array]:
-    """Speed [rad/s] that lifts the pressure with this effective diameter (equation 5), and exit temperature [K]."""
+    """Compute the speed [rad/s] for a pressure rise by effective diameter (equation 5), and exit temperature [K]."""
     ratio = exit_pa / inlet_pa
     head = np.maximum(ratio**HEAD - 1.0, 1e-4) * R_J_KG_K * inlet_k / HEAD
     return 2.0 / diameter_m * np.sqrt(head), np.asarray(exit_temperature_k(inlet_k, ratio, efficiency))
 
 
 def compressor_pressures_pa(now: Conditions) -> tuple[Array, Array]:
-    """Before and behind the compressor: recovered outside air, and what the cabin asks for. [Pa]"""
+    """Compute pressures before and behind the compressor: recovered outside air, and the cabin's demand. [Pa]"""
     inlet_pa = 0.965 * now.total_pressure_pa
     return inlet_pa, np.maximum(1000.0 * (113.0 - 20.5 * np.clip(now.altitude_m / 11300.0, 0.0, 1.1)), 1.08 * inlet_pa)
 
 
 def behind_worn_compressor(design: PackDesign, now: Conditions, demand: Demand, loss: Array) -> Demand:
-    """The demand with what a loss of the compressor's efficiency adds to the air that reaches the exchanger."""
+    """Add the heat of a compressor's efficiency loss to the demand on the exchanger."""
     inlet_pa, exit_pa = compressor_pressures_pa(now)
-    built = np.full(loss.size, design.cc_efficiency)
-    sound_k, worn_k = (exit_temperature_k(now.tat_k, exit_pa / inlet_pa, e) for e in (built, built * (1.0 - loss)))
+    eta = np.full(loss.size, design.cc_efficiency)
+    sound_k, worn_k = (exit_temperature_k(now.tat_k, exit_pa / inlet_pa, e) for e in (eta, eta * (1.0 - loss)))
     return replace(demand, hot_in_k=demand.hot_in_k + worn_k - sound_k)
 
 

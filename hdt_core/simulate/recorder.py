@@ -55,7 +55,7 @@ class Suite:
     taxi_s : float
         Seconds before take-off that a 1 Hz log begins with.
     least_mach : float
-        What air data computers say of a slower aircraft.
+        Mach number reported for a slower aircraft.
     """
 
     sensors: Sensors
@@ -101,9 +101,9 @@ AIR_DATA = ("altitude_ft", "mach", "tat_degc", "pt_psia")
 
 
 def draw_biases(rng: np.random.Generator, packs: int = 2) -> list[dict[str, float]]:
-    """Constant errors of one aircraft's sensors, one dict a pack; air data are shared by the packs."""
-    shared = {name: SENSORS[name].bias_sd * rng.standard_normal() for name in AIR_DATA}
-    return [{n: shared.get(n, s.bias_sd * rng.standard_normal()) for n, s in SENSORS.items()} for _ in range(packs)]
+    """Draw constant errors of one aircraft's sensors, one dict a pack; air data are shared by the packs."""
+    air_biases = {name: SENSORS[name].bias_sd * rng.standard_normal() for name in AIR_DATA}
+    return [{n: air_biases.get(n, s.bias_sd * rng.standard_normal()) for n, s in SENSORS.items()} for _ in range(packs)]
 
 
 def record(
@@ -113,7 +113,7 @@ def record(
     temperature_step_k: float,
     suite: Suite = CONTRACT,
 ) -> dict[str, Array]:
-    """Recorded values of true ones (recorded units); NaN where a value is empty.
+    """Record true values (recorded units); NaN where a value is empty.
 
     Air data must be recorded once for both packs: give them as recorded and leave them out of `true`. A temperature has
     the last digit of the operator, `temperature_step_k`, or where that is 0 its own.
@@ -122,12 +122,12 @@ def record(
     for name, value in true.items():
         sensor = suite.sensors[name]
         size = np.abs(value) if sensor.relative else 1.0
-        read = value + size * (bias[name] + sensor.noise_sd * rng.standard_normal(value.size))
+        reading = value + size * (bias[name] + sensor.noise_sd * rng.standard_normal(value.size))
         spike = rng.random(value.size) < suite.spike_share
-        read = np.where(spike, read * rng.uniform(0.3, 2.5, value.size), read)
+        reading = np.where(spike, reading * rng.uniform(0.3, 2.5, value.size), reading)
         step = temperature_step_k if temperature_step_k and name.endswith("degc") else sensor.step
-        read = np.round(read / step) * step
-        out[name] = np.where(rng.random(value.size) < suite.lost_share, np.nan, read)
+        reading = np.round(reading / step) * step
+        out[name] = np.where(rng.random(value.size) < suite.lost_share, np.nan, reading)
     return out
 
 
@@ -140,7 +140,7 @@ def break_sensor(
     kind: str,
     noise: float,
 ) -> Array:
-    """Recorded values of a faulty sensor on the flights where `faulty` (per row) holds; the fault's size is drawn."""
+    """Apply a sensor fault of random size on the flights where `faulty` (per row) holds."""
     size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * noise
     return with_sensor_fault(rng, values, flight=flight, faulty=faulty, kind=kind, size=size)
 
@@ -154,7 +154,7 @@ def with_sensor_fault(
     kind: str,
     size: float,
 ) -> Array:
-    """Recorded values with a fault of this size, in recorded units, on the flights where `faulty` (per row) holds.
+    """Apply a fault of this size, in recorded units, on the flights where `faulty` (per row) holds.
 
     `kind`: `drift` (reaches `size` in 25 flights and twice that in 50, where it stays), `step`, `stuck` (at the first
     value), and any other leaves seven values in ten out.
@@ -166,13 +166,13 @@ def with_sensor_fault(
     elif kind == "step":
         out[faulty] += size
     elif kind == "stuck":
-        seen = values[faulty & np.isfinite(values)]
-        out[faulty] = seen[0] if seen.size else np.nan
+        finite = values[faulty & np.isfinite(values)]
+        out[faulty] = finite[0] if finite.size else np.nan
     else:
         out[faulty & (rng.random(values.size) < 0.7)] = np.nan
     return out
 
 
 def frame(columns: dict[str, Array]) -> pl.DataFrame:
-    """Columns as a frame; what is NaN is missing."""
+    """Build a frame from columns, with NaN as null."""
     return pl.DataFrame(columns).with_columns(pl.selectors.float().fill_nan(None))

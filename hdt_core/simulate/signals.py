@@ -74,20 +74,20 @@ def demand(rng: np.random.Generator, design: PackDesign, now: Conditions) -> Dem
 
 
 def hot_inlet_k(design: PackDesign, now: Conditions) -> Array:
-    """Air at the exchanger: from a sound compressor, warmed by what lies between, more where it is dense. [K]"""
+    """Compute air temperature at the exchanger: behind a sound compressor, warmed more where the air is dense. [K]"""
     nominal = _compressor(design, now, np.full(now.mach.size, design.diameter_intercept_m - 0.011), 0.0 * now.mach)
     height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)
     return np.asarray(nominal["cc_out_k"] + design.hot_rise_k + 22.0 * (1.0 - height))
 
 
-def pick(now: Conditions, asked: Demand, flights: int) -> tuple[Conditions, Demand]:
-    """Conditions and demand in the middle of each flight's cruise."""
+def pick(now: Conditions, load: Demand, flights: int) -> tuple[Conditions, Demand]:
+    """Select conditions and demand in the middle of each flight's cruise."""
     rows = np.nonzero(now.cruise)[0]
     at = rows[np.searchsorted(now.flight[rows], np.arange(flights) + 0.5, side="left") // 1 - 1]
     first = rows[np.searchsorted(now.flight[rows], np.arange(flights), side="left")]
     middle = (at + first) // 2
-    here = Conditions(*(getattr(now, name)[middle] for name in Conditions.__dataclass_fields__))
-    return here, Demand(asked.flow_kg_s[middle], asked.hot_in_k[middle], asked.target_k[middle])
+    cruise = Conditions(*(getattr(now, name)[middle] for name in Conditions.__dataclass_fields__))
+    return cruise, Demand(load.flow_kg_s[middle], load.hot_in_k[middle], load.target_k[middle])
 
 
 def true_signals(
@@ -95,35 +95,35 @@ def true_signals(
     design: PackDesign,
     now: Conditions,
     *,
-    asked: Demand,
+    load: Demand,
     history: PackHistory,
     dt_s: float = 0.0,
 ) -> dict[str, Array]:
-    """True values at each row, SI; with `dt_s` the rows are a time series and the core's heat lags."""
-    asked = behind_worn_compressor(design, now, asked, history.cc_loss[now.flight])
+    """Compute true values at each row, SI; with `dt_s` the rows are a time series with the core's thermal lag."""
+    load = behind_worn_compressor(design, now, load, history.cc_loss[now.flight])
     wear = history.wear.at(now.flight)
     ice = history.icing[now.flight] & (now.altitude_m > 1200.0) & (now.altitude_m < 6500.0)
     wear = replace(wear, blockage=np.where(ice, 1.0 - 0.75 * (1.0 - wear.blockage), wear.blockage))
     stuck, reach = history.door_stuck[now.flight], history.door_reach[now.flight]
     wobble = 0.004 * (rng.standard_normal(now.mach.size) if dt_s == 0.0 else np.sin(now.time_s / 37.0))
-    wanted = np.clip(controlled_door(design, now, asked, wear) + wobble, design.door_least, 1.0)
-    door = np.where(np.isnan(stuck), np.minimum(wanted, reach), stuck)
-    hot_k, ram_k, flow, ua = outlets(design, _gusty(rng, now, dt_s), asked, door, wear)
+    command = np.clip(controlled_door(design, now, load, wear) + wobble, design.door_least, 1.0)
+    door = np.where(np.isnan(stuck), np.minimum(command, reach), stuck)
+    hot_k, ram_k, flow, ua = outlets(design, _gusty(rng, now, dt_s), load, door, wear)
     if dt_s > 0.0:
-        settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(asked.hot_in_k) * (asked.flow_kg_s + flow))
+        settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(load.hot_in_k) * (load.flow_kg_s + flow))
         hot_k, ram_k = _lagged(hot_k, settling_s, dt_s), _lagged(ram_k, settling_s, dt_s)
-    off = history.pack_off[now.flight]
+    is_off = history.pack_off[now.flight]
     diameter, vda = _diameter(rng, design, now, history, dt_s)
     air = _compressor(design, now, diameter, history.cc_loss[now.flight])
     resting = {"pack_flow_kg_s": 0.0, "cc_flow_kg_s": 0.0, "cc_speed_rad_s": 0.0}
     values = air | {
-        "door": door, "hot_in_k": asked.hot_in_k,
+        "door": door, "hot_in_k": load.hot_in_k,
         "hot_out_k": hot_k, "ram_out_k": ram_k, "ram_flow_kg_s": flow, "ua_w_k": ua, "vda": vda,
-        "pack_flow_kg_s": asked.flow_kg_s, "cc_flow_kg_s": 1.06 * asked.flow_kg_s, "diameter_m": diameter,
-        "unmet_k": np.maximum(hot_k - asked.target_k, 0.0),
+        "pack_flow_kg_s": load.flow_kg_s, "cc_flow_kg_s": 1.06 * load.flow_kg_s, "diameter_m": diameter,
+        "unmet_k": np.maximum(hot_k - load.target_k, 0.0),
     }  # fmt: skip
     warm = dict.fromkeys(("hot_in_k", "hot_out_k", "ram_out_k", "cc_out_k"), now.tat_k) | {"cc_out_pa": air["cc_in_pa"]}
-    return {k: np.asarray(np.where(off, (resting | warm).get(k, v), v)) for k, v in values.items()}
+    return {k: np.asarray(np.where(is_off, (resting | warm).get(k, v), v)) for k, v in values.items()}
 
 
 def pack_rows(
@@ -136,24 +136,24 @@ def pack_rows(
     pack: int,
     air: dict[str, Array],
 ) -> pl.DataFrame:
-    """Recorded rows of one pack in the contract's columns."""
-    seen = record(rng, _recorded_units(true), plan.biases[pack - 1], plan.operator.temperature_step_k, plan.suite)
+    """Record the rows of one pack in the contract's columns."""
+    readings = record(rng, _recorded_units(true), plan.biases[pack - 1], plan.operator.temperature_step_k, plan.suite)
     if not plan.has_ram_out:
-        seen["ram_out_degc"] = np.full(now.mach.size, np.nan)
+        readings["ram_out_degc"] = np.full(now.mach.size, np.nan)
     for name in np.unique(history.sensor[history.sensor != ""]):
         for kind in np.unique(history.fault[history.sensor == name]):
             faulty = ((history.sensor == name) & (history.fault == kind))[now.flight]
             if faulty.any():
-                typical = SENSORS[name].noise_sd * (np.nanmedian(seen[name]) if SENSORS[name].relative else 1.0)
-                seen[name] = break_sensor(
-                    rng, seen[name], flight=now.flight, faulty=faulty, kind=str(kind), noise=float(typical)
+                typical = SENSORS[name].noise_sd * (np.nanmedian(readings[name]) if SENSORS[name].relative else 1.0)
+                readings[name] = break_sensor(
+                    rng, readings[name], flight=now.flight, faulty=faulty, kind=str(kind), noise=float(typical)
                 )
     wrong = rng.random(now.mach.size) < plan.operator.wrong_phase_share
     phase = np.where(wrong, rng.choice(_PHASES, now.mach.size), now.phase)
     moments = (now.time_s * 1e6).astype("timedelta64[us]") + np.datetime64(plan.start.replace(tzinfo=None), "us")
     keys = pl.DataFrame({"flight_id": plan.ids[now.flight], "report_time": moments, "phase_code": phase})
     keys = keys.with_columns(pl.col("report_time").dt.replace_time_zone("UTC"), pl.lit(pack, pl.Int32).alias("pack"))
-    return pl.concat([keys, frame(air | seen)], how="horizontal").select(ACMS_COLUMNS)
+    return pl.concat([keys, frame(air | readings)], how="horizontal").select(ACMS_COLUMNS)
 
 
 def _recorded_units(true: dict[str, Array]) -> dict[str, Array]:
@@ -176,21 +176,21 @@ def _recorded_units(true: dict[str, Array]) -> dict[str, Array]:
 def _diameter(
     rng: np.random.Generator, design: PackDesign, now: Conditions, history: PackHistory, dt_s: float
 ) -> tuple[Array, Array]:
-    """Effective diameter, equation (6) with its scatter and the unit's wear, and the diffuser's position.
+    """Draw effective diameter, by equation (6) with scatter and the unit's wear, and the diffuser's position.
 
-    From snapshot to snapshot both are free; from second to second they wander.
+    Snapshots are independent; seconds are correlated.
     """
     low = np.clip(1.0 - now.altitude_m / 11000.0, 0.0, 1.0)
     n = now.mach.size
     vda = np.clip(340.0 + 320.0 * low**2 + 75.0 * _wandering(rng.standard_normal(n), dt_s), 20.0, 950.0)
-    built = design.diameter_intercept_m + design.diameter_slope_m_per_count * vda + history.cc_scatter[now.flight]
-    built = built + design.diameter_scatter_m * _wandering(rng.standard_normal(n), dt_s)
+    diameter = design.diameter_intercept_m + design.diameter_slope_m_per_count * vda + history.cc_scatter[now.flight]
+    diameter = diameter + design.diameter_scatter_m * _wandering(rng.standard_normal(n), dt_s)
     # head is proportional to efficiency, and the effective diameter to its square root (equation 5)
-    return built * np.sqrt(1.0 - history.cc_loss[now.flight]), vda
+    return diameter * np.sqrt(1.0 - history.cc_loss[now.flight]), vda
 
 
 def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Array) -> dict[str, Array]:
-    """Compressor between the recovered outside air and the cabin's supply."""
+    """Compute compressor signals between the recovered outside air and the cabin's supply."""
     inlet_pa, exit_pa = compressor_pressures_pa(now)
     efficiency = design.cc_efficiency * (1.0 - loss)
     speed, exit_k = compressor_rows(
@@ -202,7 +202,7 @@ def _compressor(design: PackDesign, now: Conditions, diameter: Array, loss: Arra
 
 
 def _gusty(rng: np.random.Generator, now: Conditions, dt_s: float) -> Conditions:
-    """On the ground wind and turns move the ram flow, and the door does not follow."""
+    """Add gusts of wind and turns on the ground to the ram flow; the door does not follow."""
     taxies = now.ram_mach > now.mach
     if not taxies.any():
         return now
@@ -211,19 +211,19 @@ def _gusty(rng: np.random.Generator, now: Conditions, dt_s: float) -> Conditions
 
 
 def _wandering(white: Array, dt_s: float) -> Array:
-    """Smooth noise of unit variance with a memory of `WANDER_S`; white where the rows are no time series."""
+    """Filter white noise to unit variance with a memory of `WANDER_S`; unchanged where the rows are no time series."""
     if dt_s == 0.0:
         return white
-    keep = np.exp(-dt_s / WANDER_S)
-    gain = np.sqrt((1.0 - keep**2) ** 3 / (1.0 + keep**2))
-    return np.asarray(lfilter([gain], [1.0, -2.0 * keep, keep**2], white))
+    pole = np.exp(-dt_s / WANDER_S)
+    gain = np.sqrt((1.0 - pole**2) ** 3 / (1.0 + pole**2))
+    return np.asarray(lfilter([gain], [1.0, -2.0 * pole, pole**2], white))
 
 
 def _lagged(steady: Array, settling_s: Array, dt_s: float) -> Array:
-    """First-order lag, exact while the input is held."""
+    """Apply a first-order lag, exact for a piecewise constant input."""
     out = np.empty_like(steady)
-    state, keep = float(steady[0]), np.exp(-dt_s / settling_s)
+    state, decay = float(steady[0]), np.exp(-dt_s / settling_s)
     for k in range(steady.size):
-        state = float(steady[k] + (state - steady[k]) * keep[k])
+        state = float(steady[k] + (state - steady[k]) * decay[k])
         out[k] = state
     return out

@@ -1,6 +1,4 @@
-"""Many small fleets of lives, each with its own type, climate, wear, message and twin, so that a model learns what they
-share.
-"""
+"""Draw many small fleets of lives, each with its own type, climate, wear, message and twin, to fit a general model."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,11 +16,11 @@ LN_RATIO_PER_K = 0.026
 LIMITED_SHARE = 0.15
 """Share of the fleets whose lives end at a limit of their own, as a compressor's do."""
 UNLOGGED_SHARE = 0.2
-"""Share of the others whose operator logs nothing: what is told of one life is that of several units in a row."""
+"""Share of the others whose operator logs nothing, so that one life joins several units in a row."""
 
 
 def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator[tuple[Episodes, float]]:
-    """Fleets of lives with different habits.
+    """Draw fleets of lives with different habits.
 
     Parameters
     ----------
@@ -35,26 +33,26 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
     ------
     episodes : Episodes
         The lives.
-    doubt : float
-        Standard deviation of what is believed of the message, in ln of conductance. [-]
+    limit_sd : float
+        Standard deviation of the message's assumed limit, in ln of conductance. [-]
     """
     rng = np.random.default_rng(seed)
     for number in range(fleets):
         settings = _draw_settings(rng, aircraft, flights)
-        own = seed * 1009 + number
+        fleet_seed = seed * 1009 + number
         if rng.random() < LIMITED_SHARE:
-            limit, doubt = float(np.clip(0.25 + 0.06 * rng.standard_normal(), 0.1, 0.5)), rng.uniform(0.01, 0.08)
-            believed = float(np.clip(limit + doubt * rng.standard_normal(), 0.08, 0.6))
-            yield draw_limited(own, settings, limit, believed), doubt / (1.0 - limit)
+            limit, limit_sd = float(np.clip(0.25 + 0.06 * rng.standard_normal(), 0.1, 0.5)), rng.uniform(0.01, 0.08)
+            limit_estimate = float(np.clip(limit + limit_sd * rng.standard_normal(), 0.08, 0.6))
+            yield draw_limited(fleet_seed, settings, limit, limit_estimate), limit_sd / (1.0 - limit)
         else:
-            doubt_k = rng.uniform(0.4, 3.0)
-            believed_k = settings.rule.excess_k + doubt_k * float(rng.standard_normal())
-            lives = draw_episodes(own, replace(settings, believed_excess_k=believed_k))
-            yield unlogged(rng, lives) if rng.random() < UNLOGGED_SHARE else lives, LN_RATIO_PER_K * doubt_k
+            excess_sd_k = rng.uniform(0.4, 3.0)
+            excess_estimate_k = settings.rule.excess_k + excess_sd_k * float(rng.standard_normal())
+            lives = draw_episodes(fleet_seed, replace(settings, believed_excess_k=excess_estimate_k))
+            yield unlogged(rng, lives) if rng.random() < UNLOGGED_SHARE else lives, LN_RATIO_PER_K * excess_sd_k
 
 
 def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
-    """Lives of packs whose replacements nobody logged: a unit's record goes on with that of the next.
+    """Join lives of packs whose replacements are not logged: a unit's record continues with the next unit's.
 
     The unit that failed flies one to nine flights more; then the next pack's unit, with its flights, takes its place.
     The message that counts is the next one.
@@ -66,16 +64,21 @@ def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
     def spliced(values: Array, lead: int = 0) -> Array:
         out = values.copy()
         for unit, start in enumerate(joint + lead):
-            left = values.shape[1] - start
-            out[unit, start:] = values[follower[unit], lead : lead + left]
+            length = values.shape[1] - start
+            out[unit, start:] = values[follower[unit], lead : lead + length]
         return out
 
     second = np.minimum(joint + lives.message[follower], flights)
-    told = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
-    joined = {name: spliced(getattr(lives, name)) for name in told}
-    nobody = np.zeros(units, dtype=bool)
+    names = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
+    series = {name: spliced(getattr(lives, name)) for name in names}
+    unknown = np.zeros(units, dtype=bool)
     return replace(
-        lives, **joined, asked=spliced(lives.asked, LEAD), message=second, first_message=lives.message, age_known=nobody
+        lives,
+        **series,
+        demand=spliced(lives.demand, LEAD),
+        message=second,
+        first_message=lives.message,
+        age_known=unknown,
     )
 
 

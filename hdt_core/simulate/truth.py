@@ -67,7 +67,7 @@ def health_truth(
 
 def _cruise_median(now: Conditions, values: Array, flights: int) -> Array:
     rows = pl.DataFrame({"flight": now.flight[now.cruise], "v": values[now.cruise]})
-    found = rows.group_by("flight").agg(pl.col("v").median()).sort("flight")
+    medians = rows.group_by("flight").agg(pl.col("v").median()).sort("flight")
     out = np.full(flights, np.nan)
-    out[found["flight"].to_numpy()] = found["v"].to_numpy()
+    out[medians["flight"].to_numpy()] = medians["v"].to_numpy()
     return out

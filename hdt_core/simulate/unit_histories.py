@@ -90,12 +90,12 @@ def draw_history(
     _door_faults(rng, history, design, cruise, demand)
     _sensor_faults(rng, history)
     for index in np.nonzero(rng.random(n) < 0.001)[0]:
-        _say(history, int(index), rng.choice(["21-61-TRIM", "21-52-HXTEMP"]))
+        _add_message(history, int(index), rng.choice(["21-61-TRIM", "21-52-HXTEMP"]))
     return history
 
 
 def unmet_k(design: PackDesign, cruise: Conditions, demand: Demand, wear: ExchangerWear, door: Array) -> Array:
-    """By how much the outlet stays above its target with the door at its widest. [K]"""
+    """Compute the outlet above its target with the door at its widest. [K]"""
     return outlets(design, cruise, demand, door, wear)[0] - demand.target_k
 
 
@@ -111,10 +111,10 @@ def _exchangers(
     n, start, unit = h.blockage.size, 0, 0
     while start < n:
         kind = _install(rng, h, operator, design=design, start=start, unit=unit)
-        here = _from(cruise, demand, h.wear, start)
-        over = unmet_k(design, *here, np.full(n - start, FULL_OPEN)) > design.unmet_limit_k
-        told = np.nonzero(over & np.roll(over, 1))[0]
-        message = start + int(told[told > 0][0]) if (told > 0).any() else None
+        conditions = _from(cruise, demand, h.wear, start)
+        is_over = unmet_k(design, *conditions, np.full(n - start, FULL_OPEN)) > design.unmet_limit_k
+        messages = np.nonzero(is_over & np.roll(is_over, 1))[0]
+        message = start + int(messages[messages > 0][0]) if (messages > 0).any() else None
         planned = start + int(rng.integers(40, 400)) if rng.random() < 0.15 else 10**9
         removal = min(message + int(rng.integers(1, 10)) if message is not None else 10**9, 10**9)
         preventive = planned < min(removal, n) and (message is None or planned <= message)
@@ -129,7 +129,7 @@ def _exchangers(
             event["removal_index"] = end if end < n else None
             for index in range(message, min(end, n)):
                 if index == message or rng.random() < 0.5:
-                    _say(h, index, "21-52-HXTEMP")
+                    _add_message(h, index, "21-52-HXTEMP")
             if end < n:
                 _log(rng, h, end, "HX", "REPLACED", finding)
         else:
@@ -141,7 +141,7 @@ def _exchangers(
 def _install(
     rng: np.random.Generator, h: PackHistory, operator: Operator, *, design: PackDesign, start: int, unit: int
 ) -> str:
-    """Write the wear of a new unit from `start` to the end of the record; its kind."""
+    """Write the wear of a new unit from `start` to the end of the record; return its kind."""
     n = h.blockage.size - start
     age = rng.uniform(0.0, 0.5) if unit == 0 and rng.random() < 0.4 else 0.0
     wear = draw_wear(rng, np.array([age]), n, operator.wear)
@@ -159,7 +159,7 @@ def _install(
 
 
 def _washed(rng: np.random.Generator, h: PackHistory, operator: Operator, start: int, gradual: Array) -> Array:
-    """Scheduled washes take away half to nine tenths of the deposit."""
+    """Apply scheduled washes, which remove half to nine tenths of the deposit."""
     out = gradual.copy()
     if not operator.wash_every:
         return out
@@ -173,19 +173,19 @@ def _washed(rng: np.random.Generator, h: PackHistory, operator: Operator, start:
 def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -> None:
     n, start, unit = h.cc_loss.size, 0, 0
     while start < n:
-        worn = rng.random() < 0.3
-        life = rng.uniform(180.0, 600.0) if worn else rng.uniform(3000.0, 9000.0)
+        is_worn = rng.random() < 0.3
+        life = rng.uniform(180.0, 600.0) if is_worn else rng.uniform(3000.0, 9000.0)
         k = np.arange(n - start) + (rng.uniform(0.0, 0.4) * life if unit == 0 else 0.0)
         loss = CC_MESSAGE_LOSS * (k / life) ** rng.uniform(1.0, 2.5)
-        told = np.nonzero(loss + 0.01 * rng.standard_normal(loss.size) > CC_MESSAGE_LOSS)[0]
-        message = start + int(told[0]) if told.size else None
+        messages = np.nonzero(loss + 0.01 * rng.standard_normal(loss.size) > CC_MESSAGE_LOSS)[0]
+        message = start + int(messages[0]) if messages.size else None
         end = message + int(rng.integers(2, 10)) if message is not None else n
         h.cc_loss[start:] = np.minimum(loss, 0.6)
         h.cc_scatter[start:] = 0.3 * design.diameter_scatter_m * rng.standard_normal()
         h.cc_unit[start:] = unit
         event: dict[str, Any] = {
             "component": "CC",
-            "kind": "efficiency_wear" if worn else "healthy",
+            "kind": "efficiency_wear" if is_worn else "healthy",
             "installed_index": start,
         }
         event |= {"message_index": message, "censored": message is None, "removal_index": end if end < n else None}
@@ -195,7 +195,7 @@ def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -
         }
         h.events.append(event)
         if message is not None:
-            _say(h, message, "21-51-CCFLOW")
+            _add_message(h, message, "21-51-CCFLOW")
             if end < n:
                 _log(rng, h, end, "CC", "REPLACED", "DAMAGED")
         start, unit = end, unit + 1
@@ -213,22 +213,22 @@ def _door_faults(
         else:
             h.door_reach[onset:end] = rng.uniform(0.45, 0.7)
         widest = np.where(np.isnan(h.door_stuck), h.door_reach, h.door_stuck)
-        over = unmet_k(design, cruise, demand, h.wear, widest) > design.unmet_limit_k
-        told = [int(i) for i in np.nonzero(over[onset:end])[0] + onset]
-        for index in told:
-            _say(h, index, "21-52-HXTEMP")
+        is_over = unmet_k(design, cruise, demand, h.wear, widest) > design.unmet_limit_k
+        messages = [int(i) for i in np.nonzero(is_over[onset:end])[0] + onset]
+        for index in messages:
+            _add_message(h, index, "21-52-HXTEMP")
         event: dict[str, Any] = {
             "component": "RAM_DOOR",
             "kind": "door_jam" if jam else "door_lost_travel",
             "finding": "DAMAGED",
         }
         event |= {"removal_kind": "REPAIR", "censored": end >= n, "installed_index": None, "onset_index": int(onset)}
-        event |= {"message_index": told[0] if told else None, "removal_index": end if end < n else None}
+        event |= {"message_index": messages[0] if messages else None, "removal_index": end if end < n else None}
         h.events.append(event)
         if end < n:
             _log(rng, h, end, "RAM_DOOR", "REPLACED", "DAMAGED")
-            if told:
-                _log(rng, h, min(told[-1] + 1, n - 1), "HX", "INSPECTED", "NO_FAULT_FOUND")
+            if messages:
+                _log(rng, h, min(messages[-1] + 1, n - 1), "HX", "INSPECTED", "NO_FAULT_FOUND")
 
 
 def _sensor_faults(rng: np.random.Generator, h: PackHistory) -> None:
@@ -250,13 +250,13 @@ def _sensor_faults(rng: np.random.Generator, h: PackHistory) -> None:
 def _from(
     cruise: Conditions, demand: Demand, wear: ExchangerWear, start: int
 ) -> tuple[Conditions, Demand, ExchangerWear]:
-    later = np.arange(start, wear.blockage.size)
-    now = Conditions(*(getattr(cruise, name)[later] for name in Conditions.__dataclass_fields__))
-    asked = Demand(demand.flow_kg_s[later], demand.hot_in_k[later], demand.target_k[later])
-    return now, asked, wear.at(later)
+    flights = np.arange(start, wear.blockage.size)
+    now = Conditions(*(getattr(cruise, name)[flights] for name in Conditions.__dataclass_fields__))
+    part = Demand(demand.flow_kg_s[flights], demand.hot_in_k[flights], demand.target_k[flights])
+    return now, part, wear.at(flights)
 
 
-def _say(h: PackHistory, index: int, code: str) -> None:
+def _add_message(h: PackHistory, index: int, code: str) -> None:
     h.messages.append({"index": index, "code": str(code)})
 
 

@@ -116,7 +116,7 @@ def _gradual(rng: np.random.Generator, kind: NDArray[np.int_], age: Array, life:
 
 
 def _jumps(rng: np.random.Generator, share: Array) -> Array:
-    """Compound Poisson wear with mean `share`: few large deposits, a slow creep between them."""
+    """Draw compound Poisson wear with mean `share`: few large deposits, a slow creep between them."""
     per_life = np.exp(rng.uniform(np.log(2.0), np.log(20.0), (share.shape[0], 1)))
     creep = rng.uniform(0.0, 0.3, (share.shape[0], 1))
     step = np.asarray(np.diff(share, axis=1, prepend=np.zeros((share.shape[0], 1))))
@@ -127,14 +127,14 @@ def _jumps(rng: np.random.Generator, share: Array) -> Array:
 
 
 def _clogs(rng: np.random.Generator, size: tuple[int, int], rate: float) -> Array:
-    """Loss by bags, insects and debris: a step of 5 to 25 % that builds over 1 to 3 flights."""
+    """Draw loss by bags, insects and debris: a step of 5 to 25 % that builds over 1 to 3 flights."""
     step = rng.uniform(0.05, 0.25, size) * (rng.random(size) < rate)
-    spread = step / 3.0
-    total = np.cumsum(spread + _later(spread, 1) + _later(spread, 2), axis=1)
+    daily_step = step / 3.0
+    total = np.cumsum(daily_step + _delay(daily_step, 1) + _delay(daily_step, 2), axis=1)
     return np.minimum(total, 0.6)
 
 
-def _later(values: Array, flights: int) -> Array:
+def _delay(values: Array, flights: int) -> Array:
     shifted = np.zeros_like(values)
     shifted[:, flights:] = values[:, :-flights]
     return shifted

@@ -45,15 +45,15 @@ class StoredTable:
         return _SHARDS[self.shard].alias("shard")
 
     def conform(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """`frame` in the declared columns, order and types."""
+        """Return `frame` in the declared columns, order and types."""
         return self.schema.conform(frame)
 
     def doubled(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Primary keys that stand more than once in `frame`, which is sorted by `key`."""
+        """Find primary keys that occur more than once in `frame`, which is sorted by `key`."""
         unique = self.schema.primary_key()
         repeats = pl.all_horizontal(pl.col(c).eq_missing(pl.col(c).shift()) for c in self.key)
-        apart = set(self.key) <= set(unique) and not frame.select(repeats.any()).item()  # else they were neighbours
-        if not unique or apart:
+        is_unique = set(self.key) <= set(unique) and not frame.select(repeats.any()).item()  # else they were neighbours
+        if not unique or is_unique:
             return frame.select(unique).clear()
         return frame.select(unique).filter(pl.struct(unique).is_duplicated()).unique()
 

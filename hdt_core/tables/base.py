@@ -1,4 +1,4 @@
-"""How a table is declared: columns with type, unit, span, meaning; and what a frame that breaks that is told."""
+"""Declare tables: columns with type, unit, span and meaning; describe rules that a frame breaks."""
 
 from typing import Any
 
@@ -80,17 +80,17 @@ _BROKEN = {
 
 
 def finite(frame: pl.DataFrame) -> pl.DataFrame:
-    """`frame` with NaN and infinity as null: what came of readings that no arithmetic can use is missing."""
+    """Replace NaN and infinity by null."""
     numbers = pl.selectors.float()
     return frame.with_columns(pl.when(numbers.is_finite()).then(numbers))
 
 
 class Table(dy.Schema):
-    """A declared table: its first docstring line says what a row is."""
+    """A declared table; its first docstring line defines a row."""
 
     @classmethod
     def faults(cls, frame: pl.DataFrame) -> list[str]:
-        """What is wrong with `frame`, a sentence a broken rule; empty when it honours the declaration."""
+        """Describe each broken rule of `frame` in a sentence; empty for a valid frame."""
         missing = [f"column {c} is missing" for c in cls.columns() if c not in frame.columns]
         if missing:
             return missing
@@ -98,42 +98,42 @@ class Table(dy.Schema):
         return [f"{cls._in_words(rule)} in {n} of {frame.height} rows" for rule, n in failure.counts().items()]
 
     @staticmethod
-    def counted(broken: pl.DataFrame, n_rows: int) -> list[str]:
-        """What is wrong with `broken` rows of `n_rows`, a sentence a broken rule."""
+    def count_faults(broken: pl.DataFrame, n_rows: int) -> list[str]:
+        """Describe each rule broken in `n_rows`, with the number of `broken` rows."""
         rules = broken["faults"].str.split("; ").explode(empty_as_null=False).value_counts(sort=True)
         return [f"{rule} in {n} of {n_rows} rows" for rule, n in rules.iter_rows()]
 
     @classmethod
-    def parted(cls, frame: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-        """Rows of `frame` that honour the declaration, and declared columns of those that do not, with their `faults`.
+    def split_valid(cls, frame: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+        """Split `frame` into valid rows, and declared columns of invalid ones with their `faults`.
 
-        Of rows with one key none is taken to be the right one.
+        All rows that share a key are invalid.
         """
         _, failure = cls.filter(frame)
         if not len(failure):
             return frame, frame.select(list(cls.columns())).clear().with_columns(pl.lit("").alias("faults"))
         rules = list(failure.counts())
-        said = (pl.when(pl.col(r).cast(pl.String) == "invalid").then(pl.lit(cls._in_words(r))) for r in rules)
-        faults = pl.concat_list(said).list.drop_nulls().list.join("; ").alias("faults")
+        messages = (pl.when(pl.col(r).cast(pl.String) == "invalid").then(pl.lit(cls._in_words(r))) for r in rules)
+        faults = pl.concat_list(messages).list.drop_nulls().list.join("; ").alias("faults")
         broken = failure.details().select(*cls.columns(), faults)
         on = cls.primary_key() or list(cls.columns())
         return frame.join(broken, on=on, how="anti", nulls_equal=True, maintain_order="left"), broken
 
     @classmethod
     def _in_words(cls, rule: str) -> str:
-        """What a broken rule means: `sd|min` is `sd is below 0`."""
+        """Describe a broken rule: `sd|min` is `sd is below 0`."""
         name, _, kind = rule.partition("|")
         if name == "primary_key":
             return f"the key ({', '.join(cls.primary_key())}) stands more than once"
         column = cls.columns().get(name)
-        said = _BROKEN.get(kind, kind.replace("_", " "))
-        return f"{name} {said} {getattr(column, kind, '')}".rstrip()
+        relation = _BROKEN.get(kind, kind.replace("_", " "))
+        return f"{name} {relation} {getattr(column, kind, '')}".rstrip()
 
     @classmethod
     def conform(cls, frame: pl.DataFrame) -> pl.DataFrame:
-        """`frame` with the declared columns in the declared order and types.
+        """Return `frame` with the declared columns in the declared order and types.
 
-        Absent columns become null, others stay behind.
+        Absent columns become null, others are dropped.
         """
         return frame.select(
             (pl.col(name) if name in frame.columns else pl.lit(None)).cast(column.dtype).alias(name)
@@ -151,6 +151,6 @@ class LegTable(Table):
 
 
 class DatedLegTable(LegTable):
-    """A table of legs that says when each departed."""
+    """A table of legs with their departure."""
 
     departed_at = moment("first recorded time")

@@ -1,4 +1,4 @@
-"""Stage calibration: how the aircraft were built, and the Digital System Model that says so."""
+"""Tables of stage calibration: design parameters and the Digital System Model."""
 
 import dataframely as dy
 

@@ -37,7 +37,7 @@ class _Leg(Table):
 
 
 class ComponentsDeclared(Table):
-    """One component that the chain knows."""
+    """One component of the chain."""
 
     component = _component()
     name = text("what the night shift calls it", nullable=False)
@@ -104,11 +104,11 @@ class FeaturesComponents(_Leg):
 
 
 class FeaturesComponentAlerts(FeaturesAlerts):
-    """One case of a declared component that wants a person."""
+    """One case of a declared component that needs attention."""
 
 
 class PrognosesComponents(Prognoses):
-    """What is said after a flight of a declared component's life left: flight, pack, component."""
+    """Predicted remaining life of a declared component after a flight: flight, pack, component."""
 
     flight_id = _flight()
     component = _component()

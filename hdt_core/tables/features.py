@@ -1,4 +1,4 @@
-"""Stage features: what the differences mean, and the alerts they raise."""
+"""Tables of stage features: features and alerts."""
 
 from collections.abc import Iterator
 from typing import Any, cast
@@ -35,7 +35,7 @@ _VIRTUAL = {
     "cc_diameter_deficit": "share of the diameter expected by equation (6) that is missing in this flight alone",
 }
 _MODELLED = {
-    "hx_in_over_discharge_k": "exchanger inlet above what compressor discharge and ram outlet ask for",
+    "hx_in_over_discharge_k": "exchanger inlet above the value by compressor discharge and ram outlet",
     "hx_in_over_pressure_k": "the same where the discharge temperature is not recorded, from the pressure ratio",
     "conductance_off_cruise_ln": "ln of the conductance ratio of climb and descent over that of the cruise",
 }
@@ -49,7 +49,7 @@ _LEVEL = {
     "pack_flow_between_packs_ln": "ln of pack flow over the other pack's",
     "compressor_flow_between_packs_ln": "ln of compressor flow over the other pack's",
     "cc_out_pressure_between_packs_ln": "ln of compressor exit pressure over the other pack's",
-    "cc_out_pressure_over_schedule_ln": "ln of compressor exit pressure over what its controller asks for",
+    "cc_out_pressure_over_schedule_ln": "ln of compressor exit pressure over its controller's schedule",
     "hx_in_between_packs_k": "exchanger inlet less the other pack's",
     "cc_out_between_packs_k": "compressor exit temperature less the other pack's",
 }
@@ -114,56 +114,56 @@ def _unit(name: str) -> str:
     return next((unit for end, unit in _UNITS.items() if name.endswith(f"_{end}")), "-")
 
 
-def _kept(dtype: type[dy.Column], unit: str, meaning: str) -> dy.Column:
-    """A feature: described, not judged, for a strange ratio must not stop a night; a check of the catalog finds it."""
+def _col(dtype: type[dy.Column], unit: str, meaning: str) -> dy.Column:
+    """Build a feature's column without limits, for an odd ratio must not stop a night; the catalog checks it."""
     free: dict[str, Any] = {"allow_inf": True, "allow_nan": True} if dtype is dy.Float64 else {}
     return dtype(nullable=True, metadata={"unit": unit, "meaning": meaning}, **free)
 
 
 def _number(name: str, meaning: str) -> tuple[str, dy.Column]:
-    return name, _kept(dy.Float64, _unit(name), meaning)
+    return name, _col(dy.Float64, _unit(name), meaning)
 
 
 def _count(name: str, meaning: str) -> tuple[str, dy.Column]:
-    return name, _kept(dy.Int32, "-", meaning)
+    return name, _col(dy.Int32, "-", meaning)
 
 
 def _columns() -> Iterator[tuple[str, dy.Column]]:
-    """Every feature, family by family, in the order in which they are stored."""
-    yield "flight_index", _kept(dy.Int64, "-", "flights of the tail before this one, in order of departure")
+    """Yield every feature, family by family, in the order in which they are stored."""
+    yield "flight_index", _col(dy.Int64, "-", "flights of the tail before this one, in order of departure")
     yield from _of_health()
     for template, what in _RESIDUALS.items():
-        yield from (_number(template.format(kind), f"{what}: {said}, mean") for kind, said in _KINDS.items())
+        yield from (_number(template.format(kind), f"{what}: {gap}, mean") for kind, gap in _KINDS.items())
     for name, what in _VIRTUAL.items():
         yield _number(name, what)
-        yield f"{name}_sd", _kept(dy.Float64, _unit(name), "standard deviation of it")
+        yield f"{name}_sd", _col(dy.Float64, _unit(name), "standard deviation of it")
     yield from (_number(f"w_{name}", what) for name, what in _MODELLED.items())
     yield from _of_sensors()
-    yield from _of_witnesses()
+    yield from _of_cross_checks()
     yield from _of_margin()
     yield from _of_life()
 
 
 def _of_health() -> Iterator[tuple[str, dy.Column]]:
     for name, (unit, what) in _HEALTH.items():
-        yield name, _kept(dy.Float64, unit, f"{what}, after this flight")
-        yield f"{name}_sd", _kept(dy.Float64, unit, "standard deviation of it")
-        yield f"{name}_status", _kept(dy.String, "", "how that estimate ended")
+        yield name, _col(dy.Float64, unit, f"{what}, after this flight")
+        yield f"{name}_sd", _col(dy.Float64, unit, "standard deviation of it")
+        yield f"{name}_status", _col(dy.String, "", "how that estimate ended")
 
 
 def _of_sensors() -> Iterator[tuple[str, dy.Column]]:
-    yield "running", _kept(dy.Bool, "", "the pack was on")
+    yield "running", _col(dy.Bool, "", "the pack was on")
     yield _count("n_snapshots", "samples of the flight")
     for signal in Signals.columns():
-        yield f"{signal}_lost_share", _kept(dy.Float64, "-", f"share of the flight without a value of {signal}")
+        yield f"{signal}_lost_share", _col(dy.Float64, "-", f"share of the flight without a value of {signal}")
     for signal in Signals.columns():
-        yield f"{signal}_still", _kept(dy.Bool, "", f"{signal} had one value all flight")
+        yield f"{signal}_still", _col(dy.Bool, "", f"{signal} had one value all flight")
 
 
-def _of_witnesses() -> Iterator[tuple[str, dy.Column]]:
+def _of_cross_checks() -> Iterator[tuple[str, dy.Column]]:
     for name, what in _DOOR.items():
         yield _count(name, what) if name.endswith("_n") else _number(name, what)
-    yield "flight_hours", _kept(dy.Float64, "h", "from the first to the last sample")
+    yield "flight_hours", _col(dy.Float64, "h", "from the first to the last sample")
     yield from (_number(f"w_{name}", f"{what}, median in cruise") for name, what in _LEVEL.items())
     yield from (_count(f"w_{name}_n", "samples behind it") for name in _LEVEL)
     yield from (_number(name, f"{what}, median in cruise") for name, what in _SETTING.items())
@@ -184,44 +184,44 @@ def _of_margin() -> Iterator[tuple[str, dy.Column]]:
             f"chance of the exchanger's message within {ahead} flights, by physics alone: no fleet's messages are in it"
         )
         yield _number(f"hx_passage_{ahead}", what)
-    yield "hx_margin_status", _kept(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
+    yield "hx_margin_status", _col(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
     yield from (_number(name, what) for name, what in _DELIVERY.items())
     reach = "ok, at_least (as far as the diffuser's map or the speeds on record reach) or not_known"
-    yield "cc_flow_margin_status", _kept(dy.String, "", reach)
-    yield "cc_flow_margin_hot_high_status", _kept(dy.String, "", reach)
+    yield "cc_flow_margin_status", _col(dy.String, "", reach)
+    yield "cc_flow_margin_hot_high_status", _col(dy.String, "", reach)
 
 
 def _of_life() -> Iterator[tuple[str, dy.Column]]:
-    yield "flights_since_replacement", _kept(dy.Int64, "-", "flights of this exchanger; null before the first logged")
-    yield "flights_seen_of_unit", _kept(dy.Int64, "-", "flights of this exchanger on record")
+    yield "flights_since_replacement", _col(dy.Int64, "-", "flights of this exchanger; null before the first logged")
+    yield "flights_seen_of_unit", _col(dy.Int64, "-", "flights of this exchanger on record")
     for name, (unit, _) in _HEALTH.items():
         per_flight = f"{unit}/flight" if unit != "-" else "1/flight"
         for n in (10, 30, 100):
             meaning = f"slope of {name} over the unit's last {n} flights"
-            yield f"{name}_slope_{n}_per_flight", _kept(dy.Float64, per_flight, meaning)
+            yield f"{name}_slope_{n}_per_flight", _col(dy.Float64, per_flight, meaning)
     yield _number("hx_fouling_jump_10", "hx_fouling less its value ten flights ago")
     step = "median of three flights less that of the twelve before"
     yield _number("hx_fouling_step_3", f"hx_fouling_flight: {step}, wear in between taken out")
     yield _number("ram_flow_loss_step_3", f"ram_flow_loss: {step}")
     for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median"):
-        yield f"{name}_between_packs", _kept(dy.Float64, _unit(name), f"{name} less the other pack's")
+        yield f"{name}_between_packs", _col(dy.Float64, _unit(name), f"{name} less the other pack's")
     yield _number("hx_out_excess_k", "hx_out_sensor_minus_dsm_k, as the alerts name it")
     yield _number("ram_door_open_cruise", "door_median, as the prognosis names it")
     yield _number("ram_door_margin", "what the ram door has left at its widest, 1 - door_max")
-    yield "usage_hours", _kept(dy.Float64, "h", "flight_hours so far")
+    yield "usage_hours", _col(dy.Float64, "h", "flight_hours so far")
 
 
-_DOC = "What is known of a pack after a flight, one column a feature: flight, pack."
+_DOC = "Features of a pack after a flight, one column a feature: flight, pack."
 Features = cast("type[Table]", type("Features", (DatedLegTable,), {"__doc__": _DOC, **dict(_columns())}))
 
 
 _DOC = "Cross checks of a pack in a flight, by its own sensors, door and controllers: flight, pack."
-_WITNESSES = {**dict(_of_sensors()), **dict(_of_witnesses())}
-FeaturesCrossChecks = cast("type[Table]", type("FeaturesCrossChecks", (DatedLegTable,), {"__doc__": _DOC} | _WITNESSES))
+_CHECKS = {**dict(_of_sensors()), **dict(_of_cross_checks())}
+FeaturesCrossChecks = cast("type[Table]", type("FeaturesCrossChecks", (DatedLegTable,), {"__doc__": _DOC} | _CHECKS))
 
 
 class _Margin(DatedLegTable):
-    """What a flight asked of exchanger and compressor, whatever their wear: flight, pack."""
+    """Demand of a flight on exchanger and compressor, independent of their wear: flight, pack."""
 
     high_n = count("samples above 15,000 ft behind it")
     held_k = number("level the controller holds the hot outlet at, median of the high samples", "K")
@@ -249,16 +249,18 @@ def _critical(where: str) -> dict[str, dy.Column]:
 
 def _delivery(where: str) -> dict[str, dy.Float64]:
     words = {"p20": "a fifth of the cruise", "middle": "its middle", "hot_high": "its middle, were it hot and high"}
-    said = f"of the flow asked for in {words[where]}, at the highest speed"
-    least = "ln of the least diameter over equation (6)'s that delivers"
+    condition = f"of the flow asked for in {words[where]}, at the highest speed"
+    ratio = "ln of the least diameter over equation (6)'s that delivers"
     critical = {
-        f"critical_ln_diameter_{where}_{n}pct": number(f"{least} {n} % {said}") for n in (60, 80, 100, 120, 150)
+        f"critical_ln_diameter_{where}_{n}pct": number(f"{ratio} {n} % {condition}") for n in (60, 80, 100, 120, 150)
     }
-    return critical | {f"cc_widest_share_{where}": number(f"share {said}, that the widest diffuser known delivers")}
+    return critical | {
+        f"cc_widest_share_{where}": number(f"share {condition}, that the widest diffuser known delivers")
+    }
 
 
 _CRITICAL = {**_critical("p20"), **_critical("p50"), **_critical("hot_day")}
-_ASKED = {
+_DEMAND = {
     "cc_flow_asked_kg_s": number("flow asked of the compressor, by speed and diffuser, median in cruise", "kg/s"),
     "cc_speed_limit_met": flag("the compressors' highest speed is known to be their limit", nullable=True),
     **_delivery("p20"),
@@ -269,12 +271,12 @@ _ASKED = {
     "cc_flow_margin_ambient_kg_s": number("what its level and the air outside add", "kg/s"),
 }
 FeaturesMargin = cast(
-    "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **_ASKED})
+    "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **_DEMAND})
 )
 
 
 class FeaturesAlerts(Table):
-    """One case that wants a person's attention."""
+    """One case that needs a person's attention."""
 
     alert_id = text("stable name of the case", nullable=False, primary_key=True)
     operator = operator_key(primary_key=False)

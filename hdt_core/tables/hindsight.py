@@ -1,8 +1,8 @@
-"""What a later night may change of a row that stands, and why.
+"""Values of stored rows that a later night may change, with the reason.
 
 Every other value of a row that names a flight or an alert is what the night of its month left, and the same whether a
 landing zone was flown night by night or taken in at once. The data dictionary prints this list; a test holds the chain
-to it. Views that speak of tonight (rankings, open alerts, gaps) and sums over a history are not meant.
+to it. Views of the present state (rankings, open alerts, gaps) and sums over a history are not covered.
 """
 
 from typing import NamedTuple
@@ -20,17 +20,17 @@ REVISIONS = (
     Revision(
         ("twin_health", "health_parameters"),
         ("hx_fouling_smoothed",),
-        "the smoother looks 50 to 100 flights ahead: for looking back, never for deciding",
+        "the smoother uses 50 to 100 later flights, so no decision uses its values",
     ),
     Revision(
         ("legs_admitted", "legs"),
         ("admitted", "reason", "n_nominal"),
-        "the verdict on a leg, with hindsight: it says what may be calibrated from and decides about no part",
+        "the verdict on a leg, with hindsight: it selects legs for calibration and decides about no part",
     ),
     Revision(
         ("features_alerts", "features_component_alerts", "alerts"),
         ("closed_at", "closed_on", "closed_reason", "severity", "now_flight_id", "evidence_now"),
-        "how the alert stands now; how it was raised stands beside it",
+        "the alert's present state; other columns hold its state when it was raised",
     ),
     Revision(
         ("prognosis_lives", "prognoses_components_lives", "unit_lives"),
@@ -40,33 +40,33 @@ REVISIONS = (
     Revision(
         ("training_set",),
         tuple(f"label_{c}_{name}" for c in ("hx", "cc") for name in ("flights", "censored", "ended_by")),
-        "labels: what came after the flight",
+        "labels: events after the flight",
     ),
     Revision(
         ("prognosis_outcomes",),
         ("outcome", "seen_flights", "interval_held", "outlived_low", "outlived_high", "event_50"),
-        "what came after the flight; rows from the flight of an event on go once it is on record",
+        "events after the flight; rows from the flight of an event on are removed once it is on record",
     ),
     Revision(
         ("prognosis_model",),
         ("card", "model"),
-        "scores and the base's bytes stand in the newest month's row alone",
+        "scores and the base's bytes are stored in the newest month's row alone",
     ),
     Revision(
         ("prognosis_model",),
         ("service",),
-        "why a month's model learned and which base served before: the home's own history, not the record's",
+        "reasons for a month's fit and the base before it: the home's own history, not the record's",
     ),
 )
 DESIGN = (
     "Until an aircraft's commissioning window is flown (160 flights), each of its milestones calibrates the models "
     "anew and what follows from them is made anew, prognoses by their own month's model. Where an aircraft joins, the "
     "fleet's share of the models moves a little for all. Flights, messages and work that come late change the rows of "
-    "the days that they speak of."
+    "the days that they concern."
 )
-"""What else may change a row: the models of the aircraft, and the record itself."""
+"""Further causes of changes: the models of the aircraft, and the record itself."""
 
 
 def revised_names(table: str) -> set[str]:
-    """Columns and parameters of a table or view that a later night may change."""
+    """Return columns and parameters of a table or view that a later night may change."""
     return {name for revision in REVISIONS if table in revision.tables for name in revision.names}

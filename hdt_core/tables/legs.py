@@ -17,7 +17,7 @@ from hdt_core.tables.raw import Signals
 
 
 class LegsSamples(Signals):
-    """One sample fit for use, values that no sensor can have said taken out: flight, pack, time."""
+    """One usable sample, without values outside a sensor's range: flight, pack, time."""
 
     operator = operator_key()
     tail = tail_key()

@@ -40,7 +40,7 @@ class PrognosisModel(Table):
 
 
 class Prognoses(LegTable):
-    """What is said after a flight of the life left: flight, pack, component."""
+    """Predicted remaining life after a flight: flight, pack, component."""
 
     component = text("HX or CC", nullable=False, primary_key=True)
     departed_at = moment("first recorded time")

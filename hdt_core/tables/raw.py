@@ -121,7 +121,7 @@ class RawMessages(Table):
 
 
 class RawReports(Table):
-    """What the head of one printed ACMS report says of bleed and packs."""
+    """Bleed and pack states in the head of one printed ACMS report."""
 
     operator = operator_key(primary_key=False)
     tail = tail_key(primary_key=False)
@@ -180,7 +180,7 @@ class RawCosts(Table):
 
 
 class RawCases(Table):
-    """One thing that somebody did about an alert; nothing is ever changed or taken out."""
+    """One action of a person on an alert; entries are never changed or removed."""
 
     line = dy.Int64(nullable=False, primary_key=True, metadata={"unit": "", "meaning": "line of the log, from 1"})
     at = moment("when")

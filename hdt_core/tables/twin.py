@@ -20,7 +20,7 @@ def _numbers(meaning: str) -> dy.List:
 
 
 class TwinFlights(DatedLegTable):
-    """What one flight alone says of a pack, against the Digital System Model: flight, pack."""
+    """Estimate of a pack from one flight alone, against the Digital System Model: flight, pack."""
 
     status = text("ok, few_samples; no_cruise: nothing estimated; implausible: no core can have this", nullable=False)
     n_samples = _samples("steady cruise samples behind the exchanger's estimates")

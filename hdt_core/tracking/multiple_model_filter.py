@@ -62,7 +62,7 @@ def start(n: int, settings: Settings) -> Hypotheses:
         weight[row] = np.log(pace.share * entry.share)
         mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
         mean[row, RATE], cov[row, RATE, RATE] = pace.rate, pace.rate_sd**2
-        since[row] = 0 if entry.new else ASLEEP
+        since[row] = 0 if entry.is_new else ASLEEP
     for i, sd in ((SENSORS, settings.sensors_sd), (UNIT, settings.unit_sd), (OTHER, MAP_SD)):
         cov[:, i, i] = sd**2
     none = np.zeros(k * n, dtype=bool)

@@ -1,1 +1,1 @@
-"""The stages of the chain, one a module, each asset one call into `hdt_core`."""
+"""Stages of the chain as Dagster assets, each one call into `hdt_core`."""

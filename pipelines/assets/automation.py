@@ -1,8 +1,8 @@
-"""What Dagster's daemon may make by itself: what follows from other assets, and nothing that follows from files.
+"""Conditions by which Dagster's daemon may make assets that follow from other assets, never those made from files.
 
-Both sensors are off until someone turns them on. A night knows by hashes what is stale (`pipelines.versions`); Dagster
-knows when something was made, so what it would make is never less and sometimes more. Who lets it make stages runs no
-nights beside it. What is published is made after a night's runs, so its sensor goes with nights.
+Both sensors are off by default. A night finds stale cells by hashes (`pipelines.versions`); Dagster compares times, so
+it makes never less and sometimes more. Let it make stages only where no nights run. Published assets are made after a
+night's runs, so their sensor can run beside nights.
 """
 
 from collections.abc import Iterable
@@ -12,19 +12,19 @@ import dagster as dg
 from pipelines.lineage import Stage
 
 PUBLISHED = "published"
-"""Group of what readers meet."""
+"""Asset group of the catalog and the report."""
 
 
 def newer_than_made(parents: Iterable[str | dg.AssetKey]) -> dg.AutomationCondition[dg.AssetKey]:
-    """A parent was made, or is about to be, since the asset was; and none of them is being made."""
-    asked = dg.AutomationCondition.newly_requested() | dg.AutomationCondition.newly_updated()
-    newer = dg.AutomationCondition.any_deps_updated().allow(dg.AssetSelection.assets(*parents)).since(asked)
+    """Build the condition that a parent is newer than the asset, or requested, and none is in progress."""
+    requested = dg.AutomationCondition.newly_requested() | dg.AutomationCondition.newly_updated()
+    newer = dg.AutomationCondition.any_deps_updated().allow(dg.AssetSelection.assets(*parents)).since(requested)
     busy = dg.AutomationCondition.any_deps_in_progress() | dg.AutomationCondition.in_progress()
     return (newer & ~busy).with_label("made from something newer")
 
 
 def condition_of(stage: Stage) -> dg.AutomationCondition[dg.AssetKey] | None:
-    """None of a stage that is made from files, for which the sensor `landing_zone` looks, or from a baseline alone."""
+    """Return a stage's condition; None if made from files, which `landing_zone` watches, or from a baseline alone."""
     follows = stage.parents and not any(recipe.baseline or recipe.files for recipe in stage.tables.values())
     return newer_than_made(stage.parents) if follows else None
 
@@ -33,11 +33,11 @@ SENSORS = (
     dg.AutomationConditionSensorDefinition(
         "publish_what_is_newer",
         target=dg.AssetSelection.groups(PUBLISHED),
-        description="The catalog and the report, where tables are newer: a report after every night.",
+        description="Makes the catalog and the report where tables are newer.",
     ),
     dg.AutomationConditionSensorDefinition(
         "make_what_follows",
         target=dg.AssetSelection.all() - dg.AssetSelection.groups(PUBLISHED),
-        description="Stages whose parents are newer, for who runs no nights: files are taken in by hand.",
+        description="Makes stages whose parents are newer, where no nights run and files are taken in by hand.",
     ),
 )

@@ -1,4 +1,4 @@
-"""How the aircraft were built: the Digital System Model, from the commissioning window of each tail."""
+"""Calibrate the Digital System Model from the commissioning window of each tail."""
 
 import json
 from collections.abc import Sequence
@@ -26,45 +26,45 @@ from pipelines.storage.store import Store
 
 @stage
 def calibration(home: Home) -> StageResult:
-    """Design parameters and nominal health of fleet, operator and tail, estimated together from nominal legs."""
+    """Estimate design parameters and nominal health of fleet, operator and tail from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)
-    samples = _of_cells(store, "legs_samples", cells, READ, (*LEG_KEY, "time_utc", "source"))
+    samples = _of_cells(store, "legs_samples", cells, SAMPLE_COLUMNS, (*LEG_KEY, "time_utc", "source"))
     verdicts = _of_cells(store, "legs_verdicts", cells, ("*",), LEG_KEY)
     maintenance, messages, reports = (
         baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
     )
     verdicts = reject_odd_bleed(verdicts, reports)
-    norm = learn_baseline(verdicts, samples, maintenance, messages)
-    admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), maintenance, messages)
+    baseline = learn_baseline(verdicts, samples, maintenance, messages)
+    admitted = admit_by(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
-    seen = of_each_aircraft(samples, lambda own: estimate_flights(own, dsm))
-    shown = calibration_metadata(samples, seen, maintenance, dsm)
-    laws = {LEGS: norm.to_json(), CONTROLLERS: json.dumps(learn_schedules(samples).to_dict())}
-    held = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
-    return StageResult((pl.DataFrame(model), design_parameters(dsm), held, window(verdicts)), shown)
+    estimates = of_each_aircraft(samples, lambda pack_samples: estimate_flights(pack_samples, dsm))
+    plots = calibration_metadata(samples, estimates, maintenance, dsm)
+    laws = {LEGS: baseline.to_json(), CONTROLLERS: json.dumps(learn_schedules(samples).to_dict())}
+    schedules = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
+    return StageResult((pl.DataFrame(model), design_parameters(dsm), schedules, window(verdicts)), plots)
 
 
-READ = (*LEG_KEY, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *RECORDED)
-"""Columns of the samples that calibration needs: the memory of a large fleet's night follows from it."""
+SAMPLE_COLUMNS = (*LEG_KEY, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *RECORDED)
+"""Columns of the samples that calibration needs; more would take memory on a large fleet."""
 
 
 def _of_cells(
     store: Store, table: str, cells: pl.DataFrame, columns: Sequence[str], order: Sequence[str]
 ) -> pl.DataFrame:
-    """Rows of these cells, read and sorted aircraft by aircraft: the whole fleet's at once hold four times as much.
+    """Read rows of these cells aircraft by aircraft; the whole fleet's at once take four times the memory.
 
-    In one order, whoever wrote the rows when: sums round by it, and the laws would differ from machine to machine.
+    They are sorted, for sums round by the order of rows, and the laws would differ from machine to machine.
     """
     parts = [store.read_table(table, []).select(columns)]
-    for (operator, tail), own in cells.sort("operator", "tail").group_by("operator", "tail", maintain_order=True):
-        rows = store.scan(table, [(str(operator), str(tail))], own["flight_id"]).select(columns)
-        parts.append(rows.filter(pl.col("flight_id").is_in(own["flight_id"].implode())).collect().sort(order))
+    for (operator, tail), flights in cells.sort("operator", "tail").group_by("operator", "tail", maintain_order=True):
+        rows = store.scan(table, [(str(operator), str(tail))], flights["flight_id"]).select(columns)
+        parts.append(rows.filter(pl.col("flight_id").is_in(flights["flight_id"].implode())).collect().sort(order))
     return pl.concat(parts, rechunk=True)
 
 
 def window(verdicts: pl.DataFrame) -> pl.DataFrame:
-    """From when until when each aircraft's flights were used: operator, tail, n_flights, from_at, until_at."""
+    """Return the time span of each aircraft's flights: operator, tail, n_flights, from_at, until_at."""
     at = pl.col("departed_at")
     span = (pl.col("flight_id").n_unique().cast(pl.Int64).alias("n_flights"), at.min().alias("from_at"))
     return verdicts.group_by("operator", "tail").agg(*span, at.max().alias("until_at"))
@@ -74,5 +74,5 @@ LEGS, CONTROLLERS = "legs", "controllers"
 
 
 def laws_of(calibration_schedules: pl.DataFrame, name: str) -> str:
-    """One set of laws in service, as JSON."""
+    """Return one set of laws in service, as JSON."""
     return str(calibration_schedules.filter(name=name)["laws"].item())

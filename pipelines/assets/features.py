@@ -1,4 +1,4 @@
-"""What the differences mean: features of each pack after each flight, and the alerts they raise."""
+"""Compute features of each pack after each flight, and raise alerts."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ from pipelines.storage.settings import alert_limits
 
 @stage
 def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """What a leg, its sensors, door and controllers show by themselves, held against the fleet's laws."""
+    """Compute indicators of each leg and cross checks of sensors, door and controllers against the fleet's laws."""
     norm = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
     return leg_indicators(legs_samples, norm), cross_checks(legs_samples, laws)
@@ -30,7 +30,7 @@ def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) 
 def features_margin(
     legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame
 ) -> pl.DataFrame:
-    """What each flight asked of the exchangers: the conductance below which the outlet leaves its level."""
+    """Compute each flight's demand on the exchangers: the conductance below which the outlet leaves its set point."""
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
     return exchanger_demand(legs_samples, model_of(calibration_dsm), laws)
 
@@ -45,7 +45,7 @@ def features(
     features_cross_checks: pl.DataFrame,
     features_margin: pl.DataFrame,
 ) -> pl.DataFrame:
-    """Health, residuals and their trends, virtual sensors, witnesses for door and sensors, by flight and pack."""
+    """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack."""
     return describe(
         twin_health,
         residuals,
@@ -61,5 +61,5 @@ def features(
 def features_alerts(
     features: pl.DataFrame, twin_health: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> pl.DataFrame:
-    """Cases that want a person: what moved, since when, what else could explain it, what to do."""
+    """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
     return raise_alerts(features, twin_health, raw_maintenance, alert_limits(Path(home.home)))

@@ -1,4 +1,4 @@
-"""Which flights and samples are nominal, and why the others are not."""
+"""Classify flights and samples as nominal, or give the reason why not."""
 
 import polars as pl
 
@@ -13,9 +13,9 @@ from pipelines.assets.stage import stage
 
 @stage
 def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Each leg judged by its own record alone: phase, completeness, range, steady state.
+    """Classify each leg by its own record alone: phase, completeness, range, steady state.
 
-    The logs have their say later.
+    Logs are considered in `legs_admitted`.
     """
     verdicts, samples = judge_legs(
         pl.concat([raw_snapshots, raw_logs]), RawMaintenance.create_empty(), RawMessages.create_empty()
@@ -34,7 +34,7 @@ def legs_admitted(
     twin_flights: pl.DataFrame,
     calibration_schedules: pl.DataFrame,
 ) -> pl.DataFrame:
-    """The final verdict, with hindsight: what logs, printed reports, cross checks and the twin say of each leg."""
+    """Admit legs by logs, printed reports, cross checks and the twin, with hindsight."""
     baseline = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     verdicts = reject_odd_bleed(legs_verdicts, raw_reports)
     return admit_by(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)

@@ -1,4 +1,4 @@
-"""The stages as one Dagster location over a landing zone and a home."""
+"""Dagster location of all stages over a landing zone and a home."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from pipelines.resources import Home, frame_io
 def asset_definitions(
     landing: str | Path, home: str | Path, overrides: Mapping[str, Any] | None = None, **parts: Any
 ) -> dg.Definitions:
-    """All assets with their resources; `overrides` replace resources by name, `parts` are jobs and the like."""
+    """Build all assets with their resources; `overrides` replace resources by name, `parts` are jobs and the like."""
     resources = {
         "home": Home(landing=str(landing), home=str(home)),
         "io_manager": frame_io.configured({"home": str(home)}),

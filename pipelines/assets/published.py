@@ -1,4 +1,4 @@
-"""What readers meet after a night: the catalog's views, each behind what it reads, and the report."""
+"""Published assets: the catalog's views, each downstream of its sources, and the report."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,16 +18,18 @@ REPORT = "report.html"
 
 
 def view_key(view: str) -> dg.AssetKey:
-    """Key of a view; some are named like the table behind them."""
+    """Return a view's asset key, prefixed, for some views are named like their table."""
     return dg.AssetKey(["catalog", view])
 
 
 def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
-    read = [dg.AssetKey(n.removeprefix("tables.")) if n.startswith("tables.") else view_key(n) for n in header.sources]
+    upstream = [
+        dg.AssetKey(n.removeprefix("tables.")) if n.startswith("tables.") else view_key(n) for n in header.sources
+    ]
     return dg.AssetSpec(
         view_key(view),
-        deps=read,
-        automation_condition=newer_than_made(read),
+        deps=upstream,
+        automation_condition=newer_than_made(upstream),
         description=f"{header.question}\n\n{header.notes}",
         group_name=PUBLISHED,
         owners=owners(PUBLISHED),
@@ -41,24 +43,24 @@ VIEWS = [_spec(name, read_header(sql)) for name, sql in order_views(views())]
 
 @dg.multi_asset(specs=VIEWS, name="catalog", description=f"Publishes {CATALOG}: all views over one night's tables.")
 def catalog(home: Home) -> Iterator[dg.MaterializeResult[Any]]:
-    """Made whole: a reader meets the views of one night. A night publishes by itself and says so here."""
+    """Publish all views at once, so that a reader sees one night. A night publishes by itself and reports it here."""
     publish(Path(home.home))
     yield from (dg.MaterializeResult(asset_key=spec.key) for spec in VIEWS)
 
 
-_SHOWN = [view_key(view) for view in views_read()]
+_REPORT_VIEWS = [view_key(view) for view in views_read()]
 
 
 @dg.asset(
-    deps=_SHOWN,
-    automation_condition=newer_than_made(_SHOWN),
+    deps=_REPORT_VIEWS,
+    automation_condition=newer_than_made(_REPORT_VIEWS),
     group_name=PUBLISHED,
     owners=owners(PUBLISHED),
     kinds={"html"},
     description=f"The fleet's health as one page, `{REPORT}` in the home. What `hdt report` writes does not show here.",
 )
 def report(home: Home) -> dg.MaterializeResult[Any]:
-    """The page over the catalog as it stands."""
+    """Write the report from the present catalog."""
     from pipelines.report.page import write_report
 
     target = Path(home.home) / REPORT

@@ -1,4 +1,4 @@
-"""What was recorded, typed, in SI, each row once; and an account of every row that was delivered."""
+"""Ingest records as typed SI rows without duplicates, and account for every delivered row."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -31,21 +31,23 @@ from pipelines.storage.store import Store
 
 @stage
 def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
-    """The fleet list, and files that hold no flight at all."""
+    """Read the fleet list, checks and costs, and account for files without a flight."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
     lists = [(f, read_fleet(f, now)) for f in landing_files(landing, ledger.files(["fleet"]))]
     fleet = pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed")
     checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
-    costs, wrong = costs_or_fault(Path(home.home))
+    costs, cost_faults = costs_or_fault(Path(home.home))
     rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
-    left = rejected.delivered.select("file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0)
-    refused = [list_landing(landing).quarantine, rejected.quarantine]
-    if not fleet.height:  # a list that is gone or broken takes nothing away
+    rejected_accounts = rejected.delivered.select(
+        "file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0
+    )
+    quarantines = [list_landing(landing).quarantine, rejected.quarantine]
+    if not fleet.height:  # a missing or broken list removes no aircraft
         fleet = home.store.read_table("raw_fleet")
     return (
         fleet,
-        pl.concat([left, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
-        pl.concat([*refused, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, wrong)]),
+        pl.concat([rejected_accounts, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
+        pl.concat([*quarantines, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, cost_faults)]),
         readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read_table("raw_coverage"),
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
         costs,
@@ -54,40 +56,40 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
 
 @stage
 def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
-    """Messages the aircraft raised, work done on them, what people did about alerts, heads of printed reports."""
+    """Read messages, maintenance entries, the case log and heads of printed reports."""
     aircraft = list(scope.aircraft or {})
-    listed = home.ledger.files([*RECORDS, REPORTS]).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
-    read = [*_logs(listed, scope, home), *_printed(listed, scope, home)]
-    paths = [f.path for f, _ in read]
+    listing = home.ledger.files([*RECORDS, REPORTS]).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
+    logs = [*_logs(listing, scope, home), *_printed(listing, scope, home)]
+    paths = [f.path for f, _ in logs]
 
-    rows = {kind: _records(kind, [(f, x) for f, x in read if f.kind == kind], scope, home.store) for kind in RECORDS}
-    cases = told_cases(scope, home)
+    rows = {kind: _records(kind, [(f, x) for f, x in logs if f.kind == kind], scope, home.store) for kind in RECORDS}
+    cases = case_log_rows(scope, home)
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        return pl.concat([left(table, paths, scope, home.store), *frames], how="diagonal")
+        return pl.concat([stored_rows_of_absent_files(table, paths, scope, home.store), *frames], how="diagonal")
 
-    deliveries = [of_aircraft(f, account(f, x)) for f, x in read]
+    deliveries = [of_aircraft(f, account(f, x)) for f, x in logs]
     return (
         rows["messages"],
         date_entries(with_findings(rows["maintenance"], cases)),
         cases,
-        with_stored("raw_reports", [x.rows for f, x in read if f.kind == REPORTS]),
-        with_stored("raw_records_deliveries", deliveries).with_columns(_COUNTED),
-        with_stored("raw_records_quarantine", [of_aircraft(f, x.quarantine) for f, x in read]),
+        with_stored("raw_reports", [x.rows for f, x in logs if f.kind == REPORTS]),
+        with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
+        with_stored("raw_records_quarantine", [of_aircraft(f, x.quarantine) for f, x in logs]),
     )
 
 
 RECORDS = {"messages": ("raw_messages", read_messages), "maintenance": ("raw_maintenance", read_maintenance)}
-_COUNTED = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
+_ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
 
 
 def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
     return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
-def _logs(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
-    """Messages and maintenance: one file an aircraft; a pack that is stored of it stays one."""
-    files, now = landing_files(Path(home.landing), listed.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
+def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+    """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
+    files, now = landing_files(Path(home.landing), listing.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
     stored = {kind: scope.read_table(home.store, table) for kind, (table, _) in RECORDS.items()}
     packs = {
         (kind, *row[:2]): row[2] or 0
@@ -98,63 +100,63 @@ def _logs(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple
     return [(f, RECORDS[f.kind][1](f, now)) for f in files]
 
 
-def _printed(listed: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
-    """Files of printed reports that are not stored as they are now: there is one a flight."""
+def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+    """Read printed reports whose present version is not stored; there is one a flight."""
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
-    known = scope.read_table(home.store, "raw_reports").select(path="file", version="file_version")
-    unread = listed.filter(pl.col("kind") == REPORTS).with_columns(version)
-    unread = unread.join(known, on=["path", "version"], how="anti")
+    stored = scope.read_table(home.store, "raw_reports").select(path="file", version="file_version")
+    unread = listing.filter(pl.col("kind") == REPORTS).with_columns(version)
+    unread = unread.join(stored, on=["path", "version"], how="anti")
     versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
     files = landing_files(Path(home.landing), unread) if REPORTS in readers() else []
     return [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files]
 
 
-def _records(kind: str, read: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
-    """Rows of the files that lie there; of aircraft whose file has left the landing zone, what is stored."""
-    table, here = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in read]
-    stored = scope.read_table(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(here)))
+def _records(kind: str, logs: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
+    """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
+    table, delivered = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in logs]
+    stored = scope.read_table(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(delivered)))
     if kind == "maintenance":
         stored = stored.filter(pl.col("source") != CASE)
-    return pl.concat([stored, *(x.rows for _, x in read)], how="diagonal")
+    return pl.concat([stored, *(x.rows for _, x in logs)], how="diagonal")
 
 
-def told_cases(scope: PartitionScope, home: Home) -> pl.DataFrame:
-    """What people did about alerts of these aircraft: the log of cases, and what is stored should the log be lost."""
-    told, stored = CaseLog(Path(home.home)).entries(), scope.read_table(home.store, "raw_cases")
-    both = pl.concat([told, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
-    return both.filter(pl.struct("operator", "tail").is_in(_keys(list(scope.aircraft or {})))).sort("line", "at")
+def case_log_rows(scope: PartitionScope, home: Home) -> pl.DataFrame:
+    """Return case log entries of these aircraft, with stored ones in case the log is lost."""
+    entries, stored = CaseLog(Path(home.home)).entries(), scope.read_table(home.store, "raw_cases")
+    rows = pl.concat([entries, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
+    return rows.filter(pl.struct("operator", "tail").is_in(_keys(list(scope.aircraft or {})))).sort("line", "at")
 
 
-def left(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
-    """What is stored of files that have left the landing zone."""
+def stored_rows_of_absent_files(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
+    """Return stored rows of files that have left the landing zone."""
     return scope.read_table(store, table).filter(~pl.col("file").is_in(present))
 
 
 def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
-    """`frame` with the operator and tail whose folder holds the file."""
+    """Add the operator and tail of the file's folder to `frame`."""
     return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
 
 
-def account(file: LandingFile, read: Log | ComponentIntake) -> pl.DataFrame:
-    """Where the rows of one file went."""
+def account(file: LandingFile, intake: Log | ComponentIntake) -> pl.DataFrame:
+    """Count one file's delivered, loaded, quarantined and duplicate rows."""
     counts = {
-        "delivered": read.n_delivered, "loaded": read.n_loaded,
-        "quarantined": int(read.quarantine["n_rows"].sum()), "duplicate": read.n_duplicate,
+        "delivered": intake.n_delivered, "loaded": intake.n_loaded,
+        "quarantined": int(intake.quarantine["n_rows"].sum()), "duplicate": intake.n_duplicate,
     }  # fmt: skip
     return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
 
 
 @stage
 def raw(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
-    """Snapshot reports and continuous logs of each flight, from every file that holds it, whenever it came."""
+    """Ingest snapshot reports and continuous logs of each flight, from every file that holds it."""
     landing = Path(home.landing)
     aircraft = (scope.aircraft or {}).items()
-    taken = [ingest_flights(landing, home.store, home.ledger, a, flights) for a, flights in aircraft]
-    rows = pl.concat([t.rows for t in taken])
+    intakes = [ingest_flights(landing, home.store, home.ledger, a, flights) for a, flights in aircraft]
+    rows = pl.concat([t.rows for t in intakes])
     return (
         rows.filter(pl.col("source") == "acms"),
         rows.filter(pl.col("source") == "cpl"),
-        pl.concat([t.deliveries for t in taken]),
-        pl.concat([t.quarantine for t in taken], how="diagonal_relaxed"),
+        pl.concat([t.deliveries for t in intakes]),
+        pl.concat([t.quarantine for t in intakes], how="diagonal_relaxed"),
         flights_of(rows),
     )

@@ -1,4 +1,4 @@
-"""Sensor against model against twin."""
+"""Residuals between sensor, model and twin."""
 
 import polars as pl
 
@@ -9,5 +9,5 @@ from pipelines.assets.twin import model_of
 
 @stage
 def residuals(legs_samples: pl.DataFrame, twin_flights: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
-    """Sensor minus model, model minus twin, sensor minus twin, per flight and signal."""
+    """Compute sensor minus model, model minus twin and sensor minus twin, per flight and signal."""
     return compare(legs_samples, twin_flights, model_of(calibration_dsm))

@@ -1,4 +1,4 @@
-"""How a stage becomes Dagster assets: a function from tables to tables, wired and checked from the declarations."""
+"""Build Dagster assets of a stage's function, wired and checked from its declaration."""
 
 import inspect
 import time
@@ -15,7 +15,7 @@ from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.assets.automation import condition_of
 from pipelines.intake.broken_rows import store_broken_rows
-from pipelines.lineage import FOLLOWED, MAKER, STAGE, Stage
+from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
 from pipelines.storage.headers import MEANINGS
@@ -25,20 +25,20 @@ _TEAMS = {"raw": "flight-data", "legs": "flight-data", "calibration": "thermal-m
           "residuals": "thermal-models", "features": "health-monitoring", "prognosis": "health-monitoring",
           "published": "maintenance-control"}  # fmt: skip
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
-"""What does the sums of a group; of the others Polars."""
+"""Library shown for a group; Polars for the others."""
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
 CHECK, HONOURED = "honours_table", "has the declared columns, types, spans and a unique key"
-FRESH = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
-"""A night that brought nothing is a warning, two are a fault."""
+FRESHNESS = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
+"""Warn after one night without data, fail after two."""
 
 
 def owners(group: str) -> list[str]:
-    """Whom to ask about an asset of a group: who takes files in, who knows the models, who watches, who acts."""
+    """Return the team that owns a group's assets."""
     return [f"team:{_TEAMS[group]}"]
 
 
 class StageResult(NamedTuple):
-    """Frames, with what one table's materialization shows beside its counts: the first's, or that `on` says."""
+    """Frames, with metadata for the materialization of the table at index `on`."""
 
     frames: tuple[pl.DataFrame, ...]
     metadata: dict[str, Any]
@@ -49,116 +49,118 @@ Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | StageResult
 
 
 def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
-    """Make assets of a function that bears the name of a stage declared in `pipelines.lineage`.
+    """Make assets of a function named like a stage declared in `pipelines.lineage`.
 
     The function's arguments are named after the tables it reads; `scope` and `home` give it the run's cells and
     folders, with which it may read a part of its parents. It returns one frame a table, in the order of the stage's
-    tables. Each is checked against its declaration before it is stored: a row that breaks it is set aside in
-    quarantine, and where rows stand or fall together nothing is stored and what depends on it does not run.
+    tables. Each is checked against its declaration before it is stored: an invalid row goes to quarantine; where the
+    table is valid only as a whole, nothing is stored and what depends on it does not run.
 
     Raises
     ------
     ValueError
         Where an argument is a table whose changes would not make the stage stale.
     """
-    own = STAGE[fn.__name__]
-    wanted = list(inspect.signature(fn).parameters)
+    declaration = STAGE[fn.__name__]
+    arguments = list(inspect.signature(fn).parameters)
     first_line = inspect.getdoc(fn) or ""
-    condition = condition_of(own)
+    condition = condition_of(declaration)
 
     @dg.multi_asset(
-        name=own.name,
-        outs={t: _out(t, own, first_line, condition) for t in own.tables},
-        deps=[dg.AssetKey(t) for t in _drawn(own, [p for p in wanted if p in TABLES])],
-        partitions_def=_PARTITIONS[own.grain],
+        name=declaration.name,
+        outs={t: _out(t, declaration, first_line, condition) for t in declaration.tables},
+        deps=[dg.AssetKey(t) for t in _upstream_tables(declaration, [p for p in arguments if p in TABLES])],
+        partitions_def=_PARTITIONS[declaration.grain],
         check_specs=[
-            dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=f"{t} {HONOURED}") for t in own.tables
+            dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=f"{t} {HONOURED}") for t in declaration.tables
         ],
         backfill_policy=dg.BackfillPolicy.single_run(),
         description=first_line,
-        op_tags={"hdt/stage": own.group},
+        op_tags={"hdt/stage": declaration.group},
     )
     def run(context: dg.AssetExecutionContext, home: Home) -> Iterator[Any]:
-        scope = PartitionScope.of(None if own.grain == "fleet" else list(context.partition_keys))
-        offered: dict[str, Any] = {"scope": scope, "home": home}
-        began = time.monotonic()
+        scope = PartitionScope.of(None if declaration.grain == "fleet" else list(context.partition_keys))
+        resources: dict[str, Any] = {"scope": scope, "home": home}
+        start = time.monotonic()
         with panics_as_errors():
-            made = fn(**{p: offered[p] if p in offered else scope.read_table(home.store, p) for p in wanted})
-        took = {"seconds": round(time.monotonic() - began, 3)}
-        result, store, ledger = _as_result(made), home.store, home.ledger
-        for place, (table, frame) in enumerate(zip(own.tables, result.frames, strict=True)):
-            shown = result.metadata if place == result.on else {}
-            keep = partial(store_broken_rows, store, ledger, scope, table)
-            yield from _checked(table, frame, took, shown, keep)
+            outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
+        took = {"seconds": round(time.monotonic() - start, 3)}
+        result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
+        for place, (table, frame) in enumerate(zip(declaration.tables, result.frames, strict=True)):
+            metadata = result.metadata if place == result.on else {}
+            quarantine = partial(store_broken_rows, store, ledger, scope, table)
+            yield from _check_and_store(table, frame, took, metadata, quarantine)
 
     return run
 
 
-def _as_result(made: Frames) -> StageResult:
-    if isinstance(made, StageResult):
-        return made
-    return StageResult((made,) if isinstance(made, pl.DataFrame) else made, {})
+def _as_stage_result(outcome: Frames) -> StageResult:
+    if isinstance(outcome, StageResult):
+        return outcome
+    return StageResult((outcome,) if isinstance(outcome, pl.DataFrame) else outcome, {})
 
 
-def _drawn(own: Stage, read: list[str]) -> list[str]:
-    """Tables from which the graph draws an arrow: those read as arguments, and parents read through the home."""
-    lost = set(read) - FOLLOWED[own.name]
-    if lost:
-        raise ValueError(f"{own.name} reads {', '.join(sorted(lost))}, of which its lineage follows no change")
-    makers = [MAKER[table].name for table in read]
-    return [*read, *(parent for parent in own.parents if MAKER[parent].name not in makers)]
+def _upstream_tables(declaration: Stage, arguments: list[str]) -> list[str]:
+    """Return upstream tables: those read as arguments, and parents read through the home."""
+    untracked = set(arguments) - UPSTREAM[declaration.name]
+    if untracked:
+        raise ValueError(
+            f"{declaration.name} reads {', '.join(sorted(untracked))}, of which its lineage follows no change"
+        )
+    makers = [MAKER[table].name for table in arguments]
+    return [*arguments, *(parent for parent in declaration.parents if MAKER[parent].name not in makers)]
 
 
 def _out(
-    table: str, own: Stage, description: str, condition: dg.AutomationCondition[dg.AssetKey] | None
+    table: str, declaration: Stage, description: str, condition: dg.AutomationCondition[dg.AssetKey] | None
 ) -> dg.AssetOut:
     schema = TABLES[table].schema
     first = (inspect.getdoc(schema) or "").splitlines()[0]
     columns = [dg.TableColumn(n, str(c.dtype), description=MEANINGS[table][n]) for n, c in schema.columns().items()]
     return dg.AssetOut(
-        group_name=own.group,
-        owners=owners(own.group),
-        kinds={"deltalake", _TOOLS.get(own.group, "polars")},
+        group_name=declaration.group,
+        owners=owners(declaration.group),
+        kinds={"deltalake", _TOOLS.get(declaration.group, "polars")},
         automation_condition=condition,
         description=f"{first}\n\n{description}",
-        code_version=own.tables[table].code,
-        freshness_policy=FRESH if table == own.fresh else None,
+        code_version=declaration.tables[table].code,
+        freshness_policy=FRESHNESS if table == declaration.fresh else None,
         metadata={"dagster/column_schema": dg.TableSchema(columns=columns), "grain": TABLES[table].grain},
     )
 
 
-def _checked(
+def _check_and_store(
     table: str,
     frame: pl.DataFrame,
     took: dict[str, float],
-    shown: Mapping[str, Any],
-    keep: Callable[[pl.DataFrame], None] = lambda _: None,
+    metadata: Mapping[str, Any],
+    quarantine: Callable[[pl.DataFrame], None] = lambda _: None,
 ) -> Iterator[Any]:
-    """What the check of a table says, and the rows to store; `keep` is given those that break the declaration.
+    """Check a table and yield result and valid rows; `quarantine` receives the invalid ones.
 
-    The check speaks of the run: how many rows of how many flights, and how long it `took`. What is stored is told by
-    partition, so only what is `shown` goes with it.
+    The check reports on the run: rows, flights and the time it `took`. The output is reported by partition, so only
+    `metadata` goes with it.
     """
     frame = TABLES[table].conform(frame)
-    sound, broken = TABLES[table].schema.parted(frame)
-    faults = TABLES[table].schema.counted(broken, frame.height)
-    refused = bool(faults) and (TABLES[table].whole or (TABLES[table].grain == "fleet" and not sound.height))
-    says = "; ".join(faults) or f"{frame.height} rows, each as declared"
-    told = "not stored: " if refused else "set aside in quarantine: " if faults else ""
+    valid, broken = TABLES[table].schema.split_valid(frame)
+    faults = TABLES[table].schema.count_faults(broken, frame.height)
+    is_refused = bool(faults) and (TABLES[table].whole or (TABLES[table].grain == "fleet" and not valid.height))
+    findings = "; ".join(faults) or f"{frame.height} rows, each as declared"
+    action = "not stored: " if is_refused else "set aside in quarantine: " if faults else ""
     yield CheckBeforeStorage(
         check_name=CHECK,
         asset_key=table,
         passed=not faults,
-        severity=dg.AssetCheckSeverity.ERROR if refused else dg.AssetCheckSeverity.WARN,
-        description=told + says,
-        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none", **took, **_numbers(sound)},
+        severity=dg.AssetCheckSeverity.ERROR if is_refused else dg.AssetCheckSeverity.WARN,
+        description=action + findings,
+        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none", **took, **_numbers(valid)},
     )
-    if refused:
-        raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {says}")
-    keep(broken)
-    yield dg.Output(sound, output_name=table, metadata=shown)
+    if is_refused:
+        raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {findings}")
+    quarantine(broken)
+    yield dg.Output(valid, output_name=table, metadata=metadata)
 
 
 def _numbers(frame: pl.DataFrame) -> dict[str, int]:
-    counted = {"flight_id": "flights", "tail": "aircraft"}
-    return {name: frame[c].n_unique() for c, name in counted.items() if c in frame.columns}
+    labels = {"flight_id": "flights", "tail": "aircraft"}
+    return {name: frame[c].n_unique() for c, name in labels.items() if c in frame.columns}

@@ -1,4 +1,4 @@
-"""How each pack is now: what each flight alone says, and the track through all of them."""
+"""Estimate each pack's health from each flight alone, and track it through all flights."""
 
 import json
 
@@ -14,13 +14,13 @@ from pipelines.resources import Home
 
 
 def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
-    """The Digital System Model in service."""
+    """Read the Digital System Model in service."""
     return Dsm.from_dict(json.loads(calibration_dsm["model"][0]))
 
 
 @stage
 def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
-    """Health of each pack from one flight alone, by maximum likelihood, all flights of the run at once."""
+    """Estimate health of each pack from one flight alone by maximum likelihood, for all flights of the run."""
     return estimate_flights(legs_samples, model_of(calibration_dsm))
 
 
@@ -32,9 +32,9 @@ def twin_health(
     raw_maintenance: pl.DataFrame,
     calibration_dsm: pl.DataFrame,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """The Operational Digital Twin: health after each flight, from that flight and all before it.
+    """Track the Operational Digital Twin: health after each flight, from that flight and all before it.
 
-    It goes on from the last checkpoint before what is new; a checkpoint says which flights it has seen.
+    It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
-    known = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), known, LINEAGE["twin_health"].code)
+    stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
+    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, LINEAGE["twin_health"].code)

@@ -4,7 +4,7 @@ import logging
 import sqlite3
 import sys
 
-from hdt_core.packages import brought
+from hdt_core.packages import load_entry_points
 from pipelines.cli import cases, digest, look, make, night, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, print_error
 from pipelines.cli.stops import StoppedError, stop_in_order
@@ -41,7 +41,7 @@ def main() -> None:
 
 def load_extensions() -> None:
     """Import the module of every entry point of the group `hdt.commands`, which adds its commands to `base.app`."""
-    list(brought("hdt.commands", "commands", StopError))
+    list(load_entry_points("hdt.commands", "commands", StopError))
 
 
 def _load_schemas() -> None:

@@ -130,15 +130,15 @@ def tidy(
     on Dagster's page.
     """
     from dagster_batched.event_log import delete_runs
-    from pipelines.orchestration.around_night import holding
+    from pipelines.orchestration.around_night import lock_home
     from pipelines.orchestration.runs import open_instance
     from pipelines.storage.history import replace_damaged_history
 
     where = home_folder(home)
-    with holding(where):
+    with lock_home(where):
         if message := replace_damaged_history(where):
             out.print(message, soft_wrap=True)
-    with holding(where), open_instance(where) as instance:
+    with lock_home(where), open_instance(where) as instance:
         runs = delete_runs(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
     out.print(f"{runs} runs deleted")
 
@@ -157,7 +157,7 @@ def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.orchestration.around_night import holding
+    from pipelines.orchestration.around_night import lock_home
     from pipelines.orchestration.nightly import complete_night
 
     start_s, bars = time.monotonic(), Bars(quiet=as_json)
@@ -166,23 +166,23 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         bars.stop()
         print_error("stopped; the next run continues from here")
 
-    with stop_at_once(report_stop), holding(home):
+    with stop_at_once(report_stop), lock_home(home):
         try:
             night, fault = complete_night(landing, home, bars, only, jobs=jobs)
         finally:
             bars.stop()
     seconds = time.monotonic() - start_s
-    for line in night.mended:
+    for line in night.repairs:
         err.print(f"repaired: {line}", markup=False, soft_wrap=True)
     if as_json:
-        values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.after
+        values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.hook_results
         values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("new_paths", "after")}
         out.print_json(json.dumps(values))
     else:
         _print_night(landing, home, night, fault, seconds)
-    for line in (*night.untold, *night.not_followed):
+    for line in (*night.failed_deliveries, *night.failed_hooks):
         print_error(line)
-    if night.failed or night.not_followed:
+    if night.failed or night.failed_hooks:
         raise typer.Exit(1)
 
 
@@ -195,9 +195,9 @@ def _print_night(landing: Path, home: Path, night: Any, fault: str | None, secon
         )
     else:
         _print_results(home, night, seconds)
-    for line in night.not_read:
+    for line in night.ignored_names:
         err.print(f"not read: {line}", markup=False, soft_wrap=True)
-    for name, value in night.after.items():
+    for name, value in night.hook_results.items():
         if value:
             out.print(f"{name.replace('_', ' ')}: {value}", markup=False, soft_wrap=True)
 

@@ -38,15 +38,15 @@ def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
         .with_columns(source=pl.lit(LOG), closes_alert_id=pl.lit(None, pl.String))
         .with_row_index("n")
     )
-    both = work.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
+    pairs = work.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
         (pl.col("done_on") - pl.col("done_on_log")).abs() <= SAME_WORK
     )
-    matches = both.unique("n", keep="last").select("n", said="closes_alert_id", saw="finding")
+    matches = pairs.unique("n", keep="last").select("n", case_alert_id="closes_alert_id", case_finding="finding")
     rows = rows.join(matches, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
-        closes_alert_id=pl.col("said"), finding=pl.coalesce("finding", "saw")
+        closes_alert_id=pl.col("case_alert_id"), finding=pl.coalesce("finding", "case_finding")
     )
-    alone = work.join(both, on="closes_alert_id", how="anti", maintain_order="left")
-    return pl.concat([schema.conform(rows), alone])
+    unmatched = work.join(pairs, on="closes_alert_id", how="anti", maintain_order="left")
+    return pl.concat([schema.conform(rows), unmatched])
 
 
 def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, str]]:

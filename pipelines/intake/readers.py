@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import polars as pl
 
-from hdt_core.packages import brought
+from hdt_core.packages import load_entry_points
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import Kind, LandingFile
 from pipelines.intake.log_lines import Log
@@ -80,7 +80,7 @@ class Readers(dict[str, Reader]):
 def readers() -> Readers:
     """Load the packages' readers; a `ReaderError` names one that fails, is none, or reads another's folder."""
     by_folder = Readers()
-    for entry_point, module in brought("hdt.readers", "reader", ReaderError):
+    for entry_point, module in load_entry_points("hdt.readers", "reader", ReaderError):
         if not isinstance(module, Reader):
             raise ReaderError(f"{entry_point} is no Reader")
         if conflicts := sorted(by_folder.keys() & set(module.FOLDERS)):

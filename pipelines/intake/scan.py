@@ -37,8 +37,8 @@ class Scan:
     """Flights in the new files; one in two of them counts twice."""
     new_paths: frozenset[str]
     """Paths of the new files."""
-    not_read: pl.DataFrame
-    """Quarantine rows of entries that are not read."""
+    ignored: pl.DataFrame
+    """Quarantine rows of ignored entries."""
 
 
 def scan(landing: Path, ledger: Ledger) -> Scan:

@@ -1,1 +1,1 @@
-"""A night: which cells are stale, in which runs they are made, by whom, and what came of them."""
+"""A night: find stale cells, group them into runs, execute the runs and report failures."""

@@ -1,4 +1,4 @@
-"""What stands around a night: the lock of its home before it, hooks of packages and the digest's receivers after it."""
+"""Before a night, lock its home; after it, call hooks of packages and send digests."""
 
 import fcntl
 import os
@@ -18,13 +18,13 @@ class BusyError(Exception):
 
 
 @contextmanager
-def holding(home: Path) -> Iterator[None]:
-    """Be the only writer of `home` and, where the fleet's ledger is a database, of the fleet.
+def lock_home(home: Path) -> Iterator[None]:
+    """Lock `home` for one writer and, where the fleet's ledger is a database, the fleet.
 
-    The lock goes with the process, however it ends.
+    The operating system releases the lock when the process ends, however it ends.
     """
     home.mkdir(parents=True, exist_ok=True)
-    with _closed_to_others(home), open(home / ".lock", "a+") as lock:
+    with _restrict_permissions(home), open(home / ".lock", "a+") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -34,26 +34,26 @@ def holding(home: Path) -> Iterator[None]:
         lock.write(str(os.getpid()))
         lock.flush()
         url = Ledger(home).url
-        with postgres.fleet_lock(url) if url else nullcontext() as other:
-            if other:
-                raise BusyError(_busy(other, "this fleet"))
+        with postgres.fleet_lock(url) if url else nullcontext() as other_writer:
+            if other_writer:
+                raise BusyError(_busy(other_writer, "this fleet"))
             yield
 
 
 @contextmanager
-def _closed_to_others(home: Path) -> Iterator[None]:
-    """Keep from others than the group what lies in the home, and what is made in it."""
-    before = narrow_umask()
+def _restrict_permissions(home: Path) -> Iterator[None]:
+    """Deny users outside the group access to the home and to files written within the block."""
+    old_umask = narrow_umask()
     try:
-        with suppress(PermissionError):  # a volume that is another's
+        with suppress(PermissionError):  # a volume of another owner
             home.chmod(home.stat().st_mode & ~0o007)
         yield
     finally:
-        os.umask(before)
+        os.umask(old_umask)
 
 
-def _busy(who: str, what: str) -> str:
-    return f"another run ({who}) is writing {what}; wait for it to end"
+def _busy(writer: str, place: str) -> str:
+    return f"another run ({writer}) is writing {place}; wait for it to end"
 
 
 def call_hooks(home: Path) -> tuple[dict[str, str | None], tuple[str, ...]]:
@@ -62,21 +62,21 @@ def call_hooks(home: Path) -> tuple[dict[str, str | None], tuple[str, ...]]:
     Returns
     -------
     tuple
-        What they give, by the name under which a command tells it, and a line for each that failed: the night is done
-        and published, and the others follow.
+       Results by the key under which a command prints them, and a line for each hook that failed: the night is
+        published already, and the other hooks still run.
     """
-    given: dict[str, str | None] = {}
+    results: dict[str, str | None] = {}
     failed = []
     for point in sorted(entry_points(group="hdt.after_night"), key=lambda p: p.name):
         try:
-            given |= point.load()(home)
+            results |= point.load()(home)
         except Exception as error:
             failed.append(f"{point.name}: {error}")
-    return given, tuple(failed)
+    return results, tuple(failed)
 
 
-def tell_receivers(home: Path) -> tuple[str, ...]:
-    """A line for each receiver of the night's digest that could not be told; a home without receivers costs nothing."""
+def notify_receivers(home: Path) -> tuple[str, ...]:
+    """Send the night's digests; return a line for each receiver that failed. A home without receivers costs nothing."""
     if not notify_file(home).exists():
         return ()
     from pipelines.digest import send_digests

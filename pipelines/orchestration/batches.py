@@ -1,4 +1,4 @@
-"""Which cells share a run: as many flights as one may hold, of one or several aircraft, never one flight each."""
+"""Group cells into runs: up to `CELLS_A_RUN` flights of one or several aircraft."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -19,50 +19,50 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class PartitionBatch:
-    """One run's worth of cells in the order of their partitions, from flight to flight; none is the fleet's."""
+    """Cells of one run, in the order of their partitions; no cells for a table of the whole fleet."""
 
     cells: tuple[Cell, ...] = ()
     flights: tuple[str, str] = ("", "")
 
     @property
     def aircraft(self) -> list[str]:
-        """Keys of its aircraft."""
+        """Keys of the aircraft."""
         return list(dict.fromkeys(map(itemgetter(0), self.cells)))
 
     @property
     def size(self) -> int:
-        """How many cells it makes."""
+        """Number of cells."""
         return len(self.cells) or 1
 
     @property
     def label(self) -> str:
-        """Whose it is."""
+        """First aircraft, or `fleet`."""
         return self.cells[0][0] if self.cells else "fleet"
 
     def partition_keys(self) -> Sequence[str]:
-        """Partition keys."""
+        """Return Dagster's partition keys."""
         return partitions.cell_keys(self.cells) if self.flights[0] else self.aircraft
 
     def parts(self) -> list["PartitionBatch"]:
-        """The same in smaller runs: an aircraft each or, of one aircraft, halves; none where there is one cell."""
-        own = [tuple(cells) for _, cells in groupby(self.cells, key=itemgetter(0))]
-        if len(own) == 1:
+        """Split into runs of one aircraft each or, of one aircraft, into halves; none where there is one cell."""
+        cell_groups = [tuple(cells) for _, cells in groupby(self.cells, key=itemgetter(0))]
+        if len(cell_groups) == 1:
             half = len(self.cells) // 2
-            own = [self.cells[:half], self.cells[half:]] if half else []
-        return [PartitionBatch(cells, (cells[0][1], cells[-1][1])) for cells in own]
+            cell_groups = [self.cells[:half], self.cells[half:]] if half else []
+        return [PartitionBatch(cells, (cells[0][1], cells[-1][1])) for cells in cell_groups]
 
     def tags(self) -> dict[str, str]:
-        """Dagster's range tags and, for whoever looks for an aircraft's runs, its name."""
+        """Return Dagster's range tags, with the aircraft or operator by which its runs can be searched."""
         aircraft = self.aircraft
         if not aircraft:
             return {}
-        named = {"hdt/aircraft": aircraft[0]} if len(aircraft) == 1 else {}
+        tags = {"hdt/aircraft": aircraft[0]} if len(aircraft) == 1 else {}
         operators = {a.split(":")[0] for a in aircraft}
-        named |= {"hdt/operator": operators.pop()} if len(operators) == 1 else {}
-        return range_tags(*self.ends()) | named
+        tags |= {"hdt/operator": operators.pop()} if len(operators) == 1 else {}
+        return range_tags(*self.ends()) | tags
 
     def ends(self) -> Cell:
-        """Partition keys of the first and the last cell of the range that it lies in."""
+        """Return partition keys of the first and last cell of the enclosing range."""
         sides = zip((self.cells[0][0], self.cells[-1][0]), self.flights, strict=True)
         first, last = (f"{aircraft}|{flight}" if flight else aircraft for aircraft, flight in sides)
         return first, last
@@ -70,103 +70,111 @@ class PartitionBatch:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """What came of a batch: cells and runs, what failed, with why, and what went well only at the second try."""
+    """Outcome of a batch: cells, runs, failures with reasons, and runs that succeeded only in parts."""
 
     cells: int
     runs: int
     failed: dict[str, str] = field(default_factory=dict)
-    mended: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()
 
 
-def made_apart(label: str, batch: PartitionBatch, why: str) -> tuple[str, ...]:
-    """The line about a run that failed and whose parts did not: that they are made must not hide it."""
-    whole = (
+def split_run_message(label: str, batch: PartitionBatch, failure: str) -> tuple[str, ...]:
+    """Describe a run that failed although its parts succeeded, so that the failure is still reported."""
+    scope = (
         f"{len(batch.aircraft)} aircraft stopped, so each"
         if len(batch.aircraft) > 1
         else "1 aircraft stopped, so each part"
     )
-    return (f"{label}: a run of {whole} was made alone; report it: {why}",)
+    return (f"{label}: a run of {scope} was made alone; report it: {failure}",)
 
 
 @dataclass(frozen=True, slots=True)
 class PartitionIndex:
-    """Partition keys in Dagster's order, and the flights that each aircraft has flown."""
+    """Partition keys in Dagster's order, and the flights of each aircraft."""
 
     aircraft: list[str]
     flights: list[str]
-    flown: dict[str, set[str]]
+    flights_of: dict[str, set[str]]
 
     def batches(
-        self, grain: str, wanted: pl.DataFrame, folded: int = 1, among: int = 1, *, ranges: bool = False
+        self, grain: str, cells: pl.DataFrame, batch_factor: int = 1, n_processes: int = 1, *, ranges: bool = False
     ) -> Iterator[PartitionBatch]:
-        """Runs that make the wanted cells (operator, tail, flight_id) and no other, `folded` times `CELLS_A_RUN`.
+        """Yield runs of the cells (operator, tail, flight_id), up to `batch_factor` times `CELLS_A_RUN` flights each.
 
-        They are shared evenly `among` so many processes, by whole aircraft. As `ranges` each is all that was flown from
-        its first cell to its last, for machines that are told no more.
+        Runs are spread evenly over `n_processes`, by whole aircraft. With `ranges` each covers all flights between its
+        ends, for another machine receives only these.
         """
         if grain == "fleet":
             return iter([PartitionBatch()])
-        of = self._aircraft if grain == "aircraft" else self._flights
-        most, flights = folded * CELLS_A_RUN, self.count(grain, wanted)
-        runs = among * max(1, math.ceil(flights / (among * most)))  # none left over that one process makes alone
+        stretches_of = self._aircraft if grain == "aircraft" else self._flights
+        max_flights, flights = batch_factor * CELLS_A_RUN, self.count(grain, cells)
+        runs = n_processes * max(1, math.ceil(flights / (n_processes * max_flights)))
         share = math.ceil(flights / runs)
-        return self._gathered(of(by_aircraft(wanted), min(most, share)), most, share, ranges)
+        return self._merge_stretches(
+            stretches_of(by_aircraft(cells), min(max_flights, share)), max_flights, share, ranges
+        )
 
-    def count(self, grain: str, wanted: pl.DataFrame) -> int:
-        """Flights of the wanted cells; of an aircraft's, all that it has flown."""
+    def count(self, grain: str, cells: pl.DataFrame) -> int:
+        """Count flights of the cells; of a cell of an aircraft, all its flights."""
         if grain == "flight":
-            return wanted.height
-        return sum(len(self.flown.get(aircraft, ())) for aircraft in by_aircraft(wanted))
+            return cells.height
+        return sum(len(self.flights_of.get(aircraft, ())) for aircraft in by_aircraft(cells))
 
-    def _gathered(
-        self, stretches: Iterator[list[Cell]], most: int, share: int, ranges: bool
+    def _merge_stretches(
+        self, stretches: Iterator[list[Cell]], max_flights: int, share: int, ranges: bool
     ) -> Iterator[PartitionBatch]:
-        """Stretches together as long as they hold no more flights than one run may, nor much more than its share."""
+        """Merge stretches while a run stays within `max_flights` and near its share."""
         place = {key: i for i, key in enumerate(self.flights)}
-        flown = [sorted(place[f] for f in self.flown.get(a, ()) if f in place) for a in self.aircraft] if ranges else []
-        held, size = list[Cell](), 0
+        positions = (
+            [sorted(place[f] for f in self.flights_of.get(a, ()) if f in place) for a in self.aircraft]
+            if ranges
+            else []
+        )
+        pending, size = list[Cell](), 0
         for stretch in stretches:
-            more = len(stretch) if stretch[0][1] else len(self.flown.get(stretch[0][0], ()))
-            full = size + more > most or size + more / 2 > share
-            if held and (full or (ranges and not self._is_range([*held, *stretch], flown, place))):
-                yield _batch(held, place)
-                held, size = [], 0
-            held, size = held + stretch, size + more
-        if held:
-            yield _batch(held, place)
+            n_flights = len(stretch) if stretch[0][1] else len(self.flights_of.get(stretch[0][0], ()))
+            full = size + n_flights > max_flights or size + n_flights / 2 > share
+            if pending and (full or (ranges and not self._is_range([*pending, *stretch], positions, place))):
+                yield _batch(pending, place)
+                pending, size = [], 0
+            pending, size = pending + stretch, size + n_flights
+        if pending:
+            yield _batch(pending, place)
 
-    def _aircraft(self, asked: dict[str, set[str]], most: int) -> Iterator[list[Cell]]:
-        return ([(a, "")] for a in self.aircraft if a in asked)
+    def _aircraft(self, cells: dict[str, set[str]], max_flights: int) -> Iterator[list[Cell]]:
+        return ([(a, "")] for a in self.aircraft if a in cells)
 
-    def _flights(self, asked: dict[str, set[str]], most: int) -> Iterator[list[Cell]]:
-        """Of each aircraft, stretches of its flights that are all wanted, none longer than `most`."""
+    def _flights(self, cells: dict[str, set[str]], max_flights: int) -> Iterator[list[Cell]]:
+        """Yield each aircraft's stretches of consecutive wanted flights, none longer than `max_flights`."""
         place = {key: i for i, key in enumerate(self.flights)}
-        for a in (a for a in self.aircraft if a in asked):
-            own = sorted((f for f in self.flown.get(a, ()) if f in place), key=place.__getitem__)
-            for is_wanted, found in groupby(own, key=asked[a].__contains__):
-                stretch = [(a, f) for f in found if is_wanted]
-                yield from (stretch[i : i + most] for i in range(0, len(stretch), most))
+        for a in (a for a in self.aircraft if a in cells):
+            flights = sorted((f for f in self.flights_of.get(a, ()) if f in place), key=place.__getitem__)
+            for is_stale_cells, run in groupby(flights, key=cells[a].__contains__):
+                stretch = [(a, f) for f in run if is_stale_cells]
+                yield from (stretch[i : i + max_flights] for i in range(0, len(stretch), max_flights))
 
-    def _is_range(self, cells: list[Cell], flown: list[list[int]], place: dict[str, int]) -> bool:
-        """Whether nothing else was flown from the first of some cells to the last."""
+    def _is_range(self, cells: list[Cell], positions: list[list[int]], place: dict[str, int]) -> bool:
+        """Check that the cells are all flights from the first cell to the last."""
         first, last = self.aircraft.index(cells[0][0]), self.aircraft.index(cells[-1][0])
         if not cells[0][1]:
             return last - first == len(cells) - 1
         at = [place[f] for _, f in cells]
-        between = (bisect_right(own, max(at)) - bisect_left(own, min(at)) for own in flown[first : last + 1])
+        between = (
+            bisect_right(flights, max(at)) - bisect_left(flights, min(at)) for flights in positions[first : last + 1]
+        )
         return sum(between) == len(cells)
 
 
 def _batch(cells: list[Cell], place: dict[str, int]) -> PartitionBatch:
-    """A flight's key begins with its day, but a late one was added behind the others."""
+    """Build a batch; its ends follow the partitions' order, in which a late flight comes after younger ones."""
     flights = [f for _, f in cells if f]
     at = place.__getitem__
     return PartitionBatch(tuple(cells), (min(flights, key=at), max(flights, key=at)) if flights else ("", ""))
 
 
 def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
-    """Flight keys of each aircraft's key, from operator, tail and flight_id (empty above flights)."""
-    found: dict[str, set[str]] = {}
+    """Group flight keys by aircraft key, from operator, tail and flight_id (empty above flights)."""
+    flights: dict[str, set[str]] = {}
     for o, t, f in cells.select("operator", "tail", "flight_id").rows():
-        found.setdefault(partitions.aircraft_key(o, t), set()).add(partitions.flight_key(f))
-    return found
+        flights.setdefault(partitions.aircraft_key(o, t), set()).add(partitions.flight_key(f))
+    return flights

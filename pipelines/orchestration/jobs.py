@@ -1,4 +1,4 @@
-"""The night as a Dagster job, by the clock or when files have come; both are off until someone turns them on."""
+"""The night as a Dagster job, started by a schedule or a sensor; both are off by default."""
 
 import time
 from collections.abc import Iterator
@@ -7,14 +7,14 @@ from pathlib import Path
 import dagster as dg
 
 from pipelines.intake.scan import list_new_files
-from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.versions import digest
 from pipelines.zone import find_landing_fault
 
 QUIET_S = 120
-"""A file counts as delivered when it has not been written to for so long."""
+"""Time without a write after which a file counts as delivered. [s]"""
 
 
 class _Log:
@@ -31,25 +31,25 @@ class _Log:
 
 
 @dg.op
-def take_in_what_is_new(context: dg.OpExecutionContext, home: Home) -> None:
-    """Everything `hdt nightly` does; its runs, one a range of cells, stand beside this one in the list of runs."""
-    where = Path(home.home)
+def run_nightly_chain(context: dg.OpExecutionContext, home: Home) -> None:
+    """Run everything `hdt nightly` does; its runs, one a range of cells, are listed beside this one."""
+    home_path = Path(home.home)
     if fault := find_landing_fault(Path(home.landing)):
         raise dg.Failure(fault)
-    with holding(where):
-        night, _ = complete_night(Path(home.landing), where, _Log(context.log), within=context)
-    for line in night.untold:
+    with lock_home(home_path):
+        night, _ = complete_night(Path(home.landing), home_path, _Log(context.log), parent_run=context)
+    for line in night.failed_deliveries:
         context.log.warning(line)
     context.add_output_metadata({"new_files": night.new_files, "cells": night.cells, "runs": night.runs})
-    if night.failed or night.not_followed:
-        failed = (f"{where}: {why}" for where, why in night.failed.items())
-        raise dg.Failure("; ".join((*failed, *night.not_followed)))
+    if night.failed or night.failed_hooks:
+        failed = (f"{home_path}: {why}" for home_path, why in night.failed.items())
+        raise dg.Failure("; ".join((*failed, *night.failed_hooks)))
 
 
-@dg.job(description="One night: from what lies in the landing zone to a published catalog.")
+@dg.job(description="One night: from files in the landing zone to a published catalog.")
 def nightly() -> None:
-    """See `take_in_what_is_new`."""
-    take_in_what_is_new()
+    """See `run_nightly_chain`."""
+    run_nightly_chain()
 
 
 every_night = dg.ScheduleDefinition(
@@ -67,15 +67,15 @@ every_night = dg.ScheduleDefinition(
     description="Runs a night when files have come and nobody writes to them.",
 )
 def landing_zone(context: dg.SensorEvaluationContext, home: Home) -> Iterator[dg.RunRequest | dg.SkipReason]:
-    """One run for each state of the landing zone; a zone that is still being written to waits for the next look."""
+    """Request one run for each state of the landing zone; skip while files are still being written."""
     if fault := find_landing_fault(Path(home.landing)):
         yield dg.SkipReason(fault)
         return
-    files, new = list_new_files(Path(home.landing), home.ledger)
-    if not new:
+    files, new_files = list_new_files(Path(home.landing), home.ledger)
+    if not new_files:
         yield dg.SkipReason(f"nothing new among {files} files")
-    elif time.time() - max(f.mtime_ns for f in new) / 1e9 < QUIET_S:
-        yield dg.SkipReason(f"{len(new)} new files, the last still fresh: waiting until they are {QUIET_S} s old")
+    elif time.time() - max(f.mtime_ns for f in new_files) / 1e9 < QUIET_S:
+        yield dg.SkipReason(f"{len(new_files)} new files, the last too recent: waiting until they are {QUIET_S} s old")
     else:
-        context.log.info(f"{len(new)} new files")
-        yield dg.RunRequest(run_key=digest(*sorted(f"{f.path} {f.size} {f.mtime_ns}" for f in new)))
+        context.log.info(f"{len(new_files)} new files")
+        yield dg.RunRequest(run_key=digest(*sorted(f"{f.path} {f.size} {f.mtime_ns}" for f in new_files)))

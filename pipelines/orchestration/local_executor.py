@@ -1,4 +1,4 @@
-"""Batches of one step side by side, a process a core: only where there are enough of them to pay for its start."""
+"""Run batches of one step in parallel, a process a core, where they are enough to pay for its start."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ WORKER = "pipelines.orchestration.worker"
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Count cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 class EngineError(Exception):
-    """Runs can't be sent out to other machines; says why and what to do, in one line."""
+    """Runs can't be sent out to other machines; the message gives reason and remedy in one line."""
 
 
 def sends_out(home: Path) -> bool:
-    """Whether the home's `dagster.yaml` names a launcher of runs; read as text, for Dagster takes seconds to load."""
+    """Check whether the home's `dagster.yaml` names a run launcher; read as text, for Dagster takes seconds to load."""
     settings = home / "dagster" / "dagster.yaml"
     return settings.exists() and any(line.startswith("run_launcher:") for line in settings.read_text().splitlines())
 
 
 class LocalExecutor:
-    """Processes that make batches of one home; started when there is first something to share out."""
+    """Processes that make batches of one home, started with the first batch."""
 
     ranges = False  # few large runs of whole aircraft cost one machine least, and its processes are handed any cells
 
@@ -47,33 +47,33 @@ class LocalExecutor:
         self._forked.set_forkserver_preload([WORKER])
         self._pool: ProcessPoolExecutor | None = None
 
-    def among(self, flights: int) -> int:
-        """How many processes share so many new flights: several only where that pays for their start."""
+    def process_count(self, flights: int) -> int:
+        """Return the number of processes for so many new flights: several only where that pays for their start."""
         return self.jobs if flights >= FLIGHTS_TO_SHARE else 1
 
-    def expect(self, flights: int) -> None:
-        """Begin to load what processes are forked from, if so many flights will be shared out: it takes seconds."""
-        if self.among(flights) > 1:
-            with deaf():
+    def prepare(self, flights: int) -> None:
+        """Preload the process that workers are forked from, which takes seconds, if so many flights need several."""
+        if self.process_count(flights) > 1:
+            with block_stop_signals():
                 forkserver.ensure_running()
 
-    def worth(self, batches: list[PartitionBatch], flights: int) -> bool:
-        """Whether batches of so many new flights are shared out."""
-        return len(batches) > 1 and self.among(flights) > 1
+    def should_distribute(self, batches: list[PartitionBatch], flights: int) -> bool:
+        """Check whether batches of so many new flights go to several processes."""
+        return len(batches) > 1 and self.process_count(flights) > 1
 
     def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
-        """Make the batches in any order and say of each when it is done.
+        """Make the batches in any order and yield each result when it is ready.
 
-        A worker that dies, for want of memory say, takes the step with it: the night says so and the next one goes on.
+        A worker that dies, as when memory runs out, fails the step; the night reports it and the next one goes on.
         """
         from pipelines.orchestration import worker
 
         try:
-            with deaf():  # it is a submission that starts a process
+            with block_stop_signals():  # a submission starts the process
                 if self._pool is None:
                     self._pool = ProcessPoolExecutor(self.jobs, self._forked, worker.begin, (dict(os.environ),))
-                made = [self._pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
-            for future in as_completed(made):
+                futures = [self._pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
+            for future in as_completed(futures):
                 yield future.result()
         except BrokenProcessPool:
             from pipelines.orchestration.batches import BatchResult
@@ -82,33 +82,33 @@ class LocalExecutor:
             yield BatchResult(0, 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
 
     def stop(self) -> None:
-        """Let the processes end, and what they hold in memory with them; there will be others when there is need."""
+        """End the processes and release their memory; the next batch starts new ones."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
 
 
-def work(new: int, past: int) -> int:
-    """New flights that cost as much as these and all that their aircraft have flown; the past alone where none is."""
-    return max(new, past // PAST_TO_A_FLIGHT) if new else past
+def equivalent_flights(n_new: int, n_past: int) -> int:
+    """Convert new and past flights into as many new ones of equal cost; without new flights, count the past."""
+    return max(n_new, n_past // PAST_TO_A_FLIGHT) if n_new else n_past
 
 
 @contextmanager
 def workers(landing: Path, home: Path, jobs: int) -> Iterator[LocalExecutor]:
-    """A `LocalExecutor` that ends with the block."""
-    ours = LocalExecutor(landing, home, jobs)
+    """Yield a `LocalExecutor` whose processes end with the block."""
+    executor = LocalExecutor(landing, home, jobs)
     try:
-        yield ours
+        yield executor
     finally:
-        ours.stop()
+        executor.stop()
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
-    """Processes started within the block hear no stop signal: who started them, whom Ctrl-C reaches too, ends them."""
-    resource_tracker.ensure_running()  # the first process starts it, and it would open the ears of the next
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+def block_stop_signals() -> Iterator[None]:
+    """Start processes with SIGINT and SIGTERM blocked; their parent, which Ctrl-C reaches too, ends them."""
+    resource_tracker.ensure_running()  # the first process would start it, which unblocks the signals for the next
+    old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)

@@ -1,4 +1,4 @@
-"""One night, or all of history: from what lies in the landing zone to a published catalog."""
+"""One night, or all of history: from files in the landing zone to a published catalog."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import polars as pl
 from pipelines.intake.refusals import ignored_entries
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
-from pipelines.orchestration.around_night import call_hooks, tell_receivers
-from pipelines.orchestration.local_executor import EngineError, LocalExecutor, sends_out, work, workers
+from pipelines.orchestration.around_night import call_hooks, notify_receivers
+from pipelines.orchestration.local_executor import EngineError, LocalExecutor, equivalent_flights, sends_out, workers
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair import repair_home
 from pipelines.storage import history, ledger_copy
@@ -36,50 +36,50 @@ if TYPE_CHECKING:
 
 
 class Progress(Protocol):
-    """Where a long run says how far it is."""
+    """Progress display of a long run."""
 
     def start(self, label: str, total: int) -> None:
-        """A step of `total` cells begins."""
+        """Begin a step of `total` cells."""
 
     def advance(self, cells: int) -> None:
-        """So many cells more are made."""
+        """Count so many more cells as made."""
 
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """What a night did."""
+    """Outcome of a night."""
 
     files: int
     new_files: int
     runs: int
     cells: int
     failed: dict[str, str]
-    mended: tuple[str, ...] = ()
-    not_read: tuple[str, ...] = ()
-    """A line for each name in the landing zone that fits nothing."""
+    repairs: tuple[str, ...] = ()
+    ignored_names: tuple[str, ...] = ()
+    """A line for each name in the landing zone that fits no pattern."""
     new_paths: frozenset[str] = frozenset()
     """Paths of the new files."""
-    after: dict[str, str | None] = field(default_factory=dict)
-    """What the hooks of `hdt.after_night` gave."""
-    not_followed: tuple[str, ...] = ()
+    hook_results: dict[str, str | None] = field(default_factory=dict)
+    """Results of the hooks of `hdt.after_night`."""
+    failed_hooks: tuple[str, ...] = ()
     """A line for each hook that failed."""
-    untold: tuple[str, ...] = ()
-    """A line for each receiver of the digest that could not be told."""
+    failed_deliveries: tuple[str, ...] = ()
+    """A line for each receiver whose digest could not be sent."""
 
     @property
     def idle(self) -> bool:
-        """Whether there was nothing to do."""
+        """True where nothing was stale."""
         return self.runs == 0 and not self.failed
 
-    def then(self, again: Night) -> Night:
-        """A night that met damage and the same begun again."""
+    def combine(self, second: Night) -> Night:
+        """Add up this first attempt, which met damage, and the second."""
         return replace(
-            again,
-            new_files=self.new_files + again.new_files,
-            runs=self.runs + again.runs,
-            cells=self.cells + again.cells,
-            mended=(*self.mended, *again.mended),
-            new_paths=self.new_paths | again.new_paths,
+            second,
+            new_files=self.new_files + second.new_files,
+            runs=self.runs + second.runs,
+            cells=self.cells + second.cells,
+            repairs=(*self.repairs, *second.repairs),
+            new_paths=self.new_paths | second.new_paths,
         )
 
 
@@ -88,37 +88,38 @@ def complete_night(
     home: Path,
     progress: Progress,
     only: pl.Expr | None = None,
-    within: OpExecutionContext | None = None,
+    parent_run: OpExecutionContext | None = None,
     jobs: int = 1,
     *,
-    before: Night | None = None,
+    first_attempt: Night | None = None,
 ) -> tuple[Night, str | None]:
-    """Run a night, publish the catalog and do what follows; why it was made anew though there was nothing to do.
+    """Run a night, publish the catalog, call hooks; also return why an idle night published, if it did.
 
-    A night that meets a damaged file is begun again, once: all files are read then, and what is damaged is made again.
-    `before` is what the night did until it met one; the other arguments are those of `run_night`.
+    A night that meets a damaged file is repeated once: it reads all files and makes damaged tables again.
+    `first_attempt` is its outcome until then; the other arguments are those of `run_night`.
     """
-    done = before or Night(0, 0, 0, 0, {})
+    night = first_attempt or Night(0, 0, 0, 0, {})
     try:
-        done = done.then(run_night(landing, home, progress, only, within, jobs))
-        if before or not (done.failed and Store(home).place.suspect):
-            fault = _publish(home, done, within)
-            given, failed = call_hooks(home)
-            return replace(done, after=given, not_followed=failed, untold=tell_receivers(home)), fault
+        night = night.combine(run_night(landing, home, progress, only, parent_run, jobs))
+        if first_attempt or not (night.failed and Store(home).place.suspect):
+            fault = _publish(home, night, parent_run)
+            results, failed = call_hooks(home)
+            night = replace(night, hook_results=results, failed_hooks=failed)
+            return replace(night, failed_deliveries=notify_receivers(home)), fault
     except DamageError:
-        if before:
+        if first_attempt:
             raise
-    return complete_night(landing, home, progress, only, within, jobs, before=done)
+    return complete_night(landing, home, progress, only, parent_run, jobs, first_attempt=night)
 
 
-def _publish(home: Path, night: Night, within: OpExecutionContext | None) -> str | None:
-    """Publish what a night made; of one that had nothing to do, why the catalog was made anew."""
-    if within or not night.idle:
+def _publish(home: Path, night: Night, parent_run: OpExecutionContext | None) -> str | None:
+    """Publish a night's tables; of an idle night, return why the catalog was written again, if it was."""
+    if parent_run or not night.idle:
         from pipelines.orchestration.runs import publish_night  # Dagster is loaded already
 
-        publish_night(home, within.instance if within else None)
+        publish_night(home, parent_run.instance if parent_run else None)
         return None
-    fault = "tables were damaged" if night.mended else find_catalog_fault(home)
+    fault = "tables were damaged" if night.repairs else find_catalog_fault(home)
     if fault:
         publish(home)
     return fault
@@ -129,54 +130,54 @@ def run_night(
     home: Path,
     progress: Progress,
     only: pl.Expr | None = None,
-    within: OpExecutionContext | None = None,
+    parent_run: OpExecutionContext | None = None,
     jobs: int = 1,
 ) -> Night:
-    """Take in what is new and bring everything that depends on it up to date.
+    """Ingest new files and update every table that depends on them.
 
-    Parameters
-    ----------
-    landing, home : Path
-        Folders.
-    progress : Progress
-        Told what is being done.
-    only : Expr, optional
-        Which cells (operator, tail, flight_id; empty above flights) are wanted in this run; all by default.
-    within : OpExecutionContext, optional
-        Of the run that the night is: its runs are recorded where that one is, and as launched by who launched it.
-    jobs : int
-        Processes that may work side by side, where there is enough to do; 1 `within` a run.
+        Parameters
+        ----------
+        landing, home : Path
+            Folders.
+        progress : Progress
+    Display that is updated.
+        only : Expr, optional
+            Filter on operator, tail and flight_id (empty above flights) of the cells to make; all by default.
+        parent_run : OpExecutionContext, optional
+            Dagster run that the night belongs to: its runs go to the same instance, with the same launcher.
+        jobs : int
+            Processes that may run in parallel where there is enough to do; 1 with a `parent_run`.
     """
-    ledger, store, began = Ledger(home), Store(home), _now()
+    ledger, store, start = Ledger(home), Store(home), _now()
     check_settings(home)
-    with workers(landing, home, 1 if within else jobs) as hands:
-        chain = _Chain(landing, home, ledger, progress, only, within, hands)
+    with workers(landing, home, 1 if parent_run else jobs) as executor:
+        chain = _Chain(landing, home, ledger, progress, only, parent_run, executor)
         if sends_out(home):
-            chain.send_out()  # first: what a killed night sent out may still be writing
+            chain.send_out()  # first: runs that a killed night sent out may still be writing
         store.sweep()
-        chain.mended += repair_home(landing, store, ledger)
-        found = scan(landing, ledger)
-        chain.expect(found.flights)
+        chain.repairs += repair_home(landing, store, ledger)
+        zone = scan(landing, ledger)
+        chain.prepare(zone.flights)
         chain.settled_version = ledger.settled_version()
         for step in () if ledger.is_settled(recipe_version(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(recipe_version(ledger, STAGES))
-    unread = tuple(ignored_entries(found.not_read))
+    ignored = tuple(ignored_entries(zone.ignored))
     night = Night(
-        found.files, found.new, chain.runs, chain.cells, chain.failed, tuple(chain.mended), unread, found.new_paths
+        zone.files, zone.new, chain.runs, chain.cells, chain.failed, tuple(chain.repairs), ignored, zone.new_paths
     )
-    ledger.note_night((began, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
+    ledger.note_night((start, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
         ledger_copy.copy_ledger(ledger, idle=True)
     return night
 
 
 def check_settings(home: Path) -> None:
-    """Read what the home declares before anything is done by it: a wrong file is said now, and not after the night."""
+    """Validate the home's settings before the night, so that an invalid file fails at once."""
     retention(home)
-    for read in HOME_SETTINGS.values():
-        read(home)
+    for read_setting in HOME_SETTINGS.values():
+        read_setting(home)
     if notify_file(home).exists():
         from pipelines.digest import receivers_of
 
@@ -196,86 +197,87 @@ class _Chain:
     ledger: Ledger
     progress: Progress
     only: pl.Expr | None
-    within: OpExecutionContext | None
-    hands: LocalExecutor | RemoteExecutor
+    parent_run: OpExecutionContext | None
+    executor: LocalExecutor | RemoteExecutor
     runs: int = 0
     cells: int = 0
     flights: int = 0
     failed: dict[str, str] = field(default_factory=dict)
-    mended: list[str] = field(default_factory=list)
+    repairs: list[str] = field(default_factory=list)
     settled_version: str | None = None
 
     def send_out(self) -> None:
-        """Let other machines make the batches, once what a killed night had sent them is done."""
+        """Switch to other machines, once the runs that a killed night had sent them have ended."""
         from pipelines.orchestration.remote_executor import RemoteExecutor
 
-        if self.within:
+        if self.parent_run:
             raise EngineError("a night that is itself a run would wait for a worker that waits behind it; use cron")
-        self.hands = RemoteExecutor(self.runner)
-        self.hands.settle()
+        self.executor = RemoteExecutor(self.runner)
+        self.executor.settle()
 
-    def expect(self, new: int) -> None:
-        """Prepare for so many new flights, of aircraft that have flown before."""
-        past = self.ledger.of(self.moved[0]).flights_on_file().height if new else 0
-        self.hands.expect(work(new, past))
+    def prepare(self, n_new: int) -> None:
+        """Prepare the executor for so many new flights and the past of their aircraft."""
+        n_past = self.ledger.of(self.changed_cells[0]).flights_on_file().height if n_new else 0
+        self.executor.prepare(equivalent_flights(n_new, n_past))
 
     def step(self, step: Step) -> None:
-        """Bring its stages up to date; one that is not stale runs only if a stage before it does."""
+        """Update a step's stages; one that is not stale runs only if a stage before it does."""
         # a new model of the fleet makes every cell stale
-        few = self.settled_version == recipe_version(self.ledger, STAGES)
-        cells = [self._wanted(stage, few) for stage in step.stages]
+        only_changed = self.settled_version == recipe_version(self.ledger, STAGES)
+        cells = [self._stale_cells(stage, only_changed) for stage in step.stages]
         first = next((i for i, c in enumerate(cells) if c.height), None)
         if first is None:
             return
-        wanted, tables = pl.concat(cells).unique(), [t for stage in step.stages[first:] for t in stage.tables]
+        stale_cells, tables = pl.concat(cells).unique(), [t for stage in step.stages[first:] for t in stage.tables]
         if step.grain != "fleet":
-            self.runner.register(wanted)
+            self.runner.register(stale_cells)
         if step.grain == "flight":
-            self.flights = max(self.flights, wanted.height)
-        self.progress.start(step.label, wanted.height)
-        apart = self.hands.ranges
-        index = self.runner.known(None if apart else wanted)
-        flights = work(self.flights, index.count(step.grain, wanted))
-        folded, among = 1 if apart else step.folded, self.hands.among(flights)
-        batches = list(index.batches(step.grain, wanted, folded, among, ranges=apart))
-        for made in self._make(tables, batches, step.label, flights):
-            self.runs, self.cells = self.runs + made.runs, self.cells + made.cells
-            self.failed |= made.failed
-            self.mended += made.mended
-            self.progress.advance(made.cells)
+            self.flights = max(self.flights, stale_cells.height)
+        self.progress.start(step.label, stale_cells.height)
+        as_ranges = self.executor.ranges
+        index = self.runner.partition_index(None if as_ranges else stale_cells)
+        flights = equivalent_flights(self.flights, index.count(step.grain, stale_cells))
+        batch_factor, n_processes = 1 if as_ranges else step.batch_factor, self.executor.process_count(flights)
+        batches = list(index.batches(step.grain, stale_cells, batch_factor, n_processes, ranges=as_ranges))
+        for result in self._make(tables, batches, step.label, flights):
+            self.runs, self.cells = self.runs + result.runs, self.cells + result.cells
+            self.failed |= result.failed
+            self.repairs += result.repairs
+            self.progress.advance(result.cells)
 
     @cached_property
-    def moved(self) -> tuple[list[tuple[str, str]], list[str]]:
-        """Aircraft and flights whose files came since nothing was stale."""
-        moved = self.ledger.changed_cells()
-        return moved.select("operator", "tail").unique().rows(), moved["flight_id"].unique().to_list()
+    def changed_cells(self) -> tuple[list[tuple[str, str]], list[str]]:
+        """Aircraft and flights whose files changed since the last night that left nothing stale."""
+        cells = self.ledger.changed_cells()
+        return cells.select("operator", "tail").unique().rows(), cells["flight_id"].unique().to_list()
 
-    def _wanted(self, stage: Stage, few: bool) -> pl.DataFrame:
-        """Stale cells; where only a `few` can be, of those whose files have moved."""
-        few = few and stage.grain != "fleet"
-        cells = stale(restrict_ledger(self.ledger, stage, *self.moved) if few else self.ledger, stage).select(CELL)
+    def _stale_cells(self, stage: Stage, only_changed: bool) -> pl.DataFrame:
+        """Return stale cells; with `only_changed` look only at those whose files have changed."""
+        only_changed = only_changed and stage.grain != "fleet"
+        ledger = restrict_ledger(self.ledger, stage, *self.changed_cells) if only_changed else self.ledger
+        cells = stale(ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(
         self, tables: list[str], batches: list[PartitionBatch], label: str, flights: int
     ) -> Iterator[BatchResult]:
-        """Share the batches out, if so many new flights are worth it."""
-        if self.hands.worth(batches, flights):
-            return self.hands.make(tables, batches, label)
-        self.hands.stop()
+        """Distribute the batches if so many flights are worth it, else make them in this process."""
+        if self.executor.should_distribute(batches, flights):
+            return self.executor.make(tables, batches, label)
+        self.executor.stop()
         return (self.runner.make(tables, batch, label) for batch in batches)
 
     @cached_property
     def runner(self) -> Runner:
-        """Who runs what is not shared out."""
+        """Runner in this process."""
         from pipelines.assets.location import asset_definitions
         from pipelines.orchestration.runs import BY, Runner, launched_by, open_instance
 
-        if self.within is None and (anew := history.replace_damaged_history(self.home, whole=False)):
-            self.mended.append(anew)
+        if self.parent_run is None and (anew := history.replace_damaged_history(self.home, whole=False)):
+            self.repairs.append(anew)
         defs = asset_definitions(self.landing.resolve(), self.home.resolve())
-        instance = self.within.instance if self.within else open_instance(self.home)
-        runner = Runner(defs, instance, self.ledger, launched_by(self.within.run) if self.within else BY)
+        instance = self.parent_run.instance if self.parent_run else open_instance(self.home)
+        runner = Runner(defs, instance, self.ledger, launched_by(self.parent_run.run) if self.parent_run else BY)
         if not sends_out(self.home):
             runner.fail_orphaned_runs()
         return runner

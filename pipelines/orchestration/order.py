@@ -1,4 +1,4 @@
-"""The order of a night's runs, which follows from what the stages are made from.
+"""Order a night's runs by the stages' parents.
 
 A run has one kind of partition, so the chain takes several.
 """
@@ -10,57 +10,59 @@ from pipelines.lineage import Stage
 
 
 class Step(NamedTuple):
-    """What is made in one run: stages of one grain, parents before children."""
+    """Stages of one run: one grain, parents before children."""
 
     stages: tuple[Stage, ...]
 
     @property
     def grain(self) -> str:
-        """Partition that is made."""
+        """Partition of the run."""
         return self.stages[0].grain
 
     @property
     def label(self) -> str:
-        """What the run is called."""
+        """Name of the run."""
         return next((stage.label for stage in self.stages if stage.label), self.stages[0].name)
 
     @property
-    def folded(self) -> int:
-        """How many times as many flights the run may take as one that reads files."""
+    def batch_factor(self) -> int:
+        """Flights that the run may take, as a multiple of those of a run that reads files."""
         return min(stage.size for stage in self.stages)
 
 
 def steps(stages: Iterable[Stage]) -> list[Step]:
-    """Few runs in which every stage comes after what it is made from.
+    """Group stages into few runs in which every stage comes after its parents.
 
-    From the end backwards: of the stages that nothing left depends on the last declared is taken, and with it all of
-    its grain and road, so each is made as late as it can be.
+    From the end backwards: among the stages without remaining children, pick the last declared, with all of its grain
+    and road, so that each stage runs as late as it can.
 
     Raises
     ------
     ValueError
-        Where stages are made from each other in a circle.
+        Where the stages' parents form a cycle.
     """
-    left, found = list(stages), list[Step]()
-    while left:
-        taken = _last_run(left)
-        left = [stage for stage in left if stage not in taken]
-        found.insert(0, Step(tuple(taken)))
-    return found
+    remaining, ordered_steps = list(stages), list[Step]()
+    while remaining:
+        last_stages = _last_run(remaining)
+        remaining = [stage for stage in remaining if stage not in last_stages]
+        ordered_steps.insert(0, Step(tuple(last_stages)))
+    return ordered_steps
 
 
 def _last_run(stages: Sequence[Stage]) -> list[Stage]:
-    """Stages of one grain and road, in order, that may all be made after the others."""
-    left, taken = list(stages), list[Stage]()
-    while free := [s for s in _leaves(left) if not taken or (s.grain, s.road) == (taken[0].grain, taken[0].road)]:
-        left.remove(free[-1])
-        taken.insert(0, free[-1])
-    if not taken:
-        raise ValueError(f"stages are made from each other in a circle: {', '.join(s.name for s in stages)}")
-    return taken
+    """Return stages of one grain and road, in order, that may all run after the others."""
+    remaining, last = list(stages), list[Stage]()
+    while free := [
+        s for s in _leaf_stages(remaining) if not last or (s.grain, s.road) == (last[0].grain, last[0].road)
+    ]:
+        remaining.remove(free[-1])
+        last.insert(0, free[-1])
+    if not last:
+        raise ValueError(f"stages form a cycle: {', '.join(s.name for s in stages)}")
+    return last
 
 
-def _leaves(stages: Sequence[Stage]) -> list[Stage]:
-    """Stages whose tables none of them is made from."""
-    read = {table for stage in stages for table in (*stage.parents, *stage.untracked)}
-    return [stage for stage in stages if not read & set(stage.tables)]
+def _leaf_stages(stages: Sequence[Stage]) -> list[Stage]:
+    """Return stages whose tables no other stage reads."""
+    parents = {table for stage in stages for table in (*stage.parents, *stage.untracked)}
+    return [stage for stage in stages if not parents & set(stage.tables)]

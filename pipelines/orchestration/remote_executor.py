@@ -1,8 +1,8 @@
-"""Batches made on other machines: each is a Dagster run that the instance's own launcher sends out.
+"""Make batches on other machines: each is a Dagster run that the instance's own launcher sends out.
 
-Which engine that is, `<home>/dagster/dagster.yaml` says (docs/storage.md). Dagster's daemon hands the runs out,
-finds the lost ones and starts them again; here they are submitted and waited for and, where a run of several aircraft
-failed, its aircraft are sent out again one by one.
+The engine is set in `<home>/dagster/dagster.yaml` (docs/storage.md). Dagster's daemon launches the runs, finds the lost
+ones and starts them again; here they are submitted and awaited and, where a run of several aircraft failed, its
+aircraft are submitted again one by one.
 """
 
 import time
@@ -12,17 +12,17 @@ from collections.abc import Iterator
 import dagster as dg
 
 from dagster_batched.runs import daemon_answers, failure_of, finished_runs, is_active, submit, successor
-from pipelines.orchestration.batches import BatchResult, PartitionBatch, made_apart
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, split_run_message
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, Runner
 from pipelines.partitions import NIGHT
 
 LOOK_S = 0.5
-AHEAD = 500  # runs that are sent before those before them are done: Dagster looks at its whole queue each time
+AHEAD = 500  # runs queued at once: Dagster scans its whole queue each time
 
 
 class RemoteExecutor:
-    """Hands on other machines; the same to a night as `LocalExecutor`."""
+    """Execute batches on other machines, by the same methods as `LocalExecutor`."""
 
     ranges = True  # several machines want several runs, and a run's tags name a range
 
@@ -30,7 +30,7 @@ class RemoteExecutor:
         self.runner, self.instance = runner, runner.instance
 
     def settle(self) -> None:
-        """Wait for what a killed night had sent out: it goes on without its night, and none of it is made twice."""
+        """Wait for runs that a killed night had sent out, so that none is made twice; cancel those not started."""
         if not daemon_answers(self.instance):
             raise EngineError(f"no Dagster daemon answers; start one: `dagster-daemon run --module-name {LOCATION}`")
         for run in self.instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.NOT_STARTED], tags=NIGHT)):
@@ -38,53 +38,53 @@ class RemoteExecutor:
         while is_active(self.instance, NIGHT):
             time.sleep(LOOK_S)
 
-    def among(self, flights: int) -> int:
-        """Nothing to divide by: how many workers there are is not known here, and runs are small."""
+    def process_count(self, flights: int) -> int:
+        """Return 1: the number of workers is set elsewhere, and runs are small."""
         return 1
 
-    def expect(self, flights: int) -> None:
-        """They are there."""
+    def prepare(self, flights: int) -> None:
+        """Do nothing: the workers run already."""
 
-    def worth(self, batches: list[PartitionBatch], flights: int) -> bool:
-        """Whether the batches are sent out: always, for the night's own machine may be a small one."""
+    def should_distribute(self, batches: list[PartitionBatch], flights: int) -> bool:
+        """Send out whatever there is, for the night's own machine may be a small one."""
         return bool(batches)
 
     def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
-        """Make the batches in any order and say of each when it is done.
+        """Make the batches in any order and yield each result when it is ready.
 
-        A run that Dagster starts again is followed; one of several aircraft that failed for good makes room for a run
-        of each.
+        A run that Dagster retries is tracked under its new id; one of several aircraft that failed for good is replaced
+        by a run of each.
         """
         job, unsent = self.runner.job(tables), deque(batches)
-        waiting, counted = dict[str, PartitionBatch](), set(batches)
-        while unsent or waiting:
-            while unsent and len(waiting) < AHEAD:
+        running, whole_batches = dict[str, PartitionBatch](), set(batches)
+        while unsent or running:
+            while unsent and len(running) < AHEAD:
                 batch = unsent.popleft()
-                waiting[self._send(job, batch, label)] = batch
-            for run in finished_runs(self.instance, waiting):
-                batch = waiting.pop(run.run_id)
-                if again := successor(run):
-                    waiting[again] = batch
+                running[self._send(job, batch, label)] = batch
+            for run in finished_runs(self.instance, running):
+                batch = running.pop(run.run_id)
+                if retry_id := successor(run):
+                    running[retry_id] = batch
                     continue
-                why = None if run.is_success else self._why(run, batch)
-                told: tuple[str, ...] = ()
-                if why and len(batch.aircraft) > 1:
+                failure = None if run.is_success else self._failure_message(run, batch)
+                repairs: tuple[str, ...] = ()
+                if failure and len(batch.aircraft) > 1:
                     unsent.extend(batch.parts())
-                    told, why = made_apart(label, batch, why), None
-                cells = batch.size if batch in counted else 0  # those of a part count once: as their whole's
-                yield BatchResult(cells, 1, {f"{label}: {batch.label}": why} if why else {}, told)
+                    repairs, failure = split_run_message(label, batch, failure), None
+                cells = batch.size if batch in whole_batches else 0  # cells of parts were counted with the whole batch
+                yield BatchResult(cells, 1, {f"{label}: {batch.label}": failure} if failure else {}, repairs)
             time.sleep(LOOK_S)
 
     def stop(self) -> None:
-        """They are not ours to stop."""
+        """Do nothing: the workers outlive the night."""
 
     def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:
-        """Submit one run; its id."""
+        """Submit one run; return its id."""
         run = self.runner.create(job, batch, label)
         submit(self.instance, run)
         return run.run_id
 
-    def _why(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:
+    def _failure_message(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:
         self.runner.show_failed(run.run_id, batch)
         kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
         events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]

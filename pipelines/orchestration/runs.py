@@ -1,4 +1,4 @@
-"""Dagster runs: where they are recorded, one run of a batch of cells, what failed."""
+"""Dagster runs: the instance that records them, one run of a batch of cells, its failures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,34 +14,34 @@ from dagster_batched.partitions import cached_ranges
 from dagster_batched.runs import InterruptedRunError, execute, failure_of, origins, was_interrupted
 from pipelines import partitions
 from pipelines.assets.published import VIEWS
-from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, made_apart
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_run_message
 from pipelines.partitions import NIGHT
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
-BY = {"user": "hdt nightly"}  # what the list of runs names as who launched it
+BY = {"user": "hdt nightly"}  # launcher shown in the list of runs
 _LAUNCHERS = ("dagster/schedule_name", "dagster/sensor_name", "user")
 LOCATION = "pipelines.definitions"
-MOST_PINNED = 3
-_OURS = "# Written by hdt."
-_SAYS = "Delete this line to make the file yours. Everything lies below this folder; nothing is sent anywhere."
-_BEGUN = [dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED]
+MAX_BISECTED = 3
+_CONFIG_MARK = "# Written by hdt."
+_CONFIG_NOTE = "Delete this line to make the file yours. Everything lies below this folder; nothing is sent anywhere."
+_UNFINISHED = [dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED]
 
 
 def open_instance(home: Path) -> dg.DagsterInstance:
-    """Dagster's own storage below `<home>/dagster`; a `dagster.yaml` the user put there is used as it is."""
-    return instance.open_instance(home.resolve() / "dagster", _OURS, _SAYS)
+    """Open Dagster's own storage below `<home>/dagster`; a `dagster.yaml` of the user's is used as it is."""
+    return instance.open_instance(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
 
 
 def launched_by(run: dg.DagsterRun) -> dict[str, str]:
-    """Tags of the runs of a night that is a run itself: who launched that launched these, and which it is."""
+    """Return tags for the runs of a night that is a run itself: its launcher and its id."""
     return {k: v for k, v in run.tags.items() if k in _LAUNCHERS} | {"hdt/night_run": run.run_id}
 
 
 def publish_night(home: Path, recorded_in: dg.DagsterInstance | None = None) -> None:
-    """Publish the catalog and tell Dagster, on whose pages each view stands behind what it reads."""
+    """Publish the catalog and report its views to Dagster as materialized."""
     publish(home)
     report_runless(recorded_in or open_instance(home), [dg.AssetMaterialization(view.key) for view in VIEWS])
 
@@ -56,62 +56,69 @@ class Runner:
     by: Mapping[str, str]
 
     def fail_orphaned_runs(self) -> None:
-        """Mark as failed what a killed night left: its runs would stay STARTED for ever.
+        """Mark the runs of a killed night as failed, which would stay STARTED for ever.
 
-        Only for who has just taken the home's lock: none of them can be alive.
+        Call it only with the home's lock, when none of them can be alive.
         """
-        for run in self.instance.get_runs(dg.RunsFilter(statuses=_BEGUN, tags=NIGHT)):
+        for run in self.instance.get_runs(dg.RunsFilter(statuses=_UNFINISHED, tags=NIGHT)):
             self.instance.report_run_failed(run, "the process was stopped; the next night made what was missing")
 
     def register(self, cells: pl.DataFrame) -> None:
-        """Make a partition of every new aircraft and flight (operator, tail, flight_id), in order of departure."""
+        """Add a partition for every new aircraft and flight (operator, tail, flight_id), in order of departure."""
         aircraft = {partitions.aircraft_key(o, t) for o, t in cells.select("operator", "tail").unique().rows()}
         flights = {partitions.flight_key(f) for f in cells["flight_id"].unique() if f}
         for definition, keys in ((partitions.AIRCRAFT, aircraft), (partitions.FLIGHTS, flights)):
-            new = sorted(keys - set(self._keys(definition)))
-            if new:
-                self.instance.add_dynamic_partitions(str(definition.name), new)
+            new_keys = sorted(keys - set(self._keys(definition)))
+            if new_keys:
+                self.instance.add_dynamic_partitions(str(definition.name), new_keys)
 
-    def known(self, wanted: pl.DataFrame | None = None) -> PartitionIndex:
-        """Partitions as they are now, and who flew which, of all or of those who fly the `wanted` cells."""
+    def partition_index(self, cells: pl.DataFrame | None = None) -> PartitionIndex:
+        """Return the present partitions and the flights of each aircraft, or of the aircraft of `cells` only."""
         aircraft, flights = (self._keys(d) for d in (partitions.AIRCRAFT, partitions.FLIGHTS))
-        own = self.ledger if wanted is None else self.ledger.of(wanted.select("operator", "tail").unique().rows())
-        return PartitionIndex(aircraft, flights, by_aircraft(own.flights_on_file()))
+        ledger = self.ledger if cells is None else self.ledger.of(cells.select("operator", "tail").unique().rows())
+        return PartitionIndex(aircraft, flights, by_aircraft(ledger.flights_on_file()))
 
     def _keys(self, definition: dg.DynamicPartitionsDefinition) -> list[str]:
         return list(self.instance.get_dynamic_partitions(str(definition.name)))
 
     def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
-        """One run. If it fails, each of its aircraft alone, and of one aircraft halves: one flight stops no other."""
-        why = self._run(tables, batch, label)
-        if why is None:
+        """Make a batch in one run; if it fails, in a run for each aircraft, then halves: one flight stops no other."""
+        message = self._run(tables, batch, label)
+        if message is None:
             return BatchResult(batch.size, 1)
         if len(batch.aircraft) < 2:
-            runs, told = self._pinned_down(tables, batch, why, label)
-            failed, mended = ({f"{label}: {batch.label}": told}, ()) if told else ({}, made_apart(label, batch, why))
-            return BatchResult(batch.size, 1 + runs, failed, mended)
-        alone = [self.make(tables, one, label) for one in batch.parts()]
-        failed = {where: why for one in alone for where, why in one.failed.items()}
-        mended = sum((one.mended for one in alone), () if failed else made_apart(label, batch, why))
-        return BatchResult(batch.size, 1 + sum(one.runs for one in alone), failed, mended)
+            runs, failure = self._bisect_failed_batch(tables, batch, message, label)
+            failed = {f"{label}: {batch.label}": failure} if failure else {}
+            return BatchResult(
+                batch.size, 1 + runs, failed, () if failure else split_run_message(label, batch, message)
+            )
+        results = [self.make(tables, part, label) for part in batch.parts()]
+        failed = {place: message for result in results for place, message in result.failed.items()}
+        repairs = sum(
+            (result.repairs for result in results), () if failed else split_run_message(label, batch, message)
+        )
+        return BatchResult(batch.size, 1 + sum(result.runs for result in results), failed, repairs)
 
-    def _pinned_down(self, tables: list[str], batch: PartitionBatch, why: str, label: str) -> tuple[int, str]:
-        """Make what can be made of an aircraft's batch that failed, half by half; how many runs, and what fails why.
+    def _bisect_failed_batch(
+        self, tables: list[str], batch: PartitionBatch, message: str, label: str
+    ) -> tuple[int, str]:
+        """Isolate the flights at which an aircraft's batch fails by bisection; return number of runs and a message.
 
-        After `MOST_PINNED` flights the rest is left as it is: then it is not the flights. Each reason is told once.
+        After `MAX_BISECTED` failing flights it stops: then flights are not the cause. Each reason is listed once.
         """
-        left, runs, where = [(batch, why)], 0, dict[str, list[str]]()
-        while left:
-            one, said = left.pop()
-            halves = one.parts() if sum(map(len, where.values())) < MOST_PINNED else []
+        pending, runs, flights_of = [(batch, message)], 0, dict[str, list[str]]()
+        while pending:
+            part, failure = pending.pop()
+            halves = part.parts() if sum(map(len, flights_of.values())) < MAX_BISECTED else []
             if not halves:
-                where.setdefault(said, []).append(self._named(one))
+                flights_of.setdefault(failure, []).append(self._describe_flights(part))
             runs += len(halves)
-            left += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half, label))]
-        return runs, "; ".join(": ".join(filter(None, (", ".join(places), said))) for said, places in where.items())
+            pending += [(half, failed) for half in reversed(halves) if (failed := self._run(tables, half, label))]
+        messages = (": ".join(filter(None, (", ".join(names), failure))) for failure, names in flights_of.items())
+        return runs, "; ".join(messages)
 
-    def _named(self, batch: PartitionBatch) -> str:
-        """The flight of a batch and its files, or the first and last of its flights; nothing where it has none."""
+    def _describe_flights(self, batch: PartitionBatch) -> str:
+        """Name a batch's flight and its files, or its first and last flight; empty without flights."""
         first, last = batch.flights
         if first != last:
             return f"flights {first} to {last}"
@@ -123,21 +130,21 @@ class Runner:
         return f"{flight} ({', '.join(files)})"
 
     def job(self, tables: list[str]) -> dg.JobDefinition:
-        """Dagster's job that makes `tables`."""
+        """Return Dagster's job that makes `tables`."""
         keys = frozenset(dg.AssetKey(t) for t in tables)
         return self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
 
     def create(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> dg.DagsterRun:
-        """A run for `batch` that is yet to begin. `label` is what its step is called.
+        """Create a run for `batch` without starting it, with its step's `label`.
 
-        It says where its code is found: another process may need it, and Dagster's timeline shows no run without.
+        It records its code's location, which another process may need and without which Dagster's timeline omits it.
         """
-        tags, asked = batch.tags() | NIGHT | {**self.by, "hdt/step": label}, job.asset_selection
-        where = origins(job, LOCATION)
-        return self.instance.create_run_for_job(job, tags=tags, asset_selection=asked, run_config=_QUIET, **where)
+        tags, selection = batch.tags() | NIGHT | {**self.by, "hdt/step": label}, job.asset_selection
+        origin = origins(job, LOCATION)
+        return self.instance.create_run_for_job(job, tags=tags, asset_selection=selection, run_config=_QUIET, **origin)
 
     def _run(self, tables: list[str], batch: PartitionBatch, label: str) -> str | None:
-        """Make `tables` for `batch`; None, or why it failed."""
+        """Make `tables` for `batch`; return the failure's message, or None."""
         job = self.job(tables)
         with cached_ranges({batch.ends(): batch.partition_keys()} if batch.cells else None):
             run = self.create(job, batch, label)
@@ -147,10 +154,10 @@ class Runner:
         self.show_failed(run.run_id, batch)
         if was_interrupted(result.all_events):  # and so is the night, which may be a run itself
             raise InterruptedRunError
-        return failure_of(result.all_events) or "the run stopped before a step could say why"
+        return failure_of(result.all_events) or "the run stopped before a step could report an error"
 
     def show_failed(self, run_id: str, batch: PartitionBatch) -> None:
-        """Let the partitions page show as failed what was asked for and not made, and no cell that no flight fills."""
+        """Mark the batch's cells as failed on the partitions page, and no others of its range."""
         log = self.instance.event_log_storage
         if isinstance(log, CoalescingEventLog) and batch.cells:
             log.mark_failed_partitions(run_id, batch.partition_keys())

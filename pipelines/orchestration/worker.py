@@ -1,4 +1,4 @@
-"""What a process of a night does beside others. It is loaded once, by the process that all of them are forked from."""
+"""Worker process of a night. Loaded once, by the process that all workers are forked from."""
 
 import logging
 import os
@@ -16,11 +16,11 @@ from pipelines.orchestration.batches import BatchResult, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.storage.ledger import Ledger
 
-dg.load_assets_from_package_module(assets)  # loads the stages, which takes longer than all the rest
+dg.load_assets_from_package_module(assets)  # loads the stages, the slowest part
 
 
 def begin(environment: Mapping[str, str]) -> None:
-    """Take the night's `environment`, which may be younger than the parent's, and end when the night does."""
+    """Set the night's `environment`, which may be newer than the parent's, and exit when the night does."""
     logging.captureWarnings(True)
     os.environ.clear()
     os.environ.update(environment)
@@ -28,7 +28,7 @@ def begin(environment: Mapping[str, str]) -> None:
 
 
 def _end_with_the_night() -> None:
-    """However it ends: once killed it holds its home no longer, and another may begin."""
+    """Exit once the night has ended, even killed: its lock is released, and another night may begin."""
     night = parent_process()
     if night is not None:
         night.join()
@@ -36,11 +36,11 @@ def _end_with_the_night() -> None:
 
 
 def make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
-    """One batch, as `Runner.make` does it."""
+    """Make one batch by `Runner.make`."""
     return _runner(landing, home).make(tables, batch, label)
 
 
 @cache
 def _runner(landing: Path, home: Path) -> Runner:
-    """This process's own."""
+    """Build this process's runner, once."""
     return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home), BY)

@@ -16,7 +16,9 @@ def life(number: int, flights: int, risk: np.ndarray, loss: np.ndarray, failed: 
     k = np.arange(flights)
     return pl.DataFrame(
         {"tail": f"T{number}", "pack": 1, "life": number, "index": k, "risk": risk, "loss": loss, "failed": failed}
-    ).with_columns(left=pl.Series((flights - k).astype(float)), flight_id=pl.format("T{}_{}", pl.lit(number), "index"))
+    ).with_columns(
+        remaining=pl.Series((flights - k).astype(float)), flight_id=pl.format("T{}_{}", pl.lit(number), "index")
+    )
 
 
 def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends():

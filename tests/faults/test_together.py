@@ -5,15 +5,15 @@ import threading
 import duckdb
 import pytest
 
-from pipelines.orchestration.around_night import BusyError, holding
+from pipelines.orchestration.around_night import BusyError, lock_home
 from pipelines.storage.catalog import connect
 
 
 def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
-    with holding(home), pytest.raises(BusyError, match="wait for it to end"), holding(home):
+    with lock_home(home), pytest.raises(BusyError, match="wait for it to end"), lock_home(home):
         pass
-    with holding(home):
+    with lock_home(home):
         ended, said = children.night(tiny.landing, home)
     assert ended is None
     assert said.startswith("BusyError: another run (process ")
@@ -23,7 +23,7 @@ def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_pa
 def test_the_lock_goes_with_the_process(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
     children.night(tiny.landing, home, fault="before_write:1")
-    with holding(home):
+    with lock_home(home):
         pass
 
 

@@ -48,9 +48,9 @@ def work(asked: dict) -> None:
     # the empty flight_id of cells above flights comes before all others
     only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
     nightly.STAGES = stages_of(0, asked.get("steps"))
-    with around_night.holding(home):
+    with around_night.lock_home(home):
         night, _ = nightly.complete_night(landing, home, Silent(), only)
-    os.write(2, "\n".join(night.mended).encode())
+    os.write(2, "\n".join(night.repairs).encode())
     if night.failed:
         sys.exit(f"failed: {night.failed}")
 

@@ -17,10 +17,10 @@ def room_for_ten(monkeypatch):
 
 
 def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:
-    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
     rows = [(*k.split(":"), "") for k in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    return [tuple(batch.aircraft) for batch in known.batches("aircraft", cells, ranges=True)]
+    return [tuple(batch.aircraft) for batch in index.batches("aircraft", cells, ranges=True)]
 
 
 @pytest.mark.parametrize(
@@ -39,10 +39,10 @@ def test_aircraft_share_a_run_up_to_a_number_of_flights(each, found):
 def test_processes_share_runs_evenly():
     """Two of 20 flights and one of 10 would keep one process waiting for the other's last."""
     keys = [f"AAA:T{i:02}" for i in range(50)]
-    known = batches.PartitionIndex(keys, [], {key: {"1"} for key in keys})
+    index = batches.PartitionIndex(keys, [], {key: {"1"} for key in keys})
     cells = pl.DataFrame([("AAA", key[4:], "") for key in keys], schema=["operator", "tail", "flight_id"], orient="row")
-    assert [b.size for b in known.batches("aircraft", cells, folded=2, among=2)] == [13, 13, 13, 11]
-    assert [b.size for b in known.batches("aircraft", cells, folded=2)] == [17, 17, 16]
+    assert [b.size for b in index.batches("aircraft", cells, batch_factor=2, n_processes=2)] == [13, 13, 13, 11]
+    assert [b.size for b in index.batches("aircraft", cells, batch_factor=2)] == [17, 17, 16]
 
 
 def test_an_aircraft_that_is_not_wanted_parts_the_range():
@@ -51,19 +51,19 @@ def test_an_aircraft_that_is_not_wanted_parts_the_range():
 
 def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
     flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
-    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     wanted = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
     rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    asked = [cell for batch in known.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
+    asked = [cell for batch in index.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
     assert sorted(asked) == sorted(f"{a}|{f}" for a, f in wanted)
 
 
 def test_a_long_history_takes_several_runs(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
-    known = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
+    index = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
-    found = list(known.batches("flight", cells))
+    found = list(index.batches("flight", cells))
     assert [(*b.flights, b.size) for b in found] == [
         (FLIGHTS[0], FLIGHTS[1], 2),
         (FLIGHTS[2], FLIGHTS[3], 2),
@@ -73,32 +73,32 @@ def test_a_long_history_takes_several_runs(monkeypatch):
 
 def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alone():
     flown = {key: {*FLIGHTS} for key in KEYS}
-    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     wanted = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
     rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    assert len(list(known.batches("flight", cells, ranges=True))) == 4
-    (one,) = known.batches("flight", cells)
+    assert len(list(index.batches("flight", cells, ranges=True))) == 4
+    (one,) = index.batches("flight", cells)
     assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in wanted)
     assert one.ends() == (f"{KEYS[0]}|{FLIGHTS[0]}", f"{KEYS[-1]}|{FLIGHTS[4]}")
     assert [part.aircraft for part in one.parts()] == [[key] for key in KEYS]
 
 
 def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
-    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
     cells = pl.DataFrame([("AAA", "T1", ""), ("AAA", "T3", "")], schema=["operator", "tail", "flight_id"], orient="row")
-    (one,) = known.batches("aircraft", cells)
+    (one,) = index.batches("aircraft", cells)
     assert one.partition_keys() == ["AAA:T1", "AAA:T3"]
-    known = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
-    assert len(list(known.batches("aircraft", cells))) == 2
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
+    assert len(list(index.batches("aircraft", cells))) == 2
 
 
 def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown():
     flown = {"AAA:T1": {FLIGHTS[0], FLIGHTS[1]}, "AAA:T2": {FLIGHTS[1]}, "AAA:T3": {FLIGHTS[0]}, "BBB:T4": set()}
-    known = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    found = [batch.partition_keys() for batch in known.batches("flight", cells, ranges=True)]
+    found = [batch.partition_keys() for batch in index.batches("flight", cells, ranges=True)]
     assert found == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
 
 
@@ -118,7 +118,7 @@ class Together(Runner):
     def _run(self, tables, batch, label):
         return "no" if len(batch.aircraft) > 1 or set(batch.aircraft) & set(self.bad) else None
 
-    def _pinned_down(self, tables, batch, why, label):
+    def _bisect_failed_batch(self, tables, batch, why, label):
         return 0, why
 
 
@@ -126,10 +126,10 @@ def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch)
     batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
     done = Together(None, None, None, {}).make([], batch, "alerts")
     assert (done.runs, done.failed) == (5, {})
-    assert done.mended == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
+    assert done.repairs == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
     monkeypatch.setattr(Together, "bad", (KEYS[1],))
     done = Together(None, None, None, {}).make([], batch, "alerts")
-    assert (done.failed, done.mended) == ({f"alerts: {KEYS[1]}": "no"}, ())
+    assert (done.failed, done.repairs) == ({f"alerts: {KEYS[1]}": "no"}, ())
 
 
 class Apart(Runner):
@@ -143,7 +143,7 @@ def test_a_batch_of_one_aircraft_whose_halves_are_made_is_mended_and_not_failed(
     batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
     done = Apart(None, None, None, {}).make([], batch, "twins")
     line = "twins: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
-    assert (done.runs, done.failed, done.mended) == (3, {}, (line,))
+    assert (done.runs, done.failed, done.repairs) == (3, {}, (line,))
 
 
 class Halved(Runner):
@@ -153,7 +153,7 @@ class Halved(Runner):
         flown = {flight for _, flight in batch.cells}
         return "boom" if flown & {"3", "6"} else "bang" if "5" in flown else None
 
-    def _named(self, batch):
+    def _describe_flights(self, batch):
         return f"flight {batch.flights[0]}"
 
 

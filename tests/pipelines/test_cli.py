@@ -144,10 +144,10 @@ def test_an_idle_night_mends_the_catalog(own_home):
 
 
 def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
-    from pipelines.orchestration.around_night import holding
+    from pipelines.orchestration.around_night import lock_home
 
     landing, home = own_home
-    with holding(home):
+    with lock_home(home):
         done = hdt("nightly", "--landing", str(landing), "--home", str(home))
     assert done.returncode == 2
     assert "another run" in done.stderr

@@ -14,7 +14,7 @@ from nights import run
 
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.assets.stage import CHECK, _checked
+from pipelines.assets.stage import CHECK, _check_and_store
 from pipelines.definitions import build_defs
 from pipelines.lineage import LINEAGE
 from pipelines.orchestration.local_executor import EngineError
@@ -85,10 +85,10 @@ def test_an_account_that_does_not_balance_blocks():
     """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
     row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
     account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
-    (check, output) = _checked("raw_deliveries", account, {}, {})
+    (check, output) = _check_and_store("raw_deliveries", account, {}, {})
     assert check.passed
     assert output.value.equals(account)
-    events = _checked("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {})
+    events = _check_and_store("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {})
     assert not next(events).passed
     with pytest.raises(dg.Failure, match="not stored: balances"):
         next(events)

@@ -105,7 +105,7 @@ def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
 
 
 def _hold(home: Path, held, over) -> None:
-    with around_night.holding(home):
+    with around_night.lock_home(home):
         held.set()
         over.wait()
 
@@ -120,14 +120,14 @@ def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_proc
     other = tmp_path / ("two" if ledger.url else "one")
     with (
         pytest.raises(around_night.BusyError, match=rf"process {first.pid}\b.*wait for it to end"),
-        around_night.holding(other),
+        around_night.lock_home(other),
     ):
         pass
     first.kill()
     first.join()
     for _ in range(100):  # the server notices the broken connection
         try:
-            with around_night.holding(other):
+            with around_night.lock_home(other):
                 return
         except around_night.BusyError:
             time.sleep(0.05)
@@ -151,7 +151,7 @@ def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, s
     ledger = Ledger(tmp_path)
     with pytest.raises(postgres.DatabaseError, match=says) as told:
         ledger.file_records()
-    with pytest.raises(postgres.DatabaseError), around_night.holding(tmp_path):
+    with pytest.raises(postgres.DatabaseError), around_night.lock_home(tmp_path):
         pass
     assert SECRET not in f"{told.value!r} {ledger!r}"
     assert "\n" not in str(told.value)

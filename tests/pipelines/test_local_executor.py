@@ -35,13 +35,13 @@ def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_pat
     """To the last digit: no flight's numbers hang on those it shares a run with."""
     told = {}
     for jobs in (1, 2):
-        with around_night.holding(tmp_path / f"{jobs}"):
+        with around_night.lock_home(tmp_path / f"{jobs}"):
             night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
         told[jobs] = (night.runs, night.cells, night.failed)
     assert told[2] == told[1]
     assert not told[1][2]
     monkeypatch.setattr(batches, "CELLS_A_RUN", 5)
-    with around_night.holding(tmp_path / "cut"):
+    with around_night.lock_home(tmp_path / "cut"):
         assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > told[1][0]
     assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
@@ -54,10 +54,10 @@ def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path
             for child in multiprocessing.active_children():
                 child.kill()
 
-    with around_night.holding(tmp_path):
+    with around_night.lock_home(tmp_path):
         night = nightly.run_night(landing, tmp_path, Killer(), jobs=2)
     assert "a worker process died" in next(iter(night.failed.values()))
-    with around_night.holding(tmp_path):
+    with around_night.lock_home(tmp_path):
         assert not nightly.run_night(landing, tmp_path, Silent()).failed
 
 
@@ -66,7 +66,7 @@ def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path
 )
 def test_a_long_past_is_work_too(new, past, flights):
     """A few late flights of many aircraft let features and alerts walk all that these have flown."""
-    assert local_executor.work(new, past) == flights
+    assert local_executor.equivalent_flights(new, past) == flights
 
 
 def _night(landing: Path, home: Path) -> None:
@@ -77,7 +77,7 @@ def _night(landing: Path, home: Path) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
     local_executor.FLIGHTS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 1, 12, unfolded(nightly.STAGES)
-    with around_night.holding(home):
+    with around_night.lock_home(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 
 

@@ -4,7 +4,7 @@ from itertools import permutations
 
 import pytest
 
-from pipelines.lineage import COMPONENT, PACK, STAGES, Stage, alike
+from pipelines.lineage import COMPONENT, PACK, STAGES, Stage, same_recipe
 from pipelines.orchestration.order import steps
 
 
@@ -36,10 +36,10 @@ def test_every_run_has_a_name():
 
 
 CHAIN = (
-    Stage("one", "any", alike("raw_flights")),
-    Stage("two", "any", alike("legs_samples", parents=("raw_flights",))),
-    Stage("three", "any", alike("twin_health", parents=("legs_samples",))),
-    Stage("four", "any", alike("calibration_dsm"), untracked=("twin_health",)),
+    Stage("one", "any", same_recipe("raw_flights")),
+    Stage("two", "any", same_recipe("legs_samples", parents=("raw_flights",))),
+    Stage("three", "any", same_recipe("twin_health", parents=("legs_samples",))),
+    Stage("four", "any", same_recipe("calibration_dsm"), untracked=("twin_health",)),
 )
 
 
@@ -49,6 +49,6 @@ def test_it_does_not_matter_in_which_order_a_chain_is_declared(declared):
 
 
 def test_a_circle_is_named():
-    circle = Stage("legs", "any", alike("legs_samples", parents=("residuals",)))
-    with pytest.raises(ValueError, match="circle: legs, residuals"):
-        steps([circle, Stage("residuals", "any", alike("residuals", parents=("legs_samples",)))])
+    circle = Stage("legs", "any", same_recipe("legs_samples", parents=("residuals",)))
+    with pytest.raises(ValueError, match="form a cycle: legs, residuals"):
+        steps([circle, Stage("residuals", "any", same_recipe("residuals", parents=("legs_samples",)))])

@@ -158,9 +158,9 @@ def test_an_operator_may_have_a_name_of_its_own(zone, operator):
 
 def test_a_night_begun_again_keeps_what_came_and_what_was_not_read():
     first = Night(3, 2, 1, 4, {"AAA": "damage"}, ("a",), ("old",), frozenset({"p"}))
-    both = first.then(Night(3, 1, 2, 5, {}, ("b",), ("name",), frozenset({"q"})))
+    both = first.combine(Night(3, 1, 2, 5, {}, ("b",), ("name",), frozenset({"q"})))
     assert (both.files, both.new_files, both.runs, both.cells, both.failed) == (3, 3, 3, 9, {})
-    assert (both.mended, both.not_read, both.new_paths) == (("a", "b"), ("name",), {"p", "q"})
+    assert (both.repairs, both.ignored_names, both.new_paths) == (("a", "b"), ("name",), {"p", "q"})
 
 
 def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):

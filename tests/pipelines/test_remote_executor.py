@@ -93,7 +93,7 @@ class AtFirstBlock(Silent):
 
 def night_over(fleet, progress=None) -> nightly.Night:
     home = fleet.home("night")
-    with around_night.holding(home):
+    with around_night.lock_home(home):
         return nightly.run_night(fleet.landing, home, progress or Silent())
 
 
@@ -140,7 +140,7 @@ def _night(landing: Path, home: Path) -> None:
     """A night in a process that will be killed."""
     with pytest.MonkeyPatch.context() as patch:
         small(patch)
-        with around_night.holding(home):
+        with around_night.lock_home(home):
             nightly.run_night(landing, home, Silent())
 
 

@@ -17,8 +17,8 @@ from nights import run
 from pipelines.assets import features
 from pipelines.cli.stops import StoppedError, stop_in_order
 from pipelines.definitions import build_defs
-from pipelines.orchestration.around_night import holding
-from pipelines.orchestration.local_executor import deaf
+from pipelines.orchestration.around_night import lock_home
+from pipelines.orchestration.local_executor import block_stop_signals
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
@@ -83,7 +83,7 @@ def test_a_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, aft
         time.sleep(0.1)
     assert group_of(night) == []
     assert not (home / "catalog.duckdb").exists()
-    with holding(home):
+    with lock_home(home):
         pass
 
 
@@ -132,7 +132,7 @@ def test_a_night_that_is_a_run_itself_is_stopped_with_it(stale_home, interrupted
         with pytest.raises(DagsterExecutionInterruptedError):
             job.execute_in_process(instance=instance)
     assert not (home / "catalog.duckdb").exists()
-    with holding(home):
+    with lock_home(home):
         pass
 
 
@@ -160,7 +160,7 @@ def _wait_for_a_stop(said) -> None:
 
 def test_workers_leave_the_signals_to_who_started_them():
     here, there = multiprocessing.Pipe()
-    with deaf():
+    with block_stop_signals():
         worker = multiprocessing.get_context("spawn").Process(target=_wait_for_a_stop, args=(there,), daemon=True)
         worker.start()
     assert {signal.SIGINT, signal.SIGTERM} <= here.recv()

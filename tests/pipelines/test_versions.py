@@ -8,7 +8,7 @@ import pytest
 from hdt_core.tables import TABLES
 from pipelines.assets.stage import stage
 from pipelines.definitions import build_defs
-from pipelines.lineage import LINEAGE, MAKER, STAGE, Recipe, followed
+from pipelines.lineage import LINEAGE, MAKER, STAGE, Recipe, upstream_tables
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, expected_versions, stale_cells_of
@@ -147,7 +147,7 @@ def test_whatever_an_asset_reads_counts_in_its_version(asset):
     stage = STAGE[asset.op.name]
     for key in asset.keys:
         read = {k.path[-1] for k in asset.asset_deps[key]} - set(stage.tables)
-        assert read <= followed(stage)
+        assert read <= upstream_tables(stage)
         assert {MAKER[t].name for t in stage.parents} <= {MAKER[t].name for t in read}
 
 
@@ -161,8 +161,8 @@ def test_a_function_that_reads_what_its_lineage_does_not_follow_is_refused():
 
 def test_what_a_baseline_follows_is_no_concern_of_who_follows_the_baseline():
     """A shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale."""
-    assert "raw_maintenance" not in followed(STAGE["twin_flights"])
-    assert "raw_maintenance" in followed(STAGE["twin_health"])
+    assert "raw_maintenance" not in upstream_tables(STAGE["twin_flights"])
+    assert "raw_maintenance" in upstream_tables(STAGE["twin_health"])
 
 
 def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipelines.lineage import STAGES, Stage
-from pipelines.orchestration.around_night import holding
+from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import Night, run_night
 from pipelines.orchestration.order import steps
 from pipelines.storage.ledger import Ledger
@@ -23,7 +23,7 @@ class Silent:
 
 def run(landing: Path, home: Path) -> Night:
     """One night, as `hdt nightly` does it."""
-    with holding(home):
+    with lock_home(home):
         night = run_night(landing, home, Silent())
         publish(home)
     return night
@@ -36,7 +36,7 @@ def stages_of(first: int, last: int | None = None, stages: Sequence[Stage] = STA
 
 def unfolded(stages: Sequence[Stage]) -> list[Stage]:
     """The same, each run with as many flights as one that reads files."""
-    return [replace(stage, folded=1) for stage in stages]
+    return [replace(stage, batch_factor=1) for stage in stages]
 
 
 def keep_base(made: Path, home: Path) -> None:

@@ -10,17 +10,17 @@ from made import made_fleet
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import missing_physics
-from hdt_core.calibration.arrays import as_met, cruise_samples, flights_of, level_points, to_points
-from hdt_core.calibration.calibrate import _admitted, _middle_flows, _without_levels, calibrate, exchanger_levels
+from hdt_core.calibration.arrays import correct_inputs, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.calibrate import _draft_model, _middle_flows, _select_admitted, calibrate, exchanger_levels
 from hdt_core.calibration.compressor import probe_corrections
 from hdt_core.calibration.compressor_fit import _group_slope, fit_compressor
-from hdt_core.calibration.diffuser_line import BlockRows, rows_of, shared_line
+from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
 from hdt_core.calibration.dsm import version_of
 from hdt_core.calibration.exchanger_fit import fit_exchanger, instruments_of
-from hdt_core.calibration.forms import _enough, compare_forms
+from hdt_core.calibration.forms import _thin, compare_forms
 from hdt_core.calibration.initial_wear import _clean_units, entry_posterior
 from hdt_core.calibration.inlet_law import full_open_inlet_k
-from hdt_core.calibration.missing_physics import _evidence, _fit, _rms, _seen, _step, propose
+from hdt_core.calibration.missing_physics import _evidence, _fit, _flight_steps, _rms, _step, propose
 from hdt_core.calibration.pooling import levels_of
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import TERMS
@@ -33,7 +33,7 @@ def small():
 
 def test_without_flights_the_priors_stand(small):
     """The level of clean units to 5 %, theirs to 5.5, a flight to 2 %; the law's reference flows and conductance."""
-    draft = _without_levels(small.samples.clear(), small.legs.clear(), {})
+    draft = _draft_model(small.samples.clear(), small.legs.clear(), {})
     assert (draft.clean_level, draft.clean_level_sd, draft.offset_sd, draft.flight_sd) == (0.0, 0.05, 0.055, 0.02)
     assert (draft.reference_ua_w_k, draft.cruise_flows_kg_s, draft.hot_inlet) == (1700.0, (0.9, 1.6), ())
     assert set(draft.gradient) == {0.0}
@@ -44,7 +44,7 @@ def test_without_flights_the_priors_stand(small):
 
 
 def test_a_draft_is_anchored_where_its_points_lie(small):
-    draft = _without_levels(small.samples, small.legs, {})
+    draft = _draft_model(small.samples, small.legs, {})
     assert (draft.n_flights, [p.n_flights for p in draft.packs]) == (10, [10, 10])  # the second milestone
     design, own = draft.design, small.samples.filter(pl.col("flight_id") <= "T-00_20240110_01")
     points = {n: own[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
@@ -64,9 +64,9 @@ def test_a_draft_is_anchored_where_its_points_lie(small):
 def test_a_leg_without_a_verdict_calibrates(verdicts, kept):
     base = flights(2).select("operator", "tail", "pack", "flight_id")
     legs = base.with_columns(admitted=pl.Series(verdicts, dtype=pl.Boolean))
-    assert _admitted(base, legs).height == kept
-    assert _admitted(base, legs.head(1)).height == (2 if verdicts[0] is not False else 1)
-    assert _admitted(base, legs.drop("admitted")).height == _admitted(base, legs.clear()).height == 2
+    assert _select_admitted(base, legs).height == kept
+    assert _select_admitted(base, legs.head(1)).height == (2 if verdicts[0] is not False else 1)
+    assert _select_admitted(base, legs.drop("admitted")).height == _select_admitted(base, legs.clear()).height == 2
 
 
 def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
@@ -118,7 +118,7 @@ def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():
     ]
     logged = late.with_columns(departed_at=pl.lit(late["time_utc"].min()))
     assert set(flights_of(logged)["departed_at"]) == {late["time_utc"].min()}
-    assert as_met(late, {}) is late
+    assert correct_inputs(late, {}) is late
 
 
 def test_a_version_is_of_nine_digits_of_every_value():
@@ -152,7 +152,7 @@ def test_the_interval_of_a_share_is_that_of_flights_drawn_again():
 def test_of_many_samples_whole_flights_are_taken_evenly(samples, kept):
     flight = np.arange(samples) // 4
     blocks = pl.DataFrame({"turn": range(samples // 4)})
-    few = _enough(BlockRows(np.arange(samples), np.arange(samples), flight, flight, blocks))
+    few = _thin(BlockRows(np.arange(samples), np.arange(samples), flight, flight, blocks))
     assert len(few.x) == kept
     assert few.flight.tolist() == few.block.tolist() == (np.arange(kept) // 4).tolist()
     assert few.x[4] == 4 * samples // kept
@@ -169,7 +169,7 @@ def compressor(n: int, **columns) -> pl.DataFrame:
 
 def test_a_group_has_a_slope_from_thirty_points_on():
     rows = compressor(30)
-    line = shared_line(rows_of(rows, "group_m3"))
+    line = fit_line(rows_of(rows, "group_m3"))
     assert _group_slope(rows) == (line.slope, line.slope_sd)
     assert _group_slope(compressor(29)) == (0.0, 0.0)
     prior = fit_compressor(compressor(29))
@@ -180,7 +180,7 @@ def test_a_group_has_a_slope_from_thirty_points_on():
     assert fit_compressor(alone).scatter_m == 0.0055  # one flight of one pack
     pair = compressor(40, flight_id=["F"] * 20 + ["G"] * 20, diameter_m=0.17 + 1e-3 * np.sin(np.arange(40.0)))
     found = fit_compressor(pair)
-    line = shared_line(rows_of(pair, "diameter_m"))
+    line = fit_line(rows_of(pair, "diameter_m"))
     assert (found.mae_m, found.r_squared) == (pytest.approx(np.abs(line.residual).mean()), 0.0)
 
 
@@ -241,7 +241,7 @@ def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
         return (name, "", v, sd, "-", bic, 20.0, held, 0.1, 99)
 
     monkeypatch.setattr(missing_physics, "_evidence", row)
-    monkeypatch.setattr(missing_physics, "_seen", lambda *_: type("S", (), {"fold": np.zeros(60)}))
+    monkeypatch.setattr(missing_physics, "_flight_steps", lambda *_: type("S", (), {"fold": np.zeros(60)}))
     monkeypatch.setattr(missing_physics, "TERMS", {n: replace(TERMS[n], bounds=(-9.0, 9.0)) for n in (best, second)})
     found = propose(pl.DataFrame(), DSM)
     assert found["term"].to_list() == [best, second]
@@ -251,7 +251,7 @@ def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
     assert not propose(pl.DataFrame(), DSM)["proposed"].any()
     known = propose(pl.DataFrame(), replace(DSM, terms={best: 0.1}))
     assert known["term"].to_list() == [second]
-    monkeypatch.setattr(missing_physics, "_seen", lambda *_: type("S", (), {"fold": np.zeros(59)}))
+    monkeypatch.setattr(missing_physics, "_flight_steps", lambda *_: type("S", (), {"fold": np.zeros(59)}))
     assert propose(pl.DataFrame(), DSM).select("value", "n").rows() == [(None, 59)] * 2
 
 
@@ -291,15 +291,15 @@ def test_changes_are_of_one_pack_and_folds_of_aircraft():
     rows = pl.concat([cruise_of(30, t, k) for k, t in enumerate("ABCDEFG")] + [cruise_of(9, "A", 9, pack=2)])
     gap = rows.with_columns(pl.when(pl.col("flight_id") == "B_004").then(None).otherwise("hx_in_k").alias("hx_in_k"))
     dsm = with_bias(("B", 1), hx_out_k=0.5)
-    seen = _seen(gap, dsm)
+    seen = _flight_steps(gap, dsm)
     assert np.bincount(seen.fold).tolist() == [29, 29 + 8 + 29, 28 + 29, 29, 29]
     ordered = gap.drop_nulls("hx_in_k").sort("operator", "tail", "pack", "departed_at")
     signals = {n: ordered[n].to_numpy() for n in hx.SIGNALS}
     here = hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(ordered))
     np.testing.assert_allclose(seen.offset, ordered["ln_ua_ratio"].to_numpy() - here)
     own = np.diff(ordered["ln_ua_ratio"].to_numpy())[seen.change]
-    np.testing.assert_allclose(seen.left({}, dsm.design), own)
-    two = _seen(rows.filter(pl.col("tail").is_in(["A", "C"])), dsm)  # of two aircraft: fifths of the flights
+    np.testing.assert_allclose(seen.residual({}, dsm.design), own)
+    two = _flight_steps(rows.filter(pl.col("tail").is_in(["A", "C"])), dsm)  # of two aircraft: fifths of the flights
     assert len(np.unique(two.fold)) == 5
 
 
@@ -307,25 +307,25 @@ def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
     rows = pl.concat([cruise_of(10, t, k) for k, t in enumerate("ABCD")])
     for most, tails in ((40, 4), (39, 2), (20, 2), (19, 2), (13, 1)):
         monkeypatch.setattr(missing_physics, "MOST_FLIGHTS", most)
-        assert _seen(rows, DSM).change.sum() == tails * 9
+        assert _flight_steps(rows, DSM).change.sum() == tails * 9
     monkeypatch.undo()
     assert missing_physics.MOST_FLIGHTS == 20_000
 
 
 def test_evidence_is_the_coefficient_over_its_deviation_and_what_is_left_out():
     rows = pl.concat([cruise_of(40, t, k) for k, t in enumerate("ABC")])
-    seen, name = _seen(rows, DSM), next(iter(TERMS))
+    seen, name = _flight_steps(rows, DSM), next(iter(TERMS))
     fit, row = _fit(seen, DSM, (name,)), _evidence(seen, DSM, name)
     f, n = (fit.terms[name] / fit.sd[0]) ** 2, len(seen.fold)
     assert row[2:4] == pytest.approx((fit.terms[name], fit.sd[0]))
     assert (row[5], row[6], row[9]) == pytest.approx((f - np.log(n), f, n))
-    before = seen.left({}, DSM.design)
+    before = seen.residual({}, DSM.design)
     limit = 4.0 * 1.4826 * np.median(np.abs(before))
     after = np.empty(n)
     for fold in np.unique(seen.fold):
         out = seen.fold == fold
         other = _fit(seen, DSM, (name,), ~out)
-        after[out] = seen.left(other.terms, other.design)[out]
+        after[out] = seen.residual(other.terms, other.design)[out]
     ratio = np.sqrt(np.mean(np.clip(after, -limit, limit) ** 2) / np.mean(np.clip(before, -limit, limit) ** 2))
     assert row[7] == pytest.approx(ratio - 1.0)
     moved = seen.ratio(fit.terms, fit.design) - seen.ratio({}, DSM.design)

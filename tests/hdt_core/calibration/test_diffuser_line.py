@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from hdt_core.calibration.compressor_fit import _as_built, _pooled, fit_compressor, inlet_geometry
-from hdt_core.calibration.diffuser_line import BlockRows, rows_of, shared_line
+from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
 from hdt_core.calibration.forms import compare_forms
 from hdt_core.calibration.pooling import pool
 
@@ -25,7 +25,7 @@ def machine_rows(n_flights: int, per_flight: int = 4, *, scatter: float = 0.0, b
 def test_the_line_of_machines_of_two_sizes():
     """Its slope is that of the mean level, raised by what a noise of 5 counts takes from it."""
     rows = machine_rows(40)
-    line = shared_line(rows)
+    line = fit_line(rows)
     inside = rows.x - np.where(rows.block == 0, *(rows.x[rows.block == b].mean() for b in (0, 1)))
     reliable = 1.0 - 25.0 / np.mean(inside**2)
     centre = rows.x.mean()
@@ -38,7 +38,7 @@ def test_the_line_of_machines_of_two_sizes():
 def test_the_slopes_error_lets_samples_of_a_flight_err_together():
     """The sandwich over flights; each sample thrice, the error stays what it was."""
     rows = machine_rows(200, scatter=0.002)
-    line = shared_line(rows)
+    line = fit_line(rows)
     x_mean = np.array([rows.x[rows.block == b].mean() for b in (0, 1)])
     inside = rows.x - x_mean[rows.block]
     score = np.bincount(rows.flight, inside * line.residual)
@@ -47,13 +47,13 @@ def test_the_slopes_error_lets_samples_of_a_flight_err_together():
     assert abs(line.slope + 1e-4 * 0.18) < 4.0 * line.slope_sd
     calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
     raised = 1.0 - 25.0 / np.mean(inside**2)
-    assert shared_line(calm).slope_sd == pytest.approx(line.slope_sd * raised * 20.0 / 0.5, rel=1e-3)
+    assert fit_line(calm).slope_sd == pytest.approx(line.slope_sd * raised * 20.0 / 0.5, rel=1e-3)
     thrice = BlockRows(*(np.repeat(v, 3) for v in (rows.x, rows.y, rows.block, rows.flight)), rows.blocks)
-    assert shared_line(thrice).slope_sd == pytest.approx(line.slope_sd, rel=1e-6)
+    assert fit_line(thrice).slope_sd == pytest.approx(line.slope_sd, rel=1e-6)
     wild = rows.y.copy()
     wild[::80] += 0.2
     wild[40::80] -= 0.2
-    robust = shared_line(BlockRows(rows.x, wild, rows.block, rows.flight, rows.blocks))
+    robust = fit_line(BlockRows(rows.x, wild, rows.block, rows.flight, rows.blocks))
     assert robust.slope == pytest.approx(line.slope, abs=3.0 * line.slope_sd)
 
 
@@ -81,10 +81,10 @@ def test_half_of_a_slope_is_what_noise_may_take():
     """Positions that spread by less than twice their noise: the slope is doubled, no more."""
     rows = machine_rows(40)
     calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
-    plain = shared_line(rows)
+    plain = fit_line(rows)
     inside = rows.x - np.array([rows.x[rows.block == b].mean() for b in (0, 1)])[rows.block]
     raised = 1.0 - 25.0 / np.mean(inside**2)
-    assert shared_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
+    assert fit_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
 
 
 def test_an_as_built_line_is_that_of_machines_as_seen_raised():
@@ -96,7 +96,7 @@ def test_an_as_built_line_is_that_of_machines_as_seen_raised():
         )
         for b, tail in enumerate("AB")
     ]
-    fit, line = fit_compressor(pl.concat(frames)), shared_line(rows)
+    fit, line = fit_compressor(pl.concat(frames)), fit_line(rows)
     # a flow sensor's 2 % and .3 % of an efficiency are no pack's own
     group = _pooled(pl.concat(frames), "group_m3", "cc_area_diameter_tan_beta_m3", 0.02, wear=False)[2]
     assert fit.levels == (*group, *_pooled(pl.concat(frames), "efficiency", "cc_efficiency", 0.003, wear=True)[2])

@@ -17,7 +17,7 @@ from hdt_core.calibration.arrays import (
     to_points,
 )
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
-from hdt_core.calibration.flight_estimates import _located, design_gradient, estimate_flights
+from hdt_core.calibration.flight_estimates import _locate, design_gradient, estimate_flights
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import PACK
 
@@ -39,7 +39,7 @@ def location(values: list[float]) -> tuple[float, float]:
 def test_a_flights_value_is_hubers(values):
     rows = pl.DataFrame({**KEY, "r": values}, schema_overrides={"r": pl.Float64})
     other = rows.with_columns(pack=pl.lit(2), r=pl.col("r") + 5.0)
-    found = _located(pl.concat([other, rows]), "r", "x")
+    found = _locate(pl.concat([other, rows]), "r", "x")
     np.testing.assert_allclose(found.filter(pack=1).select("x", "x_sd").row(0), location(values), rtol=1e-12)
     np.testing.assert_allclose(found.filter(pack=2)["x"][0], location(values)[0] + 5.0)
     assert found["n"].to_list() == [len(values)] * 2

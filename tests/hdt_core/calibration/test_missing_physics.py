@@ -124,7 +124,7 @@ def test_sixty_changes_without_noise_give_the_coefficient_itself(flights, value)
 
 
 def test_an_accepted_coefficient_is_found_in_three_rounds(monkeypatch):
-    monkeypatch.setattr("hdt_core.calibration.calibrate._calibrated", lambda *args: SimpleNamespace(terms=args[-1]))
+    monkeypatch.setattr("hdt_core.calibration.calibrate._calibrate", lambda *args: SimpleNamespace(terms=args[-1]))
     for name in ("estimate_flights", "baseline_samples"):
         monkeypatch.setattr(f"hdt_core.calibration.calibrate.{name}", lambda *_: None)
     monkeypatch.setattr("hdt_core.calibration.calibrate.coefficients", lambda *_: {"water_spray": 0.1})

@@ -8,20 +8,20 @@ from scipy import stats
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.conclude import conclude, settle
-from hdt_core.estimation.descent import Point, distance_to_optimum, linearised
+from hdt_core.estimation.descent import Point, distance_to_optimum, quadratic_model
 from hdt_core.estimation.fit import Fit, noise_variance
-from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, inverted
+from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, invert_information
 from hdt_core.estimation.kalman_step import (
     Affine,
     LostTrackError,
-    corrected,
     innovate,
     is_moving,
     joint_belief,
-    predicted,
-    projected,
-    stepped,
+    linearise_step,
+    predict_belief,
+    project_on_bounds,
     tangent,
+    update_belief,
 )
 
 X = np.linspace(-1.0, 2.0, 12)
@@ -122,7 +122,7 @@ def test_what_data_tell_and_what_they_do_not():
     weakest = seen.weakest
     assert weakest["a"] == pytest.approx(-weakest["b"])
     blind = np.array([[4.0, 6.0, 0.0], [6.0, 9.0, 0.0], [0.0, 0.0, 25.0]])
-    found, told = inverted(blind)
+    found, told = invert_information(blind)
     assert not told
     assert np.isinf(np.diag(found)[:2]).all()
     assert found[2, 2] == pytest.approx(0.04)
@@ -173,7 +173,7 @@ def test_how_a_fit_ends_is_told():
     np.testing.assert_allclose(there.belief.cov, 4.0 * optimum.belief.cov)
     assert settle(line(), mean * [1.0, np.nan], 5).status == "diverged"
     assert settle(line(), mean, 5, polish=False).n_evals == 5
-    assert linearised(line(), mean).n_evals == 5
+    assert quadratic_model(line(), mean).n_evals == 5
 
 
 def curved(seen: float, sigma: float) -> Problem:
@@ -216,12 +216,12 @@ def test_a_kalman_step_is_the_conditional_normal():
     s = h @ cov @ h.T + np.diag([0.01 + 0.09, 0.02 + 0.16])
     error = seen - (h @ belief.mean + [0.2, -0.1])
     correction = innovate(belief, model, seen, sigma)
-    after = corrected(belief, correction)
+    after = update_belief(belief, correction)
     np.testing.assert_allclose(after.mean, belief.mean + cov @ h.T @ np.linalg.solve(s, error))
     np.testing.assert_allclose(after.cov, cov - cov @ h.T @ np.linalg.solve(s, h @ cov), atol=1e-12)
     assert correction.nis == pytest.approx(error @ np.linalg.solve(s, error))
     assert correction.log_likelihood == pytest.approx(stats.multivariate_normal.logpdf(error, cov=s))
-    one = corrected(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
+    one = update_belief(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
     gain = cov @ h[1] / s[1, 1]
     np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])
     for slope, offset in (([[1.0, np.inf, 0.0]] * 2, [0.0, 0.0]), (h, [0.0, np.nan])):
@@ -230,7 +230,7 @@ def test_a_kalman_step_is_the_conditional_normal():
     move = Affine(
         np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3)
     )
-    later = predicted(belief, move)
+    later = predict_belief(belief, move)
     np.testing.assert_allclose(later.mean, [0.5, -0.8, 0.5])
     np.testing.assert_allclose(later.cov, move.slope @ cov @ move.slope.T + 0.1 * np.eye(3))
 
@@ -239,7 +239,7 @@ def test_drift_and_process_noise_are_variances():
     moving = line(drift=np.array([0.1, 0.2]))
     assert is_moving(moving)
     assert not is_moving(line(drift=np.zeros(2)))
-    step = stepped(moving, tangent, joint_belief(moving), 0)
+    step = linearise_step(moving, tangent, joint_belief(moving), 0)
     np.testing.assert_allclose(step.spread, np.diag([0.01, 0.04]))
     np.testing.assert_allclose(step.slope, np.eye(2))
     states = replace(
@@ -249,7 +249,7 @@ def test_drift_and_process_noise_are_variances():
     start = joint_belief(states)
     # a parameter of which nothing is known is as unsure as a uniform one over its bounds
     np.testing.assert_allclose(np.diag(start.cov), [0.5, 100.0**2 / 12.0, 100.0**2 / 12.0])
-    step = stepped(states, tangent, start, 0)
+    step = linearise_step(states, tangent, start, 0)
     np.testing.assert_allclose(step.slope, [[2.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-6)
     np.testing.assert_allclose(step.spread, np.diag([0.09, 0.01, 0.04]))
     assert (step.slope @ start.mean + step.offset)[0] == pytest.approx(2.0)
@@ -262,11 +262,11 @@ def test_drift_and_process_noise_are_variances():
 
 def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
     belief = Belief(np.array([1.5, 0.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
-    np.testing.assert_allclose(projected(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
-    np.testing.assert_allclose(projected(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])
+    np.testing.assert_allclose(project_on_bounds(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
+    np.testing.assert_allclose(project_on_bounds(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])
 
 
 def test_a_belief_by_hand():
     belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
     np.testing.assert_allclose(belief.interval(0.95), [[1.0 - 3.92, 1.0 + 3.92], [2.0 - 5.88, 2.0 + 5.88]], atol=1e-3)
-    np.testing.assert_allclose(belief.widened(np.array([1.0, 2.0])).cov, np.diag([5.0, 13.0]))
+    np.testing.assert_allclose(belief.widen(np.array([1.0, 2.0])).cov, np.diag([5.0, 13.0]))

@@ -8,11 +8,11 @@ from scipy.stats import qmc
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, unknown
 from hdt_core.estimation.conclude import conclude, conclude_at
-from hdt_core.estimation.damped import damped_step, inverse_spd, is_exhausted, is_settled, judged, next_damping
+from hdt_core.estimation.damped import assess_optimum, damped_step, inverse_spd, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
-from hdt_core.estimation.doubts import RISE, _apart, _held, better_optimum, is_bent, profiled
+from hdt_core.estimation.doubts import RISE, _distinct_points, _refit_fixed, better_optimum, is_bent, profile_intervals
 from hdt_core.estimation.experiment import Candidate, rank_sensors
-from hdt_core.estimation.identifiability import Identifiability, inverted
+from hdt_core.estimation.identifiability import Identifiability, invert_information
 from hdt_core.estimation.swarm import search_box, swarm_search
 
 NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])
@@ -73,7 +73,7 @@ def test_an_inverse_a_determinant_and_a_decrement():
         for side in (0, 1):
             bounds = np.tile([-9.0, 9.0], (3, 1))
             bounds[1, side] = (2 * side - 1) * share * 1e-3 * sd[1]
-            found = judged(NORMAL, gradient, np.zeros(3), bounds)
+            found = assess_optimum(NORMAL, gradient, np.zeros(3), bounds)
             np.testing.assert_allclose(found[0], inverse)
             assert found[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), off))
 
@@ -149,12 +149,12 @@ def test_newtons_decrement_where_a_direction_is_missing(normal, gradient, theta,
 
 
 def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
-    found, seen = inverted(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
+    found, seen = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
     np.testing.assert_allclose(found, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
     assert not seen
     for gap, told in ((2.1e-14, True), (1.9e-14, False)):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
         pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
-        assert (inverted(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (told, told)
+        assert (invert_information(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (told, told)
 
 
 BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
@@ -266,15 +266,15 @@ def test_profiles_of_a_straight_line_are_its_deviations(variance):
     cov = np.linalg.inv(at.normal)
     half = np.sqrt(RISE * variance * np.diag(cov))
     assert pytest.approx(1.959964**2, rel=1e-6) == RISE
-    found = profiled(problem, at, cov, variance)
+    found = profile_intervals(problem, at, cov, variance)
     np.testing.assert_allclose(found.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
     assert not found.open.any()
     assert found.better is None
-    held = profiled(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
+    held = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
     np.testing.assert_allclose(held.interval[1], 0.5, rtol=1e-6)
-    wall = profiled(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
+    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
     assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
-    wall = profiled(line(bounds=np.array([[-50.0, 50.0], [0.49, 50.0]])), at, cov, variance)
+    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.49, 50.0]])), at, cov, variance)
     assert (wall.interval[1, 0], wall.open.tolist()) == (0.49, [[False, False], [True, False]])
 
 
@@ -282,7 +282,7 @@ def test_with_one_parameter_held_the_others_follow_along_the_line():
     """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
     problem = line()
     at = descend(problem, np.zeros(2))
-    found = _held(problem, at, 1, 0.7)
+    found = _refit_fixed(problem, at, 1, 0.7)
     theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
     np.testing.assert_allclose(found.theta, theta, rtol=1e-9)
     assert found.n_evals == 2 + 5
@@ -293,10 +293,10 @@ def test_an_interval_without_an_end_is_endless():
     problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
                       lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
     at = descend(problem, np.zeros(1))
-    found = profiled(problem, at, np.array([[0.36]]))
+    found = profile_intervals(problem, at, np.array([[0.36]]))
     assert (found.interval[0, 0], found.open.tolist(), found.unlimited) == (-np.inf, [[True, False]], ("x",))
     # without a deviation the first stretch is the value's own size, at least 1
-    blind = profiled(problem, at, np.array([[np.inf]]))
+    blind = profile_intervals(problem, at, np.array([[np.inf]]))
     np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
 
 
@@ -304,7 +304,7 @@ def test_an_interval_without_an_end_is_endless():
 def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
     """x seen as 0 with a sigma of 1: the end is 1.96, the first stretch 1.96 of what is taken for sd."""
     problem, at = bend(0.0)
-    found = profiled(problem, at, np.array([[sd**2]]))
+    found = profile_intervals(problem, at, np.array([[sd**2]]))
     assert found.open.tolist() == [[not ends] * 2]
     np.testing.assert_allclose(found.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
 
@@ -314,11 +314,11 @@ def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
     cloud = np.array([[0.0, 0.0], [0.04, 0.4], [0.06, 0.0], [0.0, 0.6], [0.5, 5.0], [0.9, 9.0], [1.0, 0.0]])
     objectives = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     width = np.array([1.0, 10.0])
-    np.testing.assert_array_equal(_apart(cloud, objectives, width), cloud[[0, 2, 3, 4]])
-    np.testing.assert_array_equal(_apart(cloud, objectives[::-1], width), cloud[[6, 5, 4, 3]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2, 3, 4]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives[::-1], width), cloud[[6, 5, 4, 3]])
     objectives[3:] = np.inf
-    np.testing.assert_array_equal(_apart(cloud, objectives, width), cloud[[0, 2]])
-    np.testing.assert_array_equal(_apart(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
 
 
 def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():

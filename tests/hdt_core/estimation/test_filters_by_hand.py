@@ -22,12 +22,12 @@ from hdt_core.estimation.estimate import _correlations
 from hdt_core.estimation.identifiability import Identifiability
 from hdt_core.estimation.kalman import (
     FilterPass,
-    _paying,
+    _line_search,
     _stands_still,
     forward,
     report,
-    smoothed,
-    standardised,
+    smooth,
+    standardise_innovations,
     trajectory,
 )
 from hdt_core.estimation.kalman_step import Correction, LostTrackError, tangent
@@ -112,11 +112,11 @@ def test_a_pass_is_shortened_by_halves_until_it_pays(later, taken):
     """The objective is (x - 1)^2 from 0: seven halvings at most, and the full step where none pays."""
     one = Problem(("x",), np.array([[-999.0, 999.0]]), unknown(np.zeros(1)), np.ones((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    assert _paying(one, np.zeros(1), np.array([later])) == pytest.approx([taken])
-    assert _paying(one, np.zeros(1), np.array([2.0**7 * 1.99])) == pytest.approx([1.99])
-    assert _paying(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
+    assert _line_search(one, np.zeros(1), np.array([later])) == pytest.approx([taken])
+    assert _line_search(one, np.zeros(1), np.array([2.0**7 * 1.99])) == pytest.approx([1.99])
+    assert _line_search(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
     lost = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
-    assert _paying(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
+    assert _line_search(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
 
 
 def test_an_estimate_stands_still_below_a_ten_thousandth_of_its_deviation():
@@ -133,7 +133,7 @@ def test_innovations_are_standardised_by_the_root_of_their_precision():
     whole = Correction(np.eye(2), np.eye(2), precision, error, np.eye(2))
     half = Correction(np.eye(1, 2), np.eye(2, 1), precision[1:, 1:], error[1:], np.eye(1))
     problem = line(measured=np.array([[1.0, 1.0], [np.nan, 1.0]]), sigma=np.ones(2))
-    rows = standardised(problem, [whole, half])
+    rows = standardise_innovations(problem, [whole, half])
     np.testing.assert_allclose(rows, [sqrtm(precision) @ error, [np.nan, np.sqrt(2.0) * -0.7]])
 
 
@@ -150,7 +150,7 @@ def test_a_smoothed_covariance_is_that_of_all_samples():
         Belief(np.array([0.3]), np.array([[2.0]])),
         np.array([0.7]),
     )
-    beliefs = smoothed(forward(walk, tangent))
+    beliefs = smooth(forward(walk, tangent))
     info = np.diag([1 / 2.0, 0.0, 0.0]) + np.eye(3) / 0.25
     for i in range(2):
         step = np.zeros(3)

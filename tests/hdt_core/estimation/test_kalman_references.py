@@ -10,7 +10,7 @@ from filterpy.kalman import UnscentedKalmanFilter as FilterpyUnscented
 
 from hdt_benchmark.oscillator import oscillator_problem
 from hdt_core.estimation import Belief, ExtendedKalman, Problem, UnscentedKalman, unknown
-from hdt_core.estimation.kalman import forward, smoothed
+from hdt_core.estimation.kalman import forward, smooth
 from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.ukf import regression, upper_root
 
@@ -119,7 +119,7 @@ def test_linear_filter_equals_the_kalman_filter_of_filterpy(method):
 @METHODS
 def test_smoother_equals_the_solution_of_all_samples_at_once(method):
     problem, F, H = drawn_record(4, [0.1, 0.05, 0.2])
-    ours = smoothed(forward(problem, linearisation(method, 3)))
+    ours = smooth(forward(problem, linearisation(method, 3)))
     k, s = len(problem.measured), 3
     information, vector = np.zeros((k * s, k * s)), np.zeros(k * s)
     information[:s, :s] = np.linalg.inv(problem.start.cov)

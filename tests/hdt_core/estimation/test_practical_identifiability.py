@@ -6,7 +6,7 @@ import pytest
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import descend
-from hdt_core.estimation.doubts import RISE, profiled
+from hdt_core.estimation.doubts import RISE, profile_intervals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 
 TIME = np.linspace(0.0, 5.0, 60)
@@ -77,7 +77,7 @@ def test_profiles_cover_what_they_promise():
         problem = saturating(seed)
         at = descend(problem, np.array([4.0, 4.0]))
         cov = np.linalg.inv(at.normal)
-        low, high = profiled(problem, at, cov).interval[0]
+        low, high = profile_intervals(problem, at, cov).interval[0]
         inside.append(low <= 4.0 <= high)
         wald.append(abs(at.theta[0] - 4.0) < 1.96 * np.sqrt(cov[0, 0]))
     assert np.mean(inside) == pytest.approx(0.95, abs=0.05)  # 150 records: nearly three times 0.018
@@ -102,7 +102,7 @@ def test_all_parameters_of_the_exchanger_are_profiled_in_few_evaluations():
     problem = declared_problem(HEAT_EXCHANGER, free, inputs, measured)
     found = NonlinearLeastSquares().estimate(problem)
     at = descend(problem, found.belief.mean)
-    profile = profiled(problem, at, found.belief.cov)
+    profile = profile_intervals(problem, at, found.belief.cov)
     assert profile.n_evals < 2_000
     nominal = np.array([HEAT_EXCHANGER.nominal[name] for name in free])
     assert ((profile.interval[:, 0] < nominal) & (nominal < profile.interval[:, 1])).sum() >= len(free) - 1

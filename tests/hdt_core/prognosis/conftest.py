@@ -57,7 +57,7 @@ def _lives() -> list[tuple[np.ndarray, int]]:
 
 def _columns(lives: Episodes) -> list[np.ndarray]:
     """`COLUMNS`, the critical ratios as straight lines, steeper with time, through the one of the drawn episodes."""
-    asked = np.where(np.isnan(lives.asked), np.nanmedian(lives.asked), lives.asked)[:, LEAD:]
+    asked = np.where(np.isnan(lives.demand), np.nanmedian(lives.demand), lives.demand)[:, LEAD:]
     per_k = LN_RATIO_PER_K * np.linspace(0.7, 1.3, asked.shape[1])
     curves = [asked - 0.05 * i - per_k * (e - 7.0) for i in range(len(SHARES)) for e in EXCESS_K]
     seen = (lives.overheat_k, lives.overheat_half_k, lives.full_open)

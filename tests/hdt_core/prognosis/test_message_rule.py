@@ -11,20 +11,20 @@ def lives(n: int, excess_k: float, of: int, seed: int = 0) -> tuple[dict[float, 
     """Overheat that grows along each life, and the flight on which the rule is first met."""
     rng = np.random.default_rng(seed)
     level = np.linspace(-10.0, 14.0, 200)[None, :] + 3.0 * rng.standard_normal((n, 200))
-    message = np.array([first_met(row, excess_k, of) for row in level])
+    message = np.array([rule_onsets(row, excess_k, of) for row in level])
     after = np.arange(200)[None, :] > np.where(message < 0, 10**6, message)[:, None]
     seen = np.where(after, np.nan, np.maximum(level, 0.0))
     return {0.2: seen, 0.5: np.maximum(seen - 3.0 - rng.exponential(1.0, seen.shape), 0.0)}, message
 
 
-def first_met(overheat: np.ndarray, excess_k: float, of: int) -> int:
+def rule_onsets(overheat: np.ndarray, excess_k: float, of: int) -> int:
     """The second hot flight of `of`, the first where it is one."""
     hot = overheat > excess_k
     return next((k for k in range(len(hot)) if hot[k] and (of == 1 or hot[max(k - of + 1, 0) : k].any())), -1)
 
 
 def learn_rules(overheat, message, operator):
-    return message_rule.learn_rules(message_rule.first_met(list(overheat.values())), message, operator)
+    return message_rule.learn_rules(message_rule.rule_onsets(list(overheat.values())), message, operator)
 
 
 def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:
@@ -35,7 +35,7 @@ def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:
             for excess in range(1, 16):
                 log = np.log(chance) - 0.5 * ((excess - 7.0) / 2.5) ** 2
                 for row, told, w in zip(overheat[share], message, weight, strict=True):
-                    met = first_met(np.nan_to_num(row), excess, of)
+                    met = rule_onsets(np.nan_to_num(row), excess, of)
                     off = abs(met - told)
                     if told >= 0:
                         likelihood = 0.03 if met < 0 or off > 3 else 0.5 if off == 0 else 0.12
@@ -89,7 +89,7 @@ def test_without_any_message_the_prior_stands():
 
 def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
     """What is exact counts half; near, missed and spurious are rarer, in this order of likelihood."""
-    prior = message_rule.PRIOR_OF
+    prior = message_rule.PERSISTENCE_PRIOR
     assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
     met, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
     np.testing.assert_allclose(np.exp(message_rule._fit(met, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])

@@ -48,7 +48,7 @@ def test_calibration_of_honest_probabilities():
     rng = np.random.default_rng(1)
     p = rng.random(50000)
     table = calibration(rng.random(50000) < p, p)
-    np.testing.assert_allclose(table["came"], table["said"], atol=0.03)
+    np.testing.assert_allclose(table["observed"], table["predicted"], atol=0.03)
 
 
 def test_bootstrap_draws_whole_tails():
@@ -59,7 +59,12 @@ def test_bootstrap_draws_whole_tails():
 
 def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
     judged = pl.DataFrame(
-        {"left": [320.0, 400.0], "rul_flights": [280.0, 300.0], "rul_low": [150.0, 200.0], "rul_high": [300.0, 300.0]}
+        {
+            "remaining": [320.0, 400.0],
+            "rul_flights": [280.0, 300.0],
+            "rul_low": [150.0, 200.0],
+            "rul_high": [300.0, 300.0],
+        }
     ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)
     scores = score_prognoses(judged)
     assert scores["mae_flights"] == 10.0

@@ -13,7 +13,7 @@ from hdt_core.margin.margin import PRIOR_RULE
 from hdt_core.prognosis.feature_rows import INPUTS, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards
-from hdt_core.prognosis.metrics import judge, score_prognoses
+from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.model import (
     LESSONS,
     ComponentFit,
@@ -48,7 +48,7 @@ def fitted(fleet, base):
 @pytest.fixture(scope="module")
 def held_out(fleet, base):
     lives = episodes(*fleet)
-    return judge(out_of_fold(fleet[0], lives, base=base), fleet[0], lives)
+    return join_outcomes(out_of_fold(fleet[0], lives, base=base), fleet[0], lives)
 
 
 def test_every_flight_has_its_rows_for_both_components(fitted):
@@ -87,7 +87,7 @@ def test_what_is_told_to_the_learner_holds_no_later_flight(fitted):
 
 def test_unseen_lives_are_foretold(held_out):
     scores = score_prognoses(held_out)
-    known = held_out.filter(pl.col("failed") | (pl.col("left") >= 300))["left"].clip(0, 300).to_numpy()
+    known = held_out.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
     constant = np.abs(known - np.median(known)).mean()
     assert scores["mae_flights"] < 0.9 * constant
     assert scores["interval_skill"] > 0.2
@@ -101,7 +101,7 @@ def test_without_a_single_failure_it_still_speaks(fleet, base):
     quiet = episodes(features, messages.clear(), maintenance.clear())
     model = fit_prognosis(features.clear(), quiet.clear(), base=base)
     lives = episodes(*fleet)
-    scores = score_prognoses(judge(predict_prognosis(model, features, lives), features, lives))
+    scores = score_prognoses(join_outcomes(predict_prognosis(model, features, lives), features, lives))
     assert scores["auc"] > 0.9
     assert scores["mae_flights"] < 60.0
 

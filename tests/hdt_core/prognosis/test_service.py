@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.prognosis.feature_rows import PRIOR_RULES, fleet_rows, learn_rule, tracks, tracks_before
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, fleet_rows, learn_rule, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, start_of
 from hdt_core.prognosis.model import fit_tracks
 from hdt_core.prognosis.service import update_model
@@ -41,7 +41,7 @@ def test_flown_month_by_month_or_taken_in_at_once_it_is_one_record(fleet, base, 
     months = whole.months()
     assert len(months) > 3
     for month, end in zip(months, [*months[1:], None], strict=True):
-        last = update_model(base, last, whole.before(start_of(end)) if end else whole)
+        last = update_model(base, last, whole.as_of(start_of(end)) if end else whole)
         flown = pl.col("departed_at") >= start_of(month)
         same(
             last.prognoses.filter(flown),
@@ -79,12 +79,12 @@ def test_the_first_month_knows_the_base_alone(at_once, base):
 def test_what_a_month_learns_from_is_the_record_cut_off(fleet, component):
     """Rows are cut once from the whole record: they equal those of a record that ends there, and so do lives."""
     whole, moment = FleetRecord(*fleet), datetime(2024, 3, 1, tzinfo=UTC)
-    past = whole.before(moment)
+    past = whole.as_of(moment)
     alone = tracks(past.features, past.lives(), component)
-    cut = tracks_before(tracks(whole.features, whole.lives(), component), moment, past.lives(), component)
+    cut = tracks_as_of(tracks(whole.features, whole.lives(), component), moment, past.lives(), component)
     flown = (cut.keys["departed_at"] < moment).to_numpy()
     assert cut.mute[~flown].all()
-    for name in ("left", "failed", "mute"):
+    for name in ("remaining", "failed", "mute"):
         np.testing.assert_array_equal(getattr(cut, name)[flown], getattr(alone, name))
     rule = PRIOR_RULES[component]
     one, other = fleet_rows(alone, rule), fleet_rows(cut, rule, flown)
@@ -96,15 +96,15 @@ def test_what_a_month_learns_from_is_the_record_cut_off(fleet, component):
 def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
     """Without the removals of one tail its own prognoses are the same."""
     whole, month = FleetRecord(*fleet), date(2024, 4, 1)
-    tail = whole.before(start_of(month)).lives().filter("failed")["tail"][0]
-    held = next(fold for fold in at_once.months[month].model.folds if tail in fold.held)
+    tail = whole.as_of(start_of(month)).lives().filter("failed")["tail"][0]
+    held = next(fold for fold in at_once.months[month].model.folds if tail in fold.groups)
     assert (
-        sorted(t for fold in at_once.months[month].model.folds for t in fold.held)
+        sorted(t for fold in at_once.months[month].model.folds for t in fold.groups)
         == whole.features["tail"].unique().sort().to_list()
     )
-    past = whole.before(start_of(month))
+    past = whole.as_of(start_of(month))
     others = FleetRecord(
-        *(f.filter(~pl.col("tail").is_in(held.held)) for f in (past.features, past.messages, past.maintenance))
+        *(f.filter(~pl.col("tail").is_in(held.groups)) for f in (past.features, past.messages, past.maintenance))
     )
     alone = fit_tracks(
         base, {"HX": tracks(others.features, episodes(others.features, others.messages, others.maintenance), "HX")}
@@ -116,9 +116,9 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
 
 def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
     at = datetime(2024, 3, 10, tzinfo=UTC)
-    first = update_model(base, None, FleetRecord(*fleet).before(at))
+    first = update_model(base, None, FleetRecord(*fleet).as_of(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = update_model(base, marked, FleetRecord(*fleet).before(at + timedelta(days=1)))
+    after = update_model(base, marked, FleetRecord(*fleet).as_of(at + timedelta(days=1)))
     kept = after.prognoses.filter(pl.col("departed_at") < at)
     assert (kept["p_event_50"] == 0.123).all()
     new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")
@@ -137,9 +137,9 @@ def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, 
     whole = FleetRecord(*fleet)
     one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
     missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))
-    first = update_model(base, None, missed.before(IN_MARCH))
+    first = update_model(base, None, missed.as_of(IN_MARCH))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
-    after = update_model(base, marked, whole.before(IN_MARCH))
+    after = update_model(base, marked, whole.as_of(IN_MARCH))
     february, march = (date(2024, m, 1) for m in (2, 3))
     assert {m: own.model.version for m, own in after.months.items()} == {
         m: own.model.version for m, own in first.months.items()
@@ -155,17 +155,17 @@ def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, 
     others = after.prognoses.filter((pl.col("tail") != flight["tail"][0]) | before)
     assert others.height
     assert (others["p_event_50"] == 0.123).all(), "what was said of a flight stands while what it follows from does"
-    alone = update_model(base, None, whole.before(IN_MARCH)).prognoses
+    alone = update_model(base, None, whole.as_of(IN_MARCH)).prognoses
     told, clean = (p.filter(component="HX", flight_id=one).sort("pack") for p in (after.prognoses, alone))
     assert (told["p_event_50"] - clean["p_event_50"]).abs().max() < 1e-9, "its own month's model had learned before it"
-    month_on = whole.before(IN_MARCH + timedelta(days=3))
+    month_on = whole.as_of(IN_MARCH + timedelta(days=3))
     april = pl.col("departed_at") >= datetime(2024, 4, 1, tzinfo=UTC)
     same(*(update_model(base, last, month_on).prognoses.filter(april) for last in (after, None)))
 
 
 @pytest.mark.parametrize("share", [0.5, 0.05])
 def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
-    record = FleetRecord(*fleet).before(IN_MARCH)
+    record = FleetRecord(*fleet).as_of(IN_MARCH)
     after = update_model(base, update_model(base, None, without(record, share)[0]), record)
     assert after.newest.service["learned_because"] != "the month began"
     assert after.newest.service["late_flights_not_learned_from"] == 0
@@ -173,8 +173,8 @@ def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
 
 
 def test_a_late_message_is_learned_from_at_once_by_the_months_after_it(fleet, base):
-    record = FleetRecord(*fleet).before(IN_MARCH)
-    failed = record.before(start_of(record.months()[-1])).lives().filter("failed").row(0, named=True)
+    record = FleetRecord(*fleet).as_of(IN_MARCH)
+    failed = record.as_of(start_of(record.months()[-1])).lives().filter("failed").row(0, named=True)
     own = (pl.col("tail") == failed["tail"]) & (pl.col("pack") == failed["pack"])
     unheard = replace(record, messages=record.messages.filter(~own))
     first = update_model(base, None, unheard)
@@ -185,7 +185,7 @@ def test_a_late_message_is_learned_from_at_once_by_the_months_after_it(fleet, ba
 
 
 def test_health_by_other_models_is_learned_from_anew_by_every_month(fleet, base):
-    record = FleetRecord(*fleet).before(IN_MARCH)
+    record = FleetRecord(*fleet).as_of(IN_MARCH)
     moved = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
     after = update_model(base, update_model(base, None, record, "as built"), moved, "as mended")
     assert {m.service["learned_because"] for m in after.months.values()} == {
@@ -197,8 +197,8 @@ def test_health_by_other_models_is_learned_from_anew_by_every_month(fleet, base)
 def test_an_aircraft_that_joins_moves_nothing_that_stands(fleet, base):
     whole = FleetRecord(*fleet)
     joins = (pl.col("tail") != "LX-T03") | (pl.col("departed_at") >= datetime(2024, 3, 5, tzinfo=UTC))
-    record = replace(whole, features=whole.features.filter(joins)).before(IN_MARCH)
-    first = update_model(base, None, record.before(datetime(2024, 3, 1, tzinfo=UTC)))
+    record = replace(whole, features=whole.features.filter(joins)).as_of(IN_MARCH)
+    first = update_model(base, None, record.as_of(datetime(2024, 3, 1, tzinfo=UTC)))
     after = update_model(base, first, record)
     same(after.prognoses, update_model(base, None, record).prognoses)
     assert after.months[date(2024, 2, 1)].model.version == first.months[date(2024, 2, 1)].model.version
@@ -209,4 +209,4 @@ def test_of_an_empty_record_nothing_is_foretold(fleet, base):
     empty = update_model(base, None, FleetRecord(*(frame.clear() for frame in fleet)))
     assert not empty.months
     assert empty.prognoses.is_empty()
-    assert update_model(base, empty, FleetRecord(*fleet).before(datetime(2024, 2, 1, tzinfo=UTC))).prognoses.height
+    assert update_model(base, empty, FleetRecord(*fleet).as_of(datetime(2024, 2, 1, tzinfo=UTC))).prognoses.height

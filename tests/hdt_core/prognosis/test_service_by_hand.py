@@ -12,11 +12,19 @@ from hdt_core.components import components
 from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis import hazard, model
 from hdt_core.prognosis.component_life import _event_by, first_passage
-from hdt_core.prognosis.feature_rows import PRIOR_RULES, _usual, tracks
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, _trailing_median, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, score_months, start_of
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, events_ahead, hazards, passage_hazards, quantile
 from hdt_core.prognosis.metrics import bootstrap, constant_interval_score, interval_score
-from hdt_core.prognosis.model import ComponentFit, Fold, Prognosis, _keep_lessons, named, split_groups, untaught_levels
+from hdt_core.prognosis.model import (
+    ComponentFit,
+    Fold,
+    Prognosis,
+    _keep_lessons,
+    prior_levels,
+    split_groups,
+    with_version,
+)
 from hdt_core.prognosis.model_card import from_parts, model_card, promote, to_parts
 from hdt_core.prognosis.recalibrate import NOMINAL, TERMS, HazardCorrection
 from hdt_core.prognosis.service import _version_of, same_base
@@ -24,8 +32,8 @@ from hdt_core.prognosis.training_digest import (
     TrainingDigest,
     flights_not_learned,
     read_digest,
+    retraining_reason,
     training_digests,
-    why_learn,
 )
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.training import LN_RATIO_PER_K
@@ -53,8 +61,8 @@ DIGEST = TrainingDigest(
     ],
 )  # fmt: skip
 def test_a_model_learns_again_where_one_in_a_hundred_is_another(change, why):
-    assert why_learn(replace(DIGEST, **change), DIGEST) == why
-    assert why_learn(DIGEST, None) == "the month began"
+    assert retraining_reason(replace(DIGEST, **change), DIGEST) == why
+    assert retraining_reason(DIGEST, None) == "the month began"
     assert read_digest(DIGEST.to_json()) == DIGEST
 
 
@@ -98,7 +106,7 @@ def test_what_was_on_record_before_a_month_began():
         ],
     )
     assert kept.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
-    past = kept.before(start_of(FEBRUARY))
+    past = kept.as_of(start_of(FEBRUARY))
     assert [f.height for f in (past.features, past.messages, past.maintenance)] == [31, 1, 1]
     assert month_of(pl.Series([start - timedelta(microseconds=1), start])).to_list() == [date(2024, 1, 1), FEBRUARY]
     digests = training_digests(kept, "b", "d")
@@ -168,7 +176,7 @@ def test_the_learning_is_as_declared():
         PRIOR_RULES["CC"], HazardCorrection((0.0,) * 4), NOMINAL, 0, 0
     )
     base = Prognosis((), (0.1, 0.4, 0.9))
-    assert (untaught_levels(base, "HX"), untaught_levels(base, "CC")) == ((0.1, 0.4, 0.9), (0.05, 0.5, 0.95))
+    assert (prior_levels(base, "HX"), prior_levels(base, "CC")) == ((0.1, 0.4, 0.9), (0.05, 0.5, 0.95))
     fit = ComponentFit(PRIOR_RULES["HX"], HazardCorrection((1.0,)), (0.2, 0.5, 0.8), 13, 20)
     for corrected in (False, True):
         for levelled in (False, True):
@@ -198,16 +206,18 @@ def test_a_version_is_a_digest_of_all_that_was_learned():
     fit = ComponentFit(PRIOR_RULES["CC"])
     learned = [{}, {"CC": fit}, {"CC": replace(fit, levels=(0.1, 0.5, 0.9))},
                {"CC": replace(fit, correction=HazardCorrection((0.1,)))}, {"HX": fit}]  # fmt: skip
-    versions = [named(base, fits).version for fits in learned]
+    versions = [with_version(base, fits).version for fits in learned]
     versions += [
-        named(base, folds=(Fold(("A",), {"CC": fit}),)).version,
-        named(replace(base, hazard=(asked(0.2),))).version,
+        with_version(base, folds=(Fold(("A",), {"CC": fit}),)).version,
+        with_version(replace(base, hazard=(asked(0.2),))).version,
     ]
     assert len(set(versions)) == len(versions)
     assert {len(v) for v in versions} == {12}
-    assert named(base, learned[1]).version == versions[1]
+    assert with_version(base, learned[1]).version == versions[1]
     assert from_parts(to_parts(base)) == base
-    card = model_card(named(base, {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])}))
+    card = model_card(
+        with_version(base, {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])})
+    )
     assert (card["failures"], card["lives"], card["scores"]) == ({"CC": 3, "HX": 0}, {"CC": 7, "HX": 0}, {})
     assert card["message"]["CC"] == asdict(PRIOR_RULES["CC"])
     frame = pl.DataFrame({"departed_at": [datetime(2024, 1, 31, 23, tzinfo=UTC), datetime(2024, 2, 1, tzinfo=UTC)]})
@@ -255,7 +265,7 @@ def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, seen, f
 def test_how_steep_a_packs_curves_usually_are_no_later_flight_says():
     per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
     want = [LN_RATIO_PER_K, 0.1, 0.2, 0.2, 0.2]
-    np.testing.assert_allclose(_usual(per_k), [want, [LN_RATIO_PER_K] * 5])
+    np.testing.assert_allclose(_trailing_median(per_k), [want, [LN_RATIO_PER_K] * 5])
 
 
 def test_an_interval_of_a_metric_draws_tails_again():

@@ -14,8 +14,8 @@ from hdt_core.prognosis.component_life import component_prognoses, first_passage
 from hdt_core.prognosis.component_limits import learn_limit
 from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, simulated_rows, tracks
 from hdt_core.prognosis.hazard import quantile
-from hdt_core.prognosis.metrics import calibration, judge, score_prognoses
-from hdt_core.prognosis.unit_lives import episodes, flight_rows, told_lives, with_lives
+from hdt_core.prognosis.metrics import calibration, join_outcomes, score_prognoses
+from hdt_core.prognosis.unit_lives import episodes, flight_rows, life_table, with_lives
 from hdt_core.simulate.training import draw_fleets
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
@@ -78,16 +78,16 @@ def test_a_unit_found_sound_within_three_days_did_not_fail(days, failed):
 
 def test_lives_are_told_with_what_ended_them():
     features, entries = flown(100), log(CHANGED)
-    heard = told_lives(features, episodes(features, told((50, HX_CODE)), entries)).filter(component="HX")
+    heard = life_table(features, episodes(features, told((50, HX_CODE)), entries)).filter(component="HX")
     assert heard.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
         ("message", False, 50, "T-1_000", "T-1_050"),
         (None, True, 40, "T-1_060", "T-1_099"),
     ]
     for messages, how in ((told((50, CC_CODE)), "replaced"), (told(), "unheard")):
-        quiet = told_lives(features, episodes(features, messages, entries)).filter(component="HX")
+        quiet = life_table(features, episodes(features, messages, entries)).filter(component="HX")
         assert quiet.select("ended_by", "end_flight_id").rows() == [(how, "T-1_059"), (None, "T-1_099")]
     rows = with_lives(flight_rows(features), episodes(features, told((50, HX_CODE)), entries), "HX")
-    assert rows["left"].to_list() == [50.0 - k for k in range(60)] + [40.0 - k for k in range(40)]
+    assert rows["remaining"].to_list() == [50.0 - k for k in range(60)] + [40.0 - k for k in range(40)]
     assert rows["life_id"].to_list() == [0] * 60 + [1] * 40
 
 
@@ -96,7 +96,7 @@ def test_prognoses_are_judged_by_what_became_of_them():
     features = flown(160)
     lives = episodes(features, told((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
     said = features.select("tail", "flight_id", "pack").with_columns(component=pl.lit("HX"))
-    found = judge(pl.concat([said, said.with_columns(component=pl.lit("CC"))]), features, lives)
+    found = join_outcomes(pl.concat([said, said.with_columns(component=pl.lit("CC"))]), features, lives)
     by_flight = dict(found.select("flight_id", "event_50").rows())
     assert [by_flight[f"T-1_{k:03d}"] for k in (0, 9, 10, 59, 70, 109, 110, 159)] == [0, 0, 1, 1, 0, 0, None, None]
     assert "T-1_060" not in by_flight  # the message's own flight
@@ -105,7 +105,7 @@ def test_prognoses_are_judged_by_what_became_of_them():
 
 def test_scores_by_hand():
     judged = pl.DataFrame({
-        "left": [100.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
+        "remaining": [100.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
         "rul_flights": [110.0, 100.0, 290.0, 200.0], "rul_low": [20.0, 60.0, 250.0, 100.0],
         "rul_high": [150.0, 110.0, 300.0, 300.0], "event_50": [1.0, 0.0, 0.0, 0.0], "p_event_50": [0.6, 0.2, 0.0, 0.1],
     })  # fmt: skip
@@ -202,7 +202,7 @@ def test_tracks_are_cut_into_lives():
     assert track.panel.age[1, 7] == 7.0
     assert np.isnan(track.panel.age[0]).all()
     assert track.panel.day[0, 0] == 2.0
-    assert track.left[[0, 60]].tolist() == [50.0, 40.0]
+    assert track.remaining[[0, 60]].tolist() == [50.0, 40.0]
     assert not track.mute.any()
     np.testing.assert_allclose(track.curves[0, 3, 1], [0.0, -0.3, -0.6, -0.75, -0.9])
     rows = fleet_rows(track, {"": MessageRule(0.2, 7.0, 2.5, 3), "AAA": MessageRule(0.5, 2.0, 1.5, 1)})
@@ -214,7 +214,7 @@ def test_tracks_are_cut_into_lives():
     other = fleet_rows(track, {"": MessageRule(0.2, 7.0, 2.5, 3)}, np.arange(100) >= 98)
     assert other.features.shape[0] == 2
     assert other.features[1, -1] == pytest.approx(2.5 * 0.03)
-    assert other.take(np.array([False, True])).left.tolist() == [1.0]
+    assert other.take(np.array([False, True])).remaining.tolist() == [1.0]
     limited = fleet_rows(track, Limit(0.38, 0.06, 0.05))
     assert limited.features[99, -1] == pytest.approx(0.06 / 0.62)
     assert limited.features[99, FEATURES.index("reserve_95")] == pytest.approx(-0.1 - np.log(0.62))
@@ -242,12 +242,12 @@ def test_of_a_simulated_life_every_twentieth_flight_is_a_row():
     rows, n = simulated_rows(3, fleets=2, aircraft=2, flights=60), 0
     begins = np.random.default_rng(4)
     for lives, doubt in draw_fleets(3, 2, 2, 60):
-        left, failed = lives.left()
+        left, failed = lives.remaining()
         first = (-begins.integers(0, 20, len(left))) % 20
         for unit, start in enumerate(first):
             flights = [k for k in range(start, 60, 20) if left[unit, k] >= 1]
             own = rows.take(rows.life == n + unit)
-            assert own.left.tolist() == left[unit, flights].tolist()
+            assert own.remaining.tolist() == left[unit, flights].tolist()
             assert own.failed.tolist() == failed[unit, flights].tolist()
             assert (own.features[:, -1] == doubt).all()
         n += len(left)

@@ -27,14 +27,14 @@ def test_lives_end_where_flights_ask_for_more_than_is_left():
     exact = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, map_error=0.0, pack_error=0.0)
     lives = draw_episodes(2, exact)
     ended = np.nonzero(lives.message < SMALL.flights)[0]
-    asked = lives.asked[ended, LEAD + lives.message[ended]]
+    asked = lives.demand[ended, LEAD + lives.message[ended]]
     # the flight's own scatter in what it is said to ask is 0.015
     assert (lives.ratio[ended, lives.message[ended]] < asked + 0.06).all()
 
 
 def test_hazard_rises_with_loss():
     lives = draw_episodes(2, SMALL)
-    left, failed = lives.left()
+    left, failed = lives.remaining()
     at = (left >= 0) & failed
     soon = [(left[at & (lives.loss >= a) & (lives.loss < a + 0.1)] < 30).mean() for a in (0.0, 0.1, 0.2)]
     assert (np.diff(soon) > 0).all()
@@ -56,7 +56,7 @@ def test_washed_units_wear_less():
 def test_an_unlogged_record_goes_on_with_the_next_unit_and_its_message():
     lives = draw_episodes(5, SMALL)
     joined = unlogged(np.random.default_rng(0), lives)
-    left, failed = joined.left()
+    left, failed = joined.remaining()
     unit = int(np.argmin(lives.message))
     assert left[unit, 0] == lives.message[unit]
     assert joined.loss[unit, lives.message[unit] + 12] < lives.loss[unit, lives.message[unit]]
