@@ -143,3 +143,25 @@ def test_the_fit_is_least_squares_through_instruments(points, iterations, ram_se
     np.testing.assert_allclose(found.bias / sd, bias / sd, atol=2e-3)
     np.testing.assert_allclose(found.bias_sd, bias_sd, rtol=2e-3)
     assert found.ram_seen == ram_seen
+
+
+@pytest.mark.parametrize("sure", [1.0, 1e-3])
+def test_steps_end_from_the_seventh_on_where_the_design_stands_still(points, monkeypatch, sure):
+    """Within a ten-thousandth in every coordinate; with a design that is known beforehand that is soon."""
+    monkeypatch.setattr(hx, "SD", sure * hx.SD)
+    mean, sd = np.zeros((2, B)), np.tile(hx.BIAS_SDS, (2, 1))
+    designs, called, first_stage = [hx.MEAN], [], exchanger_fit._first_stage
+    monkeypatch.setattr(exchanger_fit, "_first_stage", lambda *args: called.append(1) or first_stage(*args))
+    whole = exchanger_fit.fit_exchanger(points, mean, sd)
+    n = len(called)
+    for iterations in range(1, n + 1):
+        monkeypatch.setattr(exchanger_fit, "ITERATIONS", iterations)
+        found = exchanger_fit.fit_exchanger(points, mean, sd)
+        designs.append(found.mean)
+        assert found.converged == (np.abs(designs[-1] - designs[-2]).max() < 1e-4)
+    small = [bool(np.abs(b - a).max() < 1e-4) for a, b in zip(designs[:-1], designs[1:], strict=True)]
+    assert whole.converged
+    assert 7 <= n < 15
+    assert small[-1]
+    assert not any(small[6:-1])
+    assert (n == 7) == (sure < 1.0)
