@@ -1,5 +1,7 @@
 """The fleet fit against the same estimate by dense matrices: generalised least squares through instruments."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from made import made_fleet
@@ -159,7 +161,7 @@ def test_steps_end_from_the_seventh_on_where_the_design_stands_still(points, mon
         found = exchanger_fit.fit_exchanger(points, mean, sd)
         designs.append(found.mean)
         assert found.converged == (np.abs(designs[-1] - designs[-2]).max() < 1e-4)
-    small = [bool(np.abs(b - a).max() < 1e-4) for a, b in zip(designs[:-1], designs[1:], strict=True)]
+    small = [bool(np.abs(b - a).max() < 1e-4) for a, b in pairwise(designs)]
     assert whole.converged
     assert 7 <= n < 15
     assert small[-1]
