@@ -19,3 +19,7 @@ def test_across_gives_the_other_packs_values_on_the_same_flight() -> None:
     grid = Grid.from_frame(rows)
     np.testing.assert_array_equal(grid.across(grid.values("x")), [[2.0, np.nan, 6.0], [1.0, 5.0, np.nan]])
     assert grid.across(grid.values("x") > 2.0).tolist() == [[False, False, True], [False, True, False]]
+    one = Grid.from_frame(rows.head(1))
+    assert (one.shape, one.is_flight.tolist(), one.partner().tolist()) == ((1, 1), [[True]], [-1])
+    assert Grid.from_frame(rows.clear()).shape == (0, 0)
+    assert (grid.partner().tolist(), grid.count(0), grid.count(1)) == ([1, 0], 3, 2)

@@ -1,12 +1,14 @@
 """What a flight asks of an exchanger: the outlet with the door full open against the level that is held."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
 import pytest
 
 from hdt_core.calibration import exchanger as hx
+from hdt_core.margin import exchanger_demand as exchanger_demand_module
 from hdt_core.margin.curves import falls_through
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, exchanger_demand, full_open_outlet_k
 from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
@@ -138,3 +140,25 @@ def test_a_pack_the_model_has_not_met_has_sound_sensors(dsm, laws, flight):
     assert stranger[CRITICAL[2]].to_list() == pytest.approx(
         exchanger_demand(flight, sound, laws)[CRITICAL[2]].to_list()
     )
+
+
+def test_between_stored_ratios_the_outlet_is_a_straight_line_to_a_quarter_of_a_kelvin():
+    """To a twentieth where exchangers work; the columns' names tell share and excess."""
+    assert (exchanger_demand_module.LN_RATIOS[0], exchanger_demand_module.LN_RATIOS[-1]) == (-1.2, 0.6)
+    off = []
+    for low, high in pairwise(exchanger_demand_module.LN_RATIOS):
+        at = np.linspace(low, high, 101)
+        outlet = full_open_outlet_k(cruise(), hx.MEAN, at)[0]
+        off.append(np.abs(outlet - np.interp(at, (low, high), outlet[[0, -1]])).max())
+    np.testing.assert_array_less(off, [0.13, 0.028, 0.049, 0.041, 0.048, 0.054, 0.1, 0.23])
+    assert CRITICAL[:3] == (
+        "critical_ln_ratio_p20_minus_20k",
+        "critical_ln_ratio_p20_minus_10k",
+        "critical_ln_ratio_p20_0k",
+    )
+    assert (CRITICAL[9], HOT_DAY[0], HOT_DAY[4]) == (
+        "critical_ln_ratio_p50_10k",
+        "critical_ln_ratio_hot_day_minus_20k",
+        "critical_ln_ratio_hot_day_10k",
+    )
+    assert EXCESS_K == (-20.0, -10.0, 0.0, 5.0, 10.0)
