@@ -1,6 +1,6 @@
-"""The components that the chain knows: those of the air-conditioning pack, and every one that a package brings.
+"""Components of the chain: those of the air-conditioning pack, and those that packages declare.
 
-A package brings one by an entry point of the group `hdt.components` that names a `Component`.
+A package declares one by an entry point of the group `hdt.components` that names a `Component`.
 """
 
 from functools import cache
@@ -22,29 +22,29 @@ GROUP = "hdt.components"
 
 @cache
 def components() -> dict[str, Component]:
-    """Every component by its code: this project's own, then those of other packages by name.
+    """Return every component by its code: this project's own, then those of other packages by name.
 
     Raises
     ------
     ComponentError
         A package can't be loaded, names something else than a `Component`, or one of a code that is taken.
     """
-    known = {c.code: c for c in (HX, CC, HXT, CAC)}
-    for named, found in load_entry_points(GROUP, "component", ComponentError):
-        if not isinstance(found, Component):
-            raise ComponentError(f"{named} is no Component")
-        if found.code in known:
-            raise ComponentError(f"{named}: there is a component {found.code} already")
-        known[found.code] = found
-    return known
+    by_code = {c.code: c for c in (HX, CC, HXT, CAC)}
+    for label, component in load_entry_points(GROUP, "component", ComponentError):
+        if not isinstance(component, Component):
+            raise ComponentError(f"{label} is no Component")
+        if component.code in by_code:
+            raise ComponentError(f"{label}: there is a component {component.code} already")
+        by_code[component.code] = component
+    return by_code
 
 
 class ComponentError(Exception):
-    """What a package brings is no component."""
+    """A package's entry point is no component."""
 
 
 def component_rows() -> list[dict[str, object]]:
-    """Every component as a row of the table `components`."""
+    """Return every component as a row of the table `components`."""
     return [
         {
             "component": c.code, "name": c.name, "loss": c.loss, "lost": c.lost, "message_code": c.message_code,
@@ -56,5 +56,5 @@ def component_rows() -> list[dict[str, object]]:
 
 
 def recorded_components() -> dict[str, Component]:
-    """Those that files of their own describe, by the name of their folder."""
+    """Return components with files of their own, by the name of their folder."""
     return {c.folder: c for c in components().values() if c.record is not None}

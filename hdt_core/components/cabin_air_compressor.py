@@ -13,23 +13,23 @@ RUNNING_RAD_S = 500.0
 LEAST_INLET_PA = 65e3
 """Where inlet pressure is recorded in whole psi, a digit is a tenth below."""
 LEAST_RATIO, MOST_RETURNED = 1.2, 0.1
-"""A compressor that does little work, or takes in its own air again, has no inlet temperature that is known."""
+"""With little work, or recirculated air, the compressor's inlet temperature is unknown."""
 
 
 def outlet_k(*, inlet_k: Array, pressure_ratio: Array, cac_efficiency: Array, cac_efficiency_loss: Array) -> Array:
-    """Total temperature at the exit. [K]"""
+    """Compute total temperature at the exit. [K]"""
     return exit_temperature_k(inlet_k, pressure_ratio, cac_efficiency * (1.0 - cac_efficiency_loss))
 
 
 def _work(samples: pl.DataFrame) -> pl.DataFrame:
-    """Pressure ratio and isentropic efficiency of a compressor that runs and compresses."""
+    """Add pressure ratio and isentropic efficiency of a compressor that runs and compresses."""
     runs = (pl.col("speed_rad_s") > RUNNING_RAD_S) & (pl.col("inlet_pa") > 0.0)
     ratio = pl.when(runs).then(pl.col("outlet_pa") / pl.col("inlet_pa"))
     wide = samples.with_columns(ratio.alias("pressure_ratio"))
-    worked = (pl.col("pressure_ratio") > 1.0) & (pl.col("outlet_k") > pl.col("inlet_k"))
-    known = wide.with_columns(pl.when(worked).then(pl.col(c).cast(pl.Float64)) for c in _STATIONS)
-    seen = isentropic_efficiency(*(known[c].to_numpy() for c in _STATIONS))
-    return wide.with_columns(pl.Series("efficiency", seen).fill_nan(None))
+    is_compressing = (pl.col("pressure_ratio") > 1.0) & (pl.col("outlet_k") > pl.col("inlet_k"))
+    stations = wide.with_columns(pl.when(is_compressing).then(pl.col(c).cast(pl.Float64)) for c in _STATIONS)
+    efficiency = isentropic_efficiency(*(stations[c].to_numpy() for c in _STATIONS))
+    return wide.with_columns(pl.Series("efficiency", efficiency).fill_nan(None))
 
 
 _STATIONS = ("inlet_pa", "outlet_pa", "inlet_k", "outlet_k")

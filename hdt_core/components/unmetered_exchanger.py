@@ -9,27 +9,27 @@ from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.unmetered_exchanger import SPRAYED, UNMETERED, effectiveness, ram_flux_kg_s_m2
 
 LEAST_DIFFERENCE_K = 15.0
-"""Hot inlet over outside air below which noise makes the effectiveness."""
+"""Hot inlet over outside air below which noise dominates the effectiveness."""
 MOVING_MACH = 0.15
 """Below it the fan and not the aircraft drives the ram air, and air data computers hold Mach at its least."""
 SLOW, FAST = 95.0, 125.0
 """Ram flux of some 160 and 230 kt in a low climb. [kg/s/m2]"""
-_SEEN, _FLUX = pl.col("effectiveness"), pl.col("ram_flux_kg_s_m2")
+_SHARE, _FLUX = pl.col("effectiveness"), pl.col("ram_flux_kg_s_m2")
 
 
 def _ram_air(samples: pl.DataFrame) -> pl.DataFrame:
-    """Total pressure from altitude and Mach, what the ram duct meets, and the effectiveness."""
+    """Add total pressure from altitude and Mach, the ram flux, and the effectiveness."""
     number = {
         c: samples[c].cast(pl.Float64).to_numpy() for c in ("altitude_m", "mach", "tat_k", "hot_in_k", "hot_out_k")
     }
     total_pa = standard_pressure_pa(number["altitude_m"]) * total_to_static_pressure(number["mach"])
     flux = ram_flux_kg_s_m2(number["mach"], total_pa, number["tat_k"])
-    seen = effectiveness(number["hot_in_k"], number["hot_out_k"], number["tat_k"])
+    cooling_share = effectiveness(number["hot_in_k"], number["hot_out_k"], number["tat_k"])
     warm = pl.col("hot_in_k") - pl.col("tat_k") > LEAST_DIFFERENCE_K
     return samples.with_columns(
         pl.Series("total_pressure_pa", total_pa).fill_nan(None),
         pl.Series("ram_flux_kg_s_m2", flux).fill_nan(None),
-        pl.when(warm).then(pl.Series(seen)).fill_nan(None).alias("effectiveness"),
+        pl.when(warm).then(pl.Series(cooling_share)).fill_nan(None).alias("effectiveness"),
     )
 
 
@@ -64,9 +64,9 @@ HXT = Component(
     ),
     bleed_air=True,
     readings=(
-        Reading("hxt_effectiveness", "-", "share of the way to TAT that the hot air is cooled", _SEEN, below=1.0),
-        Reading("hxt_effectiveness_slow", "-", "of that, at 160 kt or less", _SEEN, _FLUX < SLOW, below=1.0),
-        Reading("hxt_effectiveness_fast", "-", "of that, at 230 kt or more", _SEEN, _FLUX > FAST, below=1.0),
+        Reading("hxt_effectiveness", "-", "share of the way to TAT that the hot air is cooled", _SHARE, below=1.0),
+        Reading("hxt_effectiveness_slow", "-", "of that, at 160 kt or less", _SHARE, _FLUX < SLOW, below=1.0),
+        Reading("hxt_effectiveness_fast", "-", "of that, at 230 kt or more", _SHARE, _FLUX > FAST, below=1.0),
         Reading("hxt_fan_rpm", "rpm", "ram air fan", pl.col("fan_rad_s") * 30.0 / pi),
         Reading("hxt_acm_rpm", "rpm", "air cycle machine", pl.col("acm_rad_s") * 30.0 / pi),
         Reading("hxt_ram_exit_open", "-", "ram air exit door, share open", pl.col("ram_exit_open")),

@@ -1,4 +1,4 @@
-"""Checkpoints as rows of a table: what is known of a pack as a segment of its flights begins, a row a hypothesis."""
+"""Store checkpoints as rows of a table: hypotheses about a pack at the start of a segment of its flights."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ _SCHEMA: dict[str, Any] = {
 
 
 class Restart(NamedTuple):
-    """Where packs go on: the segment of each (packs,), the hypotheses with which those begin, rows that stay valid."""
+    """Restart of packs: the segment of each (packs,), hypotheses at its start, rows that stay valid."""
 
     begin: Array
     checkpoints: dict[tuple[int, int], Hypotheses]
@@ -30,12 +30,12 @@ class Restart(NamedTuple):
 
 
 def from_first_flight(n_packs: int) -> Restart:
-    """Every pack anew."""
+    """Start every pack at its first flight."""
     return Restart(np.zeros(n_packs, dtype=np.int64), {}, pl.DataFrame(schema=_SCHEMA))
 
 
-def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, seen: list[list[str]]) -> Restart:
-    """Checkpoints before which no flight has changed.
+def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[list[str]]) -> Restart:
+    """Select checkpoints before which no flight has changed.
 
     Smoothing reaches to the end of the next segment: the last segment whose earlier flights are all unchanged has
     changed the smoothed values of the one before it, so that one is filtered again.
@@ -49,40 +49,47 @@ def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, seen: list[list[
     seen : list of list of str
         Of `flight_panel.fingerprints`: digest of each pack's flights before each segment.
     """
-    now = [(*packs.row(p), segment, digest) for p, own in enumerate(seen) for segment, digest in enumerate(own)]
+    now = [
+        (*packs.row(p), segment, digest)
+        for p, segments in enumerate(digests)
+        for segment, digest in enumerate(segments)
+    ]
     keys = pl.DataFrame(now, schema={c: _SCHEMA[c] for c in CHECKPOINT_KEY}, orient="row")
     valid = stored.select(*_SCHEMA).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
     marked: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
     number = {row: p for p, row in enumerate(packs.rows())}
     for *pack, segment in valid.select(*PACK, "chapter").unique().rows():
         marked[number[tuple(pack)]].add(segment)
-    begin = {p: max((c - 1 for c in own if c - 1 in own), default=0) for p, own in marked.items()}
+    begin = {p: max((c - 1 for c in segments if c - 1 in segments), default=0) for p, segments in marked.items()}
     checkpoints = {}
-    wanted = _places((*packs.row(p), c) for p, c in begin.items() if c)
-    for key, rows in valid.join(wanted, on=PLACE, how="semi").group_by(PLACE, maintain_order=True):
+    restart_places = _places((*packs.row(p), c) for p, c in begin.items() if c)
+    for key, rows in valid.join(restart_places, on=PLACE, how="semi").group_by(PLACE, maintain_order=True):
         checkpoints[number[key[:-1]], int(str(key[-1]))] = _hypotheses(rows)
     return Restart(np.array([begin[p] for p in range(packs.height)], dtype=np.int64), checkpoints, valid)
 
 
 def checkpoint_rows(
-    packs: pl.DataFrame, seen: list[list[str]], restart: Restart, new: Mapping[tuple[int, int], Hypotheses]
+    packs: pl.DataFrame,
+    digests: list[list[str]],
+    restart: Restart,
+    new_hypotheses: Mapping[tuple[int, int], Hypotheses],
 ) -> pl.DataFrame:
-    """Rows of the checkpoints that stay valid and of new ones; the first segment needs none."""
-    kept = restart.valid.join(_places((*packs.row(p), c) for p, c in new), on=PLACE, how="anti")
-    rows = [_rows(packs.row(p), c, seen[p][c], new[p, c]) for p, c in sorted(new) if c]
-    return pl.concat([kept, *rows]).sort(*CHECKPOINT_KEY, "history")
+    """Return rows of the checkpoints that stay valid and of new ones; the first segment needs none."""
+    valid = restart.valid.join(_places((*packs.row(p), c) for p, c in new_hypotheses), on=PLACE, how="anti")
+    rows = [_rows(packs.row(p), c, digests[p][c], new_hypotheses[p, c]) for p, c in sorted(new_hypotheses) if c]
+    return pl.concat([valid, *rows]).sort(*CHECKPOINT_KEY, "history")
 
 
 def _places(rows: Iterable[tuple[Any, ...]]) -> pl.DataFrame:
     return pl.DataFrame(list(rows), schema={c: _SCHEMA[c] for c in PLACE}, orient="row")
 
 
-def _rows(pack: tuple[Any, ...], segment: int, seen: str, b: Hypotheses) -> pl.DataFrame:
+def _rows(pack: tuple[Any, ...], segment: int, digest: str, b: Hypotheses) -> pl.DataFrame:
     n = len(b.pack)
-    told: dict[str, Any] = {c: [v] * n for c, v in zip(CHECKPOINT_KEY, (*pack, segment, seen), strict=True)}
-    told |= {c: getattr(b, c) for c in ("log_weight", "pace", "since", "unlogged", "faulty")}
-    told |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(n, STATES**2).tolist(), "history": np.arange(n)}
-    return pl.DataFrame(told).select(pl.col(c).cast(t) for c, t in _SCHEMA.items())
+    columns: dict[str, Any] = {c: [v] * n for c, v in zip(CHECKPOINT_KEY, (*pack, segment, digest), strict=True)}
+    columns |= {c: getattr(b, c) for c in ("log_weight", "pace", "since", "unlogged", "faulty")}
+    columns |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(n, STATES**2).tolist(), "history": np.arange(n)}
+    return pl.DataFrame(columns).select(pl.col(c).cast(t) for c, t in _SCHEMA.items())
 
 
 def _hypotheses(rows: pl.DataFrame) -> Hypotheses:

@@ -1,4 +1,4 @@
-"""What a component's record shows of a flight without a model: means of its declared readings."""
+"""Compute means of a component's declared readings by flight, which need no model."""
 
 from typing import Any
 
@@ -15,14 +15,14 @@ HEALTH: dict[str, Any] = {
 }  # fmt: skip
 ONE_OR_MORE = "one_or_more"
 BEYOND_SHARE = 0.1
-"""Share of a flight's samples beyond what a reading can be from which its status says so."""
+"""Share of a flight's samples beyond a reading's possible range that sets its status."""
 
 STRAY_SD = 5.0
 """Robust standard deviations from the median at which a sample is a spike."""
 
 
 def component_readings(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """Readings of every flight and pack, in the columns of the health parameters.
+    """Compute readings of every flight and pack, in the columns of the health parameters.
 
     Parameters
     ----------
@@ -32,27 +32,27 @@ def component_readings(samples: pl.DataFrame, component: Component) -> pl.DataFr
     Returns
     -------
     DataFrame
-        `value` the mean, `sd` the scatter of single samples about it, those far from the median left out. Status:
-        `measured`; `one_or_more` where a tenth of the samples or more can't be what they are called; `off_nominal`
-        where the flight has none of the samples that the reading is told of, `few_samples` fewer than five;
+        `value` the mean, `sd` the scatter of single samples about it, without those far from the median. Status:
+        `measured`; `one_or_more` where a tenth of the samples or more is beyond the possible range; `off_nominal`
+        where the flight has no samples of the reading, `few_samples` fewer than five;
         `not_recorded`.
     """
-    told = [_flights(samples, component, reading) for reading in component.readings]
-    return pl.concat(told) if told else pl.DataFrame(schema=HEALTH)
+    frames = [_flights(samples, component, reading) for reading in component.readings]
+    return pl.concat(frames) if frames else pl.DataFrame(schema=HEALTH)
 
 
 def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> pl.DataFrame:
-    wanted = pl.lit(True) if reading.where is None else reading.where.fill_null(False)
-    here = pl.col("reading").filter(pl.col("wanted") & pl.col("reading").is_finite())
-    apart = (here - here.median()).abs()
-    sound = here.filter(apart <= STRAY_SD * MAD_TO_SD * apart.median() + 1e-9 * here.median().abs())
-    marked = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), wanted.alias("wanted"))
-    seen = marked.group_by(LEG, maintain_order=True).agg(
+    is_used = pl.lit(True) if reading.where is None else reading.where.fill_null(False)
+    values = pl.col("reading").filter(pl.col("wanted") & pl.col("reading").is_finite())
+    deviation = (values - values.median()).abs()
+    valid = values.filter(deviation <= STRAY_SD * MAD_TO_SD * deviation.median() + 1e-9 * values.median().abs())
+    rows = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), is_used.alias("wanted"))
+    flights = rows.group_by(LEG, maintain_order=True).agg(
         pl.col("time_utc").min().alias("departed_at"),
-        sound.mean().alias("value"),
-        sound.std().alias("sd"),
-        here.len().alias("n"),
-        (here >= reading.below).mean().alias("beyond"),
+        valid.mean().alias("value"),
+        valid.std().alias("sd"),
+        values.len().alias("n"),
+        (values >= reading.below).mean().alias("beyond"),
         (lacks_channel(component) | pl.any_horizontal(_absent(component, reading))).alias("lacks"),
     )
     status = (
@@ -62,16 +62,16 @@ def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> p
         .when(pl.col("beyond") >= BEYOND_SHARE).then(pl.lit(ONE_OR_MORE))
         .otherwise(pl.lit("measured"))
     )  # fmt: skip
-    enough = pl.col("n") >= MIN_SAMPLES
-    return seen.with_columns(
-        pl.when(enough).then("value"), pl.when(enough).then("sd"), status.alias("status"),
+    is_enough = pl.col("n") >= MIN_SAMPLES
+    return flights.with_columns(
+        pl.when(is_enough).then("value"), pl.when(is_enough).then("sd"), status.alias("status"),
         pl.lit(component.code).alias("component"), pl.lit(reading.name).alias("parameter"),
         pl.lit(reading.unit).alias("unit"), pl.lit("reading").alias("estimator"),
     ).select(pl.col(c).cast(t) for c, t in HEALTH.items())  # fmt: skip
 
 
 def _absent(component: Component, reading: Reading) -> list[pl.Expr]:
-    """Whether a flight has no value at all of each channel that the reading is made from."""
-    read = reading.value.meta.root_names()
-    own = [c.signal for c in component.record.channels if c.signal in read] if component.record else []
-    return [pl.lit(False), *(pl.col(c).is_null().all() for c in own)]
+    """Flag channels of a reading without any value in a flight."""
+    names = reading.value.meta.root_names()
+    channels = [c.signal for c in component.record.channels if c.signal in names] if component.record else []
+    return [pl.lit(False), *(pl.col(c).is_null().all() for c in channels)]

@@ -1,10 +1,11 @@
-"""A second witness for each sensor the conductance leans on: a sensor that steps or drifts is not a core that fouls.
+"""Correct the conductance ratio for sensor faults that redundant sensors confirm.
 
 Pack flow is also seen at the compressor's inlet, TAT at the compressors' inlets, the exchanger's exit temperature by
 the other pack, whose controller keeps a constant distance while both doors can move, the door's position by climb and
-descent. Where a witness departs from what it always said, and the conductance departs with it as that sensor's error
-would make it, the error is taken out. Two witnesses need no such step, and so may judge a slow drift: climb and descent
-have no other reason to leave the cruise, and both packs' compressors see TAT leave them alike.
+descent. Where a difference departs from its usual level, and the conductance departs with it as that
+sensor's error would make it, the error is corrected. With a confirming second difference no such step is needed, so a
+slow drift can be corrected too: climb and descent have no other reason to differ from the cruise, and TAT differs from
+both packs' compressor inlets alike.
 """
 
 from math import copysign, isfinite, isnan, nan, sqrt
@@ -18,42 +19,42 @@ from hdt_core.records.keys import PACK
 
 
 class RedundantSensor(NamedTuple):
-    """Where a second sensor speaks.
+    """A sensor with a redundant one.
 
-    Columns of its departure, of the ln conductance ratio's derivative by it (empty: they move alike), and of what
-    vouches for it (empty: none); least departure worth a second look, flights it remembers, and flights in a row that
-    must depart one way before it is believed.
+    Columns of their difference, of the ln conductance ratio's derivative by it (empty: 1), and of a confirming
+    difference (empty: none); threshold of the difference, memory [flight], and flights in a row that must depart one
+    way.
     """
 
-    apart: str
+    difference: str
     slope: str
-    least: float
-    vouch: str = ""
+    threshold: float
+    confirmation: str = ""
     memory: float = 40.0
-    confirmed: int = 2
+    n_confirm: int = 2
 
 
 LONG = 200.0
-"""Flights over which a vouched witness learns what is usual: what a drift adds in that time is seen. Sound ones keep
-their level to a third of their flight-to-flight scatter over years."""
+"""Memory with a confirming difference: a drift within that time is detected. Good sensors keep their level to a third
+of their flight-to-flight scatter over years."""
 REDUNDANT_SENSORS = (
     # a door that reads wrong moves the ratio of cruise, and that of climb and descent by twice as much
-    # it vouches for itself alone: a few samples of climb may err for a flight or two, and not for ten one way
-    RedundantSensor("door_apart_ln", "", 0.04, "door_apart_ln", LONG, confirmed=10),
+    # it confirms itself: a few samples of climb may err for a flight or two, but not for ten one way
+    RedundantSensor("door_apart_ln", "", 0.04, "door_apart_ln", LONG, n_confirm=10),
     RedundantSensor("exit_apart_k", "ratio_per_exit_k", 1.2),
     RedundantSensor("flows_apart_ln", "ratio_per_ln_flow", 0.03),
     RedundantSensor("tat_apart_k", "ratio_per_tat_k", 0.8, "other_tat_apart_k", LONG),
 )
 GATE_SD = 4.0
 RATIO_MEMORY, SHIFT_MEMORY = 6.0, 8.0
-CONFIRMED = 2
+MIN_CONFIRM = 2
 SHARE_LOW, SHARE_HIGH = 0.4, 2.0
 SHIFT_SD = 0.15
 """Part of a correction that may be wrong."""
 
 
 class Corrections(NamedTuple):
-    """For each row: ln ratio to subtract, its variance, and whether a sensor is held at fault. (n,)"""
+    """For each row: ln ratio to subtract, its variance, and whether a sensor is at fault. (n,)"""
 
     shift: Array
     variance: Array
@@ -61,97 +62,95 @@ class Corrections(NamedTuple):
 
 
 def corrections(flights: pl.DataFrame) -> Corrections:
-    """What sensor faults add to the ln conductance ratio of each row; rows in order, past rows only
-    count."""
+    """Estimate what sensor faults add to the ln conductance ratio of each row, from it and earlier rows, in order."""
     n = flights.height
     total = Corrections(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool))
     if not n:
         return total
-    seen = _beside(flights)
-    pack = seen.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
-    ratio = seen["ln_ua_ratio"].to_numpy().astype(float)
-    for witness in REDUNDANT_SENSORS:
-        if witness.apart not in seen.columns:
+    table = _with_other_pack(flights)
+    pack = table.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
+    ratio = table["ln_ua_ratio"].to_numpy().astype(float)
+    for sensor in REDUNDANT_SENSORS:
+        if sensor.difference not in table.columns:
             continue
-        apart = seen[witness.apart].to_numpy().astype(float)
-        slope = seen[witness.slope].to_numpy().astype(float) if witness.slope else np.ones(n)
-        vouch = seen[witness.vouch].to_numpy().astype(float) if witness.vouch else np.full(n, np.nan)
+        difference = table[sensor.difference].to_numpy().astype(float)
+        slope = table[sensor.slope].to_numpy().astype(float) if sensor.slope else np.ones(n)
+        column = sensor.confirmation
+        confirmation = table[column].to_numpy().astype(float) if column else np.full(n, np.nan)
         for rows in np.split(np.arange(n), np.flatnonzero(np.diff(pack)) + 1):
-            left = ratio[rows] - total.shift[rows]
-            found = np.array(
-                _walk(apart[rows].tolist(), slope[rows].tolist(), left.tolist(), vouch[rows].tolist(), witness)
-            )
-            total.shift[rows] += found
-            total.variance[rows] += (SHIFT_SD * found) ** 2
-            total.fault[rows] |= found != 0.0
+            series = (values[rows].tolist() for values in (difference, slope, ratio - total.shift, confirmation))
+            shift = np.array(_walk(sensor, *series))
+            total.shift[rows] += shift
+            total.variance[rows] += (SHIFT_SD * shift) ** 2
+            total.fault[rows] |= shift != 0.0
     return total
 
 
-def _beside(flights: pl.DataFrame) -> pl.DataFrame:
-    """Flights with what the other pack says of TAT."""
+def _with_other_pack(flights: pl.DataFrame) -> pl.DataFrame:
+    """Join flights with the other pack's difference of TAT."""
     if "tat_apart_k" not in flights.columns:
         return flights
     key = [*PACK, "flight_id"]
-    other = flights.select(
+    other_pack = flights.select(
         *PACK[:2],
         (3 - pl.col("pack")).cast(flights.schema["pack"]).alias("pack"),
         "flight_id",
         other_tat_apart_k="tat_apart_k",
     )
-    return flights.join(other.unique(key), on=key, how="left", maintain_order="left", validate="m:1")
+    return flights.join(other_pack.unique(key), on=key, how="left", maintain_order="left", validate="m:1")
 
 
 def _walk(
-    apart: list[float], slope: list[float], ratio: list[float], vouch: list[float], witness: RedundantSensor
+    sensor: RedundantSensor, difference: list[float], slope: list[float], ratio: list[float], confirmation: list[float]
 ) -> list[float]:
-    """Follow one witness along a pack; the correction of each flight, from that flight and earlier ones.
+    """Follow one difference along a pack; return the correction of each flight, from it and earlier ones.
 
     Plain numbers: one by one they take a third of the time of NumPy's.
     """
-    shift = [0.0] * len(apart)
-    usual, last, spread, met, beside, met_beside = 0.0, 0.0, witness.least / GATE_SD, 0, 0.0, 0
-    held, departed, returned, sign, fault, level = nan, 0, 2, 0.0, False, 0.0
-    second, heard = 0.0, 0
-    for k in range(len(apart)):
-        off = apart[k] - usual
-        if isfinite(off):
-            if met >= 5 and abs(off) > max(witness.least, GATE_SD * spread):
-                departed = departed + 1 if copysign(1.0, off) == sign else 1
-                sign, returned = copysign(1.0, off), 0
-                level = off if departed == 1 else level + (off - level) / min(departed, SHIFT_MEMORY)
-                if isfinite(vouch[k]):
-                    heard = heard + 1 if departed > 1 else 1
-                    second += (vouch[k] - beside - second) / min(heard, SHIFT_MEMORY)
-                if not fault and departed >= witness.confirmed:
-                    if min(met_beside, heard) >= CONFIRMED:
-                        fault = _alike(second, level)
+    shift = [0.0] * len(difference)
+    usual, last, sd, n_usual, confirmation_mean, n_confirmation = 0.0, 0.0, sensor.threshold / GATE_SD, 0, 0.0, 0
+    ratio_mean, n_off, n_back, sign, fault, level = nan, 0, 2, 0.0, False, 0.0
+    second, n_second = 0.0, 0
+    for k in range(len(difference)):
+        deviation = difference[k] - usual
+        if isfinite(deviation):
+            if n_usual >= 5 and abs(deviation) > max(sensor.threshold, GATE_SD * sd):
+                n_off = n_off + 1 if copysign(1.0, deviation) == sign else 1
+                sign, n_back = copysign(1.0, deviation), 0
+                level = deviation if n_off == 1 else level + (deviation - level) / min(n_off, SHIFT_MEMORY)
+                if isfinite(confirmation[k]):
+                    n_second = n_second + 1 if n_off > 1 else 1
+                    second += (confirmation[k] - confirmation_mean - second) / min(n_second, SHIFT_MEMORY)
+                if not fault and n_off >= sensor.n_confirm:
+                    if min(n_confirmation, n_second) >= MIN_CONFIRM:
+                        fault = _is_confirmed(second, level)
                     else:
-                        fault = _to_blame(ratio[k] - held, slope[k] * level)
+                        fault = _to_blame(ratio[k] - ratio_mean, slope[k] * level)
             else:
-                returned += 1
-                if returned >= CONFIRMED or not fault:
-                    departed, fault = 0, False
-                met += 1
-                gain = 1.0 / min(met, witness.memory)
+                n_back += 1
+                if n_back >= MIN_CONFIRM or not fault:
+                    n_off, fault = 0, False
+                n_usual += 1
+                gain = 1.0 / min(n_usual, sensor.memory)
                 # of steps from flight to flight: a drift must not pass for scatter
-                spread += gain * (1.25 * abs(apart[k] - last) / sqrt(2.0) - spread) if met > 1 else 0.0
-                usual, last = usual + gain * off, apart[k]
-                if isfinite(vouch[k]):
-                    met_beside += 1
-                    beside += (vouch[k] - beside) / min(met_beside, witness.memory)
-        if fault and returned == 0 and isfinite(slope[k]):
+                sd += gain * (1.25 * abs(difference[k] - last) / sqrt(2.0) - sd) if n_usual > 1 else 0.0
+                usual, last = usual + gain * deviation, difference[k]
+                if isfinite(confirmation[k]):
+                    n_confirmation += 1
+                    confirmation_mean += (confirmation[k] - confirmation_mean) / min(n_confirmation, sensor.memory)
+        if fault and n_back == 0 and isfinite(slope[k]):
             shift[k] = slope[k] * level
-        if isfinite(ratio[k]) and (departed == 0 or fault) and returned != 1:
+        if isfinite(ratio[k]) and (n_off == 0 or fault) and n_back != 1:
             corrected = ratio[k] - shift[k]
-            held = corrected if isnan(held) else held + (corrected - held) / RATIO_MEMORY
+            ratio_mean = corrected if isnan(ratio_mean) else ratio_mean + (corrected - ratio_mean) / RATIO_MEMORY
     return shift
 
 
-def _alike(vouched: float, off: float) -> bool:
-    """Whether a second look finds the same departure."""
-    return bool(isfinite(vouched) and SHARE_LOW < vouched / off < SHARE_HIGH)
+def _is_confirmed(confirmation: float, deviation: float) -> bool:
+    """Check whether the confirming difference has departed alike."""
+    return bool(isfinite(confirmation) and SHARE_LOW < confirmation / deviation < SHARE_HIGH)
 
 
 def _to_blame(change: float, expected: float) -> bool:
-    """Whether the conductance moved as this sensor's error would move it."""
+    """Check whether the conductance changed as this sensor's error would change it."""
     return bool(isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)

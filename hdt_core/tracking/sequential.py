@@ -1,7 +1,7 @@
-"""The paper's Figure 10 taken literally: an estimator flight by flight, each from where the last one ended.
+"""Estimate flight by flight with any estimator, each flight starting at the last estimate: the paper's Figure 10.
 
-For any declared model, a new component's too. The fleet's path is the closed form of `calibration.flight_estimates` and
-`calibration.compressor`; this one shows that both end at the same place.
+For any declared model. The fleet uses the closed form of `calibration.flight_estimates` and `calibration.compressor`,
+which gives the same estimates.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ def flight_by_flight(
     estimator: Estimator | None = None,
     warm: bool = True,
 ) -> pl.DataFrame:
-    """Parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
+    """Estimate parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def flight_by_flight(
         Nonlinear least squares, the paper's, where not given.
     warm : bool
         Start each flight from the estimate of the pack's flight before; the first, and without it every one, from the
-        middle of the declared bounds. A start, no prior: every flight speaks for itself.
+        middle of the declared bounds. It is a start and no prior.
 
     Returns
     -------
@@ -51,31 +51,33 @@ def flight_by_flight(
     """
     outputs = recorded_outputs(model, samples) if outputs is None else outputs
     order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
-    known = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
-    known = known.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
+    recorded = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
+    recorded = recorded.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
     solve = NonlinearLeastSquares() if estimator is None else estimator
     rows = [
         row
-        for _, pack in known.group_by(PACK, maintain_order=True)
+        for _, pack in recorded.group_by(PACK, maintain_order=True)
         for row in _one_pack(pack, model, free, outputs=outputs, estimator=solve, warm=warm)
     ]
-    schema = {c: known.schema[c] for c in (*FLIGHT_PACK, "departed_at")}
+    schema = {c: recorded.schema[c] for c in (*FLIGHT_PACK, "departed_at")}
     schema |= dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
     return pl.DataFrame(rows, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")
 
 
 def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
-    """Outputs of the model that have a sensor and a column.
+    """List outputs of the model that have a sensor and a column.
 
     Raises
     ------
     ValueError
         There is none.
     """
-    seen = [s.name for s in model.outputs if s.sigma is not None]
-    recorded = [name for name in seen if name in samples.columns]
+    sensors = [s.name for s in model.outputs if s.sigma is not None]
+    recorded = [name for name in sensors if name in samples.columns]
     if not recorded:
-        raise ValueError(f"{model.name}: the samples hold no column of {', '.join(seen) or 'an output with a sigma'}")
+        raise ValueError(
+            f"{model.name}: the samples hold no column of {', '.join(sensors) or 'an output with a sigma'}"
+        )
     return recorded
 
 
@@ -86,7 +88,7 @@ def samples_problem(
     outputs: Sequence[str],
     prior: Belief | None = None,
 ) -> Problem:
-    """What an estimator is asked about `samples`: the crossing from a frame to `declared_problem`."""
+    """Build the estimation problem of `samples`."""
     inputs, measured = (
         {c: samples[c].to_numpy() for c in names} for names in ([s.name for s in model.inputs], outputs)
     )
@@ -107,8 +109,8 @@ def _one_pack(
     for _, flight in pack.group_by("flight_id", maintain_order=True):
         if flight.height < MIN_SAMPLES:
             continue
-        found = estimator.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
-        # a flight that ended nowhere is no place to start from
-        start = found.belief.mean if warm and found.status == "converged" else first if not warm else start
-        said = (*found.belief.mean.tolist(), *found.belief.sd.tolist())
-        yield *flight.select(*FLIGHT_PACK, "departed_at").row(0), *said, found.status, found.n_evals
+        estimate = estimator.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
+        # a flight without convergence gives no start
+        start = estimate.belief.mean if warm and estimate.status == "converged" else first if not warm else start
+        posterior = (*estimate.belief.mean.tolist(), *estimate.belief.sd.tolist())
+        yield *flight.select(*FLIGHT_PACK, "departed_at").row(0), *posterior, estimate.status, estimate.n_evals
