@@ -269,7 +269,7 @@ STAGES = (
     Stage(
         "twin_components",
         "twin",
-        same_recipe("twin_components", "residuals_components", parents=("calibration_components",), code="3"),
+        same_recipe("twin_components", "residuals_components", parents=("calibration_components",), code="4"),
         road=COMPONENT,
     ),
     Stage(

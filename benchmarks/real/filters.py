@@ -6,7 +6,7 @@ dust it takes, and the feed how long that lasts.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
-from hdt_core.tracking.component import calibrate_component, track_component
+from hdt_core.tracking.component import Built, calibrate_component, track_component
 from hdt_core.tracking.sequential import flight_by_flight
 
 FAILS_PA = 600.0
@@ -30,6 +30,10 @@ SETTLED_S = 5.0
 """The fan has run up by then."""
 CLEAN_S = 15.0
 """And nothing has clogged yet by then."""
+NEW_SD = 0.01
+"""Load of a filter taken for new."""
+NO_LOG = pl.DataFrame(schema=dict.fromkeys(("operator", "tail", "component", "action"), pl.String)
+                      | {"pack": pl.Int32, "done_on": pl.Date})  # fmt: skip
 LOAD_PA_S_L = 9.0
 """Resistance of a load of one."""
 
@@ -119,7 +123,8 @@ def loads(known: pl.DataFrame) -> pl.DataFrame:
     for tail in known["tail"].unique(maintain_order=True):
         own = known.filter(tail=tail)
         dsm, _ = calibrate_component(FILTER.model, own.filter(pl.col("second") < CLEAN_S))
-        tracks.append(track_component(flight_by_flight(own, dsm, [FILTER.loss]), dsm, FILTER.code))
+        flights = flight_by_flight(own, dsm, [FILTER.loss])
+        tracks.append(track_component(flights, replace(FILTER, model=dsm), NO_LOG, Built(sd=NEW_SD)))
     return pl.concat(tracks).select("tail", "flight_id", load="value")
 
 

@@ -9,7 +9,7 @@ from hdt_core.health.detection import Array
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import first_flights
 
-UNOBSERVED = ("predicted", "unconfirmed", "prior_only")
+UNOBSERVED = ("predicted", "prior_only")
 """Statuses of an estimate that the flight did not update, as in the view `health_parameters` (`is_observed`)."""
 
 

@@ -137,6 +137,8 @@ class Component:
         What to do about a worn one.
     message_code : str, optional
         The aircraft's own message when it fails.
+    new_share : float
+        Chance that a unit is as built when its record begins.
     warn_loss : float
         Loss that raises an alert once it is exceeded with a probability of 0.7.
     ended_by : tuple of str
@@ -166,6 +168,7 @@ class Component:
     life_flights: float
     action: str
     message_code: str | None = None
+    new_share: float = 0.5
     warn_loss: float = 0.15
     ended_by: tuple[str, ...] = (REPLACED, CLEANED)
     around_work: tuple[int, int] = (10, 1)
@@ -214,6 +217,8 @@ class Component:
             told.append(f"{self.loss} is no health parameter of {self.model.name}")
         if odd := sorted(n for n in health if not n.startswith(f"{self.folder}_")):
             told.append(f"names of its health parameters and readings begin with {self.folder}_, not {', '.join(odd)}")
+        if not 0.0 < self.new_share < 1.0:
+            told.append(f"new_share is a chance between 0 and 1, not {self.new_share}")
         if set(self.ended_by) - set(ACTIONS):
             told.append(f"ended_by takes {', '.join(ACTIONS)}")
         if self.record and self.record.derive is None and (missing := [s.name for s in self.model.inputs

@@ -1,5 +1,6 @@
 """Flag flights on which the maintenance log renews or washes parts."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,20 +16,22 @@ NOTHING, WASHED, REPLACED = range(3)
 RENEWALS = ("REPLACED", "CLEANED")
 
 
-def log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> tuple[Flags, Flags]:
+def log_flags(
+    flights: pl.DataFrame, maintenance: pl.DataFrame, component: str, actions: Sequence[str] = RENEWALS
+) -> tuple[Flags, Flags]:
     """Flag a component's log entries: on flights within a day of an entry's moment (open), and on the first flight that
     counts as flown after it (due); the moment is that of `records.unit_index`.
 
-    `WASHED` or `REPLACED`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An entry may be days late:
-    the filter models that. An entry before a pack's first flight is ignored, for the part's age when the record begins
-    is unknown.
+    `REPLACED`, `WASHED` after another of `actions`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An
+    entry may be days late: the filter models that. An entry before a pack's first flight is ignored, for the part's age
+    when the record begins is unknown.
     """
     row = pl.int_range(pl.len())
     rows = flights.select(*PACK, "departed_at", row=row, begins=row == row.min().over(PACK))
-    entries = select_entries(maintenance, (component,), RENEWALS)
+    entries = select_entries(maintenance, (component,), actions)
     delay = pl.col("departed_at") - pl.col("counts_from")
     near = entries.join(rows, on=PACK, validate="m:m").filter((delay >= -LOG_WINDOW) & (delay < LOG_WINDOW))
-    due = first_flights(rows, maintenance, (component,), RENEWALS).filter(~pl.col("begins") | (delay < LOG_WINDOW))
+    due = first_flights(rows, maintenance, (component,), actions).filter(~pl.col("begins") | (delay < LOG_WINDOW))
     return _flags(near, flights.height), _flags(due, flights.height)
 
 
@@ -49,6 +52,6 @@ def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
 
 def _flags(entries: pl.DataFrame, n: int) -> Flags:
     flags: Flags = np.full(n, NOTHING)
-    kind = np.where(entries["action"].to_numpy() == "CLEANED", WASHED, REPLACED)
+    kind = np.where(entries["action"].to_numpy() == "REPLACED", REPLACED, WASHED)
     np.maximum.at(flags, entries["row"].to_numpy(), kind)
     return flags

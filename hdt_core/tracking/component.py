@@ -3,25 +3,33 @@
 What a new component needs beside its `PhysicsModel`: nothing. The estimators are those of every other model.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.estimation.ekf import ExtendedKalman
+from hdt_core.calibration.initial_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
+from hdt_core.components import Component
+from hdt_core.components.exchanger import HX
 from hdt_core.estimation.estimate import Estimate, Estimator
 from hdt_core.estimation.nls import NonlinearLeastSquares
-from hdt_core.estimation.problem import Belief, Problem, unknown
+from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import Param, PhysicsModel
-from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
-from hdt_core.robust import spread
+from hdt_core.records.keys import IN_ORDER, PACK
+from hdt_core.robust import MAD_TO_SD
+from hdt_core.tracking.flight_panel import health_rows, lay_out
+from hdt_core.tracking.segments import filter_segments
 from hdt_core.tracking.sequential import recorded_outputs, samples_problem
+from hdt_core.tracking.track import loss_of
+from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
 LEAST_STEPS = 8
 """Steps between flights from which their scatter can be told."""
-STRAY_SD = 5.0
-"""Standard deviations, of scatter and drift, from which one flight alone is not believed to be a step."""
-FIRST = 5
-"""Flights that are believed as they come."""
+SUDDEN, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
+"""Sudden losses are of any size, and with no second sensor a step is rather the part's than a fault's."""
+UNKNOWN_SD = 0.3
+"""Of a design that the declaration says nothing of, about what calibration makes of it. [ln loss]"""
 SAYS_NOTHING = ("diverged", "not_identifiable")
 
 
@@ -62,25 +70,37 @@ def design_prior(model: PhysicsModel) -> Belief | None:
     return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
 
 
-def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) -> pl.DataFrame:
+class Built(NamedTuple):
+    """How a pack's design as declared differs from the calibrated one, in the units of wear, and how sure that is."""
+
+    shift: float = 0.0
+    sd: float = UNKNOWN_SD
+
+
+def track_component(
+    flights: pl.DataFrame, component: Component, maintenance: pl.DataFrame, built: Built | None = None
+) -> pl.DataFrame:
     """Health parameters of every flight as the catalog holds them, filtered along each pack.
+
+    The filter is the exchanger's, of units that differ, enter worn, are renewed and washed, with its wear brought to
+    the component's: losses by the loss at which it fails, rates by its life, the walk of wear by the declared drift.
 
     Parameters
     ----------
     flights : DataFrame
-        Of `flight_by_flight` with the health parameters free. Where it has a column `life`, each life of a pack is
-        filtered by itself.
-    model : PhysicsModel
-        Its declared drift is how far a parameter may move from one flight to the next.
-    component : str
-        Code of the component in the tables.
+        Of `flight_by_flight` with the health parameters free; whole packs.
+    component : Component
+        Its log is heeded for the actions that end a life.
+    maintenance : DataFrame
+        `operator, tail, pack, component, action, done_on`.
+    built : Built, optional
+        What the declaration knows of the design.
 
     Returns
     -------
     DataFrame
         Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as
-        flights scatter; nothing is taken from later ones. One that departs by more than `STRAY_SD` is `unconfirmed`,
-        and not believed until the next agrees with it.
+        flights scatter; nothing else is taken from later ones.
 
     Raises
     ------
@@ -88,63 +108,67 @@ def track_component(flights: pl.DataFrame, model: PhysicsModel, component: str) 
         There is no flight.
     """
     if flights.is_empty():
-        raise ValueError(f"{model.name}: no flight to follow")
-    life = [*PACK, *(c for c in ("life",) if c in flights.columns)]
-    packs = flights.sort(IN_ORDER).partition_by(life, maintain_order=True)
-    return pl.concat([_filtered(pack, p, component) for pack in packs for p in model.free("health")])
+        raise ValueError(f"{component.model.name}: no flight to follow")
+    ordered = flights.sort(IN_ORDER)
+    tracks = [_filtered(ordered, p, component, maintenance, built or Built()) for p in component.model.free("health")]
+    return pl.concat(tracks)
 
 
-def _filtered(pack: pl.DataFrame, param: Param, component: str) -> pl.DataFrame:
-    """One parameter of one pack: a random walk of the declared drift, seen once a flight."""
-    said = ~pl.col("status").is_in(SAYS_NOTHING)
-    told = pack.select(pl.when(said).then(param.name)).to_series().to_numpy().astype(float)
-    sigma = _scatter(told, pack[f"{param.name}_sd"].to_numpy())
-    seen = _confirmed(told, STRAY_SD * float(np.hypot(sigma, param.drift)))
-    walk = Problem(
-        names=(param.name,),
-        bounds=np.array([param.bounds]),
-        prior=unknown(np.array([param.nominal])),
-        measured=seen[:, None],
-        sigma=np.array([sigma]),
-        observe=lambda _states, theta, _sample: theta,
-        drift=np.array([param.drift]),
+def _filtered(
+    flights: pl.DataFrame, param: Param, component: Component, maintenance: pl.DataFrame, built: Built
+) -> pl.DataFrame:
+    """One parameter along each pack."""
+    size, settings = wear_settings(component, param, built)
+    heard = flights.select(pl.when(~pl.col("status").is_in(SAYS_NOTHING)).then(param.name), f"{param.name}_sd")
+    loss, loss_sd = heard.to_numpy().astype(float).T
+    seen, sd = (x / size for x in wear_of(loss, loss_sd, param))
+    variance = np.where(np.isfinite(seen), sd**2 + _scatter(flights, seen, sd) ** 2, 1.0)
+    shown = (-seen - built.shift / size, variance, np.ones_like(seen))
+    panel = lay_out(flights, shown, maintenance, component.code, component.ended_by)
+    begin = np.zeros(panel.row.shape[1], dtype=np.int64)
+    level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).found[:2]
+    value, value_sd = size * level, size * level_sd
+    if param.bounds[1] < 1.0:
+        value, value_sd = loss_of(value, value_sd)
+    status = pl.when(pl.Series(np.isfinite(seen))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    names = (component.code, param.name, param.unit, "kalman_filtered")
+    return health_rows(flights, names, value, value_sd, status)
+
+
+def wear_settings(component: Component, param: Param, built: Built) -> tuple[float, Settings]:
+    """Wear at which the component fails over that at which the exchanger does; the filter's settings over that."""
+    size = _failed(component, param) / _failed(HX, HX.model.param(HX.loss))
+    haste = HX.life_flights / component.life_flights
+    by = np.array([1.0, haste, haste, haste**1.5, haste**1.5])
+    paces = tuple(Pace(*(by * pace).tolist()) for pace in PACES)
+    unit_sd = (UNIT_SD if param.unit_sd is None else param.unit_sd) / size
+    walk, entries = param.drift / size or WEAR_STEP, _entries(component.new_share)
+    return size, Settings(
+        0.0, built.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN, FAULT_CHANCE, OFFSET_BIN, entries
     )
-    found = ExtendedKalman(smoother_passes=0).estimate(walk)
-    path, path_sd = (np.full((pack.height, 1), np.nan) if p is None else p for p in (found.path, found.path_sd))
-    return pack.select(
-        *LEG_AT,
-        pl.lit(component).alias("component"),
-        pl.lit(param.name).alias("parameter"),
-        pl.Series("value", path[:, 0]).fill_nan(None),
-        pl.Series("sd", path_sd[:, 0]).fill_nan(None),
-        pl.lit(param.unit).alias("unit"),
-        pl.when(pl.Series(np.isfinite(seen)))
-        .then(pl.lit("ok"))
-        .when(said)
-        .then(pl.lit("unconfirmed"))
-        .otherwise(pl.lit("predicted"))
-        .alias("status"),
-        pl.lit("kalman_filtered").alias("estimator"),
-    )
 
 
-def _confirmed(seen: Array, jump: float) -> Array:
-    """`seen` without strays: a flight that lies further off than `jump` counts once the next one agrees with it.
-
-    The first few flights all count: there is nothing yet that one could depart from.
-    """
-    believed, doubted = np.nan, np.nan
-    out = np.full(len(seen), np.nan)
-    for n, k in enumerate(np.flatnonzero(np.isfinite(seen))):
-        if n < FIRST or min(abs(seen[k] - believed), np.nan_to_num(abs(seen[k] - doubted), nan=np.inf)) <= jump:
-            out[k], believed, doubted = seen[k], seen[k], np.nan
-        else:
-            doubted = seen[k]
-    return out
+def _entries(new_share: float) -> tuple[EntryWear, ...]:
+    """The exchanger's ways to enter a record with another share of new units."""
+    worn = (1.0 - new_share) / sum(e.share for e in ENTRY if not e.is_new)
+    return tuple(e._replace(share=new_share if e.is_new else worn * e.share) for e in ENTRY)
 
 
-def _scatter(seen: Array, sd: Array) -> float:
-    """Standard deviation of one flight about the pack's health: what its steps show, at least what it says itself."""
-    steps = np.abs(np.diff(seen[np.isfinite(seen)]))
-    shown = spread(steps) / np.sqrt(2.0) if len(steps) >= LEAST_STEPS else 0.0
-    return float(np.hypot(shown, np.median(sd[np.isfinite(sd)])))
+def _failed(component: Component, param: Param) -> float:
+    """Wear at the loss at which it fails."""
+    return float(wear_of(np.array(component.limit.mean), np.array(0.0), param)[0])
+
+
+def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
+    """Wear, the ln of what is left with its sign turned, and its deviation; of what can exceed 1 the loss itself."""
+    return (-np.log1p(-loss), sd / (1.0 - loss)) if param.bounds[1] < 1.0 else (loss, sd)
+
+
+def _scatter(flights: pl.DataFrame, seen: Array, sd: Array) -> Array:
+    """Standard deviation of one flight about the pack's health beyond what it says itself, by the steps of its pack."""
+    known = flights.select(PACK).with_columns(seen=pl.Series(seen).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
+    steps = pl.col("seen").drop_nulls().diff()
+    shown = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - pl.col("var").filter(pl.col("seen").is_not_null()).mean()
+    enough = pl.when(steps.len() > LEAST_STEPS).then(shown)
+    own = known.select(pl.max_horizontal(enough.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())
+    return own[:, 0].to_numpy()

@@ -1,29 +1,39 @@
 """Twins of declared components: each pack's first unit calibrated as built, then every flight's health."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import polars as pl
 from scipy.stats import median_abs_deviation
 
+from hdt_core.calibration.arrays import Array
 from hdt_core.components import Component
-from hdt_core.components.declaration import REPLACED
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.component_legs import LEG, NO_EVIDENCE, component_legs, component_samples
-from hdt_core.physics.model import PhysicsModel
+from hdt_core.physics.model import PhysicsModel, declared
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import number_units, select_entries
-from hdt_core.tracking.component import calibrate_component, track_component
+from hdt_core.tracking.component import (
+    SAYS_NOTHING,
+    Built,
+    calibrate_component,
+    design_prior,
+    track_component,
+    wear_of,
+)
 from hdt_core.tracking.component_readings import HEALTH, ONE_OR_MORE, component_readings
+from hdt_core.tracking.flight_panel import health_rows
 from hdt_core.tracking.sequential import flight_by_flight
-from hdt_core.tracking.wear_model import UNIT_SD
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
 STRAY_SD = 5.0
 """Standard deviations from the commissioning median at which a flight is no flight of the part as built."""
+WIDEST = -3.0
+"""Lower bound of a loss judged by the declared design, which may be far smaller than the real one."""
 NEAR_BOUND = 1e-3
 """Share of a loss's span that counts as its bound."""
 KEYS = [*PACK, "component"]
@@ -189,24 +199,31 @@ def _tracked(
     """Flights and health of one pack."""
     steady = samples.join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
     flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
-    lives = number_units(flights, maintenance, component.code, "life", component.ended_by)
     if flights.is_empty():
         return flights, pl.DataFrame(schema=HEALTH)
-    tracked = track_component(lives, model, component.code).select(list(HEALTH))
+    built = _built(steady, model, component)
     if rests_on_prior:
-        return flights, by_prior(tracked, steady, model, component)
-    return flights, _with_unit_spread(tracked, model, maintenance, component)
+        return flights, by_prior(flights, built.sd, component)
+    return flights, track_component(flights, component, maintenance, built)
 
 
-def _with_unit_spread(
-    health: pl.DataFrame, model: PhysicsModel, maintenance: pl.DataFrame, component: Component
-) -> pl.DataFrame:
-    """Add two draws of the spread of units as made to the deviations of each unit judged by another one's design."""
-    numbered = number_units(health, maintenance, component.code, "replacements", (REPLACED,))
-    declared = [pl.when(parameter=p.name).then(pl.lit(p.unit_sd, pl.Float64)) for p in model.free("health")]
-    wider = (pl.col("sd") ** 2 + 2.0 * pl.coalesce(*declared, pl.lit(UNIT_SD)) ** 2).sqrt()
-    sd = pl.when(pl.col("replacements") > 0).then(wider).otherwise("sd")
-    return numbered.with_columns(sd.alias("sd")).select(health.columns)
+def _built(samples: pl.DataFrame, calibrated: PhysicsModel, component: Component) -> Built:
+    """What the declaration says of a pack's design, by what each of both makes of the first flights."""
+    if design_prior(component.model) is None:
+        return Built()
+    loss, few = component.model.param(component.loss), samples.select(LEG).unique(maintain_order=True).head(FEWEST)
+    wide = replace(loss, bounds=(WIDEST, loss.bounds[1]))
+    own = samples.join(few, on=LEG, how="semi")
+
+    def wear(design: Mapping[str, float]) -> Array:
+        params = tuple(wide if p.name == loss.name else p for p in calibrated.calibrated(design).params)
+        found = flight_by_flight(own, replace(calibrated, params=params), [loss.name])[loss.name].to_numpy()
+        return wear_of(found, found, loss)[0]
+
+    design, here = calibrated.free("design"), wear({})
+    moved = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - here) for p in design]
+    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - here)
+    return Built(float(shift), float(np.linalg.norm(moved)))
 
 
 def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
@@ -220,28 +237,24 @@ def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Componen
     return flights.with_columns(pl.when(better).then(pl.lit("not_identifiable")).otherwise("status").alias("status"))
 
 
-def by_prior(health: pl.DataFrame, samples: pl.DataFrame, model: PhysicsModel, component: Component) -> pl.DataFrame:
+def by_prior(flights: pl.DataFrame, design_sd: float, component: Component) -> pl.DataFrame:
     """Health where no flight has calibrated the design: what the declaration believes, moved by what flights say.
 
     A part is taken to be as built, give or take the loss that would raise an alert. A flight's own loss is as unsure as
     the design is, and flights of one pack share that error: it does not grow smaller with their number.
+
+    Parameters
+    ----------
+    design_sd : float
+        Of `Built`.
     """
-    names = [p.name for p in model.free("health")]
-    mean = flight_by_flight(samples, model, names)
-    shifts = [
-        flight_by_flight(samples, model.calibrated({p.name: min(p.nominal + p.sd, p.bounds[1])}), names)
-        for p in model.free("design")
-        if p.sd is not None
-    ]
     told = []
-    for name in names:
-        moved = sum((s[name].to_numpy() - mean[name].to_numpy()) ** 2 for s in shifts)
-        told.append(mean.select(LEG).with_columns(pl.lit(name).alias("parameter"), pl.Series("moved", moved)))
-    wide = health.join(pl.concat(told), on=[*LEG, "parameter"], how="left", maintain_order="left", validate="m:1")
-    seen = pl.col("sd") ** 2 + pl.col("moved")
-    weight = (component.warn_loss**2 / (component.warn_loss**2 + seen)).fill_nan(0.0).fill_null(0.0)
-    return wide.with_columns(
-        (weight * pl.col("value")).fill_null(0.0).alias("value"),
-        (component.warn_loss * (1.0 - weight).sqrt()).alias("sd"),
-        pl.lit("prior_only").alias("status"),
-    ).drop("moved")
+    for param in component.model.free("health"):
+        loss, sd = flights.select(param.name, f"{param.name}_sd").to_numpy().astype(float).T
+        moved = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
+        weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + moved**2)
+        weight = np.nan_to_num(np.where(flights["status"].is_in(SAYS_NOTHING), 0.0, weight))
+        value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)
+        names = (component.code, param.name, param.unit, "kalman_filtered")
+        told.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
+    return pl.concat(told)

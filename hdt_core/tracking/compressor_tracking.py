@@ -6,9 +6,10 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array, declared
-from hdt_core.records.keys import LEG_AT, PACK
+from hdt_core.records.keys import PACK
 from hdt_core.records.renewals import log_flags
 from hdt_core.robust import median_error
+from hdt_core.tracking.flight_panel import health_rows
 
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
 """Scatter of a flight about the machine's state, for packs too young to show their own."""
@@ -26,7 +27,7 @@ def compressor_parameters(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm:
     efficiency = np.log(dsm.compressor.efficiency / _positive(flights["efficiency"]))
     built_sd = dsm.compressor.efficiency_sd / dsm.compressor.efficiency
     level_sd = float(np.hypot(declared(EFFICIENCY.unit_sd), built_sd))
-    renewed = _log_flags(flights, maintenance)
+    renewed = log_flags(flights, maintenance, "CC")[1]
     lost_efficiency, efficiency_sd = filtered_loss(
         flights, efficiency, renewed, EFFICIENCY_SD, level_sd, EFFICIENCY.drift
     )
@@ -52,10 +53,6 @@ def _diameter_sd(flights: pl.DataFrame) -> pl.Series:
     """Of the flight's median: what scatters from sample to sample is mostly the machine itself, and no error."""
     noise = SAMPLE_SD * median_error(np.maximum(flights["cc_n_samples"].to_numpy(), 1.0))
     return flights["diameter_m"] * pl.Series(np.hypot(PROBE_SD, noise))
-
-
-def _log_flags(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Array:
-    return log_flags(flights, maintenance, "CC")[1]
 
 
 def filtered_loss(
@@ -103,21 +100,6 @@ def _filter(seen: Array, renewed: Array, scatter: float, level_sd: float, step_s
 
 
 def _long(flights: pl.DataFrame, name: str, value: pl.Series, sd: pl.Series, unit: str, estimator: str) -> pl.DataFrame:
-    status = pl.when(pl.col("value").is_null()).then(pl.lit("not_recorded")).when(pl.col("seen")).then(pl.lit("ok"))
-    return (
-        flights.select(
-            *LEG_AT,
-            pl.lit("CC").alias("component"),
-            pl.lit(name).alias("parameter"),
-            value.alias("value"),
-            sd.alias("sd"),
-            pl.lit(unit).alias("unit"),
-            (pl.col("cc_n_samples") > 0).alias("seen"),
-            pl.lit(estimator).alias("estimator"),
-        )
-        .with_columns(
-            status.otherwise(pl.lit("predicted")).alias("status"),
-            pl.when(pl.col("value").is_null()).then(None).otherwise(pl.col("sd")).alias("sd"),
-        )
-        .select(*LEG_AT, "component", "parameter", "value", "sd", "unit", "status", "estimator")
-    )
+    seen = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(seen)
+    return health_rows(flights, ("CC", name, unit, estimator), value, sd.set(value.is_null(), None), status)

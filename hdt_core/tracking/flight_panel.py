@@ -1,6 +1,7 @@
 """Flights of many packs as a panel for the filter: side by side, the k-th of each together."""
 
 import hashlib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,8 +9,8 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.records.keys import PACK
-from hdt_core.records.renewals import log_flags, log_kept
+from hdt_core.records.keys import LEG_AT, PACK
+from hdt_core.records.renewals import RENEWALS, log_flags, log_kept
 from hdt_core.tracking.sensor_shifts import Corrections
 from hdt_core.tracking.wear_model import Observation
 
@@ -42,7 +43,23 @@ class FlightPanel(NamedTuple):
 
 
 def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame, dsm: Dsm) -> FlightPanel:
-    """What each row of `flights` (in order) shows, and what the log says about it."""
+    """What each row of `flights` (in order) shows of the exchanger, and what the log says about it."""
+    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
+    sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
+    variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
+    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
+    return lay_out(flights, (ratio, variance, exposure), maintenance, "HX")
+
+
+def lay_out(
+    flights: pl.DataFrame,
+    seen: tuple[Array, Array, Array],
+    maintenance: pl.DataFrame,
+    component: str,
+    actions: Sequence[str] = RENEWALS,
+) -> FlightPanel:
+    """Ratio, variance and exposure of each row of `flights` (in order), and what the log says about a component."""
+    ratio, variance, exposure = seen
     pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
     n_packs = int(pack.max()) + 1 if len(pack) else 0
     start = np.searchsorted(pack, np.arange(n_packs))
@@ -50,11 +67,7 @@ def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Data
     shape = (int(turn.max()) + 1 if len(turn) else 0, n_packs)
     index = np.full(shape, -1)
     index[turn, pack] = np.arange(len(pack))
-    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
-    sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
-    variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
-    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
-    log_open, log_due = log_flags(flights, maintenance, "HX")
+    log_open, log_due = log_flags(flights, maintenance, component, actions)
 
     def spread(values: Array, empty: float) -> Array:
         return np.where(index >= 0, values[np.maximum(index, 0)], empty)
@@ -97,3 +110,17 @@ def fingerprints(panel: FlightPanel, beside: list[Array], names: list[str], seal
             hashed.update("|".join(names[r] for r in rows[first : first + every]).encode())
         told.append(own)
     return told
+
+
+def health_rows(
+    flights: pl.DataFrame,
+    names: tuple[str, str, str, str],
+    value: Array | pl.Series,
+    sd: Array | pl.Series,
+    status: pl.Expr,
+) -> pl.DataFrame:
+    """One parameter of every flight in long form; `names` are its component, its own, its unit and its estimator."""
+    component, parameter, unit, estimator = map(pl.lit, names)
+    told = {"component": component, "parameter": parameter, "unit": unit, "status": status, "estimator": estimator}
+    rows = flights.select(*LEG_AT, value=pl.Series(value), sd=pl.Series(sd), **told)
+    return rows.select(*LEG_AT, "component", "parameter", "value", "sd", "unit", "status", "estimator")

@@ -8,7 +8,7 @@ import numpy as np
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.records.renewals import NOTHING, REPLACED, WASHED
-from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, UNIT, WEAR, Observation, Settings
+from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, SENSORS, UNIT, WEAR, Observation, Settings
 
 LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01
 """Weight below which a hypothesis is dropped, how many a pack may keep, the bin of ln loss in which like ones merge."""
@@ -16,9 +16,8 @@ RENEWED_WEAR, RENEWED_SD = 0.003, 0.006
 WASH_LEAVES, WASH_LEAVES_SD = 0.3, 0.2
 RECOVERY_LEAVES, RECOVERY_LEAVES_SD = 0.35, 0.3
 DEPOSIT, DEPOSIT_SD = 0.02, 0.02
-CLOG, CLOG_SD = 0.13, 0.08
 FAULT_SD = 0.2
-CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault": 1 / 2000, "fault_over": 1 / 30, "recovery": 1 / 2000}
+CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault_over": 1 / 30, "recovery": 1 / 2000}
 """Of each event on a flight, as such things go; a fault lasts some thirty flights."""
 RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
 """Chance of a new core on a flight of which the log says nothing yet, units living some 400 flights
@@ -85,11 +84,12 @@ def join(parts: list[Hypotheses]) -> Hypotheses:
     return Hypotheses(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def prune(b: Hypotheses) -> tuple[Hypotheses, Array]:
+def prune(b: Hypotheses, offset_bin: float = np.inf) -> tuple[Hypotheses, Array]:
     """Drop light hypotheses, merge like ones by their moments, keep the heaviest; and where each row went."""
     bins = np.round(b.mean[:, WEAR] / WEAR_BIN)
     heavy = np.flatnonzero(b.log_weight > np.log(LEAST_WEIGHT))
-    keys = np.stack([b.pack, b.pace, b.faulty, b.unlogged, bins])[:, heavy]
+    offset = np.round(b.mean[:, SENSORS] / offset_bin)
+    keys = np.stack([b.pack, b.pace, b.faulty, b.unlogged, bins, offset])[:, heavy]
     order = np.lexsort((-b.log_weight[heavy], *keys[::-1]))
     heads = np.flatnonzero(np.r_[True, (np.diff(keys[:, order]) != 0).any(axis=0)])
     merged = _merged(b.at(heavy[order]), heads)
@@ -159,8 +159,8 @@ def branch_on_surprise(
         ),
         _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
         _chance(_worn(b.at(less), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
-        _chance(_worn(b.at(less), CLOG, CLOG_SD), CHANCE["clog"]),
-        _chance(_faulty(b.at(surprised & ~b.faulty)), CHANCE["fault"]),
+        _chance(_worn(b.at(less), *settings.clog), CHANCE["clog"]),
+        _chance(_faulty(b.at(surprised & ~b.faulty)), settings.fault_chance),
         _chance(_sound(b.at(surprised & b.faulty)), CHANCE["fault_over"]),
     ]
 

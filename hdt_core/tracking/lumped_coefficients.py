@@ -6,7 +6,7 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.exchanger import BIAS_SD
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
-from hdt_core.records.keys import LEG_AT
+from hdt_core.tracking.flight_panel import health_rows
 
 ACROSS_SD_K = float(np.hypot(BIAS_SD["hx_out_k"], BIAS_SD["ram_out_k"]))
 """Of the difference of the outlet temperatures: calibration of both sensors, which a flight can't average out."""
@@ -46,14 +46,7 @@ def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def _rows(flights: pl.DataFrame, name: str, value: Array, relative_sd: Array) -> pl.DataFrame:
-    return flights.select(
-        *LEG_AT,
-        pl.lit("HX").alias("component"),
-        pl.lit(name).alias("parameter"),
-        pl.Series("value", value).fill_nan(None),
-        pl.Series("sd", value * relative_sd).fill_nan(None),
-        pl.lit("W/K").alias("unit"),
-    ).with_columns(
-        pl.when(pl.col("value").is_null()).then(pl.lit("not_identifiable")).otherwise(pl.lit("ok")).alias("status"),
-        pl.lit("closed_form").alias("estimator"),
-    )
+    known = pl.Series(value).fill_nan(None)
+    status = pl.when(known.is_null()).then(pl.lit("not_identifiable")).otherwise(pl.lit("ok"))
+    sd = pl.Series(value * relative_sd).fill_nan(None)
+    return health_rows(flights, ("HX", name, "W/K", "closed_form"), known, sd, status)

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import erfcx
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.initial_wear import ENTRY
 from hdt_core.records.renewals import NOTHING
 from hdt_core.tracking.hypotheses import (
     CHANCE,
@@ -53,12 +52,12 @@ ASLEEP = 10**6
 
 def start(n: int, settings: Settings) -> Hypotheses:
     """Hypotheses about n packs before any flight: every pace with every wear at entry."""
-    kinds = [(i, j) for i in range(len(settings.paces)) for j in range(len(ENTRY))]
+    kinds = [(i, j) for i in range(len(settings.paces)) for j in range(len(settings.entries))]
     k = len(kinds)
     mean, cov = np.zeros((k, 5)), np.zeros((k, 5, 5))
     weight, since = np.zeros(k), np.zeros(k, dtype=np.int64)
     for row, (i, j) in enumerate(kinds):
-        pace, entry = settings.paces[i], ENTRY[j]
+        pace, entry = settings.paces[i], settings.entries[j]
         weight[row] = np.log(pace.share * entry.share)
         mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
         mean[row, RATE], cov[row, RATE, RATE] = pace.rate, pace.rate_sd**2
@@ -102,7 +101,7 @@ def step(hypotheses: Hypotheses, seen: Observation, settings: Settings) -> tuple
     met = grown.at(np.argsort(grown.pack, kind="stable"))
     mean, cov, evidence = update(met.mean, met.cov, seen.of(met.pack), settings.level)
     told = normalise(met._replace(mean=mean, cov=cov, log_weight=met.log_weight + evidence))
-    after, into = prune(told)
+    after, into = prune(told, settings.offset_bin)
     return after, Branching(met, into, np.exp(told.log_weight))
 
 

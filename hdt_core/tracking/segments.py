@@ -86,18 +86,27 @@ class SegmentResult(NamedTuple):
     checkpoints: dict[tuple[int, int], Hypotheses]
 
 
-def filter_segments(panel: FlightPanel, settings: Settings, begin: Array, checkpoints: Checkpoints) -> SegmentResult:
+def filter_segments(
+    panel: FlightPanel, settings: Settings, begin: Array, checkpoints: Checkpoints, *, smoothed: bool = True
+) -> SegmentResult:
     """Filter and smooth each pack from segment `begin` (packs,) on, where it is not the first from its checkpoint."""
     result = SegmentResult(np.full((4, panel.n_rows), np.nan), {})
     left = panel.flights - begin * SEGMENT_FLIGHTS
     packs = np.argsort(-left, kind="stable")
     for first in range(0, len(packs), SIDE_BY_SIDE):
-        _together(panel, settings, packs[first : first + SIDE_BY_SIDE], begin, checkpoints, result)
+        _together(panel, settings, packs[first : first + SIDE_BY_SIDE], begin, checkpoints, result, smoothed=smoothed)
     return result
 
 
 def _together(
-    panel: FlightPanel, settings: Settings, packs: Array, begin: Array, checkpoints: Checkpoints, result: SegmentResult
+    panel: FlightPanel,
+    settings: Settings,
+    packs: Array,
+    begin: Array,
+    checkpoints: Checkpoints,
+    result: SegmentResult,
+    *,
+    smoothed: bool,
 ) -> None:
     """Some packs side by side, those with most flights left first: who has none left drops out at the end."""
     first, left = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
@@ -110,14 +119,14 @@ def _together(
             segment = begin[packs] + k // SEGMENT_FLIGHTS
             result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(flying)})
         hypotheses, branching = mmf.step(hypotheses, panel.flight(first[:flying] + k, packs[:flying]), settings)
-        steps.append((hypotheses, branching))
+        steps += [(hypotheses, branching)] if smoothed else []
         row = panel.row[first[:flying] + k, packs[:flying]]
         result.found[:2, row] = mmf.wear_summary(hypotheses, flying)
-        if (k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == left[0]:
+        if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == left[0]):
             window = steps[-(SEGMENT_FLIGHTS + k % SEGMENT_FLIGHTS + 1) :]
-            for back, (smoothed, sd) in enumerate(smooth(*zip(*window, strict=True))):
-                at = first[: len(smoothed)] + k + 1 - len(window) + back
-                result.found[2:, panel.row[at, packs[: len(smoothed)]]] = smoothed, sd
+            for back, (level, sd) in enumerate(smooth(*zip(*window, strict=True))):
+                at = first[: len(level)] + k + 1 - len(window) + back
+                result.found[2:, panel.row[at, packs[: len(level)]]] = level, sd
             steps = window
 
 

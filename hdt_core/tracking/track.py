@@ -8,10 +8,9 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
-from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
 from hdt_core.tracking.compressor_tracking import compressor_parameters
-from hdt_core.tracking.flight_panel import FlightPanel, build_panel, fingerprints
+from hdt_core.tracking.flight_panel import build_panel, fingerprints, health_rows
 from hdt_core.tracking.lumped_coefficients import lumped_coefficients
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
@@ -75,19 +74,6 @@ def _sound(rows: pl.DataFrame) -> pl.DataFrame:
     return rows.with_columns(pl.when(~broken).then(value), pl.when(~broken).then(sd), status)
 
 
-def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:
-    """`hx_fouling` of every row of `flights` (in order), and `hx_fouling_smoothed`, which also knows the
-    next fifty to a hundred flights.
-
-    `literal` walks pack by pack, flight by flight, and does not smooth.
-    """
-    if not literal:
-        return _exchanger(flights, maintenance, dsm, None, "")[0]
-    faults = corrections(flights)
-    panel = build_panel(flights, faults, maintenance, dsm)
-    return _rows(flights, LOSS, FILTERED, *one_by_one(panel, _settings(dsm)), _map_sd(flights), faults)
-
-
 def _exchanger(
     flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: TrackResult | None, seal: str
 ) -> TrackResult:
@@ -131,29 +117,7 @@ def _rows(
         .then(pl.lit("sensor_corrected"))
         .otherwise(pl.col("status"))
     )
-    return flights.select(
-        *LEG_AT,
-        pl.lit("HX").alias("component"),
-        pl.lit(name).alias("parameter"),
-        pl.Series("value", value),
-        pl.Series("sd", value_sd),
-        pl.lit("-").alias("unit"),
-        status.alias("status"),
-        pl.lit(how).alias("estimator"),
-    )
-
-
-def one_by_one(panel: FlightPanel, settings: Settings) -> tuple[Array, Array]:
-    """Return the filtered track by the literal recursion: flight k of a pack starts from what is known after k - 1."""
-    level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
-    for pack in range(panel.row.shape[1]):
-        hypotheses = mmf.start(1, settings)
-        for k, row in enumerate(panel.row[:, pack]):
-            if row >= 0:
-                hypotheses, _ = mmf.step(hypotheses, panel.flight(np.array([k]), np.array([pack])), settings)
-                mean, spread = mmf.wear_summary(hypotheses, 1)
-                level[row], sd[row] = mean[0], spread[0]
-    return level, sd
+    return health_rows(flights, ("HX", name, "-", how), value, value_sd, status)
 
 
 def loss_of(level: Array, sd: Array) -> tuple[Array, Array]:

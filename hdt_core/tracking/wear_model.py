@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.initial_wear import ENTRY, EntryWear
 from hdt_core.components.exchanger import HX
 from hdt_core.physics.model import declared
 
@@ -40,6 +41,7 @@ EARLY_FLIGHTS = 20.0
 WEAR_STEP = 7e-4
 MAP_SD, MAP_FLIGHTS = 0.005, 40.0
 """Slow error of the model itself: weather and season move along the map, which is not quite the duct's."""
+CLOG, FAULT_CHANCE = (0.13, 0.08), 1 / 2000
 FAULT_STEP = 0.005
 """A sensor that drifts does so within a hundred flights."""
 OUTLIER_SHARE, OUTLIER_SD = 0.01, 0.3
@@ -49,7 +51,11 @@ ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
 
 
 class Settings(NamedTuple):
-    """What the pass takes from the digital system model (see `Dsm`), and how the component's units differ and wear."""
+    """What the pass takes from the digital system model (see `Dsm`), and how the component's units differ and wear.
+
+    `clog` is the ln loss of a sudden one and its spread, `fault_chance` that of a fault of door or sensor on a flight.
+    Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged.
+    """
 
     level: float
     level_sd: float
@@ -57,6 +63,10 @@ class Settings(NamedTuple):
     unit_sd: float = UNIT_SD
     paces: tuple[Pace, ...] = PACES
     wear_step: float = WEAR_STEP
+    clog: tuple[float, float] = CLOG
+    fault_chance: float = FAULT_CHANCE
+    offset_bin: float = np.inf
+    entries: tuple[EntryWear, ...] = ENTRY
 
     @property
     def sensors_sd(self) -> float:

@@ -13,6 +13,6 @@ with known as (
 
 select
     *,
-    value is not null and status not in ('predicted', 'unconfirmed', 'prior_only') as is_observed,
+    value is not null and status not in ('predicted', 'prior_only') as is_observed,
     (departed_at at time zone 'UTC')::date as departed_on
 from known;

@@ -14,7 +14,6 @@ with explained as (
         ('ok', 'the flight moved the estimate', null),
         ('sensor_corrected', 'a sensor that other signals contradict was taken out first', null),
         ('predicted', 'the flight said nothing; the estimate is that of the flights before, or the prior', null),
-        ('unconfirmed', 'the flight departs too far to be believed until the next one agrees', null),
         (
             'prior_only',
             'too few flights have calibrated the unit: the declared prior carries the estimate',

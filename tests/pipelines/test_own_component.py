@@ -48,7 +48,7 @@ NITROGEN = Component(
         ),
         equations=exit_k,
     ),
-    limit=Limit(0.2, 0.03, 0.02), life_flights=250.0, warn_loss=0.08, message_code="47-31-NGTEMP",
+    limit=Limit(0.2, 0.03, 0.02), life_flights=250.0, warn_loss=0.08, message_code="47-31-NGTEMP", new_share=0.9,
     action="Borescope the compressor (ATA 47-31)", ended_by=("REPLACED",),
     record=Record(channels=(
         Channel("inlet_degc", "inlet_k", "K", "inlet", offset=273.15, low=180.0, high=400.0, harmful_per_s=0.2),

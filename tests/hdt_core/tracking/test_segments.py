@@ -5,11 +5,12 @@ from datetime import timedelta
 import numpy as np
 import polars as pl
 import pytest
+from literal_track import fouling
 from seen import NO_LOG, entry, seen_flights
 
 from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
-from hdt_core.tracking.track import TrackResult, fouling, track_on
+from hdt_core.tracking.track import TrackResult, track_on
 
 N = 430
 WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(140, 0.3)]

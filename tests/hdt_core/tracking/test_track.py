@@ -6,9 +6,9 @@ from datetime import timedelta
 import numpy as np
 import polars as pl
 import pytest
+from literal_track import fouling as both_tracks
 from seen import NO_LOG, entry, seen_flights
 
-from hdt_core.tracking.track import fouling as both_tracks
 from hdt_core.tracking.track import track
 
 IN_ORDER = ["operator", "tail", "pack", "departed_at", "flight_id"]

@@ -1,0 +1,89 @@
+"""A component as an outsider declares it: compressors of eight ships, worn at entry, replaced, washed."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.components import Channel, Component, Limit, Record
+from hdt_core.flight.component_legs import component_samples
+from hdt_core.physics.model import Param, PhysicsModel, Signal
+from hdt_core.tracking.component_units import commission, unit_health
+
+
+def exit_k(*, inlet_k, pressure_ratio, nav_efficiency, nav_loss):
+    """Exit temperature of a compressor of so much isentropic efficiency, of which wear takes a share. [K]"""
+    return inlet_k * (1.0 + (pressure_ratio ** (0.4 / 1.4) - 1.0) / (nav_efficiency * (1.0 - nav_loss)))
+
+
+MODEL = PhysicsModel(
+    name="service_air_compressor",
+    inputs=(Signal("inlet_k", "K"), Signal("pressure_ratio", "-")),
+    outputs=(Signal("exit_k", "K", sigma=1.0),),
+    params=(
+        Param("nav_efficiency", "-", 0.75, (0.3, 0.95), "design"),
+        Param("nav_loss", "-", 0.0, (-0.3, 0.7), "health", drift=0.002),
+    ),
+    equations=exit_k,
+)
+NAVAL = Component(
+    "NAV", "service air compressor", "Efficiency lost", MODEL, "nav_loss", Limit(0.25, 0.04, 0.03), 300.0, "Wash it",
+    record=Record((Channel("inlet", "inlet_k", "K", ""), Channel("ratio", "pressure_ratio", "-", ""),
+                   Channel("exit", "exit_k", "K", ""))),
+)  # fmt: skip
+SPREAD = replace(NAVAL, model=replace(MODEL, params=(
+    replace(MODEL.params[0], sd=0.04), replace(MODEL.params[1], unit_sd=0.05))))  # fmt: skip
+SHIPS, VOYAGES, SAMPLES, RENEWED, WASHED, UNIT_SD = 8, 160, 6, 80, 50, 0.05
+
+
+def worn(rng: np.random.Generator, ship: int) -> np.ndarray:
+    """Wear of one ship's compressor: odd ones are replaced, two in four washed, and every other wash goes unlogged."""
+    wear = np.cumsum(np.full(VOYAGES, rng.gamma(4.0, 0.25) * 0.288 / 300)) + (0.0, 0.0, 0.04, 0.08)[ship // 2]
+    if ship // 2 % 2:
+        wear[WASHED:] -= rng.uniform(0.5, 0.9) * wear[WASHED]
+    if ship % 2:
+        wear[RENEWED:] -= wear[RENEWED]
+    return wear
+
+
+@pytest.fixture(scope="module")
+def fleet() -> tuple[pl.DataFrame, pl.DataFrame, np.ndarray]:
+    """Samples of all ships in the store's long form, the log, and the true loss (ships, voyages)."""
+    rng = np.random.default_rng(7)
+    wear = np.array([worn(rng, ship) for ship in range(SHIPS)])
+    unit = np.arange(VOYAGES)[None, :] >= np.where(np.arange(SHIPS) % 2, RENEWED, VOYAGES)[:, None]
+    made = np.take_along_axis(UNIT_SD * rng.standard_normal((SHIPS, 2)), unit.astype(int), axis=1)
+    shape = (SHIPS, VOYAGES, SAMPLES)
+    inlet, ratio = rng.normal(290.0, 6.0, shape), rng.uniform(2.5, 4.0, shape)
+    built = 0.75 * np.exp(made + 0.006 * rng.standard_normal(made.shape))
+    outlet = exit_k(inlet_k=inlet, pressure_ratio=ratio, nav_efficiency=built[..., None],
+                    nav_loss=1.0 - np.exp(-wear[..., None])) + rng.normal(0.0, 1.0, shape)  # fmt: skip
+    ship, voyage, sample = (i.ravel() for i in np.indices(shape))
+    keys = pl.DataFrame({"ship": ship, "voyage": voyage, "sample": sample}).select(
+        operator=pl.lit("NVY"), tail=pl.format("S-{}", "ship"), pack=pl.lit(1, pl.Int32), component=pl.lit("NAV"),
+        flight_id=pl.format("V-{}", pl.col("voyage").cast(pl.String).str.zfill(3)),
+        time_utc=pl.datetime(2024, 1, 1, 8, time_zone="UTC") + pl.duration(days="voyage", minutes="sample"),
+    )  # fmt: skip
+    values = {"inlet_k": inlet.ravel(), "pressure_ratio": ratio.ravel(), "exit_k": outlet.ravel()}
+    signals = keys.with_columns(**values).unpivot(list(values), index=keys.columns, variable_name="signal")
+    done = [(s, "REPLACED", RENEWED) for s in range(1, SHIPS, 2)] + [(s, "CLEANED", WASHED) for s in (2, 7)]
+    log = pl.DataFrame(done, schema=["ship", "action", "day"], orient="row").select(
+        "action", operator=pl.lit("NVY"), tail=pl.format("S-{}", "ship"), pack=1, component=pl.lit("NAV"),
+        done_on=pl.date(2023, 12, 31) + pl.duration(days="day"),
+    )  # fmt: skip
+    return signals, log, 1.0 - np.exp(-wear)
+
+
+@pytest.mark.parametrize("component", [NAVAL, SPREAD], ids=["spread not declared", "spread declared"])
+def test_every_unit_lies_where_its_deviation_says(fleet, component):
+    signals, log, true = fleet
+    legs, design = commission(signals, log, component)
+    _, health = unit_health(component_samples(signals, component), legs, design, log, component)
+    ordered = health.filter(parameter="nav_loss").sort("tail", "departed_at")
+    off, sd = (ordered[c].to_numpy().reshape(true.shape) for c in ("value", "sd"))
+    off = off - true
+    assert set(ordered["status"]) == {"ok"}
+    assert (np.abs(off) < 1.645 * sd).mean() > 0.85
+    assert np.abs(off / sd).max() < 5.0
+    assert np.abs(off).mean() < 0.02
