@@ -16,6 +16,7 @@ from hdt_core.tracking.component_units import (
     _built,
     _calibrated,
     _explained,
+    _packs,
     _prior,
     _second_level,
     _strays,
@@ -140,6 +141,27 @@ def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_desig
     np.testing.assert_allclose(found["value"], [weight * 0.15, 0.0, 0.0, 0.0], atol=1e-8)
     np.testing.assert_allclose(found["sd"], [0.15 * np.sqrt(1.0 - weight), 0.15, 0.15, 0.15], rtol=1e-6)
     assert set(found["status"]) == {"prior_only"}
+
+
+def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flight_calibrated_it():
+    sizes = np.linspace(1.0, 2.0, 40)
+    design = pl.DataFrame(
+        {
+            "operator": "TST",
+            "tail": [f"T-{k * 7 % 40}" for k in range(40)],
+            "pack": 1,
+            "component": "PMP",
+            "parameter": "pmp_size",
+            "value": sizes,
+            "n_flights": [0, 12] * 20,
+        }
+    )
+    rows = samples([1.8]).with_columns(tail=pl.lit("T-7"))
+    other = design.with_columns(component=pl.lit("OTHER"), value=pl.lit(9.9))
+    found = list(_packs(rows, pl.concat([other, design]), PART))
+    np.testing.assert_allclose([model.nominal["pmp_size"] for model, _, _ in found], sizes)
+    assert [on_prior for _, on_prior, _ in found] == [True, False] * 20
+    assert [own.height for *_, own in found] == [0, 4] + [0] * 38
 
 
 PACKS = pl.DataFrame({"operator": ["TST"] * 2, "tail": ["A", "B"], "pack": [1, 1]}).cast({"pack": pl.Int32})
