@@ -32,10 +32,8 @@ def sensor_prior(cruise: pl.DataFrame, packs: pl.DataFrame) -> tuple[Array, Arra
         apart_k=pl.col("apart_k").mean().over("operator", "tail"),
         votes=pl.col("apart_k").count().over("operator", "tail"),
     )
-    flow_excess = _beyond(rows["ln_flows"])
-    mean[:, flow], sd[:, flow] = _share_difference(
-        flow_excess, hx.BIAS_SDS[flow], np.full(packs.height, CC_FLOW_BIAS_SD)
-    )
+    flow_sd = np.full(packs.height, CC_FLOW_BIAS_SD)
+    mean[:, flow], sd[:, flow] = _share_difference(_beyond(rows["ln_flows"]), hx.BIAS_SDS[flow], flow_sd)
     inlet_sd = CC_INLET_BIAS_SD_K / np.sqrt(np.maximum(rows["votes"].to_numpy().astype(float), 1.0))
     mean[:, tat], sd[:, tat] = _share_difference(_beyond(rows["apart_k"]), hx.BIAS_SDS[tat], inlet_sd)
     return mean, sd

@@ -174,9 +174,8 @@ def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int
     next_states, next_x, next_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
     change = rho * scale.change[:, None]
     is_recorded = ~np.isnan(problem.measured.T)
-    data = np.where(
-        is_recorded, (predicted - np.where(is_recorded, problem.measured.T, 0.0)) / problem.sigma[:, None], 0.0
-    )
+    error = predicted - np.where(is_recorded, problem.measured.T, 0.0)
+    data = np.where(is_recorded, error / problem.sigma[:, None], 0.0)
     weight = is_recorded / problem.sigma[:, None]
     start_sd = np.maximum(np.sqrt(np.diag(problem.start.cov)), 1e-3 * size)
     root = np.linalg.cholesky(problem.prior.information + 1e-30 * np.eye(n)).T

@@ -143,13 +143,10 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
     component : str
         "HX" or "CC".
     """
-    margin = [
-        _column(features if component == "HX" else features.clear(), c).alias(c) for c in (*CRITICAL, *MARGIN_FEATURES)
-    ]
+    names = (*CRITICAL, *MARGIN_FEATURES)
+    margin = [_column(features if component == "HX" else features.clear(), c).alias(c) for c in names]
     flights = features.with_columns(*_loss(features, component), *margin)
-    rows = with_lives(
-        flight_rows(flights, "value", "sd", "ratio", *CRITICAL, *MARGIN_FEATURES), lives, component
-    ).with_columns(
+    rows = with_lives(flight_rows(flights, "value", "sd", "ratio", *names), lives, component).with_columns(
         column=pl.col("value").is_not_null().cum_sum().over(*PACK, "life").cast(pl.Int64) - 1,
         pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1),
     )
@@ -185,11 +182,8 @@ def tracks_as_of(track: Tracks, moment: datetime, lives: pl.DataFrame, component
     is_past = (track.keys["departed_at"] < moment).to_numpy()
     rows = track.keys.select(PACK).with_columns(row=pl.Series(track.curve_index[:, 1])).filter(is_past)
     ends = with_lives(rows, lives, component)
-    remaining, failed, mute = (
-        np.full(is_past.size, np.nan),
-        np.zeros(is_past.size, bool),
-        np.ones(is_past.size, bool),
-    )
+    n = is_past.size
+    remaining, failed, mute = np.full(n, np.nan), np.zeros(n, bool), np.ones(n, bool)
     for values, name in ((remaining, "remaining"), (failed, "failed"), (mute, "mute")):
         values[is_past] = ends[name].to_numpy()
     return replace(track, remaining=remaining, failed=failed, mute=mute)
@@ -200,12 +194,8 @@ def _panel(rows: pl.DataFrame, lives: int) -> Panel:
     place = (rows["life_id"].to_numpy(), rows["column"].to_numpy())
     age = pl.when("age_known").then(pl.col("row") - pl.col("first_row")).cast(pl.Float64)
     day = pl.col("departed_at").dt.ordinal_day().cast(pl.Float64)
-    columns = (
-        rows.select("value", "sd", age.alias("age"), "ratio", *MARGIN_FEATURES, day.alias("day"))
-        .to_numpy()
-        .astype(float)
-    )
-    return Panel(*(_fill_panel(shape, place, values) for values in columns.T))
+    columns = rows.select("value", "sd", age.alias("age"), "ratio", *MARGIN_FEATURES, day.alias("day"))
+    return Panel(*(_fill_panel(shape, place, values) for values in columns.to_numpy().astype(float).T))
 
 
 def _curves(rows: pl.DataFrame, component: str) -> Array:

@@ -71,12 +71,8 @@ def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> 
     """Compute a reliability table: predicted, observed, n for each bin of the probability scale with rows."""
     frame = pl.DataFrame({"p": np.asarray(probability, dtype=float), "y": np.asarray(happened, dtype=float)})
     bin_ = (pl.col("p") * bins).floor().clip(0, bins - 1).alias("bin")
-    return (
-        frame.group_by(bin_)
-        .agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
-        .sort("bin")
-        .drop("bin")
-    )
+    bins_used = frame.group_by(bin_).agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
+    return bins_used.sort("bin").drop("bin")
 
 
 def bootstrap(

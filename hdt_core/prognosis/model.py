@@ -241,9 +241,8 @@ def out_of_fold(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis, by
     """
     record = {c: tracks(features, lives, c) for c in PRIOR_RULES}
     model = fit_tracks(base, record, features[by].unique().to_list(), by)
-    return pl.concat(predict_by_fold(model, c, track, by=by) for c, track in record.items()).sort(
-        "component", *IN_ORDER
-    )
+    parts = (predict_by_fold(model, c, track, by=by) for c, track in record.items())
+    return pl.concat(parts).sort("component", *IN_ORDER)
 
 
 def predict_by_fold(

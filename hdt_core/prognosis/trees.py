@@ -40,9 +40,8 @@ def _by_tree(model: HistGradientBoostingClassifier, features: Array, spans: Arra
     bitsets, places = model._bin_mapper.make_known_categories_bitsets()
     rows = np.column_stack([features, np.empty(len(features))])
     raw = np.full((spans.size, len(features)), float(model._baseline_prediction.item()))
-    for (tree,), groups in zip(
-        model._predictors, _span_groups(model, features.shape[1], tuple(spans.tolist())), strict=True
-    ):
+    groups_of_trees = _span_groups(model, features.shape[1], tuple(spans.tolist()))
+    for (tree,), groups in zip(model._predictors, groups_of_trees, strict=True):
         for group in groups:
             rows[:, -1] = spans[group][0]
             raw[group] += tree.predict(rows, bitsets, places, 1)

@@ -68,13 +68,8 @@ class LogWriter:
         for message in history.messages:
             after_s = rng.uniform(2400.0, 3600.0)
             moment = self._departed(message["index"]) + timedelta(seconds=float(np.round(after_s)))
-            row = {
-                "message_time": moment,
-                "flight_id": self._id(message["index"]),
-                "pack": pack,
-                "code": message["code"],
-            }
-            self._messages.append(row | {"text": _TEXTS[message["code"]]})
+            row = {"message_time": moment, "flight_id": self._id(message["index"]), "pack": pack}
+            self._messages.append(row | {"code": message["code"], "text": _TEXTS[message["code"]]})
         for entry in history.maintenance:
             row = {"done_on": self._departed(entry["index"]).date(), "pack": pack} | entry
             self._maintenance.append(row | {"reference": f"WO{rng.integers(10**6, 10**7)}"})

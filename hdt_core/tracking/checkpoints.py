@@ -46,14 +46,10 @@ def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[li
         Of `checkpoint_rows`.
     packs : DataFrame
         `PACK`, in order.
-    seen : list of list of str
+    digests : list of list of str
         Of `flight_panel.fingerprints`: digest of each pack's flights before each segment.
     """
-    now = [
-        (*packs.row(p), segment, digest)
-        for p, segments in enumerate(digests)
-        for segment, digest in enumerate(segments)
-    ]
+    now = [(*packs.row(p), c, digest) for p, segments in enumerate(digests) for c, digest in enumerate(segments)]
     keys = pl.DataFrame(now, schema={c: _SCHEMA[c] for c in CHECKPOINT_KEY}, orient="row")
     valid = stored.select(*_SCHEMA).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
     marked: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
@@ -69,14 +65,11 @@ def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[li
 
 
 def checkpoint_rows(
-    packs: pl.DataFrame,
-    digests: list[list[str]],
-    restart: Restart,
-    new_hypotheses: Mapping[tuple[int, int], Hypotheses],
+    packs: pl.DataFrame, digests: list[list[str]], restart: Restart, starts: Mapping[tuple[int, int], Hypotheses]
 ) -> pl.DataFrame:
     """Return rows of the checkpoints that stay valid and of new ones; the first segment needs none."""
-    valid = restart.valid.join(_places((*packs.row(p), c) for p, c in new_hypotheses), on=PLACE, how="anti")
-    rows = [_rows(packs.row(p), c, digests[p][c], new_hypotheses[p, c]) for p, c in sorted(new_hypotheses) if c]
+    valid = restart.valid.join(_places((*packs.row(p), c) for p, c in starts), on=PLACE, how="anti")
+    rows = [_rows(packs.row(p), c, digests[p][c], starts[p, c]) for p, c in sorted(starts) if c]
     return pl.concat([valid, *rows]).sort(*CHECKPOINT_KEY, "history")
 
 

@@ -51,13 +51,9 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
     present, with_rows = [f.path for f in files], [f.path for f, d in intakes if d.n_good]
     absent_accounts = stored_rows_of_absent_files("raw_components_deliveries", present, scope, home.store)
     empty = [path for path in present if path in packs and path not in with_rows]  # their stored rows stay
-    stored_accounts = scope.read_table(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(empty))
-    stored_accounts = stored_accounts.with_columns(
-        delivered=pl.col("loaded") + pl.col("duplicate"), quarantined=pl.lit(0, pl.Int64)
-    )
-    accounts = pl.concat(
-        [stored_accounts, *(of_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed"
-    )
+    stored = scope.read_table(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(empty))
+    stored = stored.with_columns(delivered=pl.col("loaded") + pl.col("duplicate"), quarantined=pl.lit(0, pl.Int64))
+    accounts = pl.concat([stored, *(of_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed")
     replaced = [path for path in present if path not in empty]
     stored_rows = stored_rows_of_absent_files("raw_components", replaced, scope, home.store)
     rows = pl.concat([stored_rows, *(d.rows for _, d in intakes)], how="diagonal_relaxed")
@@ -83,10 +79,8 @@ def calibration_components(
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
     results = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(home)]
-    legs, design = (
-        _concat_components("legs_components", [x for x, _ in results]),
-        _concat_components("calibration_components", [d for _, d in results]),
-    )
+    legs = _concat("legs_components", [x for x, _ in results])
+    design = _concat("calibration_components", [d for _, d in results])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
 
 
@@ -108,7 +102,7 @@ def twin_components(
         flights, tracked = unit_health(samples, legs, calibration_components, raw_maintenance, component)
         health += [tracked, component_readings(samples, component)]
         residuals += _residuals(samples, flights, calibration_components, component)
-    return _concat_components("twin_components", health), _concat_components("residuals_components", residuals)
+    return _concat("twin_components", health), _concat("residuals_components", residuals)
 
 
 def _residuals(
@@ -136,9 +130,9 @@ def features_components(
     """Compute features of each component's loss, and its alerts."""
     components = recorded_components().values()
     inputs = (twin_components, residuals_components, legs_components, raw_maintenance)
-    features = _concat_components("features_components", [component_features(*inputs, c) for c in components])
+    features = _concat("features_components", [component_features(*inputs, c) for c in components])
     alerts = [raise_component_alerts(features, raw_maintenance, c) for c in components]
-    return features, _concat_components("features_component_alerts", alerts)
+    return features, _concat("features_component_alerts", alerts)
 
 
 @stage
@@ -148,8 +142,8 @@ def prognoses_components(
     """Extrapolate each component's loss to that at which others failed, or to the declared limit."""
     inputs = (features_components, raw_messages, raw_maintenance)
     components = recorded_components().values()
-    prognoses = _concat_components("prognoses_components", [component_prognoses(*inputs, c) for c in components])
-    return prognoses, _concat_components("prognoses_components_lives", [_lives(*inputs, c) for c in components])
+    prognoses = _concat("prognoses_components", [component_prognoses(*inputs, c) for c in components])
+    return prognoses, _concat("prognoses_components_lives", [_lives(*inputs, c) for c in components])
 
 
 def _lives(
@@ -161,7 +155,7 @@ def _lives(
     return life_table(rows, component_lives(rows, messages, maintenance, failure))
 
 
-def _concat_components(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
+def _concat(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
     """Concatenate frames of all components in a table's declared columns."""
     schema = TABLES[table].schema
     return pl.concat([schema.create_empty(), *(schema.conform(f) for f in frames)])

@@ -38,7 +38,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
     costs, cost_faults = costs_or_fault(Path(home.home))
     rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
-    rejected_accounts = rejected.delivered.select(
+    accounts = rejected.delivered.select(
         "file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0
     )
     quarantines = [list_landing(landing).quarantine, rejected.quarantine]
@@ -46,7 +46,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
         fleet = home.store.read_table("raw_fleet")
     return (
         fleet,
-        pl.concat([rejected_accounts, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
+        pl.concat([accounts, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
         pl.concat([*quarantines, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, cost_faults)]),
         readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read_table("raw_coverage"),
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),

@@ -78,7 +78,7 @@ class BatchResult:
     repairs: tuple[str, ...] = ()
 
 
-def split_run_message(label: str, batch: PartitionBatch, failure: str) -> tuple[str, ...]:
+def split_message(label: str, batch: PartitionBatch, failure: str) -> tuple[str, ...]:
     """Describe a run that failed although its parts succeeded, so that the failure is still reported."""
     scope = (
         f"{len(batch.aircraft)} aircraft stopped, so each"
@@ -110,9 +110,8 @@ class PartitionIndex:
         max_flights, flights = batch_factor * CELLS_A_RUN, self.count(grain, cells)
         runs = n_processes * max(1, math.ceil(flights / (n_processes * max_flights)))
         share = math.ceil(flights / runs)
-        return self._merge_stretches(
-            stretches_of(by_aircraft(cells), min(max_flights, share)), max_flights, share, ranges
-        )
+        stretches = stretches_of(by_aircraft(cells), min(max_flights, share))
+        return self._merge_stretches(stretches, max_flights, share, ranges)
 
     def count(self, grain: str, cells: pl.DataFrame) -> int:
         """Count flights of the cells; of a cell of an aircraft, all its flights."""
@@ -125,11 +124,8 @@ class PartitionIndex:
     ) -> Iterator[PartitionBatch]:
         """Merge stretches while a run stays within `max_flights` and near its share."""
         place = {key: i for i, key in enumerate(self.flights)}
-        positions = (
-            [sorted(place[f] for f in self.flights_of.get(a, ()) if f in place) for a in self.aircraft]
-            if ranges
-            else []
-        )
+        aircraft = self.aircraft if ranges else []
+        positions = [sorted(place[f] for f in self.flights_of.get(a, ()) if f in place) for a in aircraft]
         pending, size = list[Cell](), 0
         for stretch in stretches:
             n_flights = len(stretch) if stretch[0][1] else len(self.flights_of.get(stretch[0][0], ()))
@@ -149,8 +145,8 @@ class PartitionIndex:
         place = {key: i for i, key in enumerate(self.flights)}
         for a in (a for a in self.aircraft if a in cells):
             flights = sorted((f for f in self.flights_of.get(a, ()) if f in place), key=place.__getitem__)
-            for is_stale_cells, run in groupby(flights, key=cells[a].__contains__):
-                stretch = [(a, f) for f in run if is_stale_cells]
+            for is_selected, run in groupby(flights, key=cells[a].__contains__):
+                stretch = [(a, f) for f in run if is_selected]
                 yield from (stretch[i : i + max_flights] for i in range(0, len(stretch), max_flights))
 
     def _is_range(self, cells: list[Cell], positions: list[list[int]], place: dict[str, int]) -> bool:
@@ -159,9 +155,7 @@ class PartitionIndex:
         if not cells[0][1]:
             return last - first == len(cells) - 1
         at = [place[f] for _, f in cells]
-        between = (
-            bisect_right(flights, max(at)) - bisect_left(flights, min(at)) for flights in positions[first : last + 1]
-        )
+        between = (bisect_right(p, max(at)) - bisect_left(p, min(at)) for p in positions[first : last + 1])
         return sum(between) == len(cells)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import dagster as dg
 
 from dagster_batched.runs import daemon_answers, failure_of, finished_runs, is_active, submit, successor
-from pipelines.orchestration.batches import BatchResult, PartitionBatch, split_run_message
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, split_message
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, Runner
 from pipelines.partitions import NIGHT
@@ -70,7 +70,7 @@ class RemoteExecutor:
                 repairs: tuple[str, ...] = ()
                 if failure and len(batch.aircraft) > 1:
                     unsent.extend(batch.parts())
-                    repairs, failure = split_run_message(label, batch, failure), None
+                    repairs, failure = split_message(label, batch, failure), None
                 cells = batch.size if batch in whole_batches else 0  # cells of parts were counted with the whole batch
                 yield BatchResult(cells, 1, {f"{label}: {batch.label}": failure} if failure else {}, repairs)
             time.sleep(LOOK_S)

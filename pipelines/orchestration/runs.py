@@ -14,7 +14,7 @@ from dagster_batched.partitions import cached_ranges
 from dagster_batched.runs import InterruptedRunError, execute, failure_of, origins, was_interrupted
 from pipelines import partitions
 from pipelines.assets.published import VIEWS
-from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_run_message
+from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_message
 from pipelines.partitions import NIGHT
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
@@ -89,24 +89,18 @@ class Runner:
         if len(batch.aircraft) < 2:
             runs, failure = self._bisect_failed_batch(tables, batch, message, label)
             failed = {f"{label}: {batch.label}": failure} if failure else {}
-            return BatchResult(
-                batch.size, 1 + runs, failed, () if failure else split_run_message(label, batch, message)
-            )
+            return BatchResult(batch.size, 1 + runs, failed, () if failure else split_message(label, batch, message))
         results = [self.make(tables, part, label) for part in batch.parts()]
-        failed = {place: message for result in results for place, message in result.failed.items()}
-        repairs = sum(
-            (result.repairs for result in results), () if failed else split_run_message(label, batch, message)
-        )
-        return BatchResult(batch.size, 1 + sum(result.runs for result in results), failed, repairs)
+        failed = {place: failure for r in results for place, failure in r.failed.items()}
+        repairs = sum((r.repairs for r in results), () if failed else split_message(label, batch, message))
+        return BatchResult(batch.size, 1 + sum(r.runs for r in results), failed, repairs)
 
-    def _bisect_failed_batch(
-        self, tables: list[str], batch: PartitionBatch, message: str, label: str
-    ) -> tuple[int, str]:
+    def _bisect_failed_batch(self, tables: list[str], batch: PartitionBatch, fault: str, label: str) -> tuple[int, str]:
         """Isolate the flights at which an aircraft's batch fails by bisection; return number of runs and a message.
 
         After `MAX_BISECTED` failing flights it stops: then flights are not the cause. Each reason is listed once.
         """
-        pending, runs, flights_of = [(batch, message)], 0, dict[str, list[str]]()
+        pending, runs, flights_of = [(batch, fault)], 0, dict[str, list[str]]()
         while pending:
             part, failure = pending.pop()
             halves = part.parts() if sum(map(len, flights_of.values())) < MAX_BISECTED else []
