@@ -202,39 +202,41 @@ class Component:
     @property
     def version(self) -> str:
         """Digest of the declaration, the source of its functions included: what a change of it makes stale."""
-        return hashlib.blake2b(_told(self).encode(), digest_size=6).hexdigest()
+        return hashlib.blake2b(_canonical_text(self).encode(), digest_size=6).hexdigest()
 
     def with_terms(self, accepted: Collection[str]) -> "Component":
         """The component with the model that accepted terms ask for."""
-        chosen = [model for name, model in self.terms.items() if name in accepted]
-        return replace(self, model=chosen[0]) if chosen else self
+        models = [model for name, model in self.terms.items() if name in accepted]
+        return replace(self, model=models[0]) if models else self
 
     def _faults(self) -> list[str]:
         health = {p.name for p in self.model.free("health")} | {r.name for r in self.readings}
-        given = {c.signal for c in self.record.channels} if self.record else set()
-        told = [] if re.fullmatch(CODE, self.code) else ["the code is two to eight capital letters"]
+        signals = {c.signal for c in self.record.channels} if self.record else set()
+        faults = [] if re.fullmatch(CODE, self.code) else ["the code is two to eight capital letters"]
         if self.loss not in {p.name for p in self.model.free("health")}:
-            told.append(f"{self.loss} is no health parameter of {self.model.name}")
+            faults.append(f"{self.loss} is no health parameter of {self.model.name}")
         if odd := sorted(n for n in health if not n.startswith(f"{self.folder}_")):
-            told.append(f"names of its health parameters and readings begin with {self.folder}_, not {', '.join(odd)}")
+            faults.append(
+                f"names of its health parameters and readings begin with {self.folder}_, not {', '.join(odd)}"
+            )
         if not 0.0 < self.new_share < 1.0:
-            told.append(f"new_share is a chance between 0 and 1, not {self.new_share}")
+            faults.append(f"new_share is a chance between 0 and 1, not {self.new_share}")
         if set(self.ended_by) - set(ACTIONS):
-            told.append(f"ended_by takes {', '.join(ACTIONS)}")
+            faults.append(f"ended_by takes {', '.join(ACTIONS)}")
         if self.record and self.record.derive is None and (missing := [s.name for s in self.model.inputs
-                                                                       if s.name not in given]):  # fmt: skip
-            told.append(f"no channel and no derivation gives {', '.join(missing)}")
-        return told
+                                                                       if s.name not in signals]):  # fmt: skip
+            faults.append(f"no channel and no derivation gives {', '.join(missing)}")
+        return faults
 
 
-def _told(thing: Any) -> str:
+def _canonical_text(value: Any) -> str:
     """A value as text that is the same in every process: functions by their source, expressions by their form."""
-    if is_dataclass(thing) and not isinstance(thing, type):
-        return f"{type(thing).__name__}({', '.join(_told(getattr(thing, f.name)) for f in fields(thing))})"
-    if isinstance(thing, dict):
-        return _told(tuple(thing.items()))
-    if isinstance(thing, tuple):
-        return f"({', '.join(map(_told, thing))})"
-    if inspect.isfunction(thing):
-        return inspect.getsource(thing)
-    return str(thing)
+    if is_dataclass(value) and not isinstance(value, type):
+        return f"{type(value).__name__}({', '.join(_canonical_text(getattr(value, f.name)) for f in fields(value))})"
+    if isinstance(value, dict):
+        return _canonical_text(tuple(value.items()))
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_canonical_text, value))})"
+    if inspect.isfunction(value):
+        return inspect.getsource(value)
+    return str(value)

@@ -71,14 +71,14 @@ def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
     second = np.minimum(joint + lives.message[follower], flights)
     names = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
     series = {name: spliced(getattr(lives, name)) for name in names}
-    known = np.zeros(units, dtype=bool)
+    unsure = np.zeros(units, dtype=bool)
     return replace(
         lives,
         **series,
         demand=spliced(lives.demand, LEAD),
         message=second,
         first_message=lives.message,
-        age_known=known,
+        age_known=unsure,
     )
 
 

@@ -1,4 +1,4 @@
-"""A component that is all declaration: calibrated on nominal flights, then filtered along what each flight said.
+"""Calibrate a declared component on nominal flights and filter its health along the flights' estimates.
 
 What a new component needs beside its `PhysicsModel`: nothing. The estimators are those of every other model.
 """
@@ -25,7 +25,7 @@ from hdt_core.tracking.track import loss_of
 from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
 LEAST_STEPS = 8
-"""Steps between flights from which their scatter can be told."""
+"""Steps between flights from which their scatter is estimated."""
 SUDDEN, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
 """Sudden losses are of any size, and with no second sensor a step is rather the part's than a fault's."""
 UNKNOWN_SD = 0.3
@@ -57,28 +57,30 @@ def calibrate_component(
     """
     free = [p.name for p in model.free("design")]
     solve = NonlinearLeastSquares() if estimator is None else estimator
-    found = solve.estimate(samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model)))
-    if found.status in SAYS_NOTHING:
-        raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {found.status}")
-    return model.calibrated(dict(zip(free, map(float, found.belief.mean), strict=True))), found
+    estimate = solve.estimate(
+        samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
+    )
+    if estimate.status in SAYS_NOTHING:
+        raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
+    return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate
 
 
 def design_prior(model: PhysicsModel) -> Belief | None:
-    """What is believed of the design before any flight; nothing where the declaration does not say it of each."""
+    """Return the declared prior of the design; None where a parameter has no standard deviation."""
     free = model.free("design")
     sd = [p.sd for p in free if p.sd is not None]
     return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
 
 
-class Built(NamedTuple):
-    """How a pack's design as declared differs from the calibrated one, in the units of wear, and how sure that is."""
+class DesignOffset(NamedTuple):
+    """Offset of a pack's declared design from the calibrated one, in the units of wear, with its sd."""
 
     shift: float = 0.0
     sd: float = UNKNOWN_SD
 
 
 def track_component(
-    flights: pl.DataFrame, component: Component, maintenance: pl.DataFrame, built: Built | None = None
+    flights: pl.DataFrame, component: Component, maintenance: pl.DataFrame, offset: DesignOffset | None = None
 ) -> pl.DataFrame:
     """Health parameters of every flight as the catalog holds them, filtered along each pack.
 
@@ -93,8 +95,8 @@ def track_component(
         Its log is heeded for the actions that end a life.
     maintenance : DataFrame
         `operator, tail, pack, component, action, done_on`.
-    built : Built, optional
-        What the declaration knows of the design.
+    offset : DesignOffset, optional
+        Offset of the declared design.
 
     Returns
     -------
@@ -109,49 +111,51 @@ def track_component(
     """
     if flights.is_empty():
         raise ValueError(f"{component.model.name}: no flight to follow")
-    ordered = flights.sort(IN_ORDER)
-    tracks = [_filtered(ordered, p, component, maintenance, built or Built()) for p in component.model.free("health")]
+    rows = flights.sort(IN_ORDER)
+    tracks = [
+        _filtered(rows, p, component, maintenance, offset or DesignOffset()) for p in component.model.free("health")
+    ]
     return pl.concat(tracks)
 
 
 def _filtered(
-    flights: pl.DataFrame, param: Param, component: Component, maintenance: pl.DataFrame, built: Built
+    flights: pl.DataFrame, param: Param, component: Component, maintenance: pl.DataFrame, offset: DesignOffset
 ) -> pl.DataFrame:
-    """One parameter along each pack."""
-    size, settings = wear_settings(component, param, built)
-    heard = flights.select(pl.when(~pl.col("status").is_in(SAYS_NOTHING)).then(param.name), f"{param.name}_sd")
-    loss, loss_sd = heard.to_numpy().astype(float).T
-    seen, sd = (x / size for x in wear_of(loss, loss_sd, param))
-    variance = np.where(np.isfinite(seen), sd**2 + _scatter(flights, seen, sd) ** 2, 1.0)
-    shown = (-seen - built.shift / size, variance, np.ones_like(seen))
-    panel = lay_out(flights, shown, maintenance, component.code, component.ended_by)
+    """Filter one parameter along each pack."""
+    size, settings = wear_settings(component, param, offset)
+    estimates = flights.select(pl.when(~pl.col("status").is_in(SAYS_NOTHING)).then(param.name), f"{param.name}_sd")
+    loss, loss_sd = estimates.to_numpy().astype(float).T
+    wear, sd = (x / size for x in wear_of(loss, loss_sd, param))
+    variance = np.where(np.isfinite(wear), sd**2 + _scatter(flights, wear, sd) ** 2, 1.0)
+    observed = (-wear - offset.shift / size, variance, np.ones_like(wear))
+    panel = lay_out(flights, observed, maintenance, component.code, component.ended_by)
     begin = np.zeros(panel.row.shape[1], dtype=np.int64)
-    level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).found[:2]
+    level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).tracks[:2]
     value, value_sd = size * level, size * level_sd
     if param.bounds[1] < 1.0:
         value, value_sd = loss_of(value, value_sd)
-    status = pl.when(pl.Series(np.isfinite(seen))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     names = (component.code, param.name, param.unit, "kalman_filtered")
     return health_rows(flights, names, value, value_sd, status)
 
 
-def wear_settings(component: Component, param: Param, built: Built) -> tuple[float, Settings]:
+def wear_settings(component: Component, param: Param, offset: DesignOffset) -> tuple[float, Settings]:
     """Wear at which the component fails over that at which the exchanger does; the filter's settings over that."""
     size = _failed(component, param) / _failed(HX, HX.model.param(HX.loss))
-    haste = HX.life_flights / component.life_flights
-    by = np.array([1.0, haste, haste, haste**1.5, haste**1.5])
-    paces = tuple(Pace(*(by * pace).tolist()) for pace in PACES)
+    rate_ratio = HX.life_flights / component.life_flights
+    factors = np.array([1.0, rate_ratio, rate_ratio, rate_ratio**1.5, rate_ratio**1.5])
+    paces = tuple(Pace(*(factors * pace).tolist()) for pace in PACES)
     unit_sd = (UNIT_SD if param.unit_sd is None else param.unit_sd) / size
     walk, entries = param.drift / size or WEAR_STEP, _entries(component.new_share)
     return size, Settings(
-        0.0, built.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN, FAULT_CHANCE, OFFSET_BIN, entries
+        0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN, FAULT_CHANCE, OFFSET_BIN, entries
     )
 
 
 def _entries(new_share: float) -> tuple[EntryWear, ...]:
     """The exchanger's ways to enter a record with another share of new units."""
-    worn = (1.0 - new_share) / sum(e.share for e in ENTRY if not e.is_new)
-    return tuple(e._replace(share=new_share if e.is_new else worn * e.share) for e in ENTRY)
+    factor = (1.0 - new_share) / sum(e.share for e in ENTRY if not e.is_new)
+    return tuple(e._replace(share=new_share if e.is_new else factor * e.share) for e in ENTRY)
 
 
 def _failed(component: Component, param: Param) -> float:
@@ -164,11 +168,13 @@ def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
     return (-np.log1p(-loss), sd / (1.0 - loss)) if param.bounds[1] < 1.0 else (loss, sd)
 
 
-def _scatter(flights: pl.DataFrame, seen: Array, sd: Array) -> Array:
+def _scatter(flights: pl.DataFrame, wear: Array, sd: Array) -> Array:
     """Standard deviation of one flight about the pack's health beyond what it says itself, by the steps of its pack."""
-    known = flights.select(PACK).with_columns(seen=pl.Series(seen).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
+    frame = flights.select(PACK).with_columns(seen=pl.Series(wear).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
     steps = pl.col("seen").drop_nulls().diff()
-    shown = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - pl.col("var").filter(pl.col("seen").is_not_null()).mean()
-    enough = pl.when(steps.len() > LEAST_STEPS).then(shown)
-    own = known.select(pl.max_horizontal(enough.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())
-    return own[:, 0].to_numpy()
+    excess_var = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - pl.col("var").filter(
+        pl.col("seen").is_not_null()
+    ).mean()
+    pack_var = pl.when(steps.len() > LEAST_STEPS).then(excess_var)
+    scatter = frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())
+    return scatter[:, 0].to_numpy()

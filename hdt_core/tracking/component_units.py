@@ -1,4 +1,4 @@
-"""Twins of declared components: each pack's first unit calibrated as built, then every flight's health."""
+"""Twins of declared components: calibrate each pack's first unit, then track every flight's health."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -18,7 +18,7 @@ from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.tracking.component import (
     SAYS_NOTHING,
-    Built,
+    DesignOffset,
     calibrate_component,
     design_prior,
     track_component,
@@ -42,7 +42,7 @@ KEYS = [*PACK, "component"]
 def commission(
     signals: pl.DataFrame, maintenance: pl.DataFrame, component: Component, reports: pl.DataFrame | None = None
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Judge the legs of a component and calibrate each pack on its first steady flights.
+    """Classify the legs of a component and calibrate each pack on its first steady flights.
 
     Parameters
     ----------
@@ -65,20 +65,20 @@ def commission(
     legs = component_legs(samples, component)
     if component.bleed_air and reports is not None:
         legs = reject_odd_bleed(legs, reports)
-    chosen = _as_built(legs, maintenance, component)
+    first_flights = _as_built(legs, maintenance, component)
     strays, rows = [], []
-    for pack, flights in chosen.group_by(PACK, maintain_order=True):
-        stray, found = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
+    for pack, flights in first_flights.group_by(PACK, maintain_order=True):
+        stray, design = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
         strays.append(stray)
-        rows += [(*pack, component.code, *row) for row in found]
+        rows += [(*pack, component.code, *row) for row in design]
     packs = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)).select(PACK).unique(maintain_order=True)
-    known = {row[:3] for row in rows}
-    prior = [(*p, component.code, *row) for p in packs.rows() if p not in known for row in _prior(component)]
+    commissioned = {row[:3] for row in rows}
+    prior = [(*p, component.code, *row) for p in packs.rows() if p not in commissioned for row in _prior(component)]
     return _second_level(legs, strays, rows), pl.DataFrame(rows + prior, schema=_DESIGN, orient="row")
 
 
 def _prior(component: Component) -> list[tuple[object, ...]]:
-    """The declared design as rows; none where the declaration does not say how sure it is."""
+    """Return the declared design as rows; none where a parameter has no standard deviation."""
     free = component.model.free("design")
     if any(p.sd is None for p in free):
         return []
@@ -93,52 +93,54 @@ _DESIGN: dict[str, Any] = {
 
 
 def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """The first steady flights of each pack's first unit, those before work on it left out."""
-    numbered = number_units(legs, maintenance, component.code, "life", component.ended_by)
-    first = numbered.filter(pl.col("life") == 0).sort("departed_at", "flight_id")
-    worked = select_entries(maintenance, (component.code,), component.ended_by).select(PACK).unique()
-    last = first.join(worked, on=PACK, how="semi").group_by(PACK).tail(component.around_work[0])
+    """Select the first steady flights of each pack's first unit, without those before work on it."""
+    lives = number_units(legs, maintenance, component.code, "life", component.ended_by)
+    first = lives.filter(pl.col("life") == 0).sort("departed_at", "flight_id")
+    packs = select_entries(maintenance, (component.code,), component.ended_by).select(PACK).unique()
+    last = first.join(packs, on=PACK, how="semi").group_by(PACK).tail(component.around_work[0])
     steady = first.join(last, on=LEG, how="anti").filter(pl.col("reason") == "")
-    wanted = int(np.clip(SHARE_OF_LIFE * component.life_flights, FEWEST, MOST))
-    return steady.group_by(PACK, maintain_order=True).head(wanted)
+    n_flights = int(np.clip(SHARE_OF_LIFE * component.life_flights, FEWEST, MOST))
+    return steady.group_by(PACK, maintain_order=True).head(n_flights)
 
 
 def _calibrated(samples: pl.DataFrame, component: Component) -> tuple[pl.DataFrame, list[tuple[object, ...]]]:
-    """Flights that stand apart, and the design of one pack as rows; none where the flights do not determine it."""
-    nobody = samples.select(LEG).clear()
+    """Find outlying flights, and calibrate one pack's design as rows; none where the flights do not determine it."""
+    none = samples.select(LEG).clear()
     if samples.select(pl.struct(LEG).n_unique()).item() < FEWEST:
-        return nobody, []
+        return none, []
     try:
         first, _ = calibrate_component(component.model, samples)
         flights = flight_by_flight(samples, first, [p.name for p in component.model.free("health")])
         stray = _strays(flights, component.loss)
-        kept = samples.join(stray, on=LEG, how="anti")
-        dsm, found = calibrate_component(component.model, kept)
-    except ValueError:  # the flights do not determine the design: said by the legs, NOT_COMMISSIONED
-        return nobody, []
-    n_flights = kept.select(pl.struct(LEG).n_unique()).item()
-    named = zip(component.model.free("design"), found.belief.sd.tolist(), strict=True)
+        regular = samples.join(stray, on=LEG, how="anti")
+        dsm, estimate = calibrate_component(component.model, regular)
+    except ValueError:  # the flights do not determine the design: NOT_COMMISSIONED
+        return none, []
+    n_flights = regular.select(pl.struct(LEG).n_unique()).item()
+    params = zip(component.model.free("design"), estimate.belief.sd.tolist(), strict=True)
     version = hashlib.blake2b(f"{component.version} {dsm.nominal}".encode(), digest_size=6).hexdigest()
     return stray, [
-        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in found.weak, version) for p, sd in named
+        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version) for p, sd in params
     ]
 
 
 def _strays(flights: pl.DataFrame, loss: str) -> pl.DataFrame:
-    """Flights whose loss lies far from the median of all."""
-    seen = flights[loss].to_numpy()
-    spread = float(median_abs_deviation(seen, scale="normal", nan_policy="omit"))
-    far = (pl.col(loss) - pl.col(loss).median()).abs() > STRAY_SD * max(spread, 1e-9)
+    """Select flights whose loss is far from the median."""
+    losses = flights[loss].to_numpy()
+    sd = float(median_abs_deviation(losses, scale="normal", nan_policy="omit"))
+    far = (pl.col(loss) - pl.col(loss).median()).abs() > STRAY_SD * max(sd, 1e-9)
     return flights.filter(far).select(LEG)
 
 
 def _second_level(legs: pl.DataFrame, strays: list[pl.DataFrame], rows: list[tuple[object, ...]]) -> pl.DataFrame:
-    """Reasons of the first level, then of the second; `admitted` where there is none."""
-    known = pl.DataFrame([row[:3] for row in rows], schema=dict(list(_DESIGN.items())[:3]), orient="row").unique()
-    apart = pl.concat([legs.select(LEG).clear(), *strays]).with_columns(pl.lit(True).alias("stray"))
-    judged = legs.join(known.with_columns(pl.lit(True).alias("known")), on=PACK, how="left", validate="m:1").join(
-        apart, on=LEG, how="left", validate="m:1"
-    )
+    """Add reasons of the second level; `admitted` where there is none."""
+    commissioned = pl.DataFrame(
+        [row[:3] for row in rows], schema=dict(list(_DESIGN.items())[:3]), orient="row"
+    ).unique()
+    stray_legs = pl.concat([legs.select(LEG).clear(), *strays]).with_columns(pl.lit(True).alias("stray"))
+    marked = legs.join(
+        commissioned.with_columns(pl.lit(True).alias("known")), on=PACK, how="left", validate="m:1"
+    ).join(stray_legs, on=LEG, how="left", validate="m:1")
     reason = (
         pl.when(pl.col("reason") != "")
         .then("reason")
@@ -148,30 +150,30 @@ def _second_level(legs: pl.DataFrame, strays: list[pl.DataFrame], rows: list[tup
         .then(pl.lit("NOT_COMMISSIONED"))
         .otherwise("reason")
     )
-    told = judged.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return told.drop("known", "stray").sort("operator", "tail", "departed_at", "flight_id", "pack")
+    verdicts = marked.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return verdicts.drop("known", "stray").sort("operator", "tail", "departed_at", "flight_id", "pack")
 
 
 def unit_health(
     samples: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Health of every steady flight of packs that have a design.
+    """Estimate health of every steady flight of packs that have a design.
 
     Returns
     -------
     flights : DataFrame
-        Of `flight_by_flight`: what each flight says alone.
+        Of `flight_by_flight`: each flight's own estimate.
     health : DataFrame
         Of `track_component`: filtered along each life, long form.
     """
-    told = [
+    results = [
         _tracked(pack, model, legs, maintenance, component, rests_on_prior)
         for model, rests_on_prior, pack in _packs(samples.filter("nominal"), design, component)
     ]
-    if not told:
+    if not results:
         empty = flight_by_flight(samples.clear(), component.model, [component.loss])
         return empty, pl.DataFrame(schema=HEALTH)
-    flights, health = zip(*told, strict=True)
+    flights, health = zip(*results, strict=True)
     return pl.concat(flights), pl.concat(health)
 
 
@@ -184,8 +186,8 @@ def _packs(
     samples: pl.DataFrame, design: pl.DataFrame, component: Component
 ) -> Iterator[tuple[PhysicsModel, bool, pl.DataFrame]]:
     for pack, rows in design.filter(component=component.code).group_by(PACK, maintain_order=True):
-        own = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
-        yield calibrated_model(rows, component), bool((rows["n_flights"] == 0).all()), own
+        pack_samples = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
+        yield calibrated_model(rows, component), bool((rows["n_flights"] == 0).all()), pack_samples
 
 
 def _tracked(
@@ -201,33 +203,33 @@ def _tracked(
     flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
     if flights.is_empty():
         return flights, pl.DataFrame(schema=HEALTH)
-    built = _built(steady, model, component)
+    built = _design_offset(steady, model, component)
     if rests_on_prior:
         return flights, by_prior(flights, built.sd, component)
     return flights, track_component(flights, component, maintenance, built)
 
 
-def _built(samples: pl.DataFrame, calibrated: PhysicsModel, component: Component) -> Built:
+def _design_offset(samples: pl.DataFrame, calibrated: PhysicsModel, component: Component) -> DesignOffset:
     """What the declaration says of a pack's design, by what each of both makes of the first flights."""
     if design_prior(component.model) is None:
-        return Built()
-    loss, few = component.model.param(component.loss), samples.select(LEG).unique(maintain_order=True).head(FEWEST)
+        return DesignOffset()
+    loss, first = component.model.param(component.loss), samples.select(LEG).unique(maintain_order=True).head(FEWEST)
     wide = replace(loss, bounds=(WIDEST, loss.bounds[1]))
-    own = samples.join(few, on=LEG, how="semi")
+    first_samples = samples.join(first, on=LEG, how="semi")
 
     def wear(design: Mapping[str, float]) -> Array:
         params = tuple(wide if p.name == loss.name else p for p in calibrated.calibrated(design).params)
-        found = flight_by_flight(own, replace(calibrated, params=params), [loss.name])[loss.name].to_numpy()
-        return wear_of(found, found, loss)[0]
+        losses = flight_by_flight(first_samples, replace(calibrated, params=params), [loss.name])[loss.name].to_numpy()
+        return wear_of(losses, losses, loss)[0]
 
-    design, here = calibrated.free("design"), wear({})
-    moved = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - here) for p in design]
-    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - here)
-    return Built(float(shift), float(np.linalg.norm(moved)))
+    design, calibrated_wear = calibrated.free("design"), wear({})
+    shifts = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - calibrated_wear) for p in design]
+    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - calibrated_wear)
+    return DesignOffset(float(shift), float(np.linalg.norm(shifts)))
 
 
 def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """Flights that show more than the part can do say nothing of it: the model lacks what made them so."""
+    """Mark flights beyond the part's possible range as not identifiable: the model lacks their cause."""
     (low, high), loss = next(p.bounds for p in component.model.params if p.name == component.loss), component.loss
     better = pl.col(loss) < low + NEAR_BOUND * (high - low)
     if not component.has_term:
@@ -246,15 +248,15 @@ def by_prior(flights: pl.DataFrame, design_sd: float, component: Component) -> p
     Parameters
     ----------
     design_sd : float
-        Of `Built`.
+        Of `DesignOffset`.
     """
-    told = []
+    variances = []
     for param in component.model.free("health"):
         loss, sd = flights.select(param.name, f"{param.name}_sd").to_numpy().astype(float).T
-        moved = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
-        weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + moved**2)
+        variance = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
+        weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + variance**2)
         weight = np.nan_to_num(np.where(flights["status"].is_in(SAYS_NOTHING), 0.0, weight))
         value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)
         names = (component.code, param.name, param.unit, "kalman_filtered")
-        told.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
-    return pl.concat(told)
+        variances.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
+    return pl.concat(variances)

@@ -28,18 +28,18 @@ def compressor_parameters(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm:
     built_sd = dsm.compressor.efficiency_sd / dsm.compressor.efficiency
     level_sd = float(np.hypot(declared(EFFICIENCY.unit_sd), built_sd))
     renewed = log_flags(flights, maintenance, "CC")[1]
-    lost_efficiency, efficiency_sd = filtered_loss(
+    efficiency_loss, efficiency_sd = filtered_loss(
         flights, efficiency, renewed, EFFICIENCY_SD, level_sd, EFFICIENCY.drift
     )
-    shrunk = np.log(_positive(flights["expected_diameter_m"]) / _positive(flights["diameter_m"]))
-    lost_diameter, diameter_sd = filtered_loss(
-        flights, shrunk, renewed, DIAMETER_SD_LN, declared(DIAMETER.unit_sd), DIAMETER.drift
+    ln_diameter = np.log(_positive(flights["expected_diameter_m"]) / _positive(flights["diameter_m"]))
+    diameter_loss, diameter_sd = filtered_loss(
+        flights, ln_diameter, renewed, DIAMETER_SD_LN, declared(DIAMETER.unit_sd), DIAMETER.drift
     )
     return pl.concat(
         [
             diameter,
-            _long(flights, "cc_efficiency_loss", lost_efficiency, efficiency_sd, "-", "kalman_filtered"),
-            _long(flights, "cc_diameter_loss", lost_diameter, diameter_sd, "-", "kalman_filtered"),
+            _long(flights, "cc_efficiency_loss", efficiency_loss, efficiency_sd, "-", "kalman_filtered"),
+            _long(flights, "cc_diameter_loss", diameter_loss, diameter_sd, "-", "kalman_filtered"),
         ]
     )
 
@@ -56,7 +56,7 @@ def _diameter_sd(flights: pl.DataFrame) -> pl.Series:
 
 
 def filtered_loss(
-    flights: pl.DataFrame, seen: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float
+    flights: pl.DataFrame, ln_ratio: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float
 ) -> tuple[pl.Series, pl.Series]:
     """Loss against the pack's own level as first met, by a two-state filter (level of machine and sensors, loss).
 
@@ -64,42 +64,42 @@ def filtered_loss(
     ----------
     flights : DataFrame
         In order: see `keys.IN_ORDER`.
-    seen : array
+    ln_ratio : array
         ln of expected over measured, NaN where none. (n,)
     renewed : array
         Above 0 on the first flight of another machine. (n,)
     """
     pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
-    loss, sd = np.full(len(seen), np.nan), np.full(len(seen), np.nan)
-    for rows in np.split(np.arange(len(seen)), np.flatnonzero(np.diff(pack)) + 1) if len(seen) else []:
-        loss[rows], sd[rows] = _filter(seen[rows], renewed[rows], scatter, level_sd, step_sd)
+    loss, sd = np.full(len(ln_ratio), np.nan), np.full(len(ln_ratio), np.nan)
+    for rows in np.split(np.arange(len(ln_ratio)), np.flatnonzero(np.diff(pack)) + 1) if len(ln_ratio) else []:
+        loss[rows], sd[rows] = _filter(ln_ratio[rows], renewed[rows], scatter, level_sd, step_sd)
     return pl.Series(loss).fill_nan(None), pl.Series(sd).fill_nan(None)
 
 
-def _filter(seen: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float) -> tuple[Array, Array]:
-    loss, sd = np.full(len(seen), np.nan), np.full(len(seen), np.nan)
+def _filter(ln_ratio: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float) -> tuple[Array, Array]:
+    loss, sd = np.full(len(ln_ratio), np.nan), np.full(len(ln_ratio), np.nan)
     x, w = 0.0, 0.005  # level, loss
     pxx, pxw, pww = level_sd**2, 0.0, ENTRY_LOSS_SD**2
-    met = False
-    for k, value in enumerate(seen):
+    has_started = False
+    for k, value in enumerate(ln_ratio):
         if renewed[k]:
             x, w, pxx, pxw, pww = 0.0, 0.003, level_sd**2, 0.0, 0.005**2
         pww += step_sd**2
         if np.isfinite(value):
-            met = True
-            spread = pxx + 2.0 * pxw + pww + scatter**2
+            has_started = True
+            variance = pxx + 2.0 * pxw + pww + scatter**2
             residual = value - x - w
             # far off is more likely a bad flight than a bad machine: it counts less, not nothing
-            spread *= max(1.0, abs(residual) / (3.0 * np.sqrt(spread))) ** 2
-            kx, kw = (pxx + pxw) / spread, (pxw + pww) / spread
+            variance *= max(1.0, abs(residual) / (3.0 * np.sqrt(variance))) ** 2
+            kx, kw = (pxx + pxw) / variance, (pxw + pww) / variance
             x, w = x + kx * residual, w + kw * residual
             pxx, pxw, pww = pxx - kx * (pxx + pxw), pxw - kx * (pxw + pww), pww - kw * (pxw + pww)
-        if met:
+        if has_started:
             loss[k], sd[k] = 1.0 - np.exp(-w), np.exp(-w) * np.sqrt(max(pww, 0.0))
     return loss, sd
 
 
 def _long(flights: pl.DataFrame, name: str, value: pl.Series, sd: pl.Series, unit: str, estimator: str) -> pl.DataFrame:
-    seen = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
-    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(seen)
+    measured = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(measured)
     return health_rows(flights, ("CC", name, unit, estimator), value, sd.set(value.is_null(), None), status)

@@ -34,11 +34,11 @@ class FlightPanel(NamedTuple):
 
     @property
     def flights(self) -> Array:
-        """How many flights each pack has. (packs,)"""
+        """Number of flights of each pack. (packs,)"""
         return np.asarray((self.row >= 0).sum(axis=0))
 
     def flight(self, k: Array, packs: Array) -> Observation:
-        """Flight k of each of some packs."""
+        """Return flight k of each of some packs."""
         return Observation(*(values[k, packs] for values in self[1:]))
 
 
@@ -53,13 +53,13 @@ def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Data
 
 def lay_out(
     flights: pl.DataFrame,
-    seen: tuple[Array, Array, Array],
+    observed: tuple[Array, Array, Array],
     maintenance: pl.DataFrame,
     component: str,
     actions: Sequence[str] = RENEWALS,
 ) -> FlightPanel:
     """Ratio, variance and exposure of each row of `flights` (in order), and what the log says about a component."""
-    ratio, variance, exposure = seen
+    ratio, variance, exposure = observed
     pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
     n_packs = int(pack.max()) + 1 if len(pack) else 0
     start = np.searchsorted(pack, np.arange(n_packs))
@@ -69,47 +69,47 @@ def lay_out(
     index[turn, pack] = np.arange(len(pack))
     log_open, log_due = log_flags(flights, maintenance, component, actions)
 
-    def spread(values: Array, empty: float) -> Array:
+    def scatter(values: Array, empty: float) -> Array:
         return np.where(index >= 0, values[np.maximum(index, 0)], empty)
 
     return FlightPanel(
         index,
-        spread(ratio, np.nan),
-        spread(variance, 1.0),
-        spread(exposure, 1.0),
-        spread(log_open, 0),
-        spread(log_due, 0),
-        spread(log_kept(flights, maintenance), 0),
+        scatter(ratio, np.nan),
+        scatter(variance, 1.0),
+        scatter(exposure, 1.0),
+        scatter(log_open, 0),
+        scatter(log_due, 0),
+        scatter(log_kept(flights, maintenance), 0),
     )
 
 
-def fingerprints(panel: FlightPanel, beside: list[Array], names: list[str], seal: str, every: int) -> list[list[str]]:
-    """Of each pack, digests of its flights before flight 0, `every`, twice `every` ...: equal only for equal flights.
+def fingerprints(panel: FlightPanel, inputs: list[Array], names: list[str], seal: str, segment: int) -> list[list[str]]:
+    """Digest each pack's flights before flight 0, `segment`, twice `segment` ...: equal only for equal flights.
 
     Parameters
     ----------
     panel : FlightPanel
         What is seen of each flight.
-    beside : list of array, each (rows,)
-        What else a row's result is made of.
+    inputs : list of array, each (rows,)
+        Further inputs of a row's result.
     names : list of str, (rows,)
         Flights' names.
     seal : str
         All else that results rest on.
     """
-    told = []
+    digests = []
     for pack, n in enumerate(panel.flights):
         rows = panel.row[:n, pack]
-        matrix = np.column_stack([*(v[:n, pack] for v in panel[1:]), *(values[rows] for values in beside)]).astype(
+        matrix = np.column_stack([*(v[:n, pack] for v in panel[1:]), *(values[rows] for values in inputs)]).astype(
             float
         )
-        hashed, own = hashlib.blake2b(seal.encode(), digest_size=10), []
-        for first in range(0, n, every):
-            own.append(hashed.copy().hexdigest())
-            hashed.update(matrix[first : first + every].tobytes())
-            hashed.update("|".join(names[r] for r in rows[first : first + every]).encode())
-        told.append(own)
-    return told
+        hashed, pack_digests = hashlib.blake2b(seal.encode(), digest_size=10), []
+        for first in range(0, n, segment):
+            pack_digests.append(hashed.copy().hexdigest())
+            hashed.update(matrix[first : first + segment].tobytes())
+            hashed.update("|".join(names[r] for r in rows[first : first + segment]).encode())
+        digests.append(pack_digests)
+    return digests
 
 
 def health_rows(
@@ -119,8 +119,8 @@ def health_rows(
     sd: Array | pl.Series,
     status: pl.Expr,
 ) -> pl.DataFrame:
-    """One parameter of every flight in long form; `names` are its component, its own, its unit and its estimator."""
+    """Build rows of one parameter in long form; `names` are component, parameter, unit and estimator."""
     component, parameter, unit, estimator = map(pl.lit, names)
-    told = {"component": component, "parameter": parameter, "unit": unit, "status": status, "estimator": estimator}
-    rows = flights.select(*LEG_AT, value=pl.Series(value), sd=pl.Series(sd), **told)
+    columns = {"component": component, "parameter": parameter, "unit": unit, "status": status, "estimator": estimator}
+    rows = flights.select(*LEG_AT, value=pl.Series(value), sd=pl.Series(sd), **columns)
     return rows.select(*LEG_AT, "component", "parameter", "value", "sd", "unit", "status", "estimator")

@@ -32,8 +32,8 @@ class Hypotheses(NamedTuple):
 
     log_weight (m,), mean (m, 5), cov (m, 5, 5); pace (m,) an index of the settings' paces, since (m,) flights since the
     core was renewed or washed, unlogged (m,) whether no entry has spoken of that yet, faulty (m,) whether something
-    else than the core is wrong. Of the last flight: parent (m,) the row before it, keeps (m, 5) the share of each state
-    that its event left.
+    else than the core is wrong. Of the last flight: parent (m,) the row before it, retention (m, 5) the share of each
+    state that its event left.
     """
 
     pack: Array
@@ -45,7 +45,7 @@ class Hypotheses(NamedTuple):
     unlogged: Array
     faulty: Array
     parent: Array
-    keeps: Array
+    retention: Array
 
     def at(self, rows: Array) -> "Hypotheses":
         """Hypotheses at `rows`, copied."""
@@ -71,16 +71,16 @@ class Branching(NamedTuple):
     """How one flight branched hypotheses and how they were merged, for the smoother.
 
     Each row is a branch: parent (m,) its row before, into (m,) the row it went into, -1 where it was dropped, weight
-    (m,) its probability, met (m, ...) its state before the flight's news.
+    (m,) its probability, prior (m, ...) its state before the flight's news.
     """
 
-    met: Hypotheses
+    prior: Hypotheses
     into: Array
     weight: Array
 
 
 def join(parts: list[Hypotheses]) -> Hypotheses:
-    """Several in one; not sorted."""
+    """Concatenate hypotheses, not sorted."""
     return Hypotheses(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
@@ -93,13 +93,15 @@ def prune(b: Hypotheses, offset_bin: float = np.inf) -> tuple[Hypotheses, Array]
     order = np.lexsort((-b.log_weight[heavy], *keys[::-1]))
     heads = np.flatnonzero(np.r_[True, (np.diff(keys[:, order]) != 0).any(axis=0)])
     merged = _merged(b.at(heavy[order]), heads)
-    ranked = np.lexsort((-merged.log_weight, merged.pack))
-    place = np.arange(len(ranked)) - np.searchsorted(merged.pack[ranked], merged.pack[ranked])
-    kept = ranked[place < MOST]
+    order_by_weight = np.lexsort((-merged.log_weight, merged.pack))
+    place = np.arange(len(order_by_weight)) - np.searchsorted(
+        merged.pack[order_by_weight], merged.pack[order_by_weight]
+    )
+    heaviest = order_by_weight[place < MOST]
     new_row, into = np.full(len(heads), -1), np.full(len(b.pack), -1)
-    new_row[kept] = np.arange(len(kept))
+    new_row[heaviest] = np.arange(len(heaviest))
     into[heavy[order]] = new_row[_runs(heads, len(order))]
-    return normalise(merged.at(kept)), into
+    return normalise(merged.at(heaviest)), into
 
 
 def normalise(b: Hypotheses) -> Hypotheses:
@@ -117,49 +119,49 @@ def _runs(heads: Array, n: int) -> Array:
 
 
 def _merged(b: Hypotheses, heads: Array) -> Hypotheses:
-    """One hypothesis for each run that starts at `heads`; labels are those of the heaviest, which stands first."""
+    """Merge each run that starts at `heads` into one hypothesis, with the labels of the heaviest, its first."""
     run = _runs(heads, len(b.pack))
     top = b.log_weight[heads]
-    # against the heaviest: a hypothesis that stands alone stays what it was to the last digit, whoever else is there
+    # relative to the heaviest, so that a single hypothesis is unchanged to the last digit
     weight = np.exp(b.log_weight - top[run])
     total = np.add.reduceat(weight, heads)
     share = weight / total[run]
     mean = np.add.reduceat(share[:, None] * b.mean, heads)
-    off = b.mean - mean[run]
-    spread = b.cov + off[:, :, None] * off[:, None, :]
-    cov = np.add.reduceat(share[:, None, None] * spread, heads)
+    deviation = b.mean - mean[run]
+    second_moment = b.cov + deviation[:, :, None] * deviation[:, None, :]
+    cov = np.add.reduceat(share[:, None, None] * second_moment, heads)
     return b.at(heads)._replace(log_weight=top + np.log(total), mean=mean, cov=cov)
 
 
-def apply_log(b: Hypotheses, seen: Observation, settings: Settings) -> Hypotheses:
+def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypotheses:
     """Apply an entry of the log to each hypothesis: the core it names is new or washed, unless it already was."""
-    due, recent = seen.log_due > 0, b.since <= LATE_FLIGHTS
-    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (seen.log_kept > 0)
+    due, recent = flight.log_due > 0, b.since <= LATE_FLIGHTS
+    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (flight.log_kept > 0)
     weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():
         return b
-    washed = _washed(b.at(acts & (seen.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    return join([b.at(~acts), washed, *_renewed(b.at(acts & (seen.log_due == REPLACED)), settings)])
+    washed = _washed(b.at(acts & (flight.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    return join([b.at(~acts), washed, *_renewed(b.at(acts & (flight.log_due == REPLACED)), settings)])
 
 
 def branch_on_surprise(
-    b: Hypotheses, residual: Array, surprised: Array, named: Array, settings: Settings
+    b: Hypotheses, residual: Array, surprised: Array, logged: Array, settings: Settings
 ) -> list[Hypotheses]:
-    """Branches for a surprising flight, or for one on whose day the log names a wash or a new core."""
-    less, more = surprised & (residual < 0.0), surprised & (residual > 0.0)
-    new, wash = named == REPLACED, named == WASHED
-    unnamed = more & (named == NOTHING)
+    """Branch for a surprising flight, or for one on whose day the log names a wash or a new core."""
+    is_below, is_above = surprised & (residual < 0.0), surprised & (residual > 0.0)
+    is_renewal, is_wash = logged == REPLACED, logged == WASHED
+    is_unlogged = is_above & (logged == NOTHING)
     return [
-        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(new), settings)),
-        _chance(_washed(b.at(wash), WASH_LEAVES, WASH_LEAVES_SD, settings), RENEWAL_LOGGED * LOG_LATE),
+        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(is_renewal), settings)),
+        _chance(_washed(b.at(is_wash), WASH_LEAVES, WASH_LEAVES_SD, settings), RENEWAL_LOGGED * LOG_LATE),
         *(
             _chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED)
-            for child in _renewed(b.at(unnamed), settings)
+            for child in _renewed(b.at(is_unlogged), settings)
         ),
-        _chance(_washed(b.at(unnamed), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
-        _chance(_worn(b.at(less), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
-        _chance(_worn(b.at(less), *settings.clog), CHANCE["clog"]),
+        _chance(_washed(b.at(is_unlogged), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
+        _chance(_worn(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
+        _chance(_worn(b.at(is_below), *settings.clog), CHANCE["clog"]),
         _chance(_faulty(b.at(surprised & ~b.faulty)), settings.fault_chance),
         _chance(_sound(b.at(surprised & b.faulty)), CHANCE["fault_over"]),
     ]
@@ -180,25 +182,25 @@ def _renewed(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
         mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
         mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, settings.unit_sd**2
         child = b._replace(mean=mean, cov=cov, pace=np.full_like(b.pace, j), since=np.zeros_like(b.since))
-        child = child._replace(keeps=b.keeps * [0.0, 0.0, 1.0, 0.0, 1.0])
+        child = child._replace(retention=b.retention * [0.0, 0.0, 1.0, 0.0, 1.0])
         children.append(_chance(child, pace.share))
     return children
 
 
-def _washed(b: Hypotheses, leaves: float, leaves_sd: float, settings: Settings) -> Hypotheses:
-    """Part of the wear is left on the same unit, and it may grow at another rate."""
-    keep = np.array([leaves, 1.0, 1.0, 1.0, 1.0])
-    mean, cov = b.mean * keep, b.cov * keep[:, None] * keep
-    cov[:, WEAR, WEAR] += leaves_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
+def _washed(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> Hypotheses:
+    """Keep part of the wear on the same unit, which may then wear at another rate."""
+    retention = np.array([share, 1.0, 1.0, 1.0, 1.0])
+    mean, cov = b.mean * retention, b.cov * retention[:, None] * retention
+    cov[:, WEAR, WEAR] += share_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
     cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in settings.paces])[b.pace] ** 2
-    return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), keeps=b.keeps * keep)
+    return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), retention=b.retention * retention)
 
 
-def _worn(b: Hypotheses, more: float, more_sd: float) -> Hypotheses:
-    """A deposit or clog at once."""
+def _worn(b: Hypotheses, step: float, step_sd: float) -> Hypotheses:
+    """Add a sudden deposit or clog."""
     mean, cov = b.mean.copy(), b.cov.copy()
-    mean[:, WEAR] += more
-    cov[:, WEAR, WEAR] += more_sd**2
+    mean[:, WEAR] += step
+    cov[:, WEAR, WEAR] += step_sd**2
     return b._replace(mean=mean, cov=cov)
 
 
@@ -210,9 +212,11 @@ def _faulty(b: Hypotheses) -> Hypotheses:
 
 
 def _sound(b: Hypotheses) -> Hypotheses:
-    """The fault is over."""
+    """End the fault."""
     mean, cov = b.mean.copy(), b.cov.copy()
     mean[:, OTHER] = 0.0
     cov[:, OTHER, :] = cov[:, :, OTHER] = 0.0
     cov[:, OTHER, OTHER] = MAP_SD**2
-    return b._replace(mean=mean, cov=cov, faulty=np.zeros_like(b.faulty), keeps=b.keeps * [1.0, 1.0, 1.0, 1.0, 0.0])
+    return b._replace(
+        mean=mean, cov=cov, faulty=np.zeros_like(b.faulty), retention=b.retention * [1.0, 1.0, 1.0, 1.0, 0.0]
+    )

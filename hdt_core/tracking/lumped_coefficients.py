@@ -46,7 +46,7 @@ def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def _rows(flights: pl.DataFrame, name: str, value: Array, relative_sd: Array) -> pl.DataFrame:
-    known = pl.Series(value).fill_nan(None)
-    status = pl.when(known.is_null()).then(pl.lit("not_identifiable")).otherwise(pl.lit("ok"))
+    values = pl.Series(value).fill_nan(None)
+    status = pl.when(values.is_null()).then(pl.lit("not_identifiable")).otherwise(pl.lit("ok"))
     sd = pl.Series(value * relative_sd).fill_nan(None)
-    return health_rows(flights, ("HX", name, "W/K", "closed_form"), known, sd, status)
+    return health_rows(flights, ("HX", name, "W/K", "closed_form"), values, sd, status)

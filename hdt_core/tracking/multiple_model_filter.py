@@ -45,13 +45,13 @@ from hdt_core.tracking.wear_model import (
 )
 
 SURPRISE = 2.0
-"""Standard deviations at which a flight opens other readings of what has happened."""
+"""Standard deviations at which a flight branches the hypotheses."""
 ASLEEP = 10**6
 """Flights since the renewal of a core that was not new when first seen."""
 
 
 def start(n: int, settings: Settings) -> Hypotheses:
-    """Hypotheses about n packs before any flight: every pace with every wear at entry."""
+    """Build hypotheses about n packs before any flight: every pace with every wear at entry."""
     kinds = [(i, j) for i in range(len(settings.paces)) for j in range(len(settings.entries))]
     k = len(kinds)
     mean, cov = np.zeros((k, 5)), np.zeros((k, 5, 5))
@@ -79,30 +79,32 @@ def start(n: int, settings: Settings) -> Hypotheses:
     )
 
 
-def step(hypotheses: Hypotheses, seen: Observation, settings: Settings) -> tuple[Hypotheses, Branching]:
-    """Advance all packs by one flight; `seen` holds one entry a pack."""
-    worn = np.bincount(hypotheses.pack, np.exp(hypotheses.log_weight) * hypotheses.mean[:, WEAR], len(seen.ratio))
-    seen, since = at_reference(seen, worn), hypotheses.since + 1
+def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tuple[Hypotheses, Branching]:
+    """Advance all packs by one flight; `flight` holds one entry a pack."""
+    wear = np.bincount(hypotheses.pack, np.exp(hypotheses.log_weight) * hypotheses.mean[:, WEAR], len(flight.ratio))
+    flight, since = at_reference(flight, wear), hypotheses.since + 1
     mean, cov = predict(hypotheses.mean, hypotheses.cov, hypotheses.pace, since, hypotheses.faulty, settings)
-    lasting = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
-    came = {"parent": np.arange(len(since)), "keeps": np.ones_like(mean)}
-    aged = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=lasting, **came)
-    prior = apply_log(aged, seen.of(hypotheses.pack), settings)
-    here = seen.of(prior.pack)
-    residual, variance = innovation(prior.mean, prior.cov, here, settings.level)
-    has = np.isfinite(here.ratio)
-    surprised = has & (np.abs(residual) > SURPRISE * np.sqrt(variance))
-    asked = has & (here.log_open > 0) & (prior.since > LATE_FLIGHTS)
-    grown = prior
-    if surprised.any() or asked.any():
-        grown_by = branch_on_surprise(prior, residual, surprised, np.where(asked, here.log_open, NOTHING), settings)
-        stays = prior._replace(log_weight=prior.log_weight + np.where(asked, np.log1p(-RENEWAL_LOGGED), 0.0))
-        grown = join([stays, *grown_by])
-    met = grown.at(np.argsort(grown.pack, kind="stable"))
-    mean, cov, evidence = update(met.mean, met.cov, seen.of(met.pack), settings.level)
-    told = normalise(met._replace(mean=mean, cov=cov, log_weight=met.log_weight + evidence))
-    after, into = prune(told, settings.offset_bin)
-    return after, Branching(met, into, np.exp(told.log_weight))
+    log_weight = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
+    identity = {"parent": np.arange(len(since)), "retention": np.ones_like(mean)}
+    predicted = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=log_weight, **identity)
+    prior = apply_log(predicted, flight.of(hypotheses.pack), settings)
+    observations = flight.of(prior.pack)
+    residual, variance = innovation(prior.mean, prior.cov, observations, settings.level)
+    is_observed = np.isfinite(observations.ratio)
+    is_surprising = is_observed & (np.abs(residual) > SURPRISE * np.sqrt(variance))
+    is_logged = is_observed & (observations.log_open > 0) & (prior.since > LATE_FLIGHTS)
+    branches = prior
+    if is_surprising.any() or is_logged.any():
+        new_branches = branch_on_surprise(
+            prior, residual, is_surprising, np.where(is_logged, observations.log_open, NOTHING), settings
+        )
+        stays = prior._replace(log_weight=prior.log_weight + np.where(is_logged, np.log1p(-RENEWAL_LOGGED), 0.0))
+        branches = join([stays, *new_branches])
+    branched = branches.at(np.argsort(branches.pack, kind="stable"))
+    mean, cov, evidence = update(branched.mean, branched.cov, flight.of(branched.pack), settings.level)
+    posterior = normalise(branched._replace(mean=mean, cov=cov, log_weight=branched.log_weight + evidence))
+    pruned, into = prune(posterior, settings.offset_bin)
+    return pruned, Branching(branched, into, np.exp(posterior.log_weight))
 
 
 def wear_summary(hypotheses: Hypotheses, n: int) -> tuple[Array, Array]:
@@ -110,12 +112,12 @@ def wear_summary(hypotheses: Hypotheses, n: int) -> tuple[Array, Array]:
     weight = np.exp(hypotheses.log_weight)
     mean, variance = _above_zero(hypotheses.mean[:, WEAR], np.sqrt(hypotheses.cov[:, WEAR, WEAR]))
     middle = np.bincount(hypotheses.pack, weight * mean, n)
-    spread = np.bincount(hypotheses.pack, weight * (variance + (mean - middle[hypotheses.pack]) ** 2), n)
-    return middle, np.sqrt(spread)
+    variance_of_all = np.bincount(hypotheses.pack, weight * (variance + (mean - middle[hypotheses.pack]) ** 2), n)
+    return middle, np.sqrt(variance_of_all)
 
 
 def _above_zero(mean: Array, sd: Array) -> tuple[Array, Array]:
-    """Mean and variance of a normal variable cut off below 0."""
+    """Compute mean and variance of a normal variable truncated below 0."""
     a = np.clip(mean / sd, -30.0, 30.0)
     ratio = np.sqrt(2.0 / np.pi) / erfcx(-a / np.sqrt(2.0))  # inverse Mills ratio
     return np.maximum(mean, -30.0 * sd) + sd * ratio, sd**2 * np.maximum(1.0 - a * ratio - ratio**2, 1e-3)

@@ -44,45 +44,45 @@ def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> l
     .. math:: x_{k|N} = x_{k|k} + P_{k|k} (D F)^T P_{k+1|k}^{-1} (x_{k+1|N} - x_{k+1|k})
     """
     smoothed = filtered[-1]
-    told = [wear_summary(smoothed, smoothed.n_packs)]
-    for before, branching in zip(filtered[-2::-1], branchings[:0:-1], strict=True):
-        led_on = before.of_first(smoothed.n_packs)
-        ended = before.at(np.arange(len(led_on.pack), len(before.pack)))
-        smoothed = join([_one_back(led_on, branching, smoothed), ended])
-        told.append(wear_summary(smoothed, smoothed.n_packs))
-    return told[::-1]
+    summaries = [wear_summary(smoothed, smoothed.n_packs)]
+    for earlier, branching in zip(filtered[-2::-1], branchings[:0:-1], strict=True):
+        continuing = earlier.of_first(smoothed.n_packs)
+        finished = earlier.at(np.arange(len(continuing.pack), len(earlier.pack)))
+        smoothed = join([_one_back(continuing, branching, smoothed), finished])
+        summaries.append(wear_summary(smoothed, smoothed.n_packs))
+    return summaries[::-1]
 
 
-def _one_back(before: Hypotheses, branching: Branching, after: Hypotheses) -> Hypotheses:
-    """`before` with what is known of `after`."""
+def _one_back(earlier: Hypotheses, branching: Branching, later: Hypotheses) -> Hypotheses:
+    """Smooth `earlier` by `later`."""
     live = np.flatnonzero(branching.into >= 0)
-    branch, child, own = branching.met.at(live), branching.into[live], branching.weight[live]
-    weight = np.exp(after.log_weight)[child] * own / np.bincount(child, own)[child]
-    here = before.at(branch.parent)
-    move = branch.keeps[:, :, None] * transition(here.faulty)
-    gain = np.swapaxes(np.linalg.solve(branch.cov, move @ here.cov), 1, 2)
-    mean = here.mean + (gain @ (after.mean[child] - branch.mean)[:, :, None])[:, :, 0]
-    cov = here.cov + gain @ (after.cov[child] - branch.cov) @ np.swapaxes(gain, 1, 2)
-    return _collapsed(before, branch.parent, weight, mean, cov)
+    branch, child, branch_weight = branching.prior.at(live), branching.into[live], branching.weight[live]
+    weight = np.exp(later.log_weight)[child] * branch_weight / np.bincount(child, branch_weight)[child]
+    parents = earlier.at(branch.parent)
+    move = branch.retention[:, :, None] * transition(parents.faulty)
+    gain = np.swapaxes(np.linalg.solve(branch.cov, move @ parents.cov), 1, 2)
+    mean = parents.mean + (gain @ (later.mean[child] - branch.mean)[:, :, None])[:, :, 0]
+    cov = parents.cov + gain @ (later.cov[child] - branch.cov) @ np.swapaxes(gain, 1, 2)
+    return _collapsed(earlier, branch.parent, weight, mean, cov)
 
 
-def _collapsed(before: Hypotheses, parent: Array, weight: Array, mean: Array, cov: Array) -> Hypotheses:
-    """Branches of each parent in one; a parent without any keeps no weight."""
-    total = np.zeros(len(before.pack))
+def _collapsed(earlier: Hypotheses, parent: Array, weight: Array, mean: Array, cov: Array) -> Hypotheses:
+    """Merge branches of each parent; a parent without any gets no weight."""
+    total = np.zeros(len(earlier.pack))
     np.add.at(total, parent, weight)
     share = weight / np.maximum(total, LEAST_WEIGHT)[parent]
-    middle, spread = np.zeros_like(before.mean), np.zeros_like(before.cov)
+    middle, covs = np.zeros_like(earlier.mean), np.zeros_like(earlier.cov)
     np.add.at(middle, parent, share[:, None] * mean)
-    off = mean - middle[parent]
-    np.add.at(spread, parent, share[:, None, None] * (cov + off[:, :, None] * off[:, None, :]))
-    spread[:, WEAR, WEAR] = np.maximum(spread[:, WEAR, WEAR], LEAST_SD**2)
-    return before._replace(log_weight=np.log(np.maximum(total, LEAST_WEIGHT)), mean=middle, cov=spread)
+    deviation = mean - middle[parent]
+    np.add.at(covs, parent, share[:, None, None] * (cov + deviation[:, :, None] * deviation[:, None, :]))
+    covs[:, WEAR, WEAR] = np.maximum(covs[:, WEAR, WEAR], LEAST_SD**2)
+    return earlier._replace(log_weight=np.log(np.maximum(total, LEAST_WEIGHT)), mean=middle, cov=covs)
 
 
 class SegmentResult(NamedTuple):
     """Filtered and smoothed mean and sd of ln loss, (4, rows), NaN before the restart; checkpoints of the segments."""
 
-    found: Array
+    tracks: Array
     checkpoints: dict[tuple[int, int], Hypotheses]
 
 
@@ -91,8 +91,8 @@ def filter_segments(
 ) -> SegmentResult:
     """Filter and smooth each pack from segment `begin` (packs,) on, where it is not the first from its checkpoint."""
     result = SegmentResult(np.full((4, panel.n_rows), np.nan), {})
-    left = panel.flights - begin * SEGMENT_FLIGHTS
-    packs = np.argsort(-left, kind="stable")
+    remaining = panel.flights - begin * SEGMENT_FLIGHTS
+    packs = np.argsort(-remaining, kind="stable")
     for first in range(0, len(packs), SIDE_BY_SIDE):
         _together(panel, settings, packs[first : first + SIDE_BY_SIDE], begin, checkpoints, result, smoothed=smoothed)
     return result
@@ -109,28 +109,28 @@ def _together(
     smoothed: bool,
 ) -> None:
     """Some packs side by side, those with most flights left first: who has none left drops out at the end."""
-    first, left = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
+    first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
     hypotheses = _opened(packs, begin, checkpoints, settings)
     steps: list[tuple[Hypotheses, Branching]] = []
-    for k in range(int(left[0]) if len(left) else 0):
-        flying = int((left > k).sum())
-        hypotheses = hypotheses.of_first(flying)
+    for k in range(int(remaining[0]) if len(remaining) else 0):
+        n_packs = int((remaining > k).sum())
+        hypotheses = hypotheses.of_first(n_packs)
         if k % SEGMENT_FLIGHTS == 0:
             segment = begin[packs] + k // SEGMENT_FLIGHTS
-            result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(flying)})
-        hypotheses, branching = mmf.step(hypotheses, panel.flight(first[:flying] + k, packs[:flying]), settings)
+            result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(n_packs)})
+        hypotheses, branching = mmf.step(hypotheses, panel.flight(first[:n_packs] + k, packs[:n_packs]), settings)
         steps += [(hypotheses, branching)] if smoothed else []
-        row = panel.row[first[:flying] + k, packs[:flying]]
-        result.found[:2, row] = mmf.wear_summary(hypotheses, flying)
-        if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == left[0]):
+        row = panel.row[first[:n_packs] + k, packs[:n_packs]]
+        result.tracks[:2, row] = mmf.wear_summary(hypotheses, n_packs)
+        if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == remaining[0]):
             window = steps[-(SEGMENT_FLIGHTS + k % SEGMENT_FLIGHTS + 1) :]
-            for back, (level, sd) in enumerate(smooth(*zip(*window, strict=True))):
-                at = first[: len(level)] + k + 1 - len(window) + back
-                result.found[2:, panel.row[at, packs[: len(level)]]] = level, sd
+            for k_back, (level, sd) in enumerate(smooth(*zip(*window, strict=True))):
+                at = first[: len(level)] + k + 1 - len(window) + k_back
+                result.tracks[2:, panel.row[at, packs[: len(level)]]] = level, sd
             steps = window
 
 
 def _opened(packs: Array, begin: Array, checkpoints: Checkpoints, settings: Settings) -> Hypotheses:
-    """Hypotheses with which packs begin, numbered as they stand side by side."""
+    """Collect the hypotheses with which packs begin, numbered side by side."""
     parts = [checkpoints[int(p), int(begin[p])] if begin[p] else mmf.start(1, settings) for p in packs]
     return join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])

@@ -1,4 +1,4 @@
-"""Health flight by flight: what each flight said, filtered along each pack, with its certainty."""
+"""Track health flight by flight: each flight's estimate, filtered along each pack, with standard deviations."""
 
 from typing import NamedTuple
 
@@ -37,7 +37,7 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
     maintenance : DataFrame
         `operator, tail, pack, component, action, done_on`; entries count from the day they name.
     dsm : Dsm
-        The model the flights were judged by.
+        The model of the flight estimates.
 
     Returns
     -------
@@ -48,22 +48,22 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
 
 
 def track_on(
-    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: TrackResult | None = None, seal: str = ""
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, stored: TrackResult | None = None, seal: str = ""
 ) -> TrackResult:
     """`track`, going on from what is `known` of packs whose earlier flights are what they were.
 
     Parameters
     ----------
-    known : TrackResult, optional
-        What an earlier call gave for the same packs, or for some of them.
+    stored : TrackResult, optional
+        Result of an earlier call for the same packs, or for some of them.
     seal : str
         Names what else the track rests on, the version of the code; what is known under another is not used.
     """
     flights = twin_flights.sort(IN_ORDER)
-    health, checkpoints = _exchanger(flights, maintenance, dsm, known, f"{seal}|{dsm.dsm_version}")
+    health, checkpoints = _exchanger(flights, maintenance, dsm, stored, f"{seal}|{dsm.dsm_version}")
     rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
-    told = _sound(pl.concat(rows))
-    return TrackResult(told.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
+    valid = _sound(pl.concat(rows))
+    return TrackResult(valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
 
 
 def _sound(rows: pl.DataFrame) -> pl.DataFrame:
@@ -75,27 +75,30 @@ def _sound(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def _exchanger(
-    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, known: TrackResult | None, seal: str
+    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, stored: TrackResult | None, seal: str
 ) -> TrackResult:
     faults, map_sd = corrections(flights), _map_sd(flights)
     panel = build_panel(flights, faults, maintenance, dsm)
-    named = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
-    seen = fingerprints(panel, [map_sd, faults.variance, faults.fault], named, seal, SEGMENT_FLIGHTS)
+    names = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
+    digests = fingerprints(panel, [map_sd, faults.variance, faults.fault], names, seal, SEGMENT_FLIGHTS)
     packs = flights.select(PACK).unique(maintain_order=True)
-    restart = from_first_flight(packs.height) if known is None else read_checkpoints(known.checkpoints, packs, seen)
-    result = filter_segments(panel, _settings(dsm), restart.begin, restart.checkpoints)
-    new = pl.Series(np.isfinite(result.found[0]))
-    tracks = ((LOSS, FILTERED, result.found[:2]), (LOSS_SMOOTHED, SMOOTHED, result.found[2:]))
-    health = pl.concat(
-        _rows(flights, name, how, told[0], told[1], map_sd, faults).filter(new) for name, how, told in tracks
+    restart = (
+        from_first_flight(packs.height) if stored is None else read_checkpoints(stored.checkpoints, packs, digests)
     )
-    if known is not None and not new.all():
-        kept = known.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
-        kept = kept.join(flights.filter(~new).select(LEG_AT), on=LEG_AT, how="semi")
-        if kept.height != len(tracks) * (~new).sum():  # something removed what the checkpoints speak of
+    result = filter_segments(panel, _settings(dsm), restart.begin, restart.checkpoints)
+    is_new = pl.Series(np.isfinite(result.tracks[0]))
+    tracks = ((LOSS, FILTERED, result.tracks[:2]), (LOSS_SMOOTHED, SMOOTHED, result.tracks[2:]))
+    health = pl.concat(
+        _rows(flights, name, estimator, track[0], track[1], map_sd, faults).filter(is_new)
+        for name, estimator, track in tracks
+    )
+    if stored is not None and not is_new.all():
+        stored_rows = stored.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
+        stored_rows = stored_rows.join(flights.filter(~is_new).select(LEG_AT), on=LEG_AT, how="semi")
+        if stored_rows.height != len(tracks) * (~is_new).sum():  # something removed what the checkpoints speak of
             return _exchanger(flights, maintenance, dsm, None, seal)
-        health = pl.concat([kept, health])
-    return TrackResult(health, checkpoint_rows(packs, seen, restart, result.checkpoints))
+        health = pl.concat([stored_rows, health])
+    return TrackResult(health, checkpoint_rows(packs, digests, restart, result.checkpoints))
 
 
 def _settings(dsm: Dsm) -> Settings:
@@ -107,7 +110,7 @@ def _map_sd(flights: pl.DataFrame) -> Array:
 
 
 def _rows(
-    flights: pl.DataFrame, name: str, how: str, level: Array, sd: Array, map_sd: Array, faults: Corrections
+    flights: pl.DataFrame, name: str, estimator: str, level: Array, sd: Array, map_sd: Array, faults: Corrections
 ) -> pl.DataFrame:
     value, value_sd = loss_of(level, np.sqrt(sd**2 + map_sd**2 + faults.variance))
     status = (
@@ -117,10 +120,10 @@ def _rows(
         .then(pl.lit("sensor_corrected"))
         .otherwise(pl.col("status"))
     )
-    return health_rows(flights, ("HX", name, "-", how), value, value_sd, status)
+    return health_rows(flights, ("HX", name, "-", estimator), value, value_sd, status)
 
 
 def loss_of(level: Array, sd: Array) -> tuple[Array, Array]:
-    """Loss as a fraction and its standard deviation, from ln loss and its own."""
-    left = np.exp(-level)
-    return 1.0 - left, left * sd
+    """Convert ln loss and its sd to a loss and its sd."""
+    ratio = np.exp(-level)
+    return 1.0 - ratio, ratio * sd

@@ -1,4 +1,4 @@
-"""How wear moves from flight to flight and shows in the conductance ratio: one scalar observation a flight.
+"""Model of wear from flight to flight and its effect on the conductance ratio: one scalar observation a flight.
 
 The state of a pack is wear (ln loss of conductance at the reference condition), its rate, the offset of its sensors,
 that of its unit, and what is not the core's at all: the model's slow error, or a fault while it lasts. Functions take
@@ -71,8 +71,8 @@ class Settings(NamedTuple):
     @property
     def sensors_sd(self) -> float:
         """What a pack's sensors and the clean level's own error add to all of its units alike."""
-        own = max(self.offset_sd**2 - self.unit_sd**2, LEAST_SENSORS_SD**2)
-        return float(np.sqrt(own + self.level_sd**2))
+        sensor_var = max(self.offset_sd**2 - self.unit_sd**2, LEAST_SENSORS_SD**2)
+        return float(np.sqrt(sensor_var + self.level_sd**2))
 
 
 class Observation(NamedTuple):
@@ -95,7 +95,7 @@ class Observation(NamedTuple):
         return Observation(*(values[rows] for values in self))
 
 
-def at_reference(seen: Observation, wear: Array) -> Observation:
+def at_reference(flight: Observation, wear: Array) -> Observation:
     r"""Flights as the reference condition would have shown them, for packs with about this much wear. (n,)
 
     Notes
@@ -108,12 +108,12 @@ def at_reference(seen: Observation, wear: Array) -> Observation:
     All hypotheses of a pack share the correction: else a flight at another condition would be taken for news of how
     much is wear and how much is offset, and the law isn't known that well.
     """
-    worn = np.maximum(wear, 0.0)
-    return seen._replace(ratio=seen.ratio + np.log1p(np.expm1(worn) * seen.exposure) - worn)
+    positive_wear = np.maximum(wear, 0.0)
+    return flight._replace(ratio=flight.ratio + np.log1p(np.expm1(positive_wear) * flight.exposure) - positive_wear)
 
 
 def transition(faulty: Array) -> Array:
-    """How states move in one flight when nothing happens. (m, 5, 5)"""
+    """Build the transition of one flight without events. (m, 5, 5)"""
     move = np.tile(np.eye(5), (len(faulty), 1, 1))
     move[:, WEAR, RATE], move[:, OTHER, OTHER] = 1.0, _keep(faulty)
     return move
@@ -126,51 +126,51 @@ def _keep(faulty: Array) -> Array:
 def predict(
     mean: Array, cov: Array, pace: Array, since: Array, faulty: Array, settings: Settings
 ) -> tuple[Array, Array]:
-    """States one flight later. mean (m, 5), cov (m, 5, 5); the rest (m,)."""
+    """Predict states one flight later. mean (m, 5), cov (m, 5, 5); the rest (m,)."""
     move = transition(faulty)
-    moved = move @ cov @ np.swapaxes(move, 1, 2)
+    new_cov = move @ cov @ np.swapaxes(move, 1, 2)
     late, early = (
         np.array([getattr(p, name) for p in settings.paces])[pace] for name in ("rate_step", "early_rate_step")
     )
     change = late + (early - late) * np.exp(-np.minimum(since, 1e3) / EARLY_FLIGHTS)
-    moved[:, WEAR, WEAR] += settings.wear_step**2
-    moved[:, RATE, RATE] += change**2
-    moved[:, OTHER, OTHER] += np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
-    return (move @ mean[:, :, None])[:, :, 0], moved
+    new_cov[:, WEAR, WEAR] += settings.wear_step**2
+    new_cov[:, RATE, RATE] += change**2
+    new_cov[:, OTHER, OTHER] += np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
+    return (move @ mean[:, :, None])[:, :, 0], new_cov
 
 
-def innovation(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array]:
-    """Residual and its variance for each state, 0 where nothing was seen. (m,) each"""
+def innovation(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[Array, Array]:
+    """Compute the residual and its variance for each state, 0 without an observation. (m,) each"""
     # sums and no product of matrices: that one's last digits depend on which packs stand side by side
-    variance = ((cov @ ROW) * ROW).sum(axis=1) + seen.variance
-    return np.where(np.isfinite(seen.ratio), seen.ratio - level - (mean * ROW).sum(axis=1), 0.0), variance
+    variance = ((cov @ ROW) * ROW).sum(axis=1) + flight.variance
+    return np.where(np.isfinite(flight.ratio), flight.ratio - level - (mean * ROW).sum(axis=1), 0.0), variance
 
 
-def update(mean: Array, cov: Array, seen: Observation, level: float) -> tuple[Array, Array, Array]:
-    """States after a flight that may be an outlier, and the log likelihood of what it showed.
+def update(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[Array, Array, Array]:
+    """Update states by a flight that may be an outlier; return also its log likelihood.
 
     Notes
     -----
     With probability `OUTLIER_SHARE` a flight says nothing. Both cases are merged by their moments at once: a flight
     that may or may not be one leaves a wider belief.
     """
-    residual, variance = innovation(mean, cov, seen, level)
-    trusted = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
-    stray = np.log(OUTLIER_SHARE) + log_normal(residual, variance + OUTLIER_SD**2)
-    evidence = np.logaddexp(trusted, stray)
-    use = np.where(np.isfinite(seen.ratio), np.exp(trusted - evidence), 0.0)
+    residual, variance = innovation(mean, cov, flight, level)
+    log_regular = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
+    log_outlier = np.log(OUTLIER_SHARE) + log_normal(residual, variance + OUTLIER_SD**2)
+    evidence = np.logaddexp(log_regular, log_outlier)
+    use = np.where(np.isfinite(flight.ratio), np.exp(log_regular - evidence), 0.0)
     gain = (cov @ ROW) / variance[:, None]
     shift = gain * residual[:, None]
     # Joseph's form keeps the covariance symmetric and positive
     shrink = np.eye(5) - gain[:, :, None] * ROW
-    seen_cov = shrink @ cov @ np.swapaxes(shrink, 1, 2) + _outer(gain) * seen.variance[:, None, None]
-    apart = (use * (1.0 - use))[:, None, None] * _outer(shift)
-    mixed = use[:, None, None] * seen_cov + (1.0 - use)[:, None, None] * cov + apart
-    return mean + use[:, None] * shift, mixed, np.where(np.isfinite(seen.ratio), evidence, 0.0)
+    updated_cov = shrink @ cov @ np.swapaxes(shrink, 1, 2) + _outer(gain) * flight.variance[:, None, None]
+    between = (use * (1.0 - use))[:, None, None] * _outer(shift)
+    mixed = use[:, None, None] * updated_cov + (1.0 - use)[:, None, None] * cov + between
+    return mean + use[:, None] * shift, mixed, np.where(np.isfinite(flight.ratio), evidence, 0.0)
 
 
 def log_normal(residual: Array, variance: Array) -> Array:
-    """Log density of a normal variable about 0, without its constant. (m,)"""
+    """Compute the log density of a normal variable about 0, without its constant. (m,)"""
     return np.asarray(-0.5 * (residual**2 / variance + np.log(variance)))
 
 

@@ -16,7 +16,7 @@ from hdt_core.estimation import ExtendedKalman
 from hdt_core.health.residuals import component_residuals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import Built, calibrate_component, track_component
+from hdt_core.tracking.component import DesignOffset, calibrate_component, track_component
 from hdt_core.tracking.sequential import flight_by_flight
 
 BUILT = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1700.0})
@@ -55,7 +55,7 @@ def flights(samples) -> pl.DataFrame:
 
 def tracked(flights: pl.DataFrame) -> pl.DataFrame:
     """The track of an exchanger whose design is the one it is judged by, but for its sensors."""
-    return track_component(flights, replace(HX, model=BUILT), log(), Built(0.0, 0.0))
+    return track_component(flights, replace(HX, model=BUILT), log(), DesignOffset(0.0, 0.0))
 
 
 def test_the_heat_exchanger_goes_the_same_way(flights):

@@ -10,7 +10,7 @@ from by_hand import flights, log
 
 from hdt_core.components import Component, Limit, Reading, components
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import Built, _scatter, design_prior, track_component, wear_of, wear_settings
+from hdt_core.tracking.component import DesignOffset, _scatter, design_prior, track_component, wear_of, wear_settings
 from hdt_core.tracking.component_readings import component_readings
 
 VALVE = PhysicsModel(
@@ -28,18 +28,18 @@ COMPONENT = Component("VALVE", "valve", "Area lost", VALVE, "valve_loss", Limit(
 
 def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fails():
     """The exchanger fails at 38 % after 400 flights: a valve at 20 % after 800 wears less, and at half the rate."""
-    size, own = wear_settings(COMPONENT, VALVE.param("valve_loss"), Built(0.0, 0.1))
+    size, own = wear_settings(COMPONENT, VALVE.param("valve_loss"), DesignOffset(0.0, 0.1))
     assert size == pytest.approx(np.log(0.8) / np.log(0.62))
     assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(
         (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
     )
     assert own.paces[1] == pytest.approx((0.45, 5e-4, 4e-4, 6e-5 / 8**0.5, 6e-5 / 8**0.5))
     made = replace(VALVE.param("valve_loss"), unit_sd=0.07)
-    assert wear_settings(COMPONENT, made, Built())[1].unit_sd == pytest.approx(0.07 / size)
-    shares = [e.share for e in wear_settings(replace(COMPONENT, new_share=0.9), made, Built())[1].entries]
+    assert wear_settings(COMPONENT, made, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)
+    shares = [e.share for e in wear_settings(replace(COMPONENT, new_share=0.9), made, DesignOffset())[1].entries]
     assert shares == pytest.approx([0.9, 0.04, 0.036, 0.024])
     deposit = replace(made, bounds=(-0.1, 1.5))  # what may exceed 1 is no share of anything: it is taken as it is
-    assert wear_settings(COMPONENT, deposit, Built())[0] == pytest.approx(0.2 / -np.log(0.62))
+    assert wear_settings(COMPONENT, deposit, DesignOffset())[0] == pytest.approx(0.2 / -np.log(0.62))
     np.testing.assert_allclose(wear_of(np.array([0.5]), np.array([0.01]), made), [[np.log(2.0)], [0.02]])
 
 

@@ -13,8 +13,8 @@ from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
 from hdt_core.tracking.component_units import (
     _as_built,
-    _built,
     _calibrated,
+    _design_offset,
     _explained,
     _packs,
     _prior,
@@ -131,7 +131,7 @@ def test_a_loss_at_its_lower_bound_says_nothing(loss, status):
 
 def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_design():
     """A lift of 1.7 is a loss of 0.15 at a size of 2 m, of 0.19 at 2.1 m, as large as it may be."""
-    built = _built(samples([1.7, 1.7]), PUMP, PART)
+    built = _design_offset(samples([1.7, 1.7]), PUMP, PART)
     assert built == pytest.approx((0.0, np.log(2.1 / 2.0)), abs=1e-6)
     rows = flights(4, pmp_loss=[0.15, 0.15, None, 0.15], pmp_loss_sd=[0.02, None, 0.1, 0.02])
     said = pl.Series(["converged"] * 3 + ["not_identifiable"])

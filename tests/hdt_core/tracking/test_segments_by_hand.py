@@ -25,7 +25,7 @@ def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
 def flown() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(1)
     first, second = (0.01 * rng.standard_normal(n) - 0.001 * np.arange(n) for n in (112, 56))
-    return first, second, filter_segments(panel(first, second), SETTINGS, NONE, {}).found
+    return first, second, filter_segments(panel(first, second), SETTINGS, NONE, {}).tracks
 
 
 def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
@@ -35,7 +35,7 @@ def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
     for changed, known in ((99, 50), (100, 100)):  # flight 99 is known from 0 on, flight 100 from 50 on
         other = first.copy()
         other[changed] += 0.05
-        moved = filter_segments(panel(other, second), SETTINGS, NONE, {}).found
+        moved = filter_segments(panel(other, second), SETTINGS, NONE, {}).tracks
         assert np.flatnonzero(np.any(moved[:2] != found[:2], axis=0)).tolist() == list(range(changed, 112))
         smoothed = np.flatnonzero(np.any(moved[2:] != found[2:], axis=0))
         assert smoothed.min() == (0 if known == 50 else 50)
@@ -48,7 +48,7 @@ def test_a_night_goes_on_from_a_checkpoint(flown):
     whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
     assert sorted(whole.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
     begin = np.array([1, 0])
-    later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).found
+    later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).tracks
     assert np.isnan(later[:, :50]).all()
     np.testing.assert_allclose(later[:, 50:], found[:, 50:], rtol=1e-12)
 
