@@ -20,7 +20,7 @@ from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
-from hdt_core.tracking.component import Built, calibrate_component, track_component
+from hdt_core.tracking.component import DesignOffset, calibrate_component, track_component
 from hdt_core.tracking.sequential import flight_by_flight
 
 FAILS_PA = 600.0
@@ -124,7 +124,7 @@ def loads(known: pl.DataFrame) -> pl.DataFrame:
         own = known.filter(tail=tail)
         dsm, _ = calibrate_component(FILTER.model, own.filter(pl.col("second") < CLEAN_S))
         flights = flight_by_flight(own, dsm, [FILTER.loss])
-        tracks.append(track_component(flights, replace(FILTER, model=dsm), NO_LOG, Built(sd=NEW_SD)))
+        tracks.append(track_component(flights, replace(FILTER, model=dsm), NO_LOG, DesignOffset(sd=NEW_SD)))
     return pl.concat(tracks).select("tail", "flight_id", load="value")
 
 

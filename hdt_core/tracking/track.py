@@ -50,14 +50,14 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
 def track_on(
     twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, stored: TrackResult | None = None, seal: str = ""
 ) -> TrackResult:
-    """`track`, going on from what is `known` of packs whose earlier flights are what they were.
+    """`track`, continued from `stored` results of packs whose earlier flights are unchanged.
 
     Parameters
     ----------
     stored : TrackResult, optional
         Result of an earlier call for the same packs, or for some of them.
     seal : str
-        Names what else the track rests on, the version of the code; what is known under another is not used.
+        Further inputs of the track, the version of the code; results stored under another are not used.
     """
     flights = twin_flights.sort(IN_ORDER)
     health, checkpoints = _exchanger(flights, maintenance, dsm, stored, f"{seal}|{dsm.dsm_version}")
