@@ -96,6 +96,19 @@ class Facts:
         return self.frames[name].filter(operator=operator, tail=tail, pack=pack)
 
 
+_TONIGHT = (
+    "ranking", "components", "component_losses", "flights", "health", "alerts", "due", "rates", "stops", "outlooks",
+    "margins", "maintenance", "messages", "gaps",
+)  # fmt: skip
+
+
+def read_frames(home: Path) -> Facts:
+    """Read what the table of tonight shows; frames of other parts and the data of the figures are absent."""
+    with connect(home) as con:
+        frames, none = {name: _frame(con, _FRAMES[name]) for name in _TONIGHT}, pl.DataFrame()
+        return Facts(frames, none, none, none, {}, None)
+
+
 def read_facts(home: Path) -> Facts:
     """Read the facts of a home."""
     with connect(home) as con:

@@ -21,7 +21,7 @@ NOTHING_FETCHED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 def render(template: str, **context: Any) -> str:
     """Render a template of the report."""
-    return _environment().get_template(template).render(language=language(), **context)
+    return report_templates().get_template(template).render(language=language(), **context)
 
 
 def templates_of(*packages: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
@@ -37,8 +37,9 @@ def templates_of(*packages: str, finalize: Callable[[Any], Any] | None = None) -
 
 
 @cache
-def _environment() -> Environment:
-    environment = templates_of("pipelines.report")
+def report_templates(*packages: str) -> Environment:
+    """Return the report's templates with what they call, after those of other packages."""
+    environment = templates_of(*packages, "pipelines.report")
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # unsorted: a chart's parts refer back
     environment.globals |= {
         "_": html_text, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,

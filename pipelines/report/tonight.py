@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -10,8 +11,10 @@ import polars as pl
 from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.answers import CHOICES
-from pipelines.report.facts import Facts
+from pipelines.report.facts import Facts, read_frames
 from pipelines.report.templating import anchor
+from pipelines.report.tracks import pack_tracks, unit_tracks
+from pipelines.storage.settings import alert_limits
 from pipelines.words import _, number, several
 
 Row = dict[str, Any]
@@ -43,6 +46,13 @@ def tonight(facts: Facts, tracks: Mapping[str, Row], fouling_limit: float) -> di
     }
 
 
+def read_tonight(home: Path) -> dict[str, Any]:
+    """Read the table of a home as `tonight` returns it."""
+    facts = read_frames(home)
+    tracks = pack_tracks(facts) | unit_tracks(facts)
+    return tonight(facts, tracks, alert_limits(home).fouling)
+
+
 def _summary(act: int, plan: int, n: int) -> str:
     watched = several("{n} pack watched", "{n} packs watched", n)
     if not act and not plan:
@@ -71,6 +81,7 @@ def _row(facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], r
         **(margins[0] if margins else {"margin_k": None, "door_share": None}),
         "name": words.unit_name(row) if own else words.pack_name(row),
         "card": card,
+        "unit": (*key, codes[0]) if own else key,
         "find": words.search_text(row, row["diagnoses"]),
         "notes": list(_notes(facts, row, outlook, alerts.to_dicts())),
         "loss": row["loss" if own else "hx_fouling"],

@@ -6,6 +6,7 @@ The page reads the catalog and the log of cases and writes only lines of that lo
 import re
 import sqlite3
 from collections.abc import Collection
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,11 @@ from starlette.routing import Route
 
 from pipelines.casework.board import Board, Row, component_key
 from pipelines.casework.changes import ACTIONS, FINDINGS, KINDS, change_case
+from pipelines.digest.changes import Digest, changes_since
+from pipelines.digest.render import lines
+from pipelines.report.tonight import read_tonight
 from pipelines.storage.cases import ConflictError
+from pipelines.storage.catalog import CATALOG
 from pipelines.storage.postgres import DatabaseError
 from pipelines.web.guard import Guard
 from pipelines.web.html import html_page
@@ -42,6 +47,22 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
     return Guard(app, names, sign_in, MAX_BODY)
 
 
+@lru_cache(maxsize=1)
+def _read_shift(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
+    """Read the report's first table and the changes since the night before, once a night."""
+    return read_tonight(home), changes_since(home)
+
+
+def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
+    """Return the page of each unit's first open case; a pack's are those of no unit with a row of its own."""
+    units = {r["unit"] for r in rows}
+    links: dict[tuple[Any, ...], str] = {}
+    for case in (c for c in cases if c["closed_at"] is None):
+        unit = component_key(case)
+        links.setdefault(unit if unit in units else unit[:3], f"/case/{case['alert_id']}")
+    return links
+
+
 class Casebook:
     """Routes of one home's page.
 
@@ -57,13 +78,19 @@ class Casebook:
         self.home, self.board, self.with_logout = home, Board(home), with_logout
 
     async def list(self, request: Request) -> Response:
-        """Show the open cases, or all, of the person's operators."""
+        """Show what changed, the units in need of attention and the open cases, or all, of the person's operators."""
         person, every = request.state.person, "all" in request.query_params
         snapshot = await run_in_threadpool(self.board.read)
-        cases = [
-            c for c in snapshot.cases.values() if person.may_read(c["operator"]) and (every or c["state"] != "closed")
-        ]
-        return self._page(request, "cases.html", title="Cases", cases=cases, every=every)
+        own = [c for c in snapshot.cases.values() if person.may_read(c["operator"])]
+        cases = [c for c in own if every or c["state"] != "closed"]
+        file = (self.home / CATALOG).stat()
+        table, digest = await run_in_threadpool(_read_shift, self.home, (file.st_ino, file.st_mtime_ns))
+        rows = [r for r in table["rows"] if person.may_read(r["operator"])]
+        changes = [digest.of(o) for o in person.operators or (None,)] if digest.since else []
+        return self._page(
+            request, "cases.html", title="Cases", cases=cases, every=every, rows=rows, ticks=table["ticks"],
+            links=_links(rows, own), changes=[group for own_changes in changes for group in lines(own_changes)],
+        )  # fmt: skip
 
     async def show(self, request: Request) -> Response:
         """Show one case."""

@@ -8,7 +8,7 @@ from jinja2 import Environment
 from starlette.responses import HTMLResponse
 
 from pipelines.report import words
-from pipelines.report.templating import source_hash, templates_of
+from pipelines.report.templating import report_templates, source_hash
 
 _POLICY = "default-src 'none'; style-src {}; img-src data:; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 
@@ -23,6 +23,6 @@ def html_page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
 
 @cache
 def _environment() -> Environment:
-    environment = templates_of("pipelines.web", "pipelines.report")
+    environment = report_templates("pipelines.web")
     environment.filters["label"] = words.diagnosis
     return environment

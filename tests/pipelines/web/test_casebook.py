@@ -30,6 +30,7 @@ ROLES = """[people]
 Vi = "viewer"
 Eng = "engineer"
 Own = { role = "engineer", operators = ["AAA"] }
+Else = { role = "viewer", operators = ["BBB"] }
 """
 HEADER = "X-Remote-User"
 HOSTILE = "<script>alert(1)</script> {{ 7 * 7 }}"
@@ -87,6 +88,9 @@ def test_a_viewer_looks_and_changes_nothing(page, home):
 def test_an_operators_people_see_and_change_their_own_alone(page, home):
     client = page("Own")
     assert "BBB" not in client.get("/?all").text
+    other = page("Else").get("/").text
+    assert "T-9" in other
+    assert "T-1" not in other
     for answer in (client.get("/case/other"), say(client, "other", "acknowledge"), client.get("/case/none")):
         assert answer.status_code == 404
         assert "T-9" not in answer.text
@@ -95,6 +99,14 @@ def test_an_operators_people_see_and_change_their_own_alone(page, home):
     assert history_of(home, "other") == []
     assert say(client, "wear", "acknowledge").status_code == 200
     assert "BBB" in page("Eng").get("/").text
+
+
+def test_the_shift_starts_with_the_table_of_the_report_and_links_lead_to_cases(page):
+    """Bars are drawn though the page allows no style of an element; another operator's people have no such row."""
+    first = page("Eng").get("/").text.partition("<table")[2].partition("</table>")[0]
+    assert re.findall(r'<a href="([^"]+)"><b>([^<]+)</b>', first) == [("/case/wear", "T-1 pack 1 (left)")]
+    assert "20 % (18 to 22)" in first
+    assert "style=" not in first
 
 
 def test_what_comes_from_another_page_changes_nothing(page, home):
