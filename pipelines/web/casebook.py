@@ -5,6 +5,7 @@ The page reads the catalog and the log of cases and writes only lines of that lo
 
 import re
 import sqlite3
+import threading
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
@@ -32,6 +33,7 @@ from pipelines.web.sign_in import LocalToken, SignIn
 
 MAX_BODY = 64 << 10
 _FIELDS = ("note", "assignee", "until", "finding", "action", "on", "reference")
+_READING = threading.Lock()
 _UNREADABLE = (OSError, DatabaseError, duckdb.Error, sqlite3.Error)
 
 
@@ -48,9 +50,15 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
 
 
 @lru_cache(maxsize=1)
-def _read_shift(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
-    """Read the report's first table and the changes since the night before, once a night."""
+def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
     return read_tonight(home), changes_since(home)
+
+
+def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
+    """Read the report's first table and the changes since the night before, once a night; others wait meanwhile."""
+    file = (home / CATALOG).stat()
+    with _READING:
+        return _shift_of(home, (file.st_ino, file.st_mtime_ns))
 
 
 def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
@@ -83,8 +91,7 @@ class Casebook:
         snapshot = await run_in_threadpool(self.board.read)
         own = [c for c in snapshot.cases.values() if person.may_read(c["operator"])]
         cases = [c for c in own if every or c["state"] != "closed"]
-        file = (self.home / CATALOG).stat()
-        table, digest = await run_in_threadpool(_read_shift, self.home, (file.st_ino, file.st_mtime_ns))
+        table, digest = await run_in_threadpool(_read_shift, self.home)
         rows = [r for r in table["rows"] if person.may_read(r["operator"])]
         changes = [digest.of(o) for o in person.operators or (None,)] if digest.since else []
         return self._page(

@@ -105,7 +105,7 @@ def test_the_shift_starts_with_the_table_of_the_report_and_links_lead_to_cases(p
     """Bars are drawn though the page allows no style of an element; another operator's people have no such row."""
     first = page("Eng").get("/").text.partition("<table")[2].partition("</table>")[0]
     assert re.findall(r'<a href="([^"]+)"><b>([^<]+)</b>', first) == [("/case/wear", "T-1 pack 1 (left)")]
-    assert "20 % (18 to 22)" in first
+    assert "20\N{NO-BREAK SPACE}% (18 to 22)" in first
     assert "style=" not in first
 
 
