@@ -52,10 +52,6 @@ class Belief:
         half = ndtri(0.5 + 0.5 * level) * self.sd
         return np.column_stack([self.mean - half, self.mean + half])
 
-    def widen(self, sd: Array) -> Belief:
-        """Add `sd`**2 to the variances, as after one step of random-walk drift."""
-        return Belief(self.mean, self.cov + np.diag(np.square(sd)))
-
 
 def unknown(mean: Array) -> Belief:
     """Build a start at `mean` (n,) with infinite variance."""

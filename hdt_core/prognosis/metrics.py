@@ -1,9 +1,8 @@
-"""Score prognoses: error, intervals, probabilities and horizons.
+"""Score prognoses: error, intervals, and probabilities.
 
 References
 ----------
-.. [1] A. Saxena et al., Metrics for offline evaluation of prognostic performance, IJPHM 1 (1), 2010 (alpha-lambda,
-   prognostic horizon).
+.. [1] A. Saxena et al., Metrics for offline evaluation of prognostic performance, IJPHM 1 (1), 2010 (alpha-lambda).
 .. [2] T. Gneiting, A. E. Raftery, Strictly proper scoring rules, JASA 102, 2007 (interval score, Brier score).
 """
 
@@ -57,14 +56,6 @@ def alpha_lambda(truth: ArrayLike, predicted: ArrayLike, alpha: float = 0.2) -> 
     """Compute the share of rows within +-alpha of the true remaining life [1]."""
     t, s = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     return float(np.mean(np.abs(s - t) <= alpha * t))
-
-
-def prognostic_horizon(truth: ArrayLike, predicted: ArrayLike, band: float) -> float:
-    """Compute the remaining life from which one life's prognosis stays within +-`band` to the end [1]. [flight]"""
-    t, s = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
-    order = np.argsort(t)
-    is_outside = np.abs(s - t)[order] > band
-    return float(t[order][-1] if not is_outside.any() else 0.0 if is_outside[0] else t[order][is_outside.argmax() - 1])
 
 
 def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> pl.DataFrame:

@@ -109,22 +109,6 @@ class Prognosis:
     folds: tuple[Fold, ...] = ()
 
 
-def fit_prognosis(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis) -> Prognosis:
-    """Fit a model for live use to all of a fleet's lives, with the base as prior.
-
-    Parameters
-    ----------
-    features : DataFrame
-        operator, tail, flight_id, pack, departed_at and what there is of `LOSSES` and `MARGIN_FEATURES` of
-        `feature_rows`. May be empty.
-    lives : DataFrame
-        From `unit_lives.episodes`. May hold no failure.
-    base : Prognosis
-        From `fit_base`; it depends on no fleet.
-    """
-    return fit_tracks(base, {c: tracks(features, lives, c) for c in PRIOR_RULES})
-
-
 def fit_tracks(
     base: Prognosis, record: Mapping[str, Tracks], groups: Sequence[str] = (), by: str = "tail"
 ) -> Prognosis:

@@ -269,4 +269,3 @@ def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
 def test_a_belief_by_hand():
     belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
     np.testing.assert_allclose(belief.interval(0.95), [[1.0 - 3.92, 1.0 + 3.92], [2.0 - 5.88, 2.0 + 5.88]], atol=1e-3)
-    np.testing.assert_allclose(belief.widen(np.array([1.0, 2.0])).cov, np.diag([5.0, 13.0]))

@@ -12,7 +12,6 @@ from hdt_core.prognosis.metrics import (
     calibration,
     constant_interval_score,
     interval_score,
-    prognostic_horizon,
     score_prognoses,
 )  # fmt: skip
 
@@ -36,12 +35,9 @@ def test_auc_counts_pairs():
     assert auc([1, 0], [0.5, 0.5]) == 0.5
 
 
-def test_alpha_lambda_and_horizon():
+def test_alpha_lambda():
     truth, said = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
     assert alpha_lambda(truth, said) == 0.75
-    assert prognostic_horizon(truth, said, band=20.0) == 50.0
-    assert prognostic_horizon(truth, said, band=60.0) == 100.0
-    assert prognostic_horizon(truth, said + 100.0, band=20.0) == 0.0
 
 
 def test_calibration_of_honest_probabilities():

@@ -10,18 +10,19 @@ import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.margin.margin import PRIOR_RULE
-from hdt_core.prognosis.feature_rows import INPUTS, fleet_rows, tracks
+from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.model import (
     LESSONS,
     ComponentFit,
+    Prognosis,
     _hazards,
     _lesson_scores,
     fit_component,
     fit_member,
-    fit_prognosis,
+    fit_tracks,
     out_of_fold,
     predict_prognosis,
 )
@@ -30,6 +31,11 @@ from hdt_core.prognosis.recalibrate import HazardCorrection
 from hdt_core.prognosis.service import update_model
 from hdt_core.prognosis.unit_lives import episodes
 from pipelines.learned import shipped_base
+
+
+def fit_prognosis(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis) -> Prognosis:
+    """A model fitted to all of a fleet's lives."""
+    return fit_tracks(base, {c: tracks(features, lives, c) for c in PRIOR_RULES})
 
 
 @pytest.fixture(scope="module")
