@@ -275,7 +275,13 @@ STAGES = (
     Stage(
         "features_components",
         "features",
-        same_recipe("features_components", "features_component_alerts", parents=("twin_components",), code="4"),
+        same_recipe(
+            "features_components",
+            "features_component_alerts",
+            parents=("twin_components",),
+            settings=("limits",),
+            code="5",
+        ),
         road=COMPONENT,
     ),
     Stage("declared_components", "raw", same_recipe("components", code=DECLARED)),

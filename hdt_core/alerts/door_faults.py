@@ -21,6 +21,8 @@ than a TAT error of 5 K feigns. [K]"""
 WARM_K, USUAL_FLIGHTS = 6.0, 40
 """Outlet above what is usual beside its target at which a motionless door is jammed wherever it stands, for a free one
 would open: three sigma of a flight's own trim, [K]; and the flights whose median is the usual value."""
+MOTION_SAMPLES, PEG_SAMPLES, OFF_PEG_SAMPLES = 8, 2, 3
+"""Samples of a flight from which a door's travel is judged, and its outlet at its widest opening and below it."""
 WIDE_OPEN = 0.93
 """Opening above which a door is at its proper end, as behind a fouled exchanger. [-]"""
 
@@ -44,7 +46,7 @@ def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Ca
 def _jams(grid: Grid, limits: Limits) -> Array:
     widest = grid.values("door_max")
     away = (widest > np.fmax(DOOR_FREE[0], _lower_stop(grid) + JAM_ABOVE)) & (widest < DOOR_FREE[1])
-    motionless = (grid.values("door_span") < limits.still_span) & (grid.values("door_n") >= 8)
+    motionless = (grid.values("door_span") < limits.still_span) & (grid.values("door_n") >= MOTION_SAMPLES)
     warm = (_above_usual_k(grid) > WARM_K) & (widest < DOOR_FREE[1])
     return grid.flags("running") & (away | warm) & motionless & ~grid.flags("ram_door_open_still")
 
@@ -60,7 +62,7 @@ def _above_usual_k(grid: Grid) -> Array:
 
 
 def _pegs(grid: Grid, limits: Limits) -> Array:
-    enough = (grid.values("door_peg_n") >= 2) & (grid.values("door_off_peg_n") >= 3)
+    enough = (grid.values("door_peg_n") >= PEG_SAMPLES) & (grid.values("door_off_peg_n") >= OFF_PEG_SAMPLES)
     widest = grid.values("door_max")
     partly = (widest < WIDE_OPEN) & (widest > _lower_stop(grid) + PEG_ABOVE)
     return grid.flags("running") & enough & partly & (grid.values("door_peg_excess_k") > limits.peg_k)

@@ -19,6 +19,10 @@ BEHIND_DOOR = ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_o
 """Checks whose laws do not cover the openings of a jammed door."""
 NEW_WITH = {"HX": BEHIND_DOOR, "CC": ("hx_in_over_pressure_k",)}
 """Checks whose level changes when a part is replaced or washed: its ram side, its efficiency."""
+OUTLET_JUMP_SIGMA, OUTLET_JUMP_PERSISTENCE = 2.5, (2, 3, 10)
+"""Jump of the outlets' difference that puts both in doubt [sigma], on how many of how many flights, for how long."""
+LEAST_USABLE_FLIGHTS, LEAST_EMPTY_READINGS = 3, 4
+"""Flights on which a sensor was usable before it can fail, and empty readings that make a flight count as lost."""
 ECHO_FLIGHTS = 12
 """Flights before and after a case within which another of the same sensor is the same fault."""
 
@@ -45,7 +49,7 @@ def outlet_doubtful(grid: Grid) -> Array:
     gap = np.where(grid.flags("running"), grid.values("w_hx_out_between_packs_k"), np.nan)[:, :, None]
     sd = np.array([c.sd for c in CHANNELS if c.name == "hx_out_between_packs_k"])
     z = watch(gap, sd, np.zeros(gap.shape, dtype=bool), Cusum(learn_flights=5)).z[:, :, 0]
-    return persistent(np.abs(z) > 2.5, 2, 3, 10)
+    return persistent(np.abs(z) > OUTLET_JUMP_SIGMA, *OUTLET_JUMP_PERSISTENCE)
 
 
 def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
@@ -54,8 +58,8 @@ def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
     unusable = {}
     for sensor in SENSORS:
         lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
-        usable_before = np.cumsum(np.nan_to_num(lost_share, nan=1.0) < 0.5, axis=1) >= 3
-        empty = usable_before & (lost_share > limits.lost_share) & (lost_share * n_snapshots >= 4)
+        usable_before = np.cumsum(np.nan_to_num(lost_share, nan=1.0) < 0.5, axis=1) >= LEAST_USABLE_FLIGHTS
+        empty = usable_before & (lost_share > limits.lost_share) & (lost_share * n_snapshots >= LEAST_EMPTY_READINGS)
         unusable[sensor] = running & (empty | still)
     return unusable
 

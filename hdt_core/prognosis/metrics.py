@@ -6,8 +6,6 @@ References
 .. [2] T. Gneiting, A. E. Raftery, Strictly proper scoring rules, JASA 102, 2007 (interval score, Brier score).
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike, NDArray
@@ -64,18 +62,6 @@ def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> 
     bin_ = (pl.col("p") * bins).floor().clip(0, bins - 1).alias("bin")
     bins_used = frame.group_by(bin_).agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
     return bins_used.sort("bin").drop("bin")
-
-
-def bootstrap(
-    frame: pl.DataFrame, metric: Callable[[pl.DataFrame], float], by: str = "tail", n_draws: int = 200, seed: int = 0
-) -> tuple[float, float]:
-    """Bootstrap a metric over whole groups, for flights of a tail aren't independent; return its 5 and 95 % points."""
-    rng = np.random.default_rng(seed)
-    parts = frame.partition_by(by)
-    values = [metric(pl.concat([parts[i] for i in rng.integers(0, len(parts), len(parts))])) for _ in range(n_draws)]
-    finite = np.asarray(values)[np.isfinite(values)]
-    low, high = np.quantile(finite, [0.05, 0.95])
-    return float(low), float(high)
 
 
 def join_outcomes(

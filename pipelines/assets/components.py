@@ -21,7 +21,7 @@ from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
-from pipelines.storage.settings import accepted_terms
+from pipelines.storage.settings import accepted_terms, alert_limits
 
 SAMPLE = [*LEG, "component", "time_utc", "signal"]
 
@@ -126,12 +126,13 @@ def features_components(
     residuals_components: pl.DataFrame,
     legs_components: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
+    home: Home,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Compute features of each component's loss, and its alerts."""
-    components = recorded_components().values()
+    components, limits = recorded_components().values(), alert_limits(Path(home.home))
     inputs = (twin_components, residuals_components, legs_components, raw_maintenance)
     features = _concat("features_components", [component_features(*inputs, c) for c in components])
-    alerts = [raise_component_alerts(features, raw_maintenance, c) for c in components]
+    alerts = [raise_component_alerts(features, raw_maintenance, c, limits) for c in components]
     return features, _concat("features_component_alerts", alerts)
 
 

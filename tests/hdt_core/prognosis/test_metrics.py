@@ -7,7 +7,6 @@ import pytest
 from hdt_core.prognosis.metrics import (
     alpha_lambda,
     auc,
-    bootstrap,
     brier_skill,
     calibration,
     constant_interval_score,
@@ -45,12 +44,6 @@ def test_calibration_of_honest_probabilities():
     p = rng.random(50000)
     table = calibration(rng.random(50000) < p, p)
     np.testing.assert_allclose(table["observed"], table["predicted"], atol=0.03)
-
-
-def test_bootstrap_draws_whole_tails():
-    frame = pl.DataFrame({"tail": ["a"] * 500 + ["b"] * 500, "x": [0.0] * 500 + [1.0] * 500})
-    low, high = bootstrap(frame, lambda f: float(f["x"].mean()))
-    assert (low, high) == (0.0, 1.0)
 
 
 def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
