@@ -13,7 +13,12 @@ def lives(n: int, cut: float, seed: int = 0) -> pl.DataFrame:
     rate = rng.choice([1 / 30, 1 / 100, 1 / 400], n)
     life, end = rng.exponential(1.0 / rate), rng.exponential(1.0 / cut, n)
     return pl.DataFrame(
-        {"left": np.minimum(life, end) + 1e-3, "failed": life <= end, "true": 1.0 - np.exp(-100.0 * rate), "none": 0.5}
+        {
+            "remaining": np.minimum(life, end) + 1e-3,
+            "failed": life <= end,
+            "true": 1.0 - np.exp(-100.0 * rate),
+            "none": 0.5,
+        }
     )
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.fingerprint import fingerprint
@@ -71,12 +72,15 @@ def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make):
     says = make(tmp_path / "zone")
     Ledger(tmp_path / "home").register([("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": ["T1_20240101_01"]})
     before = sorted((tmp_path / "home").iterdir())
-    began = os.times().children_user
+    times = [os.times().children_user]
+    hdt("--help")
+    times.append(os.times().children_user)
     done = hdt(*command, "--landing", str(tmp_path / "zone"), "--home", str(tmp_path / "home"))
     assert (done.returncode, done.stdout) == (2, "")
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    assert os.times().children_user - began < 1.0  # of its own work: other tests run beside this one
+    help_s, own_s = np.diff([*times, os.times().children_user])
+    assert own_s < 2.0 * help_s  # of its own work: other tests run beside this one, and machines differ
     assert sorted((tmp_path / "home").iterdir()) == before
 
 
