@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from hdt_core.calibration import arrays
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.arrays import Array, Points, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.arrays import (
+    Array,
+    Points,
+    correct_inputs,
+    cruise_samples,
+    flights_of,
+    level_points,
+    to_points,
+)
 from hdt_core.calibration.compressor import compressor_samples, probe_corrections
 from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
@@ -74,7 +81,7 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     window = baseline_samples(samples)
     cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     packs = flights.select(PACK).unique().sort(PACK)
-    points = to_points(level_points(arrays.correct_inputs(cruise, terms), flights), packs)
+    points = to_points(level_points(correct_inputs(cruise, terms), flights), packs)
     fit = fit_exchanger(points, *sensor_prior(cruise, packs))
     machine = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
     corrections = probe_corrections(machine, packs)

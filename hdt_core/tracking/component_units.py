@@ -79,10 +79,10 @@ def commission(
 
 def _prior(component: Component) -> list[tuple[object, ...]]:
     """Return the declared design as rows; none where a parameter has no standard deviation."""
-    free = component.model.free("design")
-    if any(p.sd is None for p in free):
+    if design_prior(component.model) is None:
         return []
-    return [(p.name, p.nominal, p.sd, p.unit, 0, False, f"prior {component.version}") for p in free]
+    version = f"prior {component.version}"
+    return [(p.name, p.nominal, p.sd, p.unit, 0, False, version) for p in component.model.free("design")]
 
 
 _DESIGN: dict[str, Any] = {

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipelines.casework.listing import list_cases, outlooks
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import CATALOG
+from pipelines.storage.catalog import catalog_version
 
 Row = dict[str, Any]
 _NEVER = datetime.max.replace(tzinfo=UTC)
@@ -47,8 +47,7 @@ class Board:
             The catalog can't be read.
         """
         with self._lock:
-            file = (self.home / CATALOG).stat()
-            version = (file.st_ino, file.st_mtime_ns, CaseLog(self.home).last_line())
+            version = (*catalog_version(self.home), CaseLog(self.home).last_line())
             if version != self._version or datetime.now(UTC) >= self._snapshot.valid_until:
                 self._snapshot, self._version = _read_snapshot(self.home), version
             return self._snapshot

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import polars as pl
+
 from pipelines.report import words
 from pipelines.report.facts import Facts
 from pipelines.words import _, number
@@ -27,7 +29,7 @@ def answers(facts: Facts, alert: Row) -> Row:
     """Return sentences on an alert's case and dates, and the choices at the next stop as rows of a table."""
     unit = {c: alert[c] for c in ("operator", "tail", "pack", "component")}
     case = next(facts["cases"].filter(alert_id=alert["alert_id"]).iter_rows(named=True), None)
-    due = next(facts["due"].filter(**unit).iter_rows(named=True), None)
+    due = next(facts["outlooks"].filter(pl.col("due_status").is_not_null(), **unit).iter_rows(named=True), None)
     stops = facts["stops"].filter(**unit).to_dicts()
     sentences = [*(_case_lines(case) if case else ()), *_recurrence(alert), *(_due_lines(due) if due else ())]
     return {"sentences": sentences, "choices": [_choice(s) for s in stops]}
@@ -57,7 +59,7 @@ def _due_lines(due: Row) -> list[str]:
     if due["flights_per_day"] is None:
         return []
     rate = number(due["flights_per_day"], 1)
-    if due["status"] == "beyond_horizon":
+    if due["due_status"] == "beyond_horizon":
         days = number(due["days_left"])
         return [_("More than {days} days to the message, at {rate} flights a day.", days=days, rate=rate)]
     low, high = number(due["days_left_low"]), due["days_left_high"]
@@ -67,7 +69,7 @@ def _due_lines(due: Row) -> list[str]:
     else:
         values["high"] = number(high)
         line = _("About {days} days to the message ({low} to {high}), {day}, at {rate} flights a day.", **values)
-    return [line, _("The part was found clean since: doubtful.")] if due["status"] == "contradicted" else [line]
+    return [line, _("The part was found clean since: doubtful.")] if due["due_status"] == "contradicted" else [line]
 
 
 def _choice(stop: Row) -> list[str]:

@@ -14,7 +14,8 @@ from pipelines.storage.catalog import connect
 from pipelines.storage.publication import views
 
 OUTLOOKS = """
-    select c.*, d.due_on, d.due_low_on, d.due_high_on, d.status as due_status,
+    select c.* exclude (status, flights_per_day), d.flights_per_day, d.days_left, d.days_left_low, d.days_left_high,
+        d.due_on, d.due_low_on, d.due_high_on, d.status as due_status,
         case when c.check_name is not null then c.until_on end as check_on
     from check_chances as c left join due_dates as d
     on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component"""
@@ -39,7 +40,6 @@ _FRAMES = {
         left join alert_outcomes as b on s.follows = b.alert_id
         order by s.closed_at is not null, o.place, s.raised_at desc, s.alert_id""",
     "cases": "select alert_id, state, owner, muted_until, finding, found_by, found_on from cases",
-    "due": "select * from due_dates",
     "rates": "select operator, tail, flights_per_day from flight_rates",
     "stops": """
         select *, max(expected_cost) filter (choice = 'defer')
@@ -97,7 +97,7 @@ class Facts:
 
 
 _TONIGHT = (
-    "ranking", "components", "component_losses", "flights", "health", "alerts", "due", "rates", "stops", "outlooks",
+    "ranking", "components", "component_losses", "flights", "health", "alerts", "rates", "stops", "outlooks",
     "margins", "maintenance", "messages", "gaps",
 )  # fmt: skip
 

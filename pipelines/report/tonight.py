@@ -32,7 +32,10 @@ def tonight(facts: Facts, tracks: Mapping[str, Row], fouling_limit: float) -> di
     """
     ranking, units = facts["ranking"].to_dicts(), facts["components"].to_dicts()
     limits = {c.code: c.warn_loss for c in components().values()} | {"HX": fouling_limit}
-    rows = [_row(facts, tracks, limits, r) for r in (*ranking, *units)]
+    alerts = facts["alerts"].filter(pl.col("closed_at").is_null())
+    pack_alerts = alerts.filter(~pl.col("component").is_in(facts["components"]["component"].unique().to_list()))
+    rows = [_row(facts, tracks, limits, r, pack_alerts) for r in ranking]
+    rows += [_row(facts, tracks, limits, r, alerts.filter(component=r["component"])) for r in units]
     act, plan = (sum(r["urgency"] == u for r in ranking) for u in ("act", "plan"))
     silent = facts["gaps"].filter(gap="silent_now").to_dicts()
     return {
@@ -66,33 +69,33 @@ def _summary(act: int, plan: int, n: int) -> str:
     return f"{first}{later}. {watched}."
 
 
-def _row(facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], row: Row) -> Row:
+def _row(
+    facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], row: Row, open_alerts: pl.DataFrame
+) -> Row:
     """Return the cells of a pack or unit; chance and date are those of the component whose message is likelier."""
     own, key = "name" in row, words.unit_key(row)
-    codes = [row["component"]] if own else ["HX", "CC"]
+    code = row["component"] if own else "HX"
     card = anchor("unit", row["component"], *key) if own else anchor("pack", *key)
     outlook = words.likeliest_outlook(facts["outlooks"], row)
-    declared = facts["components"]["component"].unique().to_list()
-    alerts = facts.of_pack("alerts", *key).filter(pl.col("closed_at").is_null())
-    alerts = alerts.filter(component=codes[0]) if own else alerts.filter(~pl.col("component").is_in(declared))
+    alerts = open_alerts.filter(operator=row["operator"], tail=row["tail"], pack=row["pack"]).to_dicts()
     margins = facts.of_pack("margins", *key).to_dicts() if not own and not row["work_action"] else []
     return {
         **{k: row[k] for k in ("operator", "urgency", "place")},
         **(margins[0] if margins else {"margin_k": None, "door_share": None}),
         "name": words.unit_name(row) if own else words.pack_name(row),
         "card": card,
-        "unit": (*key, codes[0]) if own else key,
+        "unit": (*key, code) if own else key,
         "find": words.search_text(row, row["diagnoses"]),
-        "notes": list(_notes(facts, row, outlook, alerts.to_dicts())),
+        "notes": list(_notes(facts, row, outlook, alerts)),
         "loss": row["loss" if own else "hx_fouling"],
         "loss_text": words.share(row["loss"], row["loss_sd"]) if own else words.loss(row),
-        "spark": _spark(tracks[card]["own"], limits[codes[0]]) if card in tracks else None,
+        "spark": _spark(tracks[card]["own"], limits[code]) if card in tracks else None,
         "flights": outlook["rul_flights"],
         "flights_text": words.flights_left(outlook),
         "due": _due(outlook, facts.until()) if outlook["due_low_on"] else None,
         "chance": words.chance_before_check(outlook),
         "chance_text": words.chance_by(outlook),
-        "to_do": _to_do(facts, row, alerts.to_dicts()),
+        "to_do": _to_do(facts, row, alerts),
     }
 
 

@@ -22,6 +22,12 @@ _TRUST_S = 3600.0
 _OPENING = threading.Lock()
 
 
+def catalog_version(home: Path) -> tuple[int, int]:
+    """Return what differs between two publications of the catalog; raise `OSError` where there is none."""
+    file = (home / CATALOG).stat()
+    return file.st_ino, file.st_mtime_ns
+
+
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
     """Open the published catalog read only: nothing in the home is written, not even what a large sort spills.
 

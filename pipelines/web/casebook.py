@@ -25,7 +25,7 @@ from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report.tonight import read_tonight
 from pipelines.storage.cases import ConflictError
-from pipelines.storage.catalog import CATALOG
+from pipelines.storage.catalog import catalog_version
 from pipelines.storage.postgres import DatabaseError
 from pipelines.web.guard import Guard
 from pipelines.web.html import html_page
@@ -56,9 +56,8 @@ def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Di
 
 def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
     """Read the report's first table and the changes since the night before, once a night; others wait meanwhile."""
-    file = (home / CATALOG).stat()
     with _READING:
-        return _shift_of(home, (file.st_ino, file.st_mtime_ns))
+        return _shift_of(home, catalog_version(home))
 
 
 def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:

@@ -1,0 +1,243 @@
+"""Doubts about an optimum, profiles, conclusions and the worth of a sensor against one-line models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation.conclude import conclude
+from hdt_core.estimation.descent import Point, descend
+from hdt_core.estimation.doubts import RISE, _distinct_points, _refit_fixed, better_optimum, is_bent, profile_intervals
+from hdt_core.estimation.experiment import Candidate, rank_sensors
+
+
+def bend(c, bounds=(-np.inf, np.inf), prior=None):
+    """A cubic x + c x^3 seen as 0 with a sigma of 1, and its optimum."""
+    problem = Problem(("x",), np.array([bounds]), prior or unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
+                      lambda _x, t, i: (t[0] + c * t[0] ** 3 + 0.0 * i)[None])  # fmt: skip
+    normal = np.ones((1, 1)) + problem.prior.information
+    return problem, Point(np.zeros(1), 0.0, np.zeros(1), normal)
+
+
+@pytest.mark.parametrize(
+    ("c", "bounds", "variance", "known", "bent"),
+    [
+        # (1 + 4 c)^2 against 2 and a half
+        (0.102, (-9, 9), 1.0, False, False), (0.105, (-9, 9), 1.0, False, True),
+        (-0.072, (-9, 9), 1.0, False, False), (-0.075, (-9, 9), 1.0, False, True),
+        # four times the variance, twice as far
+        (0.102 / 4, (-9, 9), 4.0, False, False), (0.105 / 4, (-9, 9), 4.0, False, True),
+        # a bound within two deviations, unless a prior closes the end
+        (0.0, (-2.01, 9), 1.0, False, False), (0.0, (-1.99, 9), 1.0, False, True), (0.0, (-9, 1.99), 1.0, False, True),
+        (0.0, (-1.99, 9), 1.0, True, False), (0.0, (-3.9, 9), 4.0, False, True),
+        # an end cut short shows nothing below 0.4 of the objective
+        (2.0, (-0.62, 0.62), 1.0, True, False), (2.0, (-0.65, 0.65), 1.0, True, True),
+        (2.0, (-0.62, 0.65), 1.0, True, True), (2.0, (-1.24, 1.24), 4.0, True, False),
+    ],
+)  # fmt: skip
+def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, known, bent):
+    problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if known else None)
+    assert is_bent(problem, at, variance) is bent
+
+
+def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
+    pair = Problem(
+        ("x", "y", "z"),
+        np.array([[-9.0, 9.0], [3.0, 3.0], [-9.0, 9.0]]),
+        unknown(np.zeros(3)),
+        np.zeros((2, 1)),
+        np.ones(1),
+        lambda _x, t, i: np.where(np.asarray(i) == 0, t[0] + t[2] + 0.1 * t[2] ** 3, 2.0 * t[2])[None],
+    )
+    at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 5.0]]))
+    assert not is_bent(pair, at, 1.0)
+    assert is_bent(pair, replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]])), 1.0)
+
+
+def line(cloud=None, **more) -> Problem:
+    x = np.linspace(-1.0, 2.0, 12)
+
+    def observe(_x, theta, i):
+        if cloud is not None:
+            cloud.append(theta)
+        return (theta[0] + theta[1] * x[i])[None]
+
+    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
+             "measured": (1.0 + 0.5 * x)[:, None], "sigma": np.array([0.1]), "observe": observe}  # fmt: skip
+    return Problem(**(asked | more))
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+def test_profiles_of_a_straight_line_are_its_deviations(variance):
+    problem = line()
+    at = descend(problem, np.zeros(2))
+    cov = np.linalg.inv(at.normal)
+    half = np.sqrt(RISE * variance * np.diag(cov))
+    assert pytest.approx(1.959964**2, rel=1e-6) == RISE
+    found = profile_intervals(problem, at, cov, variance)
+    np.testing.assert_allclose(found.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
+    assert not found.open.any()
+    assert found.better is None
+    held = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
+    np.testing.assert_allclose(held.interval[1], 0.5, rtol=1e-6)
+    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
+    assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
+    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.49, 50.0]])), at, cov, variance)
+    assert (wall.interval[1, 0], wall.open.tolist()) == (0.49, [[False, False], [True, False]])
+
+
+def test_with_one_parameter_held_the_others_follow_along_the_line():
+    """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
+    problem = line()
+    at = descend(problem, np.zeros(2))
+    found = _refit_fixed(problem, at, 1, 0.7)
+    theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
+    np.testing.assert_allclose(found.theta, theta, rtol=1e-9)
+    assert found.n_evals == 2 + 5
+
+
+def test_an_interval_without_an_end_is_endless():
+    """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far."""
+    problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
+                      lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
+    at = descend(problem, np.zeros(1))
+    found = profile_intervals(problem, at, np.array([[0.36]]))
+    assert (found.interval[0, 0], found.open.tolist(), found.unlimited) == (-np.inf, [[True, False]], ("x",))
+    # without a deviation the first stretch is the value's own size, at least 1
+    blind = profile_intervals(problem, at, np.array([[np.inf]]))
+    np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
+
+
+@pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])
+def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
+    """x seen as 0 with a sigma of 1: the end is 1.96, the first stretch 1.96 of what is taken for sd."""
+    problem, at = bend(0.0)
+    found = profile_intervals(problem, at, np.array([[sd**2]]))
+    assert found.open.tolist() == [[not ends] * 2]
+    np.testing.assert_allclose(found.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
+
+
+def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
+    """Neighbours lie within a twentieth of the box in every direction; without an answer nothing is begun."""
+    cloud = np.array([[0.0, 0.0], [0.04, 0.4], [0.06, 0.0], [0.0, 0.6], [0.5, 5.0], [0.9, 9.0], [1.0, 0.0]])
+    objectives = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+    width = np.array([1.0, 10.0])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2, 3, 4]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives[::-1], width), cloud[[6, 5, 4, 3]])
+    objectives[3:] = np.inf
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
+
+
+def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
+    """128 points for two or three free parameters; every other one at another order of magnitude of the present."""
+    cloud: list = []
+    bounds = np.array([[-50.0, 50.0], [-20.0, 50.0]])
+    problem = line(cloud, bounds=bounds, prior=unknown(np.array([1.0, 0.0])))
+    at = Point(np.array([1.0, 0.5]), float(problem.objective(np.array([[1.0, 0.5]]))[0]), np.zeros(2), np.eye(2))
+    cloud.clear()
+    better, spent = better_optimum(problem, at, 1.0)
+    unit = qmc.Sobol(2, rng=np.random.default_rng(0)).random_base2(7)
+    drawn = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
+    drawn[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
+    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(drawn, *bounds.T), rtol=1e-12)
+    assert better is None
+    assert spent > 128 + 4 * 5
+    for gap, found in ((0.9e-4, False), (1.1e-4, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is found
+    for gap, found in ((0.9e-6, False), (1.1e-6, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is found
+    for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
+        seen: list = []
+        many = Problem(
+            tuple("abcdefghijklmnopq"[: n + 1]),
+            np.array([[-1.0, 1.0]] * n + [[0.5, 0.5]]),
+            unknown(np.zeros(n + 1)),
+            np.zeros((1, 1)),
+            np.ones(1),
+            lambda _x, t, i, seen=seen: (seen.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
+        )
+        better_optimum(many, Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1)), 1.0)
+        assert seen[0].shape[1] == points
+        assert (seen[0][n] == 0.5).all()
+
+
+X12 = np.linspace(-1.0, 2.0, 12)
+A = np.column_stack([np.ones(12), X12]) / 0.1
+
+
+@pytest.mark.parametrize(("off", "status"), [(0.93e-9, "converged"), (1.07e-9, "max_steps")])
+def test_without_noise_an_optimum_is_met_to_rounding(off, status):
+    theta = np.array([1.0 + off / np.linalg.norm(A[:, 0]), 0.5])
+    assert conclude(line(), theta, "max_steps", 1).status == status
+
+
+@pytest.mark.parametrize(("share", "status"), [(0.9, "at_bound"), (1.1, "converged")])
+@pytest.mark.parametrize("side", [0, 1])
+def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
+    prior = Belief(np.array([1.0, 0.5]), 25.0 * np.eye(2))
+    bounds = np.tile([-50.0, 50.0], (2, 1))
+    sd = np.sqrt(np.diag(np.linalg.inv(A.T @ A + np.eye(2) / 25.0)))
+    bounds[1, side] = 0.5 + (2 * side - 1) * share * 1e-3 * sd[1]
+    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
+    bounds[1] = 0.5  # a held parameter rests on no bound
+    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == "converged"
+
+
+@pytest.mark.parametrize(("half", "weak"), [(2.95, ("slope",)), (3.05, ())])
+def test_data_that_leave_six_deviations_in_the_range_have_hardly_narrowed_it(half, weak):
+    noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)  # of the declared variance, across offset and slope
+    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
+    found = NonlinearLeastSquares().estimate(problem)
+    mean, sd = found.belief.mean, found.belief.sd
+    bounds = np.array([[-50.0, 50.0], [mean[1] - half * sd[1], mean[1] + half * sd[1]]])
+    assert NonlinearLeastSquares().estimate(replace(problem, bounds=bounds)).weak == weak
+
+
+@pytest.mark.parametrize(
+    ("samples", "rho", "asked"), [(200, 0.5, True), (204, 0.5, False), (204, 0.705, False), (204, 0.709, True)]
+)
+def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, asked):
+    """A hundred values a parameter and a determinant 1 - rho^2 of a half: the bend is then not looked for."""
+    wave = np.sqrt(2.0 / samples) * np.cos(2.0 * np.pi * np.outer([1.0, 2.0, 3.0], np.arange(samples)) / samples)
+    u, v = wave[0], rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
+    problem = Problem(("a", "b"), np.tile([-50.0, 50.0], (2, 1)), unknown(np.zeros(2)),
+                      np.sqrt(samples) * wave[2][:, None], np.ones(1),
+                      lambda _x, t, i: (u[i] * (t[0] + 0.5 * t[0] ** 3) + v[i] * t[1])[None])  # fmt: skip
+    found = NonlinearLeastSquares().estimate(problem)
+    assert (found.status, found.profile is not None) == ("converged", asked)
+    assert (found.n_checks > 0) is asked
+
+
+@pytest.mark.parametrize("own", [None, np.array([[0.02, 0.001], [0.001, 0.03]])])
+def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(own):
+    noise = 0.4 * np.where(np.arange(12) % 2 == 0, 1.0, -1.0)
+    prior = Belief(np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
+    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None], prior=prior)
+    normal = A.T @ A + np.linalg.inv(prior.cov)
+    mean = np.linalg.solve(normal, A.T @ problem.measured[:, 0] / 0.1 + np.linalg.inv(prior.cov) @ prior.mean)
+    objective = problem.objective(mean[None])[0]
+    wide = np.linalg.inv(A.T @ A / (objective / 10.0) + np.linalg.inv(prior.cov))
+    found = conclude(problem, mean, "max_steps", 9, cov=own)
+    added = 0.0 if own is None else own - np.linalg.inv(normal)
+    np.testing.assert_allclose(found.belief.cov, wide + added, rtol=1e-6)
+    assert (found.status, found.n_evals, found.n_checks) == ("converged", 9, found.n_checks)
+    kept = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
+    np.testing.assert_allclose(kept.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
+    assert np.isnan(kept.distance)
+
+
+def test_a_sensor_brings_half_the_growth_of_the_log_determinant():
+    """Without data or prior a parameter is known to its bounds' width, a held one exactly."""
+    bounds = np.array([[0.0, 4.0], [-1.0, 9.0], [2.0, 2.0]])
+    blank = Problem(("a", "b", "c"), bounds, Belief(np.zeros(3), np.diag([np.inf, 4.0, 0.5])), np.full((3, 1), np.nan),
+                    np.ones(1), lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    first = Candidate("first", 0.5, lambda _x, t, i: (2.0 * t[0] + 0.0 * i)[None])
+    second = Candidate("second", 2.0, lambda _x, t, i: (t[1] + 0.0 * i)[None])
+    gains = rank_sensors(blank, np.array([1.0, 1.0, 2.0]), [second, first])
+    assert [g.name for g in gains] == ["first", "second"]
+    assert gains[0].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 * 4.0 / 0.25 * 16.0))
+    assert gains[1].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 / 4.0 * 4.0))
+    np.testing.assert_allclose(gains[1].sd, [4.0, 1.0, 0.0], atol=1e-12)
