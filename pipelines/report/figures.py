@@ -3,9 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import polars as pl
 from markupsafe import Markup
 
+from hdt_core.calibration.compressor_fit import CompressorFit
 from pipelines.report import charts, words
 from pipelines.report.facts import Facts
 from pipelines.report.plots import around_replacement, outlet_residuals
@@ -36,9 +38,8 @@ def _in_both_units(unit: str, draw: Callable[..., charts.Chart], *columns: Numbe
     return chart if name == unit else chart | {"us": draw(*([to_us(v, unit)[0] for v in c] for c in columns))}
 
 
-def _design(facts: Facts, parameter: str) -> dict[str, Any] | None:
-    rows = facts["design"].filter(parameter=parameter, scope="fleet").to_dicts()
-    return rows[0] if rows and rows[0]["value"] is not None else None
+def _compressor(facts: Facts) -> CompressorFit | None:
+    return facts.dsm.compressor if facts.dsm else None
 
 
 def _nominal(facts: Facts, *columns: str) -> pl.DataFrame:
@@ -62,19 +63,21 @@ def _cloud(rows: pl.DataFrame, column: str, unit: str, ends: list[float]) -> tup
 
 
 def inlet_group(facts: Facts) -> Figure:
-    """Build figure 12: the identifiable group of the inlet, by flight."""
+    """Build figure 12: the identifiable group of the inlet by flight, and the fleet's by position of the diffuser."""
     title = _("Figure 12: compressor inlet, A·D·tan β against diffuser position")
-    rows, fit = _nominal(facts, "vda_counts", "group_m3"), _design(facts, "cc_area_diameter_tan_beta_m3")
+    rows = _nominal(facts, "vda_counts", "group_m3")
     if not rows.height:
         return _figure(title, _("No nominal flight has compressor flow, speed and diffuser position."))
-    level, sd = (1e3 * fit["value"], 1e3 * (fit["sd"] or 0.0)) if fit else (0.0, 0.0)
-    count, chart = _cloud(rows, "group_m3", "10⁻³ m³", [level, level] if fit else [])
+    fit, ends = _compressor(facts), np.array(charts.room(rows["vda_counts"].to_list()))
+    count, chart = _cloud(rows, "group_m3", "10⁻³ m³", (1e3 * fit.group_at_m3(ends)).tolist() if fit else [])
     caption = [
         html_text(count),
         html_text("Only this product of inlet area, diameter and blade angle is identifiable."),
     ]
     if fit:
-        caption.append(html_text("Line: the fleet's estimate, {value}.", value=estimate(level, sd, "10⁻³ m³")))
+        value = estimate(1e3 * fit.group_m3, 1e3 * fit.group_sd_m3, "10⁻³ m³")
+        at = f"{fit.vda_counts:.0f}"
+        caption.append(html_text("Line: the fleet's estimate, {value} at {counts} counts.", value=value, counts=at))
     return _figure(title, caption, chart)
 
 
@@ -84,15 +87,15 @@ def effective_diameter(facts: Facts) -> Figure:
     rows = _nominal(facts, "vda_counts", "diameter_m")
     if not rows.height:
         return _figure(title, _("No nominal flight has exit pressure, speed and diffuser position."))
-    intercept, slope = _design(facts, "cc_diameter_vda_intercept"), _design(facts, "cc_diameter_vda_slope")
-    ends = charts.room(rows["vda_counts"].to_list())
-    line = [1e3 * (intercept["value"] + slope["value"] * v) for v in ends] if intercept and slope else []
-    count, chart = _cloud(rows, "diameter_m", "mm", line)
+    fit, ends = _compressor(facts), np.array(charts.room(rows["vda_counts"].to_list()))
+    count, chart = _cloud(rows, "diameter_m", "mm", (1e3 * fit.diameter_m(ends)).tolist() if fit else [])
     caption = [html_text(count)]
-    if intercept and slope:
-        at_zero, by = quantity(1e3 * intercept["value"], "mm", 1), quantity(1e5 * slope["value"], "mm", 3)
-        fit = html_text("Line: equation (6) re-estimated, {at_zero} and {by} a hundred counts.", at_zero=at_zero, by=by)
-        caption.append(fit)
+    if fit:
+        at_zero, by = quantity(1e3 * fit.intercept_m, "mm", 1), quantity(1e5 * fit.slope_m_per_count, "mm", 3)
+        line = html_text(
+            "Line: equation (6) re-estimated, {at_zero} and {by} a hundred counts.", at_zero=at_zero, by=by
+        )
+        caption.append(line)
     return _figure(title, caption, chart)
 
 

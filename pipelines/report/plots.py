@@ -2,12 +2,14 @@
 
 import base64
 import io
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import dagster as dg
 import numpy as np
 import polars as pl
 
+from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.drift_audit import audit_drift
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.health.residuals import residuals
@@ -54,9 +56,10 @@ def figure_12(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
     rows = _thinned(twin_flights.drop_nulls(["vda_counts", "group_m3"]))
     axes.plot(rows["vda_counts"], 1e3 * rows["group_m3"], ".", ms=3, alpha=0.4)
     c = dsm.compressor
-    axes.axhline(1e3 * c.group_m3, color="C1")
+    _draw_line(axes, rows, c.group_at_m3)
     axes.set(xlabel="diffuser actuator, counts", ylabel="A·D·tan β, 10⁻³ m³")
-    axes.set_title(f"Figure 12: inlet group, {1e3 * c.group_m3:.4f} ± {1e3 * c.group_sd_m3:.4f}")
+    at = f"at {c.vda_counts:.0f} counts"
+    axes.set_title(f"Figure 12: inlet group, {1e3 * c.group_m3:.4f} ± {1e3 * c.group_sd_m3:.4f} {at}")
     return figure
 
 
@@ -66,15 +69,20 @@ def figure_13(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
     rows = _thinned(twin_flights.drop_nulls(["vda_counts", "diameter_m"]))
     axes.plot(rows["vda_counts"], 1e3 * rows["diameter_m"], ".", ms=3, alpha=0.4)
     c = dsm.compressor
-    if rows.height:
-        ends = np.array([rows["vda_counts"].min(), rows["vda_counts"].max()], float)
-        axes.plot(ends, 1e3 * (c.intercept_m + c.slope_m_per_count * ends), color="C1")
+    _draw_line(axes, rows, c.diameter_m)
     axes.set(xlabel="diffuser actuator, counts", ylabel="effective diameter, mm")
     axes.set_title(
         f"Figure 13: {c.intercept_m:.4f} m {c.slope_m_per_count:+.3g} m/count, "
         f"error {1e3 * c.mae_m:.2f} mm, R² {c.r_squared:.2f}"
     )
     return figure
+
+
+def _draw_line(axes: "Axes", rows: pl.DataFrame, value_at: Callable[[Array], Array]) -> None:
+    """Draw a fitted line over the positions on record."""
+    if rows.height:
+        ends = np.array([rows["vda_counts"].min(), rows["vda_counts"].max()], float)
+        axes.plot(ends, 1e3 * value_at(ends), color="C1")
 
 
 def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":

@@ -1,6 +1,8 @@
 """What a calibration shows of itself in Dagster, with a fleet and without one."""
 
 import base64
+from dataclasses import replace
+from types import SimpleNamespace
 
 import polars as pl
 import pytest
@@ -8,7 +10,9 @@ from made import made_fleet
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from pipelines.report.plots import calibration_metadata, outlet_residuals
+from pipelines.report import charts
+from pipelines.report.figures import inlet_group
+from pipelines.report.plots import calibration_metadata, figure_12, outlet_residuals
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +34,20 @@ def test_figures_are_pictures_and_tables_hold_every_form_and_unit(calibrated):
     assert found["drift_audit"].md_str.count("| T-0") == 4
     # left packs lose one and two per mille a flight, right ones nothing
     assert found["units_that_drift"] == 2
+
+
+def test_line_of_figure_12_follows_the_diffuser(calibrated, monkeypatch):
+    _, dsm, flights = calibrated
+    fit = replace(dsm.compressor, group_m3=9e-4, vda_counts=400.0, group_slope_m3_per_count=5e-7)
+    dsm = replace(dsm, compressor=fit)
+    counts, group = figure_12(flights, dsm).axes[0].lines[-1].get_data()
+    assert group == pytest.approx([0.9 + 5e-4 * (v - 400.0) for v in counts])  # 1e-3 m3
+    lines = []
+    monkeypatch.setattr(charts, "cloud", lambda x, y, label, line: lines.append(line))
+    inlet_group(SimpleNamespace(dsm=dsm, twin=flights.with_columns(admitted=pl.lit(True))))
+    counts, group = lines[0]
+    assert min(counts) < flights["vda_counts"].min() < flights["vda_counts"].max() < max(counts)
+    assert group == pytest.approx([0.9 + 5e-4 * (v - 400.0) for v in counts])
 
 
 def test_residual_of_the_twin_is_what_its_flight_leaves_over(calibrated):
