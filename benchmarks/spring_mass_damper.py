@@ -1,13 +1,14 @@
 """Section 3.2.2 of the paper reproduced: every estimator on the spring-mass-damper, from the same wrong guess.
 
-Run ``python -m benchmarks.spring_mass_damper [--seeds N] [--slow-seeds N] [--workers N] [--write]``. Prints tables 1
-and 2 beside the paper's numbers and what the paper does not state: bias, Cramér-Rao ratio, coverage, failures. With
-``--write`` the tables go into docs/benchmark.md and figures 8 and 9 into docs/plots/. Times are those of the processor,
-one thread, so that neighbours on the machine do not count.
+Run ``python -m benchmarks.spring_mass_damper [--quick] [--seeds N] [--slow-seeds N] [--workers N] [--write]``. Prints
+tables 1 and 2 beside the paper's numbers and what the paper does not state: bias, Cramér-Rao ratio, coverage,
+failures; draws figures 8 and 9. ``--quick`` takes few records, under a minute. ``--write`` puts the tables into
+docs/benchmark.md. Times are those of the processor, one thread, so that neighbours on the machine do not count.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +18,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from benchmarks.harness import arguments, show
@@ -70,18 +72,16 @@ def main(
     """Estimate `seeds` records (`slow_seeds` for the methods that take long), estimators in turn on every record."""
     chosen = contestants() if estimators is None else tuple(estimators)
     last = {e.name: slow_seeds if e.name in SLOW else seeds for e in chosen}
-    one, records = partial(_record, chosen, last), range(max(last.values()))
-    if workers == 1:
-        found = list(map(one, records))
-    else:
-        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            found = list(pool.map(one, records, chunksize=5))
-    return [_row(e.name, [record[e.name] for record in found[: last[e.name]]]) for e in chosen]
+    estimate, n_records = partial(_record, chosen, last), max(last.values())
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        run = map if workers == 1 else partial(pool.map, chunksize=5)
+        records = list(track(run(estimate, range(n_records)), "Records", n_records))
+    return [_row(e.name, [record[e.name] for record in records[: last[e.name]]]) for e in chosen]
 
 
 def _record(chosen: Sequence[Estimator], last: dict[str, int], seed: int) -> dict[str, tuple[Estimate, float]]:
     """Estimate and seconds of every estimator whose turn includes this record; paths of the first record only."""
-    found = {}
+    timed = {}
     for estimator in chosen:
         if seed < last[estimator.name]:
             _warm(estimator)
@@ -89,9 +89,9 @@ def _record(chosen: Sequence[Estimator], last: dict[str, int], seed: int) -> dic
             with threadpool_limits(1):
                 started = time.process_time()
                 estimate = estimator.estimate(problem)
-                taken = time.process_time() - started
-            found[estimator.name] = (estimate if seed == 0 else replace(estimate, path=None, path_sd=None), taken)
-    return found
+                seconds = time.process_time() - started
+            timed[estimator.name] = (estimate if seed == 0 else replace(estimate, path=None, path_sd=None), seconds)
+    return timed
 
 
 @cache
@@ -100,22 +100,22 @@ def _warm(estimator: Estimator) -> None:
     estimator.estimate(oscillator_problem(0))
 
 
-def _row(name: str, found: list[tuple[Estimate, float]]) -> Row:
+def _row(name: str, records: list[tuple[Estimate, float]]) -> Row:
     bound = fisher(oscillator_problem(0), TRUTH).bound_sd
-    theta = np.array([e.belief.mean for e, _ in found])
-    sd = np.array([e.belief.sd for e, _ in found])
+    theta = np.array([e.belief.mean for e, _ in records])
+    sd = np.array([e.belief.sd for e, _ in records])
     error, truth = theta - TRUTH, true_position_m()
     positions = oscillator_problem(0).simulate(theta)[:, :, 0]
-    measured = np.array([oscillator_problem(seed).measured[:, 0] for seed in range(len(found))])
+    measured = np.array([oscillator_problem(seed).measured[:, 0] for seed in range(len(records))])
     mse = ((positions - truth) ** 2).mean(axis=1)
     moving = truth != 0.0
     mape = (np.abs(positions - truth)[:, moving] / np.abs(truth[moving])).mean(axis=1)
-    answered = np.array([e.status not in ("diverged", "not_identifiable") for e, _ in found])
-    ended_well = answered & (np.abs(error) < 6.0 * sd).all(axis=1)
+    has_answer = np.array([e.status not in ("diverged", "not_identifiable") for e, _ in records])
+    ended_well = has_answer & (np.abs(error) < 6.0 * sd).all(axis=1)
     return Row(
         name=name,
-        n_seeds=len(found),
-        first=found[0][0],
+        n_seeds=len(records),
+        first=records[0][0],
         mean=theta.mean(axis=0),
         sd=theta.std(axis=0),
         bias_to_bound=error.mean(axis=0) / bound,
@@ -125,7 +125,7 @@ def _row(name: str, found: list[tuple[Estimate, float]]) -> Row:
         mse_truth=np.quantile(mse, [0.5, 0.05, 0.95]),
         mse_measured=float(np.median(((positions - measured) ** 2).mean(axis=1))),
         mape_truth=float(np.median(mape)),
-        seconds=float(np.median([s for _, s in found])),
+        seconds=float(np.median([s for _, s in records])),
     )
 
 
@@ -190,14 +190,14 @@ def figures(rows: list[Row], folder: Path) -> list[Path]:
     paths = [folder / "spring_mass_damper_data.svg"]
     figure.savefig(paths[0], metadata={"Date": None})
     figure, grid = plt.subplots(2, 2, figsize=(10, 6.5), layout="constrained")
-    shown = [r for r in rows if r.name in ("ukf", "ekf", "pso", "nls", "pinn")]
+    of_paper = [r for r in rows if r.name in ("ukf", "ekf", "pso", "nls", "pinn")]
     grid[0, 0].plot(t, problem.measured[:, 0], ".", ms=2, color="0.8", label="measured")
-    for k, r in enumerate(shown):
+    for k, r in enumerate(of_paper):
         position = problem.simulate(r.first.belief.mean)[:, 0]
         grid[0, 0].plot(t, position, color=f"C{k}", lw=1, label=r.name)
         grid[0, 1].plot(t, 1e3 * (position - truth), color=f"C{k}", lw=1, label=r.name)
     for axis, i, name in ((grid[1, 0], 0, "damping [N s/m]"), (grid[1, 1], 1, "stiffness [N/m]")):
-        for k, r in enumerate(shown):
+        for k, r in enumerate(of_paper):
             if r.first.path is not None:
                 axis.plot(t, r.first.path[:, i], color=f"C{k}", lw=1, label=f"{r.name}, filtered")
             half = QUANTILE * r.first.belief.sd[i]
@@ -223,9 +223,10 @@ if __name__ == "__main__":
     slow = f"records for {', '.join(sorted(SLOW))} (default 20)"
     parser.add_argument("--slow-seeds", type=int, default=20, help=slow)
     parser.add_argument("--workers", type=int, default=1, help="processes (default 1)")
-    given = parser.parse_args()
-    result = main(given.seeds, min(given.slow_seeds, given.seeds), workers=given.workers)
-    report = tables(result)
-    show("tables", report, write=given.write)
-    if given.write:
-        figures(result, DOCS / "plots")
+    parser.add_argument("--quick", action="store_true", help="20 records for the fast methods, 1 for the others")
+    options = parser.parse_args()
+    seeds, slow_seeds = (20, 1) if options.quick else (options.seeds, min(options.slow_seeds, options.seeds))
+    rows = main(seeds, slow_seeds, workers=options.workers)
+    show("tables", tables(rows), write=options.write)
+    folder = DOCS / "plots" if options.write else Path(tempfile.gettempdir())
+    print("\nFigures 8 and 9:", *figures(rows, folder), sep="\n")
