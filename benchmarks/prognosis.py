@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import ArrayLike
 
 from benchmarks.alerts import by_component, confusion, curves, tally, together
 from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of
@@ -20,12 +21,7 @@ from benchmarks.contestants import together as pooled
 from benchmarks.fleets import Frames, flown
 from benchmarks.harness import arguments, markdown, show
 from benchmarks.rolling import CONTESTANTS, forecasts
-from hdt_core.prognosis.metrics import (
-    CAP,
-    alpha_lambda,
-    calibration,
-    score_prognoses,
-)
+from hdt_core.prognosis.metrics import CAP, alpha_lambda, score_prognoses
 from hdt_core.simulate.design import FleetSettings
 
 PAGE = Path(__file__).parent.parent / "docs" / "prognosis.md"
@@ -100,6 +96,14 @@ def by_horizon(judged: dict[str, pl.DataFrame]) -> str:
                 cells.append((b - a).mean())
                 lines.append([f"{low}-{high}", name, str(part.height), *(f"{c:.3g}" for c in cells)])
     return markdown(lines)
+
+
+def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> pl.DataFrame:
+    """Reliability table: predicted, observed, n for each bin of the probability scale with rows."""
+    frame = pl.DataFrame({"p": np.asarray(probability, dtype=float), "y": np.asarray(happened, dtype=float)})
+    bin_ = (pl.col("p") * bins).floor().clip(0, bins - 1).alias("bin")
+    bins_used = frame.group_by(bin_).agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
+    return bins_used.sort("bin").drop("bin")
 
 
 def calibrated(judged: pl.DataFrame) -> str:

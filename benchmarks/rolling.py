@@ -4,6 +4,7 @@ Beside the product its base alone (simulated lives, no life of the fleet), physi
 a plain logistic hazard on loss and its trend, taught by the same simulated lives and the fleet's record.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,14 +15,23 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks.fleets import Frames
-from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, simulated_rows, tracks_as_of
+from hdt_core.prognosis.feature_rows import (
+    INPUTS,
+    PRIOR_RULES,
+    Tracks,
+    fleet_rows,
+    simulated_rows,
+    tracks,
+    tracks_as_of,
+)
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, passage_hazards, quantile
 from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD
 from hdt_core.prognosis.metrics import join_outcomes
-from hdt_core.prognosis.model import ComponentFit, Prognosis, predict_prognosis, prior_levels
+from hdt_core.prognosis.model import ComponentFit, Fold, Prognosis, predict_by_fold, prior_levels
 from hdt_core.prognosis.recalibrate import NOMINAL
 from hdt_core.prognosis.service import update_model
+from hdt_core.records.keys import IN_ORDER
 from pipelines.learned import shipped_base
 
 Array = NDArray[np.float64]
@@ -54,6 +64,14 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
         .join(on_record, on="month", validate="m:1")
         for name, prognoses in by_contestant.items()
     }
+
+
+def predict_prognosis(model: Prognosis, features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
+    """Prognoses of every flight by the fits to the whole fleet."""
+    whole = replace(model, folds=(Fold(tuple(features["tail"].unique()), model.fits),))
+    by_component = {c: tracks(features, lives, c) for c in PRIOR_RULES}
+    parts = (predict_by_fold(whole, c, track, np.ones(len(track.at), bool)) for c, track in by_component.items())
+    return pl.concat(parts).sort("component", *IN_ORDER)
 
 
 def _failures(record: FleetRecord, month, component: str) -> int:

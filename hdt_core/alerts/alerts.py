@@ -1,6 +1,7 @@
 """Alerts of a fleet: all cases as rows of the catalog."""
 
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -9,7 +10,7 @@ import polars as pl
 
 from hdt_core.alerts import phrases
 from hdt_core.alerts.case_closure import apply_inspections, close_after_work
-from hdt_core.alerts.cases import REPAIR, Case, Limits, case_id, occupied
+from hdt_core.alerts.cases import REPAIR, Case, Limits, case_id, open_flights
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.alerts.door_faults import door_cases
 from hdt_core.alerts.grid import Grid
@@ -24,7 +25,7 @@ REPEAT_DAYS = 90
 REPEAT_UNITS = 3
 """Units at one position within `REPEAT_DAYS` from which the cause upstream is to be found before another is fitted."""
 
-Replacements = dict[str, dict[tuple[Any, ...], list[datetime]]]
+Replacements = dict[tuple[Any, ...], list[datetime]]
 """By component and pack, the times from which another unit was fitted."""
 
 SCHEMA: dict[str, Any] = {
@@ -56,16 +57,28 @@ def raise_alerts(
     DataFrame
         The columns of the catalog's `alerts`. A case keeps its `alert_id` however much later data arrives.
     """
+    if features.is_empty():
+        return pl.DataFrame(schema=SCHEMA)
+    limits = limits or Limits()
     grid = Grid.from_frame(with_health(features, health_parameters))
-    cases = find_cases(grid, maintenance, limits) if grid.rows.height else []
-    return as_alerts(grid, maintenance, cases, limits or Limits())
+    # doors first, then sensors, then wear: what a faulty door or sensor explains is not called wear
+    disturbances = find_disturbances(grid, maintenance, limits)
+    cases = disturbances.cases + wear_cases(grid, maintenance, limits, disturbances)
+    return as_alerts(grid, maintenance, cases, limits)
 
 
 def as_alerts(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> pl.DataFrame:
     """Close cases where work or an inspection ends them and return them as rows of the catalog."""
     cases = apply_inspections(grid, maintenance, close_after_work(grid, maintenance, cases), limits)
-    replacements = replacement_times(maintenance, (DIAGNOSES[case.diagnosis].component for case in cases))
-    rows = [alert_row(grid, replacements, case, DIAGNOSES[case.diagnosis]) for case in cases]
+    return alert_rows(grid, maintenance, cases, DIAGNOSES)
+
+
+def alert_rows(
+    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Mapping[str, Diagnosis]
+) -> pl.DataFrame:
+    """Return cases as rows of the catalog, in order of the flights that raised them."""
+    replacements = _replacement_times(maintenance, {diagnoses[case.diagnosis].component for case in cases})
+    rows = [_alert_row(grid, replacements, case, diagnoses[case.diagnosis]) for case in cases]
     alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
 
@@ -74,46 +87,41 @@ def as_alerts(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: 
 class Disturbances:
     """Cases of doors and sensors, and where they cast doubt on wear. Flags are (units, flights) bool.
 
-    `outlet_doubtful`: the outlet temperature is unreliable. `wear_feigned`: a biased sensor may look like wear.
-    `wear_doubtful`: either, or any biased sensor.
+    `sensor_faulty`: a sensor case is open. `outlet_doubtful`: the outlet temperature is unreliable. `wear_feigned`: a
+    biased sensor may look like wear. `wear_doubtful`: either, or any biased sensor.
     """
 
-    doors: list[Case]
-    sensors: list[Case]
+    cases: list[Case]
+    sensor_faulty: Array
     outlet_doubtful: Array
     wear_feigned: Array
     wear_doubtful: Array
 
 
-def find_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits | None = None) -> list[Case]:
-    """Find all cases of a fleet, each from flights up to the one that raises it.
-
-    Doors come first, then sensors, then wear: what a faulty door or sensor explains is not called wear.
-    """
-    limits = limits or Limits()
-    disturbances = find_disturbances(grid, maintenance, limits)
-    return disturbances.doors + disturbances.sensors + wear_cases(grid, maintenance, limits, disturbances)
-
-
 def find_disturbances(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> Disturbances:
     """Find door and sensor cases, and the flights on which they cast doubt on wear."""
     doors = door_cases(grid, maintenance, limits)
-    door_on = occupied(grid.shape, doors)
-    jammed = occupied(grid.shape, [c for c in doors if c.facts["kind"] == "jam"])
-    sensors = sensor_cases(grid, maintenance, limits, door_on, jammed)
-    biased = [c for c in sensors if c.facts.get("biased")]
+    door_faulty = open_flights(grid.shape, doors)
+    door_stuck = open_flights(grid.shape, [c for c in doors if c.facts["kind"] == "jam"])
+    sensors = sensor_cases(grid, maintenance, limits, door_faulty, door_stuck)
+    biases = [c for c in sensors if c.facts.get("biased")]
     # outlets that differ cast no doubt once a sensor or door explains the difference
-    explained = door_on | occupied(grid.shape, [c for c in biased if c.facts["sensor"] == "hx_out_k"])
-    doubtful = door_on | (outlet_doubtful(grid) & ~explained & ~grid.across(explained))
-    feigned = occupied(grid.shape, [c for c in biased if may_feign_wear(c)])
-    return Disturbances(doors, sensors, doubtful, feigned, doubtful | occupied(grid.shape, biased))
+    is_explained = door_faulty | open_flights(grid.shape, [c for c in biases if c.facts["sensor"] == "hx_out_k"])
+    doubtful = door_faulty | (outlet_doubtful(grid) & ~is_explained & ~grid.across(is_explained))
+    return Disturbances(
+        cases=doors + sensors,
+        sensor_faulty=open_flights(grid.shape, sensors),
+        outlet_doubtful=doubtful,
+        wear_feigned=open_flights(grid.shape, [c for c in biases if may_feign_wear(c)]),
+        wear_doubtful=doubtful | open_flights(grid.shape, biases),
+    )
 
 
 def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, disturbances: Disturbances) -> list[Case]:
     """Find wear that no door and no sensor explains."""
-    compressors = cc_cases(grid, maintenance, limits, occupied(grid.shape, disturbances.sensors))
+    compressors = cc_cases(grid, maintenance, limits, disturbances.sensor_faulty)
     low = low_margin_cases(grid, maintenance, limits, disturbances.outlet_doubtful | disturbances.wear_feigned)
-    exchangers = hx_cases(grid, maintenance, limits, disturbances.wear_doubtful, occupied(grid.shape, low))
+    exchangers = hx_cases(grid, maintenance, limits, disturbances.wear_doubtful, open_flights(grid.shape, low))
     return exchangers + low + compressors
 
 
@@ -128,50 +136,51 @@ def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.D
     return wide
 
 
-def alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> tuple[Any, ...]:
+def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> tuple[Any, ...]:
     """Return a case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
     n_flights = grid.count(case.unit)
     end = case.closed_flight if case.closed_flight is not None and case.closed_flight < n_flights else None
     last = (n_flights if end is None else end) - 1
-    since = str(grid.at("flight_id", case.unit, int(case.facts["since"])))
-    then, latest = (kind.facts(grid, case, flight) for flight in (case.raised_flight, last))
+    since = str(grid.value("flight_id", case.unit, int(case.facts["since"])))
+    at_raise, latest = (kind.facts(grid, case, flight) for flight in (case.raised_flight, last))
     units = _count_units(grid, replacements, case, kind)
     return (
         case_id(grid, case), operator, tail, pack, case.component, case.diagnosis,
-        grid.at("flight_id", case.unit, case.raised_flight), grid.at("departed_at", case.unit, case.raised_flight),
-        case.ended_at if end is None else grid.at("departed_at", case.unit, end),
-        kind.severity(latest), kind.evidence(then, since).text(), _action_of(kind, units) + kind.addendum(then),
-        kind.severity(then), grid.at("flight_id", case.unit, last), kind.evidence(latest, since).text(),
+        grid.value("flight_id", case.unit, case.raised_flight),
+        grid.value("departed_at", case.unit, case.raised_flight),
+        case.ended_at if end is None else grid.value("departed_at", case.unit, end),
+        kind.severity(latest), kind.evidence(at_raise, since).text(),
+        _action_of(kind, units) + kind.addendum(at_raise), kind.severity(at_raise),
+        grid.value("flight_id", case.unit, last), kind.evidence(latest, since).text(),
         case.ended_reason if end is None else case.closed_reason, case.facts.get("follows"), units,
     )  # fmt: skip
 
 
-def replacement_times(maintenance: pl.DataFrame, components: Iterable[str]) -> Replacements:
+def _replacement_times(maintenance: pl.DataFrame, components: Iterable[str]) -> Replacements:
     """Collect the times of replacement of some components."""
-    times: Replacements = {}
-    for component in set(components):
-        of_component = times.setdefault(component, {})
+    times: Replacements = defaultdict(list)
+    for component in components:
         for *pack, moment in select_entries(maintenance, (component,), NEW_UNIT).select(*PACK, "counts_from").rows():
-            of_component.setdefault(tuple(pack), []).append(moment)
+            times[component, *pack].append(moment)
     return times
 
 
 def _count_units(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> int | None:
     """Count the units at this position in the `REPEAT_DAYS` before the case was raised, its own included.
 
-    None where the log's component is no single unit: sensors and a door's drive.
+    None where the log's component is not a single unit: sensors and a door's drive.
     """
     if kind.ended_by == REPAIR:
         return None
-    raised_at = grid.at("departed_at", case.unit, case.raised_flight)
+    raised_at = grid.value("departed_at", case.unit, case.raised_flight)
     assert isinstance(raised_at, datetime)
-    moments = replacements[kind.component].get(grid.units.row(case.unit), [])
+    moments = replacements[kind.component, *grid.units.row(case.unit)]
     return 1 + sum(raised_at - timedelta(REPEAT_DAYS) < moment <= raised_at for moment in moments)
 
 
 def _action_of(kind: Diagnosis, units: int | None) -> str:
-    """Return the action; at a position with too many replacements, finding the cause comes first."""
+    """Return the action, after a search for the cause where units at a position are replaced too often."""
     if units is None or units < REPEAT_UNITS:
         return kind.action
     action = f"{kind.action[0].lower()}{kind.action[1:]}"

@@ -1,8 +1,7 @@
 """Close cases by the maintenance log: a part replaced or repaired, or an inspection without a finding.
 
-The log's entries and those of an engineer who closes an alert have one form (`raw_maintenance`), so one rule serves
-both. Where the loss keeps growing after an inspection without a finding, the sensors behind the estimate are suspect
-and a sensor case is raised.
+An engineer who closes an alert writes an entry of the same form (`raw_maintenance`). Where the loss keeps growing after
+an inspection without a finding, the sensors behind the estimate are suspect and a sensor case is raised.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,7 +23,7 @@ LOSS = {"HX_FOULING": "hx_fouling", "HX_SUDDEN_CLOG": "hx_fouling", "CC_DEGRADED
 """Feature of the loss that a case of wear rests on."""
 LOSS_GROWTH = 0.03
 """Growth of loss since an inspection beyond the scatter of a settled track: as `wear.RISE_MARGIN`. [-]"""
-WEAR_LIMIT = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
+LIMIT_NAMES = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
 """Limit of `Limits` that the growth since the inspection must exceed before wear is called again."""
 
 
@@ -36,17 +35,18 @@ def close_after_work(
     The case ends on the first flight that counts as flown after the work (`records.unit_index`), however late the entry
     arrived; where no flight has followed yet, at the time from which the entry counts.
     """
-    sound = _sound_entries(maintenance)
+    sound_entries = _sound_entries(maintenance)
     for diagnosis in diagnoses:
         own = [case for case in cases if case.diagnosis == diagnosis.code]
         if own:
             _close(grid, own, maintenance, diagnosis.component, diagnosis.ended_by, RENEWED)
             if diagnosis.ended_by_sound:
-                _close(grid, own, sound, diagnosis.component, INSPECTIONS, FOUND_CLEAN)
-    if "closes_alert_id" in sound.columns and (closed_ids := set(sound["closes_alert_id"].drop_nulls())):
-        for case in cases:
-            if (name := case_id(grid, case)) in closed_ids:
-                _close(grid, [case], sound.filter(closes_alert_id=name), case.component, INSPECTIONS, FOUND_CLEAN)
+                _close(grid, own, sound_entries, diagnosis.component, INSPECTIONS, FOUND_CLEAN)
+    if "closes_alert_id" in sound_entries.columns:
+        entries_by_id = sound_entries.drop_nulls("closes_alert_id").partition_by("closes_alert_id", as_dict=True)
+        for case in cases if entries_by_id else []:
+            if (entries := entries_by_id.get((case_id(grid, case),))) is not None:
+                _close(grid, [case], entries, case.component, INSPECTIONS, FOUND_CLEAN)
     return cases
 
 
@@ -65,32 +65,23 @@ def _close(
     moments = _moments_after_last_flight(grid, entries, component, actions)
     for case in cases:
         later = case.raised_flight + 1 + np.flatnonzero(work[case.unit, case.raised_flight + 1 :])
-        earlier = reason == RENEWED  # of two entries on one flight the more specific
-        if later.size and (
-            case.closed_flight is None or case.closed_flight > later[0] or (earlier and case.closed_flight == later[0])
-        ):
+        # of two entries that count from one flight, a replacement is the reason
+        last_flight = np.inf if case.closed_flight is None else case.closed_flight - (reason != RENEWED)
+        if later.size and later[0] <= last_flight:
             case.closed_flight, case.closed_reason = int(later[0]), reason
-        at = moments.get(case.unit)
-        if at is not None and (case.ended_at is None or at < case.ended_at):
-            case.ended_at, case.ended_reason = at, reason
+        moment = moments.get(case.unit)
+        if moment is not None and (case.ended_at is None or moment < case.ended_at):
+            case.ended_at, case.ended_reason = moment, reason
 
 
 def _moments_after_last_flight(
     grid: Grid, entries: pl.DataFrame, component: str, actions: tuple[str, ...]
 ) -> dict[int, datetime]:
     """Return, by unit with such work since its last flight, the time from which the first entry counts."""
-    last = (
-        grid.rows.select(*PACK, "departed_at", pl.Series("unit", grid.unit))
-        .group_by(*PACK, "unit")
-        .agg(pl.col("departed_at").max())
-    )
-    after_flight = select_entries(entries, (component,), actions).join(last, on=PACK, validate="m:m")
-    later = (
-        after_flight.filter(pl.col("counts_from") > pl.col("departed_at"))
-        .group_by("unit")
-        .agg(pl.col("counts_from").min())
-    )
-    return dict(later.select("unit", "counts_from").rows())
+    last = grid.rows.group_by(PACK).agg(last_at=pl.col("departed_at").max())
+    later = select_entries(entries, (component,), actions).join(last, on=PACK, validate="m:1")
+    later = grid.units.with_row_index("unit").join(later, on=PACK).filter(pl.col("counts_from") > pl.col("last_at"))
+    return dict(later.group_by("unit").agg(pl.col("counts_from").min()).rows())
 
 
 def apply_inspections(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> list[Case]:
@@ -99,13 +90,13 @@ def apply_inspections(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], 
     After an inspection without a finding, growth of the loss by `LOSS_GROWTH` raises a sensor case; wear is called
     again only for a growth that would raise a case on a new part.
     """
-    inspected = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
-    for case in inspected:
+    cleared = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
+    for case in cleared:
         start, end, level = _span(grid, maintenance, case)
         loss = grid.track(LOSS[case.diagnosis], case.unit)
         cases = [c for c in cases if not _same_loss(c, case, (start, end), loss - level, limits)]
-    back = [c for case in inspected for c in _contradictions(grid, maintenance, case, limits)]
-    return cases + close_after_work(grid, maintenance, back)
+    contradictions = [c for case in cleared for c in _contradictions(grid, maintenance, case, limits)]
+    return cases + close_after_work(grid, maintenance, contradictions)
 
 
 def _span(grid: Grid, maintenance: pl.DataFrame, case: Case) -> tuple[int, int, float]:
@@ -113,15 +104,15 @@ def _span(grid: Grid, maintenance: pl.DataFrame, case: Case) -> tuple[int, int, 
     loss = grid.track(LOSS[case.diagnosis], case.unit)
     start = min(case.closed_flight or 0, loss.size)
     diagnosis = DIAGNOSES[case.diagnosis]
-    renewed = grid.worked_on(maintenance, (diagnosis.component,), diagnosis.ended_by)[case.unit, start : loss.size]
-    end = start + int(np.flatnonzero(renewed)[0]) if renewed.any() else loss.size
+    new_unit = grid.worked_on(maintenance, (diagnosis.component,), diagnosis.ended_by)[case.unit, start : loss.size]
+    end = start + int(np.flatnonzero(new_unit)[0]) if new_unit.any() else loss.size
     before = loss[:start][np.isfinite(loss[:start])]
     return start, end, float(before[-1]) if before.size else np.nan
 
 
 def _same_loss(other: Case, case: Case, span: tuple[int, int], growth: Array, limits: Limits) -> bool:
-    """Whether `other` is raised on the inspected unit for no more loss than the inspection cleared."""
-    limit = WEAR_LIMIT.get(other.diagnosis)
+    """Check whether `other` is raised on the inspected unit for no more loss than the inspection cleared."""
+    limit = LIMIT_NAMES.get(other.diagnosis)
     inside = other.unit == case.unit and span[0] <= other.raised_flight < span[1]
     if limit is None or not inside or other.component != case.component:
         return False
@@ -133,26 +124,25 @@ def _contradictions(grid: Grid, maintenance: pl.DataFrame, case: Case, limits: L
     start, end, level = _span(grid, maintenance, case)
     loss = grid.track(LOSS[case.diagnosis], case.unit)
     growth = (loss[start:end] - level)[None]
-    on = persistent(growth > LOSS_GROWTH, *limits.wear_persistence, keep=growth > 0.5 * LOSS_GROWTH)
+    has_grown = persistent(growth > LOSS_GROWTH, *limits.wear_persistence, keep=growth > 0.5 * LOSS_GROWTH)
     facts = {
         "kind": "contradicted", "since": start, "of": case.component, "level": level,
         "looked_on": _inspection_day(grid, maintenance, case), "follows": case_id(grid, case),
     }  # fmt: skip
-    for _, first, stop in runs(on, np.zeros_like(on)):
+    for _, first, stop in runs(has_grown, np.zeros_like(has_grown)):
         last = end if end < loss.size else None
         closed_flight = last if stop is None else start + stop
         reason = RENEWED if stop is None and last is not None else "recovered"
-        sensor_case = Case(
-            case.unit, "SENSOR", "SENSOR_FAULT", start + first, closed_flight, facts, fact_after("loss", loss)
-        )
-        sensor_case.closed_reason = reason
-        yield sensor_case
+        yield Case(
+            case.unit, "SENSOR", "SENSOR_FAULT", start + first, closed_flight, facts, fact_after("loss", loss),
+            closed_reason=reason,
+        )  # fmt: skip
 
 
 def _inspection_day(grid: Grid, maintenance: pl.DataFrame, case: Case) -> str:
     """Return the day of the inspection that ended the case."""
     operator, tail, pack = grid.units.row(case.unit)
-    by: pl.Expr = pl.lit(grid.at("departed_at", case.unit, int(case.closed_flight or 0)))
+    until: pl.Expr = pl.lit(grid.value("departed_at", case.unit, int(case.closed_flight or 0)))
     own = _sound_entries(maintenance).filter(operator=operator, tail=tail, pack=pack, component=case.component)
-    days = date_entries(own).filter(pl.col("counts_from") <= by, pl.col("action").is_in(INSPECTIONS))["done_on"]
+    days = date_entries(own).filter(pl.col("counts_from") <= until, pl.col("action").is_in(INSPECTIONS))["done_on"]
     return str(days.max())

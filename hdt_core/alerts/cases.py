@@ -1,4 +1,4 @@
-"""A case: a diagnosis of one pack from its first flight to its last, and the limits at which a case is raised."""
+"""Cases: a diagnosis of one pack from its first flight to its last, and the limits at which a case is raised."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
@@ -13,13 +13,11 @@ from hdt_core.components.exchanger import HX
 from hdt_core.health.detection import Array
 
 REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
-"""Actions after which a part is not the part it was."""
+"""Actions that change a part, so that its level before them no longer counts."""
 DIAMETER_SD = 0.022
 """Flight-to-flight scatter of the effective diameter of a sound compressor, relative. [-]"""
 FAILS_AT = HX.limit.mean
 """Loss of conductance at which packs of the first fleets ran out of ram door; used where the margin is unknown."""
-
-
 Persistence = tuple[int, int, int]
 """Flagged flights of how many open a case, and flights since the last that keeps it which close it. [flights]"""
 
@@ -89,9 +87,9 @@ class Limits:
 class Case:
     """One diagnosis of a pack; `raised_flight` and `closed_flight` are the pack's flights, the latter None while open.
 
-    `facts` are those it was raised with; `at` returns, after any flight, what only its own rule measures; `ended_at` is
-    when work ended a case still open after the pack's last flight. `closed_reason` and `ended_reason` are `recovered`
-    (the flights no longer show it), `renewed` (another or a repaired part flies) or `found_clean`.
+    `facts` are those it was raised with; `facts_at` returns, after any flight, what only its own rule measures;
+    `ended_at` is when work ended a case still open after the pack's last flight. `closed_reason` and `ended_reason` are
+    `recovered` (the flights no longer show it), `renewed` (another or a repaired part flies) or `found_clean`.
     """
 
     unit: int
@@ -100,21 +98,21 @@ class Case:
     raised_flight: int
     closed_flight: int | None
     facts: dict[str, Any] = field(default_factory=dict)
-    at: Callable[[int], dict[str, Any]] = lambda flight: {}
+    facts_at: Callable[[int], dict[str, Any]] = lambda flight: {}
     ended_at: datetime | None = None
     closed_reason: str = "recovered"
     ended_reason: str | None = None
 
 
 def fact_after(name: str, values: Array) -> Callable[[int], dict[str, float]]:
-    """Return `Case.at` for one measure. `values` (flights,)."""
+    """Return `Case.facts_at` for one measure. `values` (flights,)."""
     return lambda flight: {name: float(values[flight])}
 
 
 def case_id(grid: Grid, case: Case) -> str:
     """Return the name of a case in the catalog, which later data do not change."""
     _, tail, pack = grid.units.row(case.unit)
-    flight_id = str(grid.at("flight_id", case.unit, case.raised_flight))
+    flight_id = str(grid.value("flight_id", case.unit, case.raised_flight))
     name = "|".join((tail, str(pack), case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
     return hashlib.sha256(name.encode()).hexdigest()[:16]
 
@@ -127,15 +125,15 @@ def runs(active: Array, restart: Array) -> Iterator[tuple[int, int, int | None]]
     >>> list(runs(np.array([[0, 1, 1, 0, 1]], dtype=bool), np.zeros((1, 5), dtype=bool)))
     [(0, 1, 3), (0, 4, None)]
     """
-    on = active & ~restart
-    before = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
-    for unit, first in zip(*np.nonzero(on & ~before), strict=True):
-        off = np.nonzero(~on[unit, first:])[0]
+    active = active & ~restart
+    before = np.pad(active, ((0, 0), (1, 0)))[:, :-1]
+    for unit, first in zip(*np.nonzero(active & ~before), strict=True):
+        off = np.nonzero(~active[unit, first:])[0]
         yield int(unit), int(first), int(first + off[0]) if off.size else None
 
 
-def occupied(shape: tuple[int, int], cases: Iterable[Case]) -> Array:
-    """Return the flights during which any of `cases` was open. (units, flights) bool"""
+def open_flights(shape: tuple[int, int], cases: Iterable[Case]) -> Array:
+    """Flag the flights on which any of `cases` was open. (units, flights) bool"""
     out = np.zeros(shape, dtype=bool)
     for case in cases:
         out[case.unit, case.raised_flight : case.closed_flight] = True

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.alerts import SCHEMA, alert_row, replacement_times
+from hdt_core.alerts.alerts import SCHEMA, alert_rows
 from hdt_core.alerts.case_closure import close_after_work
 from hdt_core.alerts.cases import Case, Limits, runs
 from hdt_core.alerts.diagnoses import Diagnosis
 from hdt_core.alerts.evidence import NEUTRAL, SUPPORTS, Corroboration, Evidence
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wear import odds_above
-from hdt_core.alerts.wording import Facts, chance_above, within
+from hdt_core.alerts.wording import Facts, loss_finding, trend, within
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
@@ -51,10 +51,6 @@ def component_features(
 
 def diagnosis_of(component: Component) -> Diagnosis:
     """Return the diagnosis of a worn component, with the texts of its declaration."""
-
-    def evidence(facts: Facts, since: str) -> Evidence:
-        return _evidence(component, facts, since)
-
     return Diagnosis(
         code=component.diagnosis,
         component=component.code,
@@ -62,33 +58,30 @@ def diagnosis_of(component: Component) -> Diagnosis:
         action=component.action,
         ended_by=component.ended_by,
         severity=lambda facts: "high" if facts["loss"] > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
-        evidence=evidence,
+        evidence=lambda facts, since: _evidence(component, facts, since),
         features=("loss", "loss_sd", "loss_slope_30_per_flight", "loss_step_3"),
     )
 
 
 def raise_component_alerts(
-    described: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits | None = None
+    features: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits | None = None
 ) -> pl.DataFrame:
     """Raise the alerts of one component, one row a case, in the columns of the catalog's `alerts`.
 
     Parameters
     ----------
-    described : DataFrame
+    features : DataFrame
         Of `component_features`.
     maintenance : DataFrame
         Work on the component ends its cases.
     """
-    own = described.filter(pl.col("component") == component.code)
+    own = features.filter(pl.col("component") == component.code)
     if own.is_empty():
         return pl.DataFrame(schema=SCHEMA)
     grid, diagnosis = Grid.from_frame(own), diagnosis_of(component)
-    cases = close_after_work(
-        grid, maintenance, _wear_cases(grid, maintenance, component, limits or Limits()), [diagnosis]
-    )
-    replacements = replacement_times(maintenance, (diagnosis.component,))
-    rows = [alert_row(grid, replacements, case, diagnosis) for case in cases]
-    return pl.DataFrame(rows, schema=SCHEMA, orient="row").sort("raised_at", "tail", "pack", "alert_id")
+    cases = _wear_cases(grid, maintenance, component, limits or Limits())
+    cases = close_after_work(grid, maintenance, cases, [diagnosis])
+    return alert_rows(grid, maintenance, cases, {diagnosis.code: diagnosis})
 
 
 def _wear_cases(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: Limits) -> list[Case]:
@@ -111,24 +104,14 @@ def _first_flagged(sure: np.ndarray, first: int) -> int:
 
 
 def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
+    """Return the evidence of wear, with the texts of the component's declaration."""
     loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
-    findings = [
-        phrases.UNIT_LOST.format(
-            lost=component.lost,
-            name=component.loss,
-            loss=within(loss, sd),
-            sigma=f"{loss / max(sd, 1e-6):.0f}",
-            limit=f"{100 * component.warn_loss:.0f}",
-            since=since,
-            odds=chance_above(loss, component.warn_loss, sd),
-        )
-    ]
-    if slope > 1e-5:
-        findings.append(phrases.TREND.format(points=f"{1000 * slope:.1f}"))
+    lost, name = component.lost, component.loss
+    finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
     fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
     corroborations = [Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)]
     if not math.isnan(facts["loss_step_3"]) and facts["loss_step_3"] > SUDDEN_STEP:
         corroborations.append(
             Corroboration(NEUTRAL, phrases.UNIT_STEP.format(points=f"{100 * facts['loss_step_3']:.0f}"))
         )
-    return Evidence("; ".join(findings), tuple(corroborations), component.otherwise, component.waiting)
+    return Evidence("; ".join([finding, *trend(slope)]), tuple(corroborations), component.otherwise, component.waiting)

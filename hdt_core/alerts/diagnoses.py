@@ -1,7 +1,7 @@
-"""Every diagnosis of an alert, declared once: its component, texts, action, and the work that ends it.
+"""Diagnoses of alerts, each declared once: its component, texts, action, and the work that ends it.
 
-A new one is an entry here and a rule that finds its cases (`alerts.find_cases`); report, `hdt explain`, catalog and
-the check of alerts read the rest from the entry.
+To add one, declare it here and write a rule that finds its cases (`alerts.raise_alerts`); report, `hdt explain`,
+catalog and the check of alerts follow from the declaration.
 """
 
 from collections.abc import Callable
@@ -53,7 +53,7 @@ class Diagnosis:
 
     def facts(self, grid: Grid, case: Case, flight: int) -> Facts:
         """Return the facts after a flight: those the case was raised with, and the latest features."""
-        return {**case.facts, **case.at(flight), **{n: _latest(grid, n, case, flight) for n in self.features}}
+        return {**case.facts, **case.facts_at(flight), **{n: _latest(grid, n, case, flight) for n in self.features}}
 
 
 def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
@@ -107,7 +107,7 @@ DIAGNOSES = {
             action="Not a new exchanger alone: check target, flow schedule and ram door travel (ATA 21-53, rigging), "
             "keep the aircraft off hot sectors where it can be, and wash at the next stop",
             ended_by=("REPLACED", "CLEANED"),
-            severity=wording.margin_severity,
+            severity=lambda facts: "high" if facts["hx_passage_100"] > 0.5 else "medium",
             evidence=wording.low_margin,
             features=(*_EXCHANGER, *_MARGIN),
             ended_by_sound=False,  # its evidence already excludes wear as the only cause
@@ -128,7 +128,7 @@ DIAGNOSES = {
             name="ram air door fault",
             action="Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
             ended_by=REPAIR,
-            severity=wording.door_severity,
+            severity=lambda facts: "high" if facts["kind"] == "jam" else "medium",
             evidence=wording.door,
         ),
         Diagnosis(

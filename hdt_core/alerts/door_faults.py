@@ -28,22 +28,23 @@ WIDE_OPEN = 0.93
 
 
 def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Case]:
-    """Find the cases of all doors.
+    """Find jams and losses of travel of all doors.
 
-    A jam: the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none), away
-    from its stops, or anywhere if the outlet runs warm. Lost travel: the outlet ran warm at the widest opening, and on
-    target below it; on one flight beyond doubt, or on two at the same opening.
+    On a jam the door stays from climb to descent while its sensor still shows noise (a frozen sensor shows none), away
+    from its stops, or anywhere if the outlet runs warm. On a loss of travel the outlet ran warm at the widest opening,
+    and on target below it, on one flight beyond doubt or on two at the same opening.
     """
     restart = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
     jam, peg = _jams(grid, limits), _pegs(grid, limits)
-    jammed = persistent(jam, *limits.jam_persistence, restart=restart)
+    is_jammed = persistent(jam, *limits.jam_persistence, restart=restart)
     sure = peg & (grid.values("door_peg_excess_k") > SURE_PEG_K) & (grid.values("door_peg_n") >= SURE_PEG_SAMPLES)
-    short_travel = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, restart) & ~jammed
-    cases = [_case(grid, "jam", jam, run) for run in runs(jammed, restart)]
+    short_travel = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, restart) & ~is_jammed
+    cases = [_case(grid, "jam", jam, run) for run in runs(is_jammed, restart)]
     return cases + [_case(grid, "lost travel", peg, run) for run in runs(short_travel, restart)]
 
 
 def _jams(grid: Grid, limits: Limits) -> Array:
+    """Flag flights on which the door does not move, though it is away from its stops or the outlet runs warm."""
     widest = grid.values("door_max")
     away = (widest > np.fmax(DOOR_FREE[0], _lower_stop(grid) + JAM_ABOVE)) & (widest < DOOR_FREE[1])
     motionless = (grid.values("door_span") < limits.still_span) & (grid.values("door_n") >= MOTION_SAMPLES)
@@ -62,6 +63,7 @@ def _above_usual_k(grid: Grid) -> Array:
 
 
 def _pegs(grid: Grid, limits: Limits) -> Array:
+    """Flag flights on which the outlet ran warm at the widest opening, which is not the full one."""
     enough = (grid.values("door_peg_n") >= PEG_SAMPLES) & (grid.values("door_off_peg_n") >= OFF_PEG_SAMPLES)
     widest = grid.values("door_max")
     partly = (widest < WIDE_OPEN) & (widest > _lower_stop(grid) + PEG_ABOVE)
@@ -75,23 +77,20 @@ def _lower_stop(grid: Grid) -> Array:
 
 
 def _same_stop(widest: Array, peg: Array, sure: Array, restart: Array) -> Array:
-    """Flag flights with a stop: from its second hit, or its first beyond doubt, until the door is repaired or goes
-    wider."""
+    """Flag flights with a stop: from its second hit or first sure one until the door is repaired or opens wider."""
     out = np.zeros(peg.shape, dtype=bool)
     for unit in np.nonzero(peg.any(axis=1))[0]:
         hits: list[tuple[int, float]] = []
         stop: float | None = None
         for k in range(peg.shape[1]):
-            if restart[unit, k]:
-                hits, stop = [], None
-            if stop is not None and widest[unit, k] > stop + 2.0 * SAME_STOP:
+            if restart[unit, k] or (stop is not None and widest[unit, k] > stop + 2.0 * SAME_STOP):
                 hits, stop = [], None
             if peg[unit, k]:
-                here = float(widest[unit, k])
-                hits = [s for s in hits if k - s[0] <= STOP_MEMORY]
-                again = any(abs(s[1] - here) < SAME_STOP for s in hits)
-                stop = here if again or sure[unit, k] else stop
-                hits.append((k, here))
+                opening = float(widest[unit, k])
+                hits = [hit for hit in hits if k - hit[0] <= STOP_MEMORY]
+                is_repeat = any(abs(hit[1] - opening) < SAME_STOP for hit in hits)
+                stop = opening if is_repeat or sure[unit, k] else stop
+                hits.append((k, opening))
             out[unit, k] = stop is not None
     return out
 

@@ -28,7 +28,7 @@ BLOCK_FLIGHTS = 16
 
 @dataclass(frozen=True)
 class Indications:
-    """Input of the classifier: shifts of the checks, each flight's own estimate of loss, the row of the other pack."""
+    """Input of the classifier: shifts of the checks, estimate of loss from each flight alone, row of the other pack."""
 
     grid: Grid
     shift: Shift
@@ -65,12 +65,12 @@ class Indications:
         return np.asarray(np.searchsorted(self.departures[other], self.departures[unit, flights], side="right") - 1)
 
     def _flight_shifts(self, unit: int, first: int, last: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield each flight with its row of `at`."""
+        """Yield each flight with its row of `shifts_at`."""
         for start in range(first, last, BLOCK_FLIGHTS):
             flights = np.arange(start, min(start + BLOCK_FLIGHTS, last))
-            yield from zip(flights.tolist(), *self.at(unit, flights, first), strict=True)
+            yield from zip(flights.tolist(), *self.shifts_at(unit, flights, first), strict=True)
 
-    def at(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
+    def shifts_at(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
         """Return the shifts up to each flight in standard deviations, and the flights they are worth: own channels and
         loss, then the other pack's. (flights, 2 (C + 1)) each"""
         mine = self._pack_shifts(unit, flights, first)
@@ -78,15 +78,16 @@ class Indications:
         if other < 0:
             theirs: tuple[Array, Array] = np.full_like(mine[0], np.nan), np.ones_like(mine[1])
         else:
-            *then, began = self.same_time(unit, np.append(flights, first), other)
-            theirs = self._pack_shifts(other, np.array(then), int(began))
+            *other_flights, other_first = self.same_time(unit, np.append(flights, first), other)
+            theirs = self._pack_shifts(other, np.array(other_flights), int(other_first))
         z, worth = (np.concatenate(both, axis=1) for both in zip(mine, theirs, strict=True))
         return z, worth
 
     def _pack_shifts(self, unit: int, flights: Array, first: int) -> tuple[Array, Array]:
-        run = np.clip(flights - first + LATE_LEAST, LATE_LEAST, LATE_MOST)
+        """Return the shifts of one pack's checks and loss, and the flights they are worth. (flights, C + 1) each"""
+        n_late = np.clip(flights - first + LATE_LEAST, LATE_LEAST, LATE_MOST)
         late = flights[:, None] - np.arange(LATE_MOST)
-        late = np.where((late >= 0) & (np.arange(LATE_MOST) < run[:, None]), late, -1)
+        late = np.where((late >= 0) & (np.arange(LATE_MOST) < n_late[:, None]), late, -1)
         z = np.where((late >= 0)[:, :, None], self.shift.z[unit, late], np.nan)
         z, worth = _median_z(z)
         step, step_worth = self._loss_step(unit, late, first)
@@ -94,15 +95,15 @@ class Indications:
 
     def _loss_step(self, unit: int, late: Array, first: int) -> tuple[Array, Array]:
         """Return the step of loss across the shift in standard deviations, and the flights it is worth."""
-        before = slice(max(first - GAP_FLIGHTS - EARLIER_FLIGHTS, 0), max(first - GAP_FLIGHTS, 0))
+        earlier = slice(max(first - GAP_FLIGHTS - EARLIER_FLIGHTS, 0), max(first - GAP_FLIGHTS, 0))
         now, n_now = _median(np.where(late >= 0, self.loss[unit, late], np.nan)[:, :, None])
-        then, n_then = _median(self.loss[None, unit, before, None])
-        comparable = (n_now[:, 0] > 0) & (n_then[0, 0] > 0)
+        before_loss, n_before = _median(self.loss[None, unit, earlier, None])
+        comparable = (n_now[:, 0] > 0) & (n_before[0, 0] > 0)
         earliest = np.where(late >= 0, late, late.max(axis=1, keepdims=True)).min(axis=1)
-        between = 0.5 * (earliest + late.max(axis=1) + 1 - before.start - before.stop)
-        sampling = HX_STEP.sd**2 / MEDIAN_WORTH * (1.0 / np.maximum(n_now[:, 0], 1) + 1.0 / max(int(n_then[0, 0]), 1))
-        sd = np.sqrt(sampling + (WEAR_SD * between) ** 2)
-        step = np.where(comparable, (now[:, 0] - then[0, 0]) / sd, np.nan)
+        distance = 0.5 * (earliest + late.max(axis=1) + 1 - earlier.start - earlier.stop)
+        sampling = HX_STEP.sd**2 / MEDIAN_WORTH * (1.0 / np.maximum(n_now[:, 0], 1) + 1.0 / max(int(n_before[0, 0]), 1))
+        sd = np.sqrt(sampling + (WEAR_SD * distance) ** 2)
+        step = np.where(comparable, (now[:, 0] - before_loss[0, 0]) / sd, np.nan)
         return step, np.where(comparable, (HX_STEP.sd / sd) ** 2, 1.0)
 
 
@@ -118,8 +119,8 @@ def _median(values: Array) -> tuple[Array, Array]:
     """Return median and number of the finite values over the last axis but one; NaN where there are none."""
     # NaN sorts last, and a row of NaN covers the case of no flights
     none = np.full((*values.shape[:-2], 1, values.shape[-1]), np.nan)
-    ordered = np.sort(np.concatenate([np.where(np.isfinite(values), values, np.nan), none], axis=-2), axis=-2)
-    n = np.isfinite(ordered).sum(axis=-2)
+    rising = np.sort(np.concatenate([np.where(np.isfinite(values), values, np.nan), none], axis=-2), axis=-2)
+    n = np.isfinite(rising).sum(axis=-2)
     sides = (np.maximum(n - 1, 0) // 2, n // 2 * (n > 0))
-    low, high = (np.take_along_axis(ordered, k[..., None, :], axis=-2)[..., 0, :] for k in sides)
+    low, high = (np.take_along_axis(rising, k[..., None, :], axis=-2)[..., 0, :] for k in sides)
     return 0.5 * (low + high), n

@@ -1,4 +1,4 @@
-"""Features as arrays: one row a pack, one column a flight, so that rules walk a whole fleet at once."""
+"""Features as arrays: one row a pack, one column a flight, so that a rule computes a whole fleet at once."""
 
 from dataclasses import dataclass
 
@@ -67,13 +67,6 @@ class Grid:
         """Return a column as (units, flights) booleans; False where null, absent or not flown."""
         return self.values(name) > 0.5
 
-    def observed(self, name: str) -> Array:
-        """Return the flights that updated the estimate `name`: a value, and no prediction. (units, flights) bool"""
-        there = np.isfinite(self.values(name))
-        if f"{name}_status" in self.rows.columns:
-            there[self.unit, self.flight] &= ~self.rows[f"{name}_status"].is_in(UNOBSERVED).fill_null(True).to_numpy()
-        return there
-
     def as_observed(self, flags: Array, name: str, restart: Array) -> Array:
         """Return `flags` as of the unit's last flight that updated the estimate `name`; False before the first one.
 
@@ -85,11 +78,15 @@ class Grid:
             (units, flights) bool; flights with a new or cleaned unit.
         """
         flight = np.arange(self.shape[1])
-        last = np.maximum.accumulate(np.where(self.observed(name), flight, -1), axis=1)
+        has_update = np.isfinite(self.values(name))
+        if f"{name}_status" in self.rows.columns:
+            is_prediction = self.rows[f"{name}_status"].is_in(UNOBSERVED).fill_null(True).to_numpy()
+            has_update[self.unit, self.flight] &= ~is_prediction
+        last = np.maximum.accumulate(np.where(has_update, flight, -1), axis=1)
         entry = np.maximum.accumulate(np.where(restart, flight, 0), axis=1)
         return np.asarray(np.take_along_axis(flags, np.maximum(last, 0), axis=1) & (last >= entry) & self.is_flight)
 
-    def at(self, name: str, unit: int, flight: int) -> object:
+    def value(self, name: str, unit: int, flight: int) -> object:
         """Return one value of one flight."""
         return self.rows[name][self._first_row(unit) + flight]
 

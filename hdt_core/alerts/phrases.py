@@ -31,11 +31,10 @@ BELOW_BY = "{k} K below"
 ABOVE_BY = "{k} K above"
 FAR_UNKNOWN = "at an unknown distance from"
 MARGIN_PARTS = "what makes the margin: {parts}"
-DESIGN_GIVES = "the design gives {k} K"
-TARGET_GIVES = "target {k} K"
-FLOW_GIVES = "flow {k} K"
-AIR_GIVES = "air outside {k} K"
-WEAR_GIVES = "wear and build {k} K"
+PARTS_OF_MARGIN = {
+    "design": "the design gives {k} K", "target": "target {k} K", "flow": "flow {k} K", "ambient": "air outside {k} K",
+    "wear": "wear and build {k} K",
+}  # fmt: skip
 NOT_WEAR_ALONE = "UA lost (hx_fouling) {loss}: wear alone does not explain it"
 WARM_OUTLET = "on the last flight the outlet was {k} K above its level, door full open"
 MARGIN_ELSE = "a cooler season, or an outlet sensor that reads high"
@@ -104,14 +103,12 @@ COMPARE = (
     "on one flight; where all agree, wash, for a film inside is not seen from outside"
 )
 _GROWTH = "was found clean on {day} at a loss of {level} %, and the loss has grown to {loss} % since {since}"
-EXCHANGER_CLEAN = (
-    f"The heat exchanger {_GROWTH}: check the sensors it stands on (inlet and outlet temperature of the exchanger, "
-    "pack flow, total air temperature)"
-)
-COMPRESSOR_CLEAN = (
-    f"The compressor {_GROWTH}: check the sensors it stands on (temperatures and pressures at its inlet and exit)"
-)
-FOUND_CLEAN = {"HX": EXCHANGER_CLEAN, "CC": COMPRESSOR_CLEAN}
+FOUND_CLEAN = {
+    "HX": f"The heat exchanger {_GROWTH}: check the sensors it stands on (inlet and outlet temperature of the "
+    "exchanger, pack flow, total air temperature)",
+    "CC": f"The compressor {_GROWTH}: check the sensors it stands on (temperatures and pressures at its inlet and "
+    "exit)",
+}
 CLEAN_LOSES_NOTHING = "the inspection: a clean part loses nothing more"
 CLEAN_ELSE = "a film that the inspection could not see, or dust since"
 
@@ -119,9 +116,12 @@ UNIT_LOST = "{lost} ({name}) {loss}, {sigma} sigma; above {limit} % since {since
 UNIT_FAILS = "it fails at about {loss}"
 UNIT_STEP = "{points} points came within three flights: a sudden event"
 
-PHRASES = {
-    name: text for name, text in globals().items() if name[0].isupper() and name.isupper() and isinstance(text, str)
-}
+PHRASES: tuple[str, ...] = tuple(
+    text
+    for name, value in globals().items()
+    if name[0].isupper() and name.isupper()
+    for text in (value.values() if isinstance(value, dict) else [value])
+)
 
 SIGNALS = {
     "altitude_m": "pressure altitude",

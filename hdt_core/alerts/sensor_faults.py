@@ -27,18 +27,19 @@ ECHO_FLIGHTS = 12
 """Flights before and after a case within which another of the same sensor is the same fault."""
 
 
-def sensor_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_on: Array, jammed: Array) -> list[Case]:
-    """Find the cases of all sensors; `door_on`, `jammed` (units, flights): a door is at fault, its door is stuck."""
+def sensor_cases(
+    grid: Grid, maintenance: pl.DataFrame, limits: Limits, door_faulty: Array, door_stuck: Array
+) -> list[Case]:
+    """Find the cases of all sensors; `door_faulty`, `door_stuck` (units, flights): the door has a fault, or a jam."""
     restart = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     unusable = _unusable(grid, limits)
     dropouts = [c for sensor in SENSORS for c in _dropout_cases(grid, sensor, unusable[sensor], restart, limits)]
-    return dropouts + [
-        c for c in _shift_cases(grid, maintenance, (door_on, jammed), unusable) if not _repeats(c, dropouts)
-    ]
+    shifts = _shift_cases(grid, maintenance, (door_faulty, door_stuck), unusable)
+    return dropouts + [case for case in shifts if not _repeats(case, dropouts)]
 
 
 def may_feign_wear(case: Case) -> bool:
-    """Whether a shifted sensor may make the exchanger look worn; a shift the other way hides wear and explains none."""
+    """Check whether a biased sensor may make the exchanger look worn; a bias of the other sign hides wear."""
     check = next(c for c in CHANNELS if c.name == case.facts["channel"])
     by_sensor = check.effects.get(case.facts["sensor"], 0.0) * HX_STEP.effects.get(case.facts["sensor"], 0.0)
     return bool(by_sensor * case.facts["moved"] >= 0.0)
@@ -65,18 +66,18 @@ def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
 
 
 def _dropout_cases(grid: Grid, sensor: str, unusable: Array, restart: Array, limits: Limits) -> Iterator[Case]:
+    """Yield the cases of a sensor that is frozen or empty in many of its readings."""
     lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
     keep = lost_share > limits.lost_share / 3.0
-    for unit, first, end in runs(
-        persistent(unusable, *limits.dropout_persistence, keep=keep, restart=restart), restart
-    ):
+    active = persistent(unusable, *limits.dropout_persistence, keep=keep, restart=restart)
+    for unit, first, end in runs(active, restart):
         kind = "frozen" if still[unit, first] or lost_share[unit, first] > 0.95 else "dropout"
         facts = {"sensor": sensor, "kind": kind, "since": max(first - 1, 0), "share": float(lost_share[unit, first])}
         yield Case(unit, "SENSOR", "SENSOR_FAULT", first, end, facts)
 
 
 def _repeats(case: Case, dropouts: list[Case]) -> bool:
-    """Whether a shift is that of a sensor already reported as dropped out or frozen."""
+    """Check whether a shift is that of a sensor already reported as dropped out or frozen."""
     same = [s for s in dropouts if s.unit == case.unit and s.facts["sensor"] == case.facts["sensor"]]
     return any(
         s.raised_flight - ECHO_FLIGHTS <= case.raised_flight
@@ -89,7 +90,7 @@ def _shift_cases(
     grid: Grid, maintenance: pl.DataFrame, doors: tuple[Array, Array], unusable: dict[str, Array]
 ) -> list[Case]:
     """Find drifts and steps: a cross check leaves its unit's own level, and the signatures isolate the sensor."""
-    door_on, jammed = doors
+    door_faulty, door_stuck = doors
     running, restart = grid.flags("running"), grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     values = np.stack([np.where(running, grid.values(f"w_{c.name}"), np.nan) for c in CHANNELS], axis=2)
     # the remaining values of an unusable sensor are no evidence against others
@@ -98,23 +99,22 @@ def _shift_cases(
             bad = unusable[sensor] | (grid.across(unusable[sensor]) if check.between else False)
             values[bad, k] = np.nan
     outlet = np.array([c.name in OUTLET_CHECKS for c in CHANNELS])
-    values[(door_on | grid.across(door_on))[:, :, None] & outlet] = np.nan
-    values[jammed[:, :, None] & np.array([c.name in BEHIND_DOOR for c in CHANNELS])] = np.nan
-    repaired = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
+    values[(door_faulty | grid.across(door_faulty))[:, :, None] & outlet] = np.nan
+    values[door_stuck[:, :, None] & np.array([c.name in BEHIND_DOOR for c in CHANNELS])] = np.nan
+    door_repair = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
     # a shift of the outlet just before a door fault is detected is the door's
-    fresh = repaired | (door_on & ~np.pad(door_on, ((0, 0), (1, 0)))[:, :-1])
+    fresh = door_repair | (door_faulty & ~np.pad(door_faulty, ((0, 0), (1, 0)))[:, :-1])
     new = restart[:, :, None] | ((fresh | grid.across(fresh))[:, :, None] & outlet)
     for part, checks in NEW_WITH.items():
-        renewed = grid.worked_on(maintenance, (part,), REPAIR)
-        new = new | (renewed[:, :, None] & np.array([c.name in checks for c in CHANNELS]))
+        part_repair = grid.worked_on(maintenance, (part,), REPAIR)
+        new = new | (part_repair[:, :, None] & np.array([c.name in checks for c in CHANNELS]))
     shift = watch(values, np.array([c.sd for c in CHANNELS]), new)
     evidence = Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
         for unit, first, end in runs(shift.alarm[:, :, channel], np.zeros_like(restart)):
-            isolated = evidence.isolate(channel, (unit, first, end))
-            if isolated is not None:
-                flight, facts = isolated
+            if (isolation := evidence.isolate(channel, (unit, first, end))) is not None:
+                flight, facts = isolation
                 case = Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
                 cases += [case, *_shared_case(evidence, case)]
     return _merge_cases(cases, evidence)
@@ -125,21 +125,14 @@ def _shared_case(evidence: Indications, case: Case) -> list[Case]:
     other = int(evidence.partner[case.unit])
     if case.facts["whose"] != "both" or other < 0:
         return []
-    over = case.closed_flight is not None and case.closed_flight < evidence.grid.count(case.unit)
-    here = np.array([case.raised_flight, case.facts["since"], case.closed_flight if over else 0])
-    raised_flight, since, closed_flight = evidence.same_time(case.unit, here, other).tolist()
-    closed_flight = closed_flight if over else None
+    is_over = case.closed_flight is not None and case.closed_flight < evidence.grid.count(case.unit)
+    flights = np.array([case.raised_flight, case.facts["since"], case.closed_flight if is_over else 0])
+    raised_flight, since, closed_flight = evidence.same_time(case.unit, flights, other).tolist()
+    closed_flight = closed_flight if is_over else None
     if raised_flight < 0 or (closed_flight is not None and closed_flight <= raised_flight):
         return []
-    return [
-        replace(
-            case,
-            unit=other,
-            raised_flight=raised_flight,
-            closed_flight=closed_flight,
-            facts=case.facts | {"since": max(since, 0)},
-        )
-    ]
+    facts = case.facts | {"since": max(since, 0)}
+    return [replace(case, unit=other, raised_flight=raised_flight, closed_flight=closed_flight, facts=facts)]
 
 
 def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
@@ -165,13 +158,10 @@ def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
         if not same and not echoes:
             distinct.append(case)
             for wrong in on_other_pack:
-                now = (
-                    max(int(evidence.same_time(case.unit, np.array(case.raised_flight), other)), wrong.raised_flight)
-                    + 1
-                )
-                wrong.closed_flight = now if wrong.closed_flight is None else min(wrong.closed_flight, now)
+                now = int(evidence.same_time(case.unit, np.array(case.raised_flight), other))
+                last = max(now, wrong.raised_flight) + 1
+                wrong.closed_flight = last if wrong.closed_flight is None else min(wrong.closed_flight, last)
         elif same and same[0].closed_flight is not None:
-            same[0].closed_flight = (
-                None if case.closed_flight is None else max(same[0].closed_flight, case.closed_flight)
-            )
+            end = case.closed_flight
+            same[0].closed_flight = None if end is None else max(same[0].closed_flight, end)
     return distinct

@@ -1,8 +1,7 @@
 """Signature matrix of the cross checks, and Bayes' rule over it to isolate a faulty sensor.
 
-Each fault moves a set of cross checks in known proportions. The size of the fault is unknown, so it is integrated out
-against a normal prior: the class whose direction explains the observed shifts best, and no more freely than it must,
-wins (modified Bayes classification as in Ma, Lu and Liu 2015, with the amplitude marginalised).
+Each fault moves a set of cross checks in known proportions. The size of the fault is unknown and integrated out against
+a normal prior (modified Bayes classification as in Ma, Lu and Liu 2015, with the amplitude marginalised).
 """
 
 from dataclasses import dataclass, field
@@ -40,8 +39,8 @@ DELIVERY_GAIN = 0.26
 
 INLET_MOVES = {"hx_in_k": 0.7, "hx_out_k": 0.3, "ram_door_open": 65.0, "pack_flow_kg_s": -57.0, "hx": 3.0}
 INLET_BLURS = {"ram_door_open": 25.0, "hx": 8.0}
-"""Of the hot inlet's law in cruise, where half of the air between discharge and ram outlet is the one's and half the
-other's. A film moves it by -5 K for the whole conductance, a blockage by 10. [K]"""
+"""Effects on the law of the hot inlet in cruise, a mean of discharge and ram outlet temperature, and their standard
+deviations. A film moves it by -5 K for the whole conductance, a blockage by 10. [K]"""
 
 CHANNELS = (
     CrossCheck("inlet_minus_tat_k", 0.35, {"cc_in_k": 1.0, "tat_k": -1.0}),
@@ -80,14 +79,7 @@ CHANNELS = (
 HX_STEP = CrossCheck(
     "hx_fouling_flight",
     0.016,
-    {
-        "hx_out_k": 0.03,
-        "hx_in_k": -0.008,
-        "tat_k": -0.024,
-        "pack_flow_kg_s": -1.6,
-        "ram_door_open": 1.6,
-        "hx": 1.0,
-    },
+    {"hx_out_k": 0.03, "hx_in_k": -0.008, "tat_k": -0.024, "pack_flow_kg_s": -1.6, "ram_door_open": 1.6, "hx": 1.0},
     effect_sds={"ram_door_open": 0.8},
     wander=0.0,
 )
@@ -95,21 +87,10 @@ HX_STEP = CrossCheck(
 Effects of a reading one unit too high are those of a cross-flow exchanger in cruise (NTU about 1.7)."""
 
 SIZES = {
-    "tat_k": 3.5,
-    "cc_in_k": 3.5,
-    "total_pressure_pa": 0.03,
-    "cc_in_pa": 0.05,
-    "mach": 0.01,
-    "pack_flow_kg_s": 0.07,
-    "cc_flow_kg_s": 0.07,
-    "cc_out_pa": 0.05,
-    "hx_in_k": 4.0,
-    "hx_out_k": 4.0,
-    "cc_out_k": 4.0,
-    "ram_door_open": 0.08,
-    "hx": 0.08,
-    "cc": 0.05,
-}
+    "tat_k": 3.5, "cc_in_k": 3.5, "total_pressure_pa": 0.03, "cc_in_pa": 0.05, "mach": 0.01, "pack_flow_kg_s": 0.07,
+    "cc_flow_kg_s": 0.07, "cc_out_pa": 0.05, "hx_in_k": 4.0, "hx_out_k": 4.0, "cc_out_k": 4.0, "ram_door_open": 0.08,
+    "hx": 0.08, "cc": 0.05,
+}  # fmt: skip
 """Prior standard deviation of each fault's size, in its unit (pressures and flows by their logarithm): ten times the
 sensor's noise, about what an operator would write up."""
 NO_SENSOR = ("hx", "cc", "nothing")
@@ -129,7 +110,7 @@ STEPS = np.concatenate([-np.geomspace(0.15, 4.0, 12)[::-1], np.geomspace(0.15, 4
 
 
 class Signatures(NamedTuple):
-    """Effects of n hypotheses (sensor, whose: `own`, `other`, `both`) on the channels of own and other pack.
+    """Effects of n hypotheses (sensor; pack: `own`, `other`, `both`) on the channels of own and other pack.
 
     `shift` and its standard deviation `blur`, (n, 2 (C + 1)), for a fault of the size in `SIZES`, in standard
     deviations of one flight; `CHANNELS` and `HX_STEP`, own pack then other. Left-minus-right checks count once, in the
@@ -149,15 +130,16 @@ class Signatures(NamedTuple):
 def signatures() -> Signatures:
     """Build all hypotheses and their signatures."""
     names, shifts, blurs = [], [], []
-    between = np.array([c.between for c in (*CHANNELS, HX_STEP)])
+    checks = (*CHANNELS, HX_STEP)
+    between = np.array([c.between for c in checks])
     for sensor, size in SIZES.items():
-        own = np.array([size * c.effects.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
-        blur = np.hypot(EFFECT_ERROR * own, [size * c.effect_sds.get(sensor, 0.0) / c.sd for c in (*CHANNELS, HX_STEP)])
+        own = np.array([size * c.effects.get(sensor, 0.0) / c.sd for c in checks])
+        blur = np.hypot(EFFECT_ERROR * own, [size * c.effect_sds.get(sensor, 0.0) / c.sd for c in checks])
         for whose, mine, theirs in (("own", 1, 0), ("other", 0, 1), ("both", 1, 1)):
             if whose != "both" or sensor in SHARED_SENSORS:
                 names.append((sensor, whose))
-                apart = (mine - theirs) * np.where(between, own, 0.0)
-                shifts.append(np.concatenate([mine * np.where(between, 0.0, own) + apart, theirs * ~between * own]))
+                own_shift = np.where(between, mine - theirs, mine) * own
+                shifts.append(np.concatenate([own_shift, theirs * ~between * own]))
                 own_blur = np.where(between, abs(mine - theirs), mine) * blur
                 blurs.append(np.concatenate([own_blur, theirs * ~between * blur]))
     names.append(("nothing", "own"))
@@ -166,7 +148,7 @@ def signatures() -> Signatures:
     usual = np.array([np.log(PART_CHANGE_ODDS) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
     shift, blur = np.array(shifts), np.array(blurs)
     which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
-    wander = np.tile([c.wander for c in (*CHANNELS, HX_STEP)], 2)
+    wander = np.tile([c.wander for c in checks], 2)
     return Signatures(tuple(names), shift, blur, usual, (which, channel), wander)
 
 
@@ -192,18 +174,18 @@ def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:
     other pack; the sizes are summed.
     """
     matrix = signatures()
-    observed = np.isfinite(z)
+    is_observed = np.isfinite(z)
     worth = np.sqrt(np.broadcast_to(flights, z.shape))
     own = 1.0 + (matrix.wander * worth) ** 2
     theirs = np.arange(len(z)) >= len(z) // 2
     # of a channel that the fault does not shift, whatever its size
-    unchanged = _log_likelihood(np.where(observed, z, 0.0), own, theirs)
-    which, channel = (k[observed[matrix.nonzero[1]]] for k in matrix.nonzero)
+    baseline = _log_likelihood(np.where(is_observed, z, 0.0), own, theirs)
+    which, channel = (k[is_observed[matrix.nonzero[1]]] for k in matrix.nonzero)
     a, b = (m[which, channel] * worth[channel] * STEPS[:, None] for m in (matrix.shift, matrix.blur))
-    gain = _log_likelihood(z[channel] - a, own[channel] + b**2, theirs[channel]) - unchanged[channel]
+    gain = _log_likelihood(z[channel] - a, own[channel] + b**2, theirs[channel]) - baseline[channel]
     log_likelihood = np.zeros((len(matrix.names), len(STEPS)))
     np.add.at(log_likelihood, which, gain.T)
-    log_likelihood += unchanged[observed].sum()
+    log_likelihood += baseline[is_observed].sum()
     # sizes are spaced evenly by logarithm: each weighs as its own width
     prior = np.log(np.abs(STEPS)) - 0.5 * STEPS**2
     evidence = np.logaddexp.reduce(prior + log_likelihood, axis=1) + matrix.log_prior

@@ -1,6 +1,6 @@
-"""Alerts as they would have been with a higher or lower limit: the same rules over the same features.
+"""Alerts of a fleet with one limit higher or lower, by the same rules over the same features.
 
-Sensor faults are not among them: a probability isolates a sensor, and no single limit decides.
+Sensor faults are left out: a probability isolates a sensor, and no single limit decides.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.alerts.alerts import Disturbances, as_alerts, find_disturbances, wear_cases, with_health
+from hdt_core.alerts.alerts import as_alerts, find_disturbances, wear_cases, with_health
 from hdt_core.alerts.cases import Limits
 from hdt_core.alerts.door_faults import door_cases
 from hdt_core.alerts.grid import Grid
@@ -43,45 +43,18 @@ def trials(
 
     Door and sensor cases are found once and stay fixed while a limit of wear changes.
     """
+    if features.is_empty():
+        return
     limits = limits or Limits()
-    fleet = [
-        _classify_disturbances(own, health_parameters, maintenance, limits)
-        for own in features.partition_by("operator", "tail")
-    ]
+    grid = Grid.from_frame(with_health(features, health_parameters))
+    disturbances = find_disturbances(grid, maintenance, limits)
     for diagnosis, (name, values) in VALUES.items():
         for value in values:
             change: dict[str, Any] = {name: value}
-            changed = replace(limits, **change)
-            alerts = [_alerts_of(aircraft, diagnosis, changed) for aircraft in fleet]
-            if alerts:
-                yield Trial(diagnosis, name, value, value == getattr(limits, name), pl.concat(alerts))
-
-
-@dataclass(frozen=True, slots=True)
-class _Aircraft:
-    """One aircraft: its features, its log, its door and sensor cases."""
-
-    grid: Grid
-    maintenance: pl.DataFrame
-    disturbances: Disturbances
-
-
-def _classify_disturbances(
-    features: pl.DataFrame, health_parameters: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits
-) -> _Aircraft:
-    own = {"operator": features["operator"][0], "tail": features["tail"][0]}
-    log = maintenance.filter(**own) if maintenance.height else maintenance
-    health = health_parameters.filter(**own) if health_parameters.height else health_parameters
-    grid = Grid.from_frame(with_health(features, health))
-    return _Aircraft(grid, log, find_disturbances(grid, log, limits))
-
-
-def _alerts_of(aircraft: _Aircraft, diagnosis: str, limits: Limits) -> pl.DataFrame:
-    """Return the alerts of one aircraft at changed limits."""
-    grid, log, disturbances = aircraft.grid, aircraft.maintenance, aircraft.disturbances
-    if diagnosis == "RAM_DOOR_FAULT":
-        cases = door_cases(grid, log, limits)
-    else:
-        # copies, because `as_alerts` sets where a case ends
-        cases = [*map(copy, disturbances.doors + disturbances.sensors), *wear_cases(grid, log, limits, disturbances)]
-    return as_alerts(grid, log, cases, limits)
+            new_limits = replace(limits, **change)
+            if diagnosis == "RAM_DOOR_FAULT":
+                cases = door_cases(grid, maintenance, new_limits)
+            else:  # copies, because `as_alerts` sets where a case ends
+                cases = [*map(copy, disturbances.cases), *wear_cases(grid, maintenance, new_limits, disturbances)]
+            alerts = as_alerts(grid, maintenance, cases, new_limits)
+            yield Trial(diagnosis, name, value, value == getattr(limits, name), alerts)

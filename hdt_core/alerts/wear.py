@@ -8,7 +8,7 @@ from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, Case, Limits, f
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.detection import Array, Cusum, lingering, persistent, since, watch
 
-SETTLED = 5
+SETTLED_FLIGHTS = 5
 """Flights after work on a part before its track counts again."""
 FAULT_ECHO = 15
 """Flights after a door or outlet-sensor fault during which its end still looks like a step of the exchanger."""
@@ -26,36 +26,35 @@ SAME_CLOG = 40
 DIAMETER_LOSS = 0.025
 """Loss of effective diameter at an efficiency loss of 5 %: equation (5) takes the root of efficiency. [-]"""
 
-MARGIN_SETTLED = 1
+MARGIN_SETTLED_FLIGHTS = 1
 """Flights of a new or washed unit before its margin counts; the rule needs four of five flights anyway."""
 MARGIN_FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", "overheat_p20_k")
 
 
 def hx_cases(
-    grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array, planned: Array | None = None
+    grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array, visit_planned: Array | None = None
 ) -> list[Case]:
     """Find fouling past its limit and sudden clogs; `doubtful` (units, flights): a door or the outlet is in doubt.
 
-    Icing has melted by the next flight and never persists. Where a shop visit is `planned` for little margin already, a
-    second case of the same exchanger waits until its wear is beyond doubt.
+    Icing has melted by the next flight and never persists. Where a shop visit is planned for little margin already
+    (`visit_planned`), a second case of the same exchanger waits until its wear is beyond doubt.
     """
     restart = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
     loss, sd, step = grid.values("hx_fouling"), grid.values("hx_fouling_sd"), grid.values("hx_fouling_step_3")
-    settled = (since(restart) > SETTLED) & ~(step < -limits.clog)
-    reliable = settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
+    is_settled = (since(restart) > SETTLED_FLIGHTS) & ~(step < -limits.clog)
+    reliable = is_settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
     gain = loss_rise(np.where(lingering(doubtful, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), restart)
-    limit = limits.fouling + (0.0 if planned is None else np.where(planned, BEYOND_DOUBT, 0.0))
+    limit = limits.fouling + (0.0 if visit_planned is None else np.where(visit_planned, BEYOND_DOUBT, 0.0))
     above_limit = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gain > limit + RISE_MARGIN)
     sure = grid.as_observed(above_limit | _fails_soon(grid, loss, sd, limits), "hx_fouling", restart)
     keep = np.fmax(loss, gain) > limits.fouling_keep * limits.fouling_soon
-    fouled = persistent(sure & reliable, *limits.wear_persistence, keep=keep, restart=restart)
-    blocked = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
+    is_fouled = persistent(sure & reliable, *limits.wear_persistence, keep=keep, restart=restart)
+    may_be_blockage = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
     jump_flags = (step > limits.clog) & (np.fmax(loss, gain) > 0.05) & ~_returns_after_recovery(step, restart, limits)
-    clogged = persistent(
-        jump_flags & blocked & reliable & ~_after_repair(grid, maintenance), *limits.clog_persistence, restart=restart
-    )
-    cases = [_hx(grid, "HX_SUDDEN_CLOG", run, gain) for run in runs(clogged, restart)]
-    for unit, first, end in runs(fouled, restart):
+    jump_flags &= may_be_blockage & reliable & ~_after_repair(grid, maintenance)
+    is_clogged = persistent(jump_flags, *limits.clog_persistence, restart=restart)
+    cases = [_hx(grid, "HX_SUDDEN_CLOG", run, gain) for run in runs(is_clogged, restart)]
+    for unit, first, end in runs(is_fouled, restart):
         jump = next((c for c in cases if c.unit == unit and _led_to(c, first, restart)), None)
         if jump is None:
             cases.append(_hx(grid, "HX_FOULING", (unit, first, end), gain))
@@ -65,7 +64,7 @@ def hx_cases(
 
 
 def _led_to(jump: Case, first: int, restart: Array) -> bool:
-    """Whether a loss past its limit since flight `first` is that of a jump before it, on the same unit."""
+    """Check whether a loss past its limit since flight `first` is that of a jump before it, on the same unit."""
     return (
         0 <= first - jump.raised_flight <= SAME_CLOG
         and not restart[jump.unit, jump.raised_flight + 1 : first + 1].any()
@@ -102,15 +101,12 @@ def loss_rise(flight_loss: Array, restart: Array) -> Array:
     array
         (units, flights); NaN before ten flights of the unit.
     """
-    out, window, lowest = (
-        np.full(flight_loss.shape, np.nan),
-        np.full((flight_loss.shape[0], BLOCK_FLIGHTS), np.nan),
-        np.full(flight_loss.shape[0], np.inf),
-    )
+    out, n_units = np.full(flight_loss.shape, np.nan), flight_loss.shape[0]
+    window, lowest = np.full((n_units, BLOCK_FLIGHTS), np.nan), np.full(n_units, np.inf)
     for k in range(flight_loss.shape[1]):
         window[restart[:, k]], lowest[restart[:, k]] = np.nan, np.inf
-        observed = np.isfinite(flight_loss[:, k])
-        window[observed] = np.concatenate([window[observed, 1:], flight_loss[observed, k, None]], axis=1)
+        is_new = np.isfinite(flight_loss[:, k])
+        window[is_new] = np.concatenate([window[is_new, 1:], flight_loss[is_new, k, None]], axis=1)
         full = np.isfinite(window).all(axis=1)
         level = np.median(window, axis=1)
         lowest = np.where(full, np.fmin(lowest, level), lowest)
@@ -138,7 +134,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     """
     restart = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
-    sure = (soon > limits.passage) & (since(restart) > MARGIN_SETTLED) & ~doubtful
+    sure = (soon > limits.passage) & (since(restart) > MARGIN_SETTLED_FLIGHTS) & ~doubtful
     sure = grid.as_observed(sure, "hx_fouling", restart)
     low = persistent(
         sure, *limits.margin_persistence, keep=soon > limits.passage_keep * limits.passage, restart=restart
@@ -155,38 +151,42 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
 
 
 def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array) -> list[Case]:
-    """Find compressor wear: by efficiency where it is known, else by effective diameter since the unit's start."""
+    """Find compressor wear: by efficiency where it is known, else by effective diameter since the unit's start.
+
+    `doubtful` (units, flights): a sensor of the pack is at fault.
+    """
     restart = grid.worked_on(maintenance, ("CC",), ("REPLACED",))
     loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
     sure = (
         (odds_above(loss, sd, limits.compressor) > limits.compressor_odds)
         & (loss > limits.compressor_excess * limits.compressor)
-        & (since(restart) > SETTLED)
+        & (since(restart) > SETTLED_FLIGHTS)
     )
     sure = grid.as_observed(sure, "cc_efficiency_loss", restart)
     by_efficiency = persistent(
         sure, *limits.compressor_persistence, keep=loss > limits.compressor_keep * limits.compressor, restart=restart
     )
     diameter = _diameter(grid, restart)
-    by_diameter = (diameter[:, :, 1] > 0.5) & ~_so_far(np.isfinite(loss)) & ~doubtful
+    has_efficiency = np.logical_or.accumulate(np.isfinite(loss), axis=1)
+    by_diameter = (diameter[:, :, 1] > 0.5) & ~has_efficiency & ~doubtful
     cases = []
-    for u, a, b in runs(by_efficiency | by_diameter, restart):
-        cases.append(Case(u, "CC", "CC_DEGRADED", a, b, {"since": a}, fact_after("shrunk", diameter[u, :, 0])))
+    for unit, first, end in runs(by_efficiency | by_diameter, restart):
+        shrinkage = fact_after("shrunk", diameter[unit, :, 0])
+        cases.append(Case(unit, "CC", "CC_DEGRADED", first, end, {"since": first}, shrinkage))
     return cases
 
 
 def _hx(grid: Grid, diagnosis: str, run: tuple[int, int, int | None], gain: Array) -> Case:
+    """Return a case of an exchanger with its facts; `gain` (units, flights): of `loss_rise`."""
     unit, first, end = run
     small = np.nonzero(~(grid.track("hx_fouling", unit)[: first + 1] > 0.05))[0]
-    facts = {
-        "since": int(small[-1]) + 1 if small.size else 0,
-        "jump": float(grid.track("hx_fouling_step_3", unit)[first]),
-    }
+    began, jump = int(small[-1]) + 1 if small.size else 0, float(grid.track("hx_fouling_step_3", unit)[first])
+    facts = {"since": began, "jump": jump}
     return Case(unit, "HX", diagnosis, first, end, facts, fact_after("gained", gain[unit]))
 
 
 def _diameter(grid: Grid, restart: Array) -> Array:
-    """Return the relative change of effective diameter since the unit's first flights, and whether it has shrunk."""
+    """Return the change of ln diameter since the unit's first flights, and whether it shrank. (units, flights, 2)"""
     diameter = np.where(grid.flags("running"), grid.values("cc_effective_diameter_m"), np.nan)
     settings = Cusum(slack=0.75, clear=1.0, learn_flights=20, memory_flights=10**6)
     shift = watch(np.log(diameter)[:, :, None], np.array([DIAMETER_SD]), restart[:, :, None], settings)
@@ -198,8 +198,3 @@ def odds_above(value: Array, sd: Array, limit: Array | float) -> Array:
     """Return the probability that the quantity exceeds the limit; 0 where unknown."""
     safe = np.maximum(np.nan_to_num(sd, nan=1.0), 1e-6)
     return np.asarray(np.nan_to_num(ndtr((value - limit) / safe)))
-
-
-def _so_far(flags: Array) -> Array:
-    """Flag flights at or after the first flagged one."""
-    return np.asarray(np.logical_or.accumulate(flags, axis=1))

@@ -1,7 +1,8 @@
-"""A case in words: what changed and since when, observations for and against it, the cost of waiting."""
+"""Evidence of each diagnosis: what changed and since when, observations for and against it, the cost of waiting."""
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from scipy.special import ndtr
@@ -28,19 +29,14 @@ DOOR_DIFFERENCE, LOSS_DIFFERENCE, RAM_FLOW_LOSS = 0.03, 0.05, 0.04
 
 
 def exchanger_severity(facts: Facts) -> str:
-    """High where failure is near."""
+    """Return high where failure is near."""
     flights = flights_left(facts)
     return "high" if facts["hx_fouling"] > 0.3 or (flights is not None and flights < 50) else "medium"
 
 
 def sensor_severity(facts: Facts) -> str:
-    """Medium for a sensor that the health estimate depends on."""
+    """Return medium for a sensor that the health estimate depends on."""
     return "medium" if facts["kind"] == CONTRADICTED or facts["sensor"] in ESTIMATE_SENSORS else "low"
-
-
-def door_severity(facts: Facts) -> str:
-    """High where the door can't move at all."""
-    return "high" if facts["kind"] == "jam" else "medium"
 
 
 def flights_left(facts: Facts) -> float | None:
@@ -68,6 +64,10 @@ def within(value: float, sd: float, digits: int = 0) -> str:
     return phrases.WITHIN.format(value=f"{100.0 * value:.{digits}f}", low=low, high=high)
 
 
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}"
+
+
 def _probability(p: float) -> str:
     """Format a probability, capped below certainty."""
     return phrases.ABOVE.format(value=0.99) if p > 0.99 else f"{p:.2f}"
@@ -78,99 +78,95 @@ def chance_above(value: float, limit: float, sd: float) -> str:
     return _probability(float(ndtr((value - limit) / max(sd, 1e-6))))
 
 
-def exchanger(facts: Facts, since: str) -> Evidence:
-    """Fouling, gradual or sudden."""
+def loss_finding(phrase: str, loss: float, sd: float, limit: float, since: str, digits: int = 0, **names: str) -> str:
+    """Format a loss with its interval, its distance from 0, and the probability that it exceeds the limit."""
+    return phrase.format(
+        loss=within(loss, sd, digits),
+        sigma=f"{loss / max(sd, 1e-6):.0f}",
+        limit=_percent(limit),
+        since=since,
+        odds=chance_above(loss, limit, sd),
+        **names,
+    )
+
+
+def trend(slope: float) -> list[str]:
+    """Format the growth of a loss over thirty flights; empty where it does not grow."""
+    return [phrases.TREND.format(points=f"{1000 * slope:.1f}")] if slope > 1e-5 else []
+
+
+def exchanger(facts: Facts, since: str, clean_flow: str = NEUTRAL) -> Evidence:
+    """Return the evidence of fouling; `clean_flow`: the role of a ram flow that is not reduced."""
     loss, sd = facts["hx_fouling"], facts["hx_fouling_sd"]
-    slope = facts["hx_fouling_slope_30_per_flight"]
-    findings = [
-        phrases.UA_LOST.format(
-            loss=within(loss, sd),
-            sigma=f"{loss / max(sd, 1e-6):.0f}",
-            limit=f"{100 * WEAR_LIMIT:.0f}",
-            since=since,
-            odds=chance_above(loss, WEAR_LIMIT, sd),
-        )
-    ]
-    if slope > 1e-5:
-        findings.append(phrases.TREND.format(points=f"{1000 * slope:.1f}"))
+    findings = [loss_finding(phrases.UA_LOST, loss, sd, WEAR_LIMIT, since)]
+    findings += trend(facts["hx_fouling_slope_30_per_flight"])
     if facts["gained"] > loss + 2.0 * sd:
-        findings.append(phrases.RISE.format(points=f"{100 * facts['gained']:.0f}"))
-    corroborations = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, NEUTRAL))
+        findings.append(phrases.RISE.format(points=_percent(facts["gained"])))
+    corroborations = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, clean_flow))
     return Evidence(
         "; ".join(findings), tuple(w for w in corroborations if w), phrases.EXCHANGER_ELSE, phrases.EXCHANGER_COSTS
     )
 
 
 def clog(facts: Facts, since: str) -> Evidence:
-    """A sudden clog: fouling with a jump too fast for wear."""
-    fouling = exchanger(facts, since)
-    finding = f"{fouling.finding}; " + phrases.JUMP.format(points=f"{100 * facts['jump']:.0f}")
-    corroborations = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, AGAINST))
-    return Evidence(finding, tuple(w for w in corroborations if w), fouling.otherwise, fouling.waiting)
+    """Return the evidence of a sudden clog: fouling with a jump too fast for wear."""
+    fouling = exchanger(facts, since, AGAINST)
+    return replace(fouling, finding=f"{fouling.finding}; " + phrases.JUMP.format(points=_percent(facts["jump"])))
 
 
 def _full_open(facts: Facts) -> Corroboration:
-    """Whether the door is full open, so that the controller lacks ram air."""
+    """Report whether the door is full open, so that the controller lacks ram air."""
     share = facts["door_full_open_share"]
     if math.isnan(share):
         return Corroboration(NEUTRAL, phrases.DOOR_UNKNOWN)
     spare = share < FULL_OPEN_SHARE
     phrase = phrases.DOOR_SPARE if spare else phrases.DOOR_FULL
-    return Corroboration(NEUTRAL if spare else SUPPORTS, phrase.format(share=f"{100 * share:.0f}"))
+    return Corroboration(NEUTRAL if spare else SUPPORTS, phrase.format(share=_percent(share)))
 
 
 def _door_beside(facts: Facts) -> Corroboration | None:
-    """The door of the pack that lost more should stand wider than the other's, on the same flight."""
+    """Compare the doors of both packs on a flight: that of the pack that lost more should stand wider."""
     wider, more = facts["door_median_between_packs"], facts["hx_fouling_between_packs"]
     if math.isnan(wider) or not more > LOSS_DIFFERENCE:
         return None
     if abs(wider) <= DOOR_DIFFERENCE:
         return Corroboration(NEUTRAL, phrases.DOOR_ALIKE)
-    points = f"{abs(100 * wider):.0f}"
+    points = _percent(abs(wider))
     if wider > 0.0:
         return Corroboration(SUPPORTS, phrases.DOOR_WIDER.format(points=points))
     return Corroboration(AGAINST, phrases.DOOR_NARROWER.format(points=points))
 
 
 def _loss_beside(facts: Facts) -> Corroboration | None:
-    """A loss that both packs of an aircraft share may have a common cause."""
+    """Compare the losses of both packs: one that they share may have a common cause."""
     more = facts["hx_fouling_between_packs"]
     if math.isnan(more):
         return None
     if more > LOSS_DIFFERENCE:
-        return Corroboration(SUPPORTS, phrases.OTHER_LESS.format(points=f"{100 * more:.0f}"))
+        return Corroboration(SUPPORTS, phrases.OTHER_LESS.format(points=_percent(more)))
     return Corroboration(NEUTRAL, phrases.OTHER_ALIKE)
 
 
-def _ram_flow(facts: Facts, otherwise: str) -> Corroboration | None:
-    """Where the ram outlet is measured: a blockage starves the ram flow, a film does not."""
+def _ram_flow(facts: Facts, clean_flow: str) -> Corroboration | None:
+    """Report ram flow where the ram outlet is measured: a blockage starves it, a film does not."""
     loss = facts["ram_flow_loss"]
     if math.isnan(loss):
         return None
     if loss > RAM_FLOW_LOSS:
-        return Corroboration(SUPPORTS, phrases.FLOW_BLOCKED.format(share=f"{100 * loss:.0f}"))
-    return Corroboration(otherwise, phrases.FLOW_CLEAN)
-
-
-def margin_severity(facts: Facts) -> str:
-    """High where the message is more likely than not within a hundred flights."""
-    return "high" if facts["hx_passage_100"] > 0.5 else "medium"
+        return Corroboration(SUPPORTS, phrases.FLOW_BLOCKED.format(share=_percent(loss)))
+    return Corroboration(clean_flow, phrases.FLOW_CLEAN)
 
 
 def low_margin(facts: Facts, since: str) -> Evidence:
-    """Little reserve before the message, and its parts."""
+    """Return the evidence of little reserve before the message, with its parts."""
     finding = phrases.MARGIN.format(
         margin=_kelvin(facts["hx_margin_k"]),
         hot_day=_kelvin(facts["hx_margin_hot_day_k"]),
         odds=_probability(facts["hx_passage_300"]),
         since=since,
     )
-    gives = {
-        "design": phrases.DESIGN_GIVES, "target": phrases.TARGET_GIVES, "flow": phrases.FLOW_GIVES,
-        "ambient": phrases.AIR_GIVES, "wear": phrases.WEAR_GIVES,
-    }  # fmt: skip
-    by = {phrase: facts[f"hx_margin_{name}_k"] for name, phrase in gives.items()}
-    shares = ", ".join(phrase.format(k=f"{k:+.0f}") for phrase, k in by.items() if not math.isnan(k))
+    parts = [(phrase, facts[f"hx_margin_{name}_k"]) for name, phrase in phrases.PARTS_OF_MARGIN.items()]
+    shares = ", ".join(phrase.format(k=f"{k:+.0f}") for phrase, k in parts if not math.isnan(k))
     corroborations = [Corroboration(NEUTRAL, phrases.MARGIN_PARTS.format(parts=shares))] if shares else []
     loss = within(facts["hx_fouling"], facts["hx_fouling_sd"])
     corroborations.append(Corroboration(NEUTRAL, phrases.NOT_WEAR_ALONE.format(loss=loss)))
@@ -188,16 +184,10 @@ def _kelvin(margin_k: float) -> str:
 
 
 def compressor(facts: Facts, since: str) -> Evidence:
-    """Efficiency where the exit temperature is recorded, else effective diameter."""
+    """Return the evidence of wear: efficiency where the exit temperature is recorded, else effective diameter."""
     loss, sd, change = facts["cc_efficiency_loss"], facts["cc_efficiency_loss_sd"], facts["shrunk"]
     if not math.isnan(loss):
-        finding = phrases.COMPRESSOR.format(
-            loss=within(loss, sd, 1),
-            sigma=f"{loss / max(sd, 1e-6):.0f}",
-            since=since,
-            limit=f"{100 * WEAR_LIMIT:.0f}",
-            odds=chance_above(loss, WEAR_LIMIT, sd),
-        )
+        finding = loss_finding(phrases.COMPRESSOR, loss, sd, WEAR_LIMIT, since, digits=1)
         return Evidence(finding, _diameter(facts), phrases.COMPRESSOR_ELSE, phrases.COMPRESSOR_COSTS)
     smaller, sigma = f"{-100 * change:.1f}", f"{-change / DIAMETER_SD:.1f}"
     finding = phrases.SMALLER_DIAMETER.format(share=smaller, sigma=sigma, since=since)
@@ -206,7 +196,7 @@ def compressor(facts: Facts, since: str) -> Evidence:
 
 
 def _diameter(facts: Facts) -> tuple[Corroboration, ...]:
-    """Equation (5) takes the root of efficiency: a worn compressor's effective diameter shrinks by half of its loss."""
+    """Report the effective diameter, which shrinks by half of the efficiency loss: equation (5) takes its root."""
     loss, efficiency = facts["cc_diameter_loss"], facts["cc_efficiency_loss"]
     if math.isnan(loss):
         return ()
@@ -215,21 +205,21 @@ def _diameter(facts: Facts) -> tuple[Corroboration, ...]:
 
 
 def _reserve(facts: Facts) -> tuple[Corroboration, ...]:
-    """Reserve of effective diameter before the required flow is no longer delivered."""
+    """Report by how much the effective diameter may shrink before the required flow is no longer delivered."""
     reserve, hot_high = facts["cc_diameter_left"], facts["cc_diameter_left_hot_high"]
     if math.isnan(reserve):
         return ()
     own = phrases.DIAMETER_LEFT if reserve > 0.0 else phrases.TOO_SMALL
     high = phrases.LEFT_HOT_HIGH if hot_high > 0.0 else phrases.SMALL_HOT_HIGH
     return (
-        Corroboration(NEUTRAL if reserve > 0.0 else SUPPORTS, own.format(share=f"{100 * abs(reserve):.0f}")),
-        Corroboration(NEUTRAL, high.format(share=f"{100 * abs(hot_high):.0f}")),
+        Corroboration(NEUTRAL if reserve > 0.0 else SUPPORTS, own.format(share=_percent(abs(reserve)))),
+        Corroboration(NEUTRAL, high.format(share=_percent(abs(hot_high)))),
     )
 
 
 def door(facts: Facts, since: str) -> Evidence:
-    """A jam, or travel that ends too soon."""
-    stop = f"{100 * facts['stop']:.0f}"
+    """Return the evidence of a jam, or of travel that ends too soon."""
+    stop = _percent(facts["stop"])
     if facts["kind"] == "jam":
         flickers = Corroboration(SUPPORTS, phrases.FLICKERS)
         finding = phrases.JAM.format(stop=stop, since=since)
@@ -244,18 +234,19 @@ def door(facts: Facts, since: str) -> Evidence:
 
 
 def sensor(facts: Facts, since: str) -> Evidence:
-    """Dropout, frozen, or shifted against a cross check."""
+    """Return the evidence of a dropout, a frozen reading, or a shift against a cross check."""
     if facts["kind"] == CONTRADICTED:
-        return _contradicted(facts, since)
+        return _contradiction(facts, since)
     name = phrases.plain_name(facts["sensor"])
+    name = name[:1].upper() + name[1:]
     if facts["kind"] == "dropout":
-        finding = phrases.DROPOUT.format(sensor=_upper(name), share=f"{100 * facts['share']:.0f}", since=since)
+        finding = phrases.DROPOUT.format(sensor=name, share=_percent(facts["share"]), since=since)
         return Evidence(finding, (), phrases.DROPOUT_ELSE, phrases.SENSOR_COSTS)
     if facts["kind"] == "frozen":
-        finding = phrases.FROZEN.format(sensor=_upper(name), since=since)
+        finding = phrases.FROZEN.format(sensor=name, since=since)
         return Evidence(finding, (), phrases.FROZEN_ELSE, phrases.SENSOR_COSTS)
     finding = phrases.SENSOR_SHIFT.format(
-        sensor=_upper(name),
+        sensor=name,
         check=phrases.plain_name(facts["channel"]),
         moved=_amount(facts["channel"], facts["moved"]),
         sigma=f"{facts['sigma']:.1f}",
@@ -265,19 +256,15 @@ def sensor(facts: Facts, since: str) -> Evidence:
     return Evidence(finding, (corroboration,), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
 
 
-def _contradicted(facts: Facts, since: str) -> Evidence:
-    """A growing loss of a part found clean contradicts the sensors behind it."""
+def _contradiction(facts: Facts, since: str) -> Evidence:
+    """Return the evidence against the sensors of a part whose loss grows on though an inspection cleared it."""
     finding = phrases.FOUND_CLEAN[facts["of"]].format(
-        day=facts["looked_on"], level=f"{100 * facts['level']:.0f}", loss=f"{100 * facts['loss']:.0f}", since=since
+        day=facts["looked_on"], level=_percent(facts["level"]), loss=_percent(facts["loss"]), since=since
     )
     corroborations = (Corroboration(SUPPORTS, phrases.CLEAN_LOSES_NOTHING),)
     return Evidence(finding, corroborations, phrases.CLEAN_ELSE, phrases.SENSOR_COSTS)
 
 
-def _amount(check: str, by: float) -> str:
+def _amount(check: str, shift: float) -> str:
     """Format the shift of a check: in K, or for a logarithm in per cent."""
-    return f"{by:+.2f} K" if check.endswith("_k") else f"{100.0 * by:+.1f} %"
-
-
-def _upper(sentence: str) -> str:
-    return sentence[:1].upper() + sentence[1:]
+    return f"{shift:+.2f} K" if check.endswith("_k") else f"{100.0 * shift:+.1f} %"

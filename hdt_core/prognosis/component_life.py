@@ -8,19 +8,17 @@ import hashlib
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hdt_core.components import Component
+from hdt_core.components import Component, Limit
 from hdt_core.margin.first_passage import wear_rate
-from hdt_core.prognosis.component_limits import learn_limit
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
 from hdt_core.prognosis.unit_lives import Failure, component_lives
 from hdt_core.records.keys import PACK
+from hdt_core.robust import Array
 
-Array = NDArray[np.float64]
 KEYS = ["operator", "tail", "flight_id", "pack", "component", "departed_at"]
 QUANTILE_LEVELS = {"rul_low": 0.05, "rul_flights": 0.5, "rul_high": 0.95}
 LOSS_COLUMNS = ("loss", "loss_sd", "loss_slope_100_per_flight", "flights_seen_of_unit")
@@ -51,15 +49,15 @@ def component_prognoses(
 
 def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.DataFrame:
     """Predict some flights from the record before them."""
-    failed = _failures(past, component)
+    failures = _failures(past, component)
     # no message then means no failure: the component has one, and the operator delivers messages
     operators = past.messages["operator"].unique().to_list() if component.message_code else []
-    by = _event_by(rows, _limits(rows, failed, component), component, rows["operator"].is_in(operators).to_numpy())
+    by = _event_by(rows, _limits(rows, failures, component), component, rows["operator"].is_in(operators).to_numpy())
     values = {name: quantile(by, level) for name, level in QUANTILE_LEVELS.items()}
     values |= events_ahead(by)
     is_known = np.isfinite(by[:, -1])
     columns = [pl.Series(name, np.where(is_known, v, np.nan)).fill_nan(None) for name, v in values.items()]
-    training_data = repr((component.version, sorted(operators), failed.sort("tail", "loss").rows())).encode()
+    training_data = repr((component.version, sorted(operators), failures.sort("tail", "loss").rows())).encode()
     version = f"first-passage-{hashlib.blake2b(training_data, digest_size=4).hexdigest()}"
     return (
         rows.select(*KEYS)
@@ -69,7 +67,7 @@ def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.
 
 
 def first_passage(
-    loss: Array, loss_sd: Array, rate: Array, rate_sd: Array, limit: tuple[Array, Array], alive: NDArray[np.bool_]
+    loss: Array, loss_sd: Array, rate: Array, rate_sd: Array, limit: tuple[Array, Array], alive: Array
 ) -> Array:
     """Compute P(loss passes the limit within `EDGES` flights). (n, len(EDGES))
 
@@ -93,7 +91,7 @@ def first_passage(
     return np.clip(np.maximum.accumulate((p_passed - p_passed_now) / p_alive, axis=1), 0.0, 1.0)
 
 
-def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Component, alive: NDArray[np.bool_]) -> Array:
+def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Component, alive: Array) -> Array:
     loss, sd, slope, n_flights = (rows[c].cast(pl.Float64).to_numpy() for c in LOSS_COLUMNS)
     usual = component.limit.mean / component.life_flights
     flights = np.where(np.isnan(slope), 2.0, np.minimum(n_flights + 1.0, 100.0))
@@ -101,15 +99,36 @@ def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Compon
     return first_passage(loss, sd, rate, rate_sd, limits, alive)
 
 
-def _limits(rows: pl.DataFrame, failed: pl.DataFrame, component: Component) -> tuple[Array, Array]:
+def _limits(rows: pl.DataFrame, failures: pl.DataFrame, component: Component) -> tuple[Array, Array]:
     """Estimate the loss at which each row's unit fails, from failures of other tails: mean and sd. (n,) each"""
     limits = {
-        tail: learn_limit(failed.filter(pl.col("tail") != tail)["loss"].to_numpy(), component.limit)
+        tail: learn_limit(failures.filter(pl.col("tail") != tail)["loss"].to_numpy(), component.limit)
         for tail in rows["tail"].unique()
     }
     row_limits = [limits[tail] for tail in rows["tail"]]
     # variance of the fleet's limit plus that of one unit about it
     return np.array([x.mean for x in row_limits]), np.array([np.hypot(x.sd, x.unit_sd) for x in row_limits])
+
+
+def learn_limit(levels: Array, prior: Limit) -> Limit:
+    """Compute the posterior of the limit from losses just before messages (normal, known variance).
+
+    Parameters
+    ----------
+    levels : array, shape (n,)
+        Loss before each message, one a failure; a level reached by a jump reads high, so values far off count less. [-]
+    prior : Limit
+        Prior before any message.
+    """
+    levels = levels[np.isfinite(levels)]
+    if levels.size == 0:
+        return prior
+    # Huber weights: a sudden clog overshoots the limit, a wrong message undershoots it
+    distance = np.abs(levels - np.median(np.append(levels, prior.mean))) / (1.5 * prior.unit_sd)
+    weight = 1.0 / np.maximum(distance, 1.0)
+    precision = 1.0 / prior.sd**2 + weight.sum() / prior.unit_sd**2
+    mean = (prior.mean / prior.sd**2 + (weight * levels).sum() / prior.unit_sd**2) / precision
+    return Limit(float(mean), float(precision**-0.5), prior.unit_sd)
 
 
 def _failures(past: FleetRecord, component: Component) -> pl.DataFrame:

@@ -5,21 +5,19 @@ from datetime import datetime
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from hdt_core.components import Limit
+from hdt_core.components.compressor import CC
 from hdt_core.margin.conditions import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
-from hdt_core.prognosis.component_limits import PRIORS
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.message_rule import learn_rules, rule_onsets
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
+from hdt_core.robust import Array
 from hdt_core.simulate.episodes import Episodes
 from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
-
-Array = NDArray[np.float64]
 
 INPUTS = (*FEATURES, "rule_sd")
 LOSSES = (
@@ -31,7 +29,7 @@ MARGIN_FEATURES = ("overheat_p20_k", "overheat_p50_k", "full_open_share")
 
 FailureRule = Limit | dict[str, MessageRule]
 """Condition for the message: a limit of the loss, or the rule of each operator's monitor, `""` for any other."""
-PRIOR_RULES: dict[str, FailureRule] = {"HX": {"": PRIOR_RULE}, "CC": PRIORS["CC"]}
+PRIOR_RULES: dict[str, FailureRule] = {"HX": {"": PRIOR_RULE}, "CC": CC.limit}
 """Prior before any message, by component."""
 
 
@@ -53,10 +51,10 @@ class FeatureRows:
 
     features: Array
     remaining: Array
-    failed: NDArray[np.bool_]
-    life: NDArray[np.int_]
+    failed: Array
+    life: Array
 
-    def take(self, mask: NDArray[np.bool_]) -> "FeatureRows":
+    def take(self, mask: Array) -> "FeatureRows":
         """Select the rows of `mask`."""
         return FeatureRows(self.features[mask], self.remaining[mask], self.failed[mask], self.life[mask])
 
@@ -67,14 +65,14 @@ def simulated_rows(
     """Simulate rows of lives, with demand as uncertain as in a fleet with few messages."""
     rng = np.random.default_rng(seed + 1)
     parts = []
-    for number, (lives, doubt) in enumerate(draw_fleets(seed, fleets, aircraft, flights)):
+    for number, (lives, rule_sd) in enumerate(draw_fleets(seed, fleets, aircraft, flights)):
         remaining, failed = lives.remaining()
         offset = rng.integers(0, stride, (remaining.shape[0], 1))
         is_sampled = (remaining >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
         unit, flight = np.nonzero(is_sampled)
         record = record_rows(_panel_of(lives), (unit, flight))
         features = feature_rows(record, repeated_demand(lives.demand), (unit, LEAD + flight))
-        table = np.column_stack([features, np.full(unit.size, doubt)])
+        table = np.column_stack([features, np.full(unit.size, rule_sd)])
         life = number * remaining.shape[0] + unit
         parts.append(FeatureRows(table, remaining[is_sampled], failed[is_sampled], life))
     return FeatureRows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FeatureRows)))
@@ -118,16 +116,16 @@ class Tracks:
     """
 
     panel: Panel
-    at: NDArray[np.int_]
+    at: Array
     record: Array
     curves: Array
-    curve_index: NDArray[np.int_]
+    curve_index: Array
     keys: pl.DataFrame
     remaining: Array
-    failed: NDArray[np.bool_]
-    mute: NDArray[np.bool_]
-    operator: NDArray[np.object_]
-    onset: NDArray[np.int_]
+    failed: Array
+    mute: Array
+    operator: Array
+    onset: Array
 
 
 def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Tracks:
@@ -190,6 +188,7 @@ def tracks_as_of(track: Tracks, moment: datetime, lives: pl.DataFrame, component
 
 
 def _panel(rows: pl.DataFrame, lives: int) -> Panel:
+    """Lay out rows of known health by life and column."""
     shape = (lives, int(rows["column"].max() or 0) + 1)  # type: ignore[arg-type]
     place = (rows["life_id"].to_numpy(), rows["column"].to_numpy())
     age = pl.when("age_known").then(pl.col("row") - pl.col("first_row")).cast(pl.Float64)
@@ -199,6 +198,7 @@ def _panel(rows: pl.DataFrame, lives: int) -> Panel:
 
 
 def _curves(rows: pl.DataFrame, component: str) -> Array:
+    """Lay out the critical ratios of `exchanger_demand` by pack and flight."""
     shares = SHARES if component == "HX" else ()
     shape = (int(rows["pack_id"].max() or 0) + 1, int(rows["row"].max() or 0) + 1)  # type: ignore[arg-type]
     out = np.full((*shape, len(shares), len(EXCESS_K)), np.nan)
@@ -208,7 +208,7 @@ def _curves(rows: pl.DataFrame, component: str) -> Array:
     return out
 
 
-def fleet_rows(track: Tracks, rule: FailureRule, selected: NDArray[np.bool_] | None = None) -> FeatureRows:
+def fleet_rows(track: Tracks, rule: FailureRule, is_selected: Array | None = None) -> FeatureRows:
     """Compute features of the tracks' flights, NaN where health is unknown.
 
     Parameters
@@ -217,36 +217,34 @@ def fleet_rows(track: Tracks, rule: FailureRule, selected: NDArray[np.bool_] | N
         From `tracks`.
     rule : FailureRule
         Condition for the message, as far as known.
-    selected : array of bool, shape (n,), optional
+    is_selected : array of bool, shape (n,), optional
         Which rows; all by default.
     """
-    selected = np.ones(len(track.at), bool) if selected is None else selected
-    life, column = track.at[selected].T
-    critical, doubt, place = _critical(track, rule, track.curve_index[selected])
-    values = np.column_stack([feature_rows(track.record[selected], critical, place), doubt])
+    rows = slice(None) if is_selected is None else is_selected
+    life, column = track.at[rows].T
+    critical, rule_sd, place = _critical(track, rule, track.curve_index[rows])
+    values = np.column_stack([feature_rows(track.record[rows], critical, place), rule_sd])
     features = np.where((column < 0)[:, None], np.nan, values)
-    return FeatureRows(features, track.remaining[selected], track.failed[selected], life)
+    return FeatureRows(features, track.remaining[rows], track.failed[rows], life)
 
 
-def _critical(
-    track: Tracks, rule: FailureRule, place: NDArray[np.int_]
-) -> tuple[Array, Array, tuple[NDArray[np.int_], NDArray[np.int_]]]:
+def _critical(track: Tracks, rule: FailureRule, place: Array) -> tuple[Array, Array, tuple[Array, Array]]:
     """Compute the demand of two hot flights on the packs of `place`, up to the last flight: (packs, flights); the sd
     of the message's rule in ln of conductance, (n,); and the index of each row in the first."""
     packs, pack = np.unique(place[:, 0], return_inverse=True)
-    at = (pack, place[:, 1])
+    index = (pack, place[:, 1])
     critical = np.full((packs.size, int(place[:, 1].max(initial=-1)) + 1), np.nan)
     if isinstance(rule, Limit):
         critical[:] = np.log1p(-rule.mean)
-        return critical, np.full(len(place), rule.sd / (1.0 - rule.mean)), at
-    doubt = np.zeros(critical.shape)
+        return critical, np.full(len(place), rule.sd / (1.0 - rule.mean)), index
+    rule_sd = np.zeros(critical.shape)
     for name in np.unique(track.operator[packs]):
         rows, setting = track.operator[packs] == name, rule.get(name, rule[""])
         curve = track.curves[packs[rows], : critical.shape[1], SHARES.index(setting.share)]
         critical[rows] = repeated_demand(at_excess(curve, setting.excess_k), setting.of)
         per_k = np.abs(at_excess(curve, setting.excess_k + 1.0) - at_excess(curve, setting.excess_k - 1.0)) / 2.0
-        doubt[rows] = setting.excess_sd_k * _trailing_median(per_k)
-    return critical, doubt[at], at
+        rule_sd[rows] = setting.excess_sd_k * _trailing_median(per_k)
+    return critical, rule_sd[index], index
 
 
 def _trailing_median(per_k: Array) -> Array:
@@ -256,7 +254,7 @@ def _trailing_median(per_k: Array) -> Array:
     return frame.select(median).to_numpy().T
 
 
-def learn_rule(track: Tracks, component: str, use: NDArray[np.bool_]) -> FailureRule:
+def learn_rule(track: Tracks, component: str, use: Array) -> FailureRule:
     """Estimate the message's rule from the rows in `use`; return the declared limit where it comes at a loss.
 
     A limit estimated from messages would be that of the units that failed first, too low for the others.
@@ -276,7 +274,7 @@ def learn_rule(track: Tracks, component: str, use: NDArray[np.bool_]) -> Failure
     return learn_rules(onset, message[lives], operator[lives].astype(str))
 
 
-def _fill_panel(shape: tuple[int, int], place: tuple[NDArray[np.int_], NDArray[np.int_]], values: Array) -> Array:
+def _fill_panel(shape: tuple[int, int], place: tuple[Array, Array], values: Array) -> Array:
     out = np.full(shape, np.nan)
     out[place] = values
     return out

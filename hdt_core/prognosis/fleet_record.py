@@ -1,4 +1,4 @@
-"""A fleet's record, and the flights of it that have a prognosis already."""
+"""Record of a fleet, and the flights of it that have a prognosis already."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -7,11 +7,11 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from hdt_core.prognosis.feature_rows import PRIOR_RULES, Tracks, tracks
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.keys import PACK
+from hdt_core.robust import Array
 
 ScoredFlights = dict[str, tuple[int, str]]
 """Of each pack, `component|operator|tail|pack`: its flights of a month, and a digest of a prognosis's inputs."""
@@ -83,26 +83,26 @@ class FleetTracks(Mapping[str, Tracks]):
 
 def score_months(
     track: Tracks, component: str, scored_before: Mapping[date, ScoredFlights]
-) -> tuple[dict[date, ScoredFlights], NDArray[np.bool_]]:
+) -> tuple[dict[date, ScoredFlights], Array]:
     """Digest each pack's flights by month; return also which flights are new or changed since `scored_before`. (n,)
 
     The prognosis of a flight follows from it and those before it, so all after one that changed count as new.
     """
-    scored: dict[date, ScoredFlights] = {}
+    flights_by_month: dict[date, ScoredFlights] = {}
     is_new, start, is_unchanged = np.ones(len(track.at), dtype=bool), 0, True
     last: list[object] = []
     months = track.keys.select(*PACK, month_of(track.keys["departed_at"]).alias("month"))
     for *pack, month, flights in months.group_by(*PACK, "month", maintain_order=True).len().rows():
         name, numbers = "|".join(str(part) for part in (component, *pack)), _inputs(track, start, start + flights)
-        scored.setdefault(month, {})[name] = (flights, _digest(*numbers, flights))
+        flights_by_month.setdefault(month, {})[name] = (flights, _digest(*numbers, flights))
         n, digest = scored_before.get(month, {}).get(name, (0, ""))
         is_unchanged = (is_unchanged or pack != last) and 0 < n <= flights and _digest(*numbers, n) == digest
         is_new[start : start + n] = not is_unchanged
         is_unchanged, last, start = is_unchanged and n == flights, pack, start + flights
-    return scored, is_new
+    return flights_by_month, is_new
 
 
-def _inputs(track: Tracks, start: int, end: int) -> tuple[NDArray[np.float64], list[str]]:
+def _inputs(track: Tracks, start: int, end: int) -> tuple[Array, list[str]]:
     """Return a prognosis's inputs flight by flight: health, margin, age, and the flight's name."""
     life, column = track.at[start:end].T
     pack, flight = track.curve_index[start:end].T
@@ -111,6 +111,6 @@ def _inputs(track: Tracks, start: int, end: int) -> tuple[NDArray[np.float64], l
     return np.column_stack([*state, column, curves]).astype(float), track.keys["flight_id"][start:end].to_list()
 
 
-def _digest(numbers: NDArray[np.float64], names: list[str], flights: int) -> str:
+def _digest(numbers: Array, names: list[str], flights: int) -> str:
     content = numbers[:flights].tobytes() + "|".join(names[:flights]).encode()
     return hashlib.blake2b(content, digest_size=8).hexdigest()

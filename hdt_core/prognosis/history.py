@@ -1,7 +1,7 @@
 """Causal features of a unit's record, one row a unit, one column a flight.
 
-Every feature at flight k is a function of flights up to k. Nothing is divided by a fleet's limit: wear, reserve and
-demand are in ln of conductance, which is comparable between types.
+Every feature at flight k is a function of flights up to k. Wear, reserve and demand are in ln of conductance, which is
+comparable between types, so none is divided by a fleet's limit.
 """
 
 from dataclasses import dataclass, fields
@@ -11,48 +11,26 @@ from numpy.typing import NDArray
 
 from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles
 from hdt_core.margin.first_passage import RATIO_SD, passage, wear_rate
+from hdt_core.robust import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 HORIZONS = (10, 30, 100)
 WEAR = (
-    "level",
-    "level_sd",
-    "peak",
-    "age_flights",
-    "seen_flights",
-    "entry_level",
-    *(f"slope_{h}" for h in HORIZONS),
-    "slope_segment",
-    "slope_life",
-    "bend",
-    "roughness",
-    "jump_10",
-    "jump_largest",
-    "jump_share",
-)
+    "level", "level_sd", "peak", "age_flights", "seen_flights", "entry_level", *(f"slope_{h}" for h in HORIZONS),
+    "slope_segment", "slope_life", "bend", "roughness", "jump_10", "jump_largest", "jump_share",
+)  # fmt: skip
 QUANTILES = DEMAND_NAMES[:-1]
 RESERVE = (
-    *(name.replace("asked", "reserve") for name in QUANTILES),
-    "asked_trend",
-    "left_linear_30",
-    "left_linear_100",
+    *(name.replace("asked", "reserve") for name in QUANTILES), "asked_trend", "left_linear_30", "left_linear_100",
     "left_linear_segment",
-)
+)  # fmt: skip
 PASSAGE_AHEAD = (50.0, 100.0, 200.0, 300.0)
 PASSAGE = (*(f"passage_{round(k)}" for k in PASSAGE_AHEAD), "passage_median")
 THERMAL = (
-    "overheat_10",
-    "overheat_40",
-    "overheat_most_40",
-    "overheat_half_40",
-    "hot_share_40",
-    "full_open_10",
-    "full_open_40",
-    "season_sin",
-    "season_cos",
-)
+    "overheat_10", "overheat_40", "overheat_most_40", "overheat_half_40", "hot_share_40", "full_open_10",
+    "full_open_40", "season_sin", "season_cos",
+)  # fmt: skip
 FEATURES = (*WEAR, *RESERVE, *PASSAGE, *THERMAL)
 RECORD = (*WEAR, *THERMAL, "ratio", "run")
 """Features that do not depend on the message's rule."""
@@ -121,8 +99,8 @@ def record_rows(panel: Panel, at: tuple[Index, Index]) -> Array:
 def _along(panel: Panel) -> list[Array]:
     """Compute `RECORD` at every flight of some units. (units, flights) each"""
     start = _segment_start(panel.level)
-    run = np.asarray(np.arange(panel.level.shape[1]) - start + 1.0, dtype=float)
-    along = _wear(panel, start) | _thermal_features(panel) | {"ratio": panel.ratio, "run": run}
+    n_flights = np.asarray(np.arange(panel.level.shape[1]) - start + 1.0, dtype=float)
+    along = _wear(panel, start) | _thermal_features(panel) | {"ratio": panel.ratio, "run": n_flights}
     return [along[name] for name in RECORD]
 
 
@@ -147,18 +125,19 @@ def feature_rows(record: Array, critical: Array, place: tuple[Index, Index]) -> 
 
 def _features(record: Array, critical: Array, place: tuple[Index, Index]) -> Array:
     rows = dict(zip(RECORD, record.T, strict=True))
-    demand, ratio, run = demand_quantiles(critical, *place), rows["ratio"], rows["run"]
+    demand, ratio = demand_quantiles(critical, *place), rows["ratio"]
     rows |= {name.replace("asked", "reserve"): ratio - demand[name] for name in QUANTILES}
     rows["asked_trend"] = demand["asked_trend"]
     # losses are fractions, reserves are in ln: the same step weighs more the smaller the remaining ratio
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
     rows |= {f"left_linear_{name}": _remaining_linear(rows["reserve_95"], s) for name, s in slope.items()}
-    rate = wear_rate(slope["100"], run)
+    rate = wear_rate(slope["100"], rows["run"])
     rows |= _passages(ratio, np.stack([demand[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
 
 
 def _wear(panel: Panel, start: Index) -> dict[str, Array]:
+    """Compute `WEAR`; `start` is the first flight of the segment. (units, flights) each"""
     level = panel.level
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     slope: dict[str, Array] = {f"slope_{h}": _slope(level, np.maximum(start, k - h + 1)) for h in HORIZONS}
@@ -188,11 +167,12 @@ def _wear(panel: Panel, start: Index) -> dict[str, Array]:
 def _passages(ratio: Array, demand: Array, rate: Array, rate_sd: Array) -> dict[str, Array]:
     """Compute the physical forecast at each flight; see `first_passage`."""
     by = passage(ratio, np.full(rate.size, RATIO_SD), demand, rate, rate_sd, _EDGES)
-    at = {name: by[:, np.searchsorted(_EDGES, ahead)] for name, ahead in zip(PASSAGE[:-1], PASSAGE_AHEAD, strict=True)}
-    return at | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
+    within = dict(zip(PASSAGE[:-1], by[:, np.searchsorted(_EDGES, PASSAGE_AHEAD)].T, strict=True))
+    return within | {"passage_median": np.array([float(np.interp(0.5, p, _EDGES)) for p in by])}
 
 
 def _thermal_features(panel: Panel) -> dict[str, Array]:
+    """Compute `THERMAL`. (units, flights) each"""
     angle = 2.0 * np.pi * panel.day / 365.25
     hot = np.where(np.isnan(panel.overheat_k), np.nan, panel.overheat_k > HOT_K)
     return {
@@ -210,13 +190,11 @@ def _thermal_features(panel: Panel) -> dict[str, Array]:
 
 def _lag(values: Array, flights: int) -> Array:
     """Shift values by some flights; the first value fills."""
-    return np.concatenate([np.repeat(values[:, :1], flights, axis=1), values[:, :-flights]], axis=1)[
-        :, : values.shape[1]
-    ]
+    return values[:, np.maximum(np.arange(values.shape[1]) - flights, 0)]
 
 
 def _segment_start(level: Array) -> Index:
-    """Find the flight on which the current segment began: entry, or the last drop (a wash, a change not logged)."""
+    """Return the flight on which the current segment began: entry, or the last drop (a wash, a change not logged)."""
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
     is_drop = np.nan_to_num(_lag(level, 3) - level) > _DROP
     return np.asarray(np.maximum.accumulate(np.where(is_drop, k, 0), axis=1))
@@ -226,22 +204,21 @@ def _slope(level: Array, start: Index) -> Array:
     """Fit a least-squares slope over flights `start`..k, per flight; 0 with fewer than five flights."""
     k = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
     y = np.nan_to_num(level)
-    n = k - start + 1.0
-    mean_k = 0.5 * (k + start)
+    n, mean_k = k - start + 1.0, 0.5 * (k + start)
     sum_y, sum_ky = _span_sum(y, start), _span_sum(k * y, start)
     sum_squares = n * (n**2 - 1.0) / 12.0
     return np.asarray(np.where(n >= 5, (sum_ky - mean_k * sum_y) / np.maximum(sum_squares, 1.0), 0.0), dtype=float)
 
 
 def _span_sum(values: Array, start: Index) -> Array:
+    """Sum values over flights `start`..k, per flight."""
     total = np.cumsum(values, axis=1)
-    sum_before = np.take_along_axis(total - values, start, axis=1)
-    return np.asarray(total - sum_before)
+    return np.asarray(total - np.take_along_axis(total - values, start, axis=1))
 
 
 def _rolling_max(values: Array, flights: int) -> Array:
-    padded = np.concatenate([np.repeat(values[:, :1], flights - 1, axis=1), values], axis=1)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, flights, axis=1).max(axis=-1))
+    extended = np.concatenate([np.repeat(values[:, :1], flights - 1, axis=1), values], axis=1)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(extended, flights, axis=1).max(axis=-1))
 
 
 def _roughness(level: Array) -> Array:

@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hdt_core.margin.conditions import repeated_demand
 from hdt_core.margin.exchanger_demand import SHARES
-from hdt_core.margin.margin import PRIOR_RULE as PRIOR
-from hdt_core.margin.margin import MessageRule
-
-Array = NDArray[np.float64]
+from hdt_core.margin.margin import PRIOR_RULE, MessageRule
+from hdt_core.robust import Array
 
 EXCESS_K = np.arange(1.0, 16.0)
 PERSISTENCE = (1, 2, 3)
@@ -27,7 +24,7 @@ RULES = tuple(product(SHARES, PERSISTENCE, EXCESS_K.tolist()))
 """Share of the high samples, flights of which two must be hot, excess [K]."""
 
 
-def rule_onsets(overheat_k: Sequence[Array]) -> NDArray[np.int_]:
+def rule_onsets(overheat_k: Sequence[Array]) -> Array:
     """Find the first flight of each life on which each of `RULES` is met, -1 where it never is. (lives, rules)
 
     Parameters
@@ -44,9 +41,7 @@ def rule_onsets(overheat_k: Sequence[Array]) -> NDArray[np.int_]:
     return np.concatenate(columns, axis=1)
 
 
-def learn_rules(
-    onset: NDArray[np.int_], message: NDArray[np.int_], operator: NDArray[np.str_]
-) -> dict[str, MessageRule]:
+def learn_rules(onset: Array, message: Array, operator: Array) -> dict[str, MessageRule]:
     """Compute the posterior of each operator's rule, and under `""` that of an operator without messages.
 
     An operator without a single message may send none, so its lives are not used.
@@ -62,7 +57,10 @@ def learn_rules(
     """
     fits = _fit(onset, message[:, None])
     prior = np.array(
-        [np.log(PERSISTENCE_PRIOR[of]) - 0.5 * ((e - PRIOR.excess_k) / PRIOR.excess_sd_k) ** 2 for _, of, e in RULES]
+        [
+            np.log(PERSISTENCE_PRIOR[of]) - 0.5 * ((e - PRIOR_RULE.excess_k) / PRIOR_RULE.excess_sd_k) ** 2
+            for _, of, e in RULES
+        ]
     )
     fits *= np.isin(operator, np.unique(operator[message >= 0]))[:, None]
     out = {}
@@ -87,8 +85,9 @@ def _summary(log_posterior: Array, messages: int) -> MessageRule:
     return MessageRule(share, mean, sd, of, messages)
 
 
-def _fit(onset: NDArray[np.int_], message: NDArray[np.int_]) -> Array:
+def _fit(onset: Array, message: Array) -> Array:
     """Compute the log likelihood of each life under each rule."""
     distance = np.abs(onset - message)
-    failed = np.where(onset < 0, MISS, np.where(distance == 0, EXACT, np.where(distance <= NEAR_FLIGHTS, NEAR, MISS)))
+    likelihood = np.where(distance == 0, EXACT, np.where(distance <= NEAR_FLIGHTS, NEAR, MISS))
+    failed = np.where(onset < 0, MISS, likelihood)
     return np.log(np.where(message >= 0, failed, np.where(onset >= 0, SPURIOUS, 1.0 - SPURIOUS)))

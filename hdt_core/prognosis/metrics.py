@@ -8,12 +8,11 @@ References
 
 import numpy as np
 import polars as pl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
-
-Array = NDArray[np.float64]
+from hdt_core.robust import Array
 
 CAP = 300.0
 
@@ -37,31 +36,23 @@ def constant_interval_score(truth: ArrayLike, alpha: float = 0.1) -> float:
     return float(interval_score(t, np.full(t.size, low), np.full(t.size, high), alpha).mean())
 
 
-def brier_skill(happened: ArrayLike, probability: ArrayLike) -> float:
+def brier_skill(is_event: ArrayLike, probability: ArrayLike) -> float:
     """Compute 1 - Brier score over that of the base rate; 0 is no skill, 1 is perfect."""
-    y, p = np.asarray(happened, dtype=float), np.asarray(probability, dtype=float)
+    y, p = np.asarray(is_event, dtype=float), np.asarray(probability, dtype=float)
     return float(1.0 - np.mean((p - y) ** 2) / (y.mean() * (1.0 - y.mean())))
 
 
-def auc(happened: ArrayLike, probability: ArrayLike) -> float:
+def auc(is_event: ArrayLike, probability: ArrayLike) -> float:
     """Compute the probability that a row with the event ranks above one without, ties counted half."""
-    y, p = np.asarray(happened, dtype=bool), np.asarray(probability, dtype=float)
+    y, p = np.asarray(is_event, dtype=bool), np.asarray(probability, dtype=float)
     hits = int(y.sum())
     return float((rankdata(p)[y].sum() - hits * (hits + 1) / 2.0) / (hits * (y.size - hits)))
 
 
-def alpha_lambda(truth: ArrayLike, predicted: ArrayLike, alpha: float = 0.2) -> float:
+def alpha_lambda(truth: ArrayLike, estimate: ArrayLike, alpha: float = 0.2) -> float:
     """Compute the share of rows within +-alpha of the true remaining life [1]."""
-    t, s = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
+    t, s = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
     return float(np.mean(np.abs(s - t) <= alpha * t))
-
-
-def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> pl.DataFrame:
-    """Compute a reliability table: predicted, observed, n for each bin of the probability scale with rows."""
-    frame = pl.DataFrame({"p": np.asarray(probability, dtype=float), "y": np.asarray(happened, dtype=float)})
-    bin_ = (pl.col("p") * bins).floor().clip(0, bins - 1).alias("bin")
-    bins_used = frame.group_by(bin_).agg(predicted=pl.col("p").mean(), observed=pl.col("y").mean(), n=pl.len())
-    return bins_used.sort("bin").drop("bin")
 
 
 def join_outcomes(
@@ -97,10 +88,10 @@ def score_prognoses(prognoses: pl.DataFrame) -> dict[str, float]:
     events = prognoses.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
     scores: dict[str, float] = {"failures": float(outcomes.filter("failed")["life"].n_unique())}
     if outcomes.height:
-        truth, predicted, low, high = (
+        truth, median, low, high = (
             np.minimum(outcomes[c].to_numpy(), CAP) for c in ("remaining", "rul_flights", "rul_low", "rul_high")
         )
-        scores["mae_flights"] = float(np.abs(predicted - truth).mean())
+        scores["mae_flights"] = float(np.abs(median - truth).mean())
         scores["interval_score_flights"] = float(interval_score(truth, low, high).mean())
         scores["coverage"] = float(((low <= truth) & (truth <= high)).mean())
         constant = constant_interval_score(truth)
@@ -109,7 +100,7 @@ def score_prognoses(prognoses: pl.DataFrame) -> dict[str, float]:
         near = truth <= 100
         if near.any():
             scores["coverage_last_100"] = float(((low <= truth) & (truth <= high))[near].mean())
-            scores["alpha_lambda_20"] = alpha_lambda(truth[near], predicted[near])
+            scores["alpha_lambda_20"] = alpha_lambda(truth[near], median[near])
     if 0 < events["event_50"].sum() < events.height:
         y, p = events["event_50"].to_numpy(), events["p_event_50"].to_numpy()
         scores |= {"brier": float(np.mean((p - y) ** 2)), "brier_skill": brier_skill(y, p), "auc": auc(y, p)}

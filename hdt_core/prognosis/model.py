@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.feature_rows import (
@@ -23,23 +22,12 @@ from hdt_core.prognosis.feature_rows import (
     fleet_rows,
     learn_rule,
     simulated_rows,
-    tracks,
 )
-from hdt_core.prognosis.hazard import (
-    EDGES,
-    event_by,
-    events_ahead,
-    fit_hazard,
-    hazards,
-    passage_hazards,
-    quantile,
-)  # fmt: skip
+from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, fit_hazard, hazards, passage_hazards, quantile
 from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD, RISES
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
-from hdt_core.records.keys import IN_ORDER
-
-Array = NDArray[np.float64]
+from hdt_core.robust import Array
 
 HORIZON = float(EDGES[-1])
 _RESERVE = INPUTS.index("reserve_95")
@@ -78,9 +66,9 @@ Fits = dict[str, ComponentFit]
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Groups that are held out together, and the fits from all others."""
+    """Tails that are held out together, and the fits from all others."""
 
-    groups: tuple[str, ...]
+    tails: tuple[str, ...]
     fits: Fits
 
 
@@ -109,32 +97,20 @@ class Prognosis:
     folds: tuple[Fold, ...] = ()
 
 
-def fit_tracks(
-    base: Prognosis, record: Mapping[str, Tracks], groups: Sequence[str] = (), by: str = "tail"
-) -> Prognosis:
-    """Fit `base` to all tracks of a fleet, and for each fold of `groups` to all others.
-
-    Groups without data have their fold too. One component's tracks are in memory at a time.
-    """
-    folds = split_groups(groups)
-    # no variable for a track: it would stay in memory while the next is built
-    return assemble(base, folds, {c: fit_component(base, record[c], c, folds, by) for c in record})
-
-
-def split_groups(groups: Sequence[str]) -> list[tuple[str, ...]]:
-    """Assign groups to folds."""
-    return [tuple(sorted(groups)[k::FOLDS]) for k in range(min(FOLDS, len(groups)))]
+def split_tails(tails: Sequence[str]) -> list[tuple[str, ...]]:
+    """Assign tails to folds."""
+    return [tuple(sorted(tails)[k::FOLDS]) for k in range(min(FOLDS, len(tails)))]
 
 
 def fit_component(
-    base: Prognosis, track: Tracks, component: str, folds: Sequence[tuple[str, ...]], by: str = "tail"
+    base: Prognosis, track: Tracks, component: str, folds: Sequence[tuple[str, ...]]
 ) -> list[ComponentFit]:
     """Fit all tracks, then for each of `folds` all tracks but its own.
 
-    Hazard correction and interval levels are used only where they lower the interval score of held-out groups: of all
-    groups for live use, of the other folds for a fold.
+    Hazard correction and interval levels are used only where they lower the interval score of held-out tails: of all
+    tails for live use, of the other folds for a fold.
     """
-    training = [~track.keys[by].is_in(names).to_numpy() for names in folds]
+    training = [~track.keys["tail"].is_in(tails).to_numpy() for tails in folds]
     fits = [_learn(base, track, component, ~track.mute & use) for use in (~track.mute, *training)]
     if not folds or component in PHYSICS_ALONE or fits[0].failures < LEARN_FROM:
         return fits
@@ -145,9 +121,9 @@ def fit_component(
     return [_keep_lessons(fit, default_levels, *lessons) for fit, lessons in zip(fits, best_lessons, strict=True)]
 
 
-def _keep_lessons(fit: ComponentFit, default_levels: Levels, corrected: bool, levelled: bool) -> ComponentFit:
-    correction = fit.correction if corrected else HazardCorrection()
-    return replace(fit, correction=correction, levels=fit.levels if levelled else default_levels)
+def _keep_lessons(fit: ComponentFit, default_levels: Levels, use_correction: bool, use_levels: bool) -> ComponentFit:
+    correction = fit.correction if use_correction else HazardCorrection()
+    return replace(fit, correction=correction, levels=fit.levels if use_levels else default_levels)
 
 
 def prior_levels(base: Prognosis, component: str) -> Levels:
@@ -160,8 +136,8 @@ def _hazards(base: Prognosis, component: str, features: Array) -> Array:
     if component not in PHYSICS_ALONE:
         return hazards(base.hazard, features)
     passage = passage_hazards(features[:, _PASSAGE], PASSAGE_AHEAD)
-    unknown = np.isnan(passage).any(axis=1)
-    passage[unknown] = hazards(base.hazard, features[unknown])
+    is_missing = np.isnan(passage).any(axis=1)
+    passage[is_missing] = hazards(base.hazard, features[is_missing])
     return passage
 
 
@@ -169,7 +145,7 @@ def _lesson_scores(
     base: Prognosis,
     track: Tracks,
     component: str,
-    training: Sequence[NDArray[np.bool_]],
+    training: Sequence[Array],
     fits: Sequence[ComponentFit],
 ) -> Array:
     """Sum the interval score of each fold's held-out lives with each of `LESSONS`: fold by lesson.
@@ -184,13 +160,14 @@ def _lesson_scores(
         rows = fleet_rows(track, fit.rule, is_scored & ~use & (column % stride == 0))
         raw, remaining = _hazards(base, component, rows.features), np.minimum(rows.remaining, HORIZON)
         by = {False: event_by(raw), True: event_by(fit.correction(raw, rows.features[:, _RESERVE]))}
-        for m, (corrected, levelled) in enumerate(LESSONS):
-            low, _, high = fit.levels if levelled else prior_levels(base, component)
-            scores[k, m] = interval_score(remaining, quantile(by[corrected], low), quantile(by[corrected], high)).sum()
+        for m, (use_correction, use_levels) in enumerate(LESSONS):
+            low, _, high = fit.levels if use_levels else prior_levels(base, component)
+            low_flights, high_flights = (quantile(by[use_correction], level) for level in (low, high))
+            scores[k, m] = interval_score(remaining, low_flights, high_flights).sum()
     return scores
 
 
-def _stride(use: NDArray[np.bool_]) -> int:
+def _stride(use: Array) -> int:
     """Return the stride over a life's flights that gives about `LEARN_ROWS` rows."""
     return max(LEARN_EVERY, -(-int(use.sum()) // LEARN_ROWS))
 
@@ -203,41 +180,19 @@ def assemble(
     return with_version(base, fleet_fits, tuple(Fold(*fold) for fold in zip(folds, fold_fits, strict=True)))
 
 
-def predict_prognosis(
-    model: Prognosis, features: pl.DataFrame, lives: pl.DataFrame, split: str = "live"
-) -> pl.DataFrame:
-    """Predict every flight of the features from that flight and earlier ones.
+def predict_by_fold(model: Prognosis, component: str, track: Tracks, is_selected: Array) -> pl.DataFrame:
+    """Predict the selected flights of a component, each tail by the fold that excludes it.
 
     Returns
     -------
     DataFrame
-        Columns of the contract's `prognoses`, one row a flight, pack and component; where the health is unknown so far
-        the row is there and its values are null.
+        Columns of the contract's `prognoses`, one row a flight and pack; where the health is unknown so far the row is
+        there and its values are null.
     """
-    parts = [_predict(model, tracks(features, lives, c), model.fits[c], c, split) for c in PRIOR_RULES]
-    return pl.concat(parts).sort("component", *IN_ORDER)
-
-
-def out_of_fold(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis, by: str = "tail") -> pl.DataFrame:
-    """Predict each tail by a model fitted without that tail's lives.
-
-    With `by="operator"` without lives of the tail's whole operator: the accuracy for a new operator.
-    """
-    record = {c: tracks(features, lives, c) for c in PRIOR_RULES}
-    model = fit_tracks(base, record, features[by].unique().to_list(), by)
-    parts = (predict_by_fold(model, c, track, by=by) for c, track in record.items())
-    return pl.concat(parts).sort("component", *IN_ORDER)
-
-
-def predict_by_fold(
-    model: Prognosis, component: str, track: Tracks, selected: NDArray[np.bool_] | None = None, by: str = "tail"
-) -> pl.DataFrame:
-    """Predict a component's flights, all or the selected ones, each group by the fold that excludes it."""
-    selected = np.ones(len(track.at), bool) if selected is None else selected
-    parts = [_predict(model, track, ComponentFit(PRIOR_RULES[component]), component, OUT_OF_FOLD, selected & False)]
+    parts = [_predict(model, track, ComponentFit(PRIOR_RULES[component]), component, is_selected & False)]
     for fold in model.folds:
-        rows = selected & track.keys[by].is_in(fold.groups).to_numpy()
-        parts.append(_predict(model, track, fold.fits[component], component, OUT_OF_FOLD, rows))
+        is_of_fold = is_selected & track.keys["tail"].is_in(fold.tails).to_numpy()
+        parts.append(_predict(model, track, fold.fits[component], component, is_of_fold))
     return pl.concat(parts)
 
 
@@ -255,7 +210,7 @@ def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
     return fit_hazard(rows.features, rows.remaining, rows.failed, seed, (*RISES, 0))
 
 
-def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_]) -> ComponentFit:
+def _learn(base: Prognosis, track: Tracks, component: str, use: Array) -> ComponentFit:
     """Estimate the message's rule from the rows in `use` and, with enough failures, base correction and levels."""
     rule = learn_rule(track, component, use)
     life, column = track.at.T
@@ -271,33 +226,26 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: NDArray[np.bool_
     return ComponentFit(rule, correction, levels, failures, lives)
 
 
-def _predict(
-    model: Prognosis,
-    track: Tracks,
-    fit: ComponentFit,
-    component: str,
-    split: str,
-    selected: NDArray[np.bool_] | None = None,
-) -> pl.DataFrame:
-    selected = np.ones(len(track.at), bool) if selected is None else selected
-    rows = fleet_rows(track, fit.rule, selected)
+def _predict(model: Prognosis, track: Tracks, fit: ComponentFit, component: str, is_selected: Array) -> pl.DataFrame:
+    """Predict the selected flights of a component by one fit."""
+    rows = fleet_rows(track, fit.rule, is_selected)
     by = event_by(fit.correction(_hazards(model, component, rows.features), rows.features[:, _RESERVE]))
-    is_known = track.at[selected, 1] >= 0
+    is_known = track.at[is_selected, 1] >= 0
     low, middle, high = (quantile(by, level) for level in fit.levels)
     numbers = {"rul_flights": middle, "rul_low": np.minimum(low, middle), "rul_high": np.maximum(high, middle)}
     numbers |= events_ahead(by)
     columns = [pl.Series(name, np.where(is_known, v, np.nan)).fill_nan(None) for name, v in numbers.items()]
-    return track.keys.filter(selected).select(
+    return track.keys.filter(is_selected).select(
         "operator", "tail", "flight_id", "pack", pl.lit(component).alias("component"), "departed_at", *columns,
         (columns[0] >= HORIZON).alias("beyond_horizon"),
-        pl.lit(model.version).alias("model_version"), pl.lit(split).alias("split"),
+        pl.lit(model.version).alias("model_version"), pl.lit(OUT_OF_FOLD).alias("split"),
     )  # fmt: skip
 
 
 def with_version(base: Prognosis, fits: Fits | None = None, folds: tuple[Fold, ...] = ()) -> Prognosis:
     """Return `base` with these fits and folds, and the digest of all as version."""
     fits = fits or {}
-    parts = [("", fits), *((" ".join(fold.groups), fold.fits) for fold in folds)]
+    parts = [("", fits), *((" ".join(fold.tails), fold.fits) for fold in folds)]
     content: dict[str, Any] = {
         name: {c: [repr(f.rule), f.correction.weights, f.levels] for c, f in part.items()} for name, part in parts
     }

@@ -25,14 +25,14 @@ def from_parts(parts: dict[str, Any]) -> Prognosis:
 
 def fits_to_json(model: Prognosis) -> dict[str, Any]:
     """Return a model's fits to a fleet as JSON types."""
-    folds = [{"held": list(fold.groups), "fits": _plain(fold.fits)} for fold in model.folds]
+    folds = [{"held": list(fold.tails), "fits": _plain(fold.fits)} for fold in model.folds]
     return {"version": model.version, "fits": _plain(model.fits), "folds": folds}
 
 
-def with_fits(base: Prognosis, stored: dict[str, Any]) -> Prognosis:
+def with_fits(base: Prognosis, fields: dict[str, Any]) -> Prognosis:
     """Return a base with the fits of `fits_to_json`."""
-    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in stored["folds"])
-    return replace(base, fits=_fits(stored["fits"]), version=stored["version"], folds=folds)
+    folds = tuple(Fold(tuple(fold["held"]), _fits(fold["fits"])) for fold in fields["folds"])
+    return replace(base, fits=_fits(fields["fits"]), version=fields["version"], folds=folds)
 
 
 def _plain(fits: Fits) -> dict[str, Any]:

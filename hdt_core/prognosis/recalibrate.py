@@ -8,14 +8,13 @@ fleet's own hazard at many.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 from scipy.stats import CensoredData, ecdf
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, position
+from hdt_core.robust import Array
 
-Array = NDArray[np.float64]
 Levels = tuple[float, float, float]
 
 TERMS = ("constant", "near", "reserve", "late_odds")
@@ -42,9 +41,7 @@ class HazardCorrection:
         return np.asarray(expit(odds + shift))
 
 
-def learn_correction(
-    hazard: Array, reserve: Array, remaining: Array, failed: NDArray[np.bool_], life: NDArray[np.int_]
-) -> HazardCorrection:
+def learn_correction(hazard: Array, reserve: Array, remaining: Array, failed: Array, life: Array) -> HazardCorrection:
     """Fit a correction to a fleet's lives.
 
     Parameters
@@ -93,8 +90,8 @@ def learn_correction(
 def learn_levels(
     by: Array,
     remaining: Array,
-    failed: NDArray[np.bool_],
-    life: NDArray[np.int_],
+    failed: Array,
+    life: Array,
     prior: Levels = NOMINAL,
     prior_lives: float = 20.0,
     nominal: Levels = NOMINAL,
@@ -141,7 +138,7 @@ def _log_odds(hazard: Array) -> Array:
     return np.asarray(logit(np.clip(hazard, 1e-7, 1.0 - 1e-7)))
 
 
-def _terms(span: NDArray[np.int_], reserve: Array, odds: Array) -> Array:
+def _terms(span: Array, reserve: Array, odds: Array) -> Array:
     near = np.exp(-EDGES[span + 1] / 50.0)
     low, high, zero = RESERVE
     reserve_term = np.clip(np.nan_to_num(reserve, nan=zero), low, high) - zero

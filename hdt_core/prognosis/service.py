@@ -28,7 +28,7 @@ from hdt_core.prognosis.model import (
     assemble,
     fit_component,
     predict_by_fold,
-    split_groups,
+    split_tails,
     with_version,
 )
 from hdt_core.prognosis.model_card import Card, Verdict, model_card, promote
@@ -40,24 +40,24 @@ from hdt_core.records.keys import IN_ORDER, PACK
 class MonthModel:
     """The model of a month.
 
-        Attributes
-        ----------
-        model : Prognosis
-            The base with fits to the record of when the month began.
-        card : dict
-            The model's card; that of the newest month has the scores of all flights before.
-        digest : TrainingDigest
-            Its training data.
-        scored : dict
-            Which flights of the month it has scored.
-        service : dict
-    Reasons for its training and for its base: history of this home, which follows from no record.
+    Attributes
+    ----------
+    model : Prognosis
+        The base with fits to the record of when the month began.
+    card : dict
+        The model's card; that of the newest month has the scores of all flights before.
+    digest : TrainingDigest
+        Its training data.
+    scored_flights : dict
+        Flights of the month that have a prognosis by it.
+    service : dict
+        Reasons for its training and for its base: history of this home, which follows from no record.
     """
 
     model: Prognosis
     card: Card
     digest: TrainingDigest
-    scored: ScoredFlights
+    scored_flights: ScoredFlights
     service: dict[str, Any]
 
 
@@ -89,11 +89,12 @@ def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRe
         Digest of what features depend on besides the record.
     """
     last = last if last is not None and last.months else None
-    stored = last.months if last is not None else {}
+    last_months = last.months if last is not None else {}
     digests = training_digests(record, with_version(candidate).version, design)
-    reasons = {m: retraining_reason(now, stored[m].digest if m in stored else None) for m, now in digests.items()}
+    last_digests = {month: model.digest for month, model in last_months.items()}
+    reasons = {month: retraining_reason(now, last_digests.get(month)) for month, now in digests.items()}
     tails = {month: digests[month].tails for month, reason in reasons.items() if reason}
-    if last is None or any(stored[m].digest.base != digests[m].base for m in stored.keys() & digests.keys()):
+    if last is None or any(last_digests[m].base != digests[m].base for m in last_digests.keys() & digests.keys()):
         forecast, verdict = _choose(candidate, last, record, tails)
     else:
         verdict = Verdict(last.newest.service["promoted"], last.newest.service["promotion"])
@@ -101,15 +102,15 @@ def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRe
     scores = _scores(forecast.prognoses, record) if tails else last.newest.card["scores"] if last is not None else {}
     months = {}
     for month, now in digests.items():
-        digest = now if reasons[month] else stored[month].digest
+        digest = now if reasons[month] else last_digests[month]
         service = {
             "promoted": verdict.promoted,
             "promotion": verdict.reason,
-            "learned_because": reasons[month] or stored[month].service["learned_because"],
+            "learned_because": reasons[month] or last_months[month].service["learned_because"],
             "late_flights_not_learned_from": flights_not_learned(now, digest),
         }
         card = model_card(forecast.models[month], scores if month == max(digests) else None)
-        months[month] = MonthModel(forecast.models[month], card, digest, forecast.scored[month], service)
+        months[month] = MonthModel(forecast.models[month], card, digest, forecast.scored_flights[month], service)
     return ModelUpdate(months, forecast.prognoses)
 
 
@@ -117,7 +118,7 @@ class _Forecast(NamedTuple):
     """Models by month, their flights, and the prognoses of all flights."""
 
     models: dict[date, Prognosis]
-    scored: dict[date, ScoredFlights]
+    scored_flights: dict[date, ScoredFlights]
     prognoses: pl.DataFrame
 
 
@@ -125,40 +126,40 @@ def _forecast(
     base: Prognosis, record: FleetRecord, tails: Mapping[date, list[str]], last: ModelUpdate | None = None
 ) -> _Forecast:
     """Fit a base's models of the months in `tails`, by fold of these aircraft; predict flights without a prognosis."""
-    stored = last.months if last is not None else {}
+    last_months = last.months if last is not None else {}
     lives = {month: record.as_of(start_of(month)).lives() for month in tails}
-    folds = {month: split_groups(tails[month]) for month in tails}
-    models = {month: stored[month].model for month in record.months() if month not in tails}
+    folds = {month: split_tails(tails[month]) for month in tails}
+    models = {month: last_months[month].model for month in record.months() if month not in tails}
     fits: dict[date, dict[str, list[ComponentFit]]] = {month: {} for month in tails}
-    scored: dict[date, ScoredFlights] = {month: {} for month in record.months()}
+    scored_flights: dict[date, ScoredFlights] = {month: {} for month in record.months()}
 
     def predict_component(component: str, track: Tracks) -> tuple[pl.DataFrame, pl.DataFrame]:
-        flights, is_new = score_months(track, component, {m: stored[m].scored for m in stored})
+        flights, is_new = score_months(track, component, {m: last_months[m].scored_flights for m in last_months})
         month_at = month_of(track.keys["departed_at"])
         is_new |= month_at.is_in(list(tails)).to_numpy()
         parts = [predict_by_fold(base, component, track, is_new & False)]
-        for month in scored:
-            scored[month] |= flights.get(month, {})
+        for month in scored_flights:
+            scored_flights[month] |= flights.get(month, {})
             if month in tails:
                 past_track = tracks_as_of(track, start_of(month), lives[month], component)
                 fits[month][component] = fit_component(base, past_track, component, folds[month])
-            selected = is_new & (month_at == month).to_numpy()
-            if selected.any():
+            is_selected = is_new & (month_at == month).to_numpy()
+            if is_selected.any():
                 model = models.get(month) or assemble(base, folds[month], {component: fits[month][component]})
-                parts.append(predict_by_fold(model, component, track, selected))
-        unchanged_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
-        return pl.concat(parts), unchanged_keys
+                parts.append(predict_by_fold(model, component, track, is_selected))
+        old_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
+        return pl.concat(parts), old_keys
 
     fleet_tracks = record.tracks()
-    predictions, unchanged = zip(*(predict_component(c, fleet_tracks[c]) for c in fleet_tracks), strict=True)
+    predictions, old_keys = zip(*(predict_component(c, fleet_tracks[c]) for c in fleet_tracks), strict=True)
     models |= {month: assemble(base, folds[month], fits[month]) for month in tails}
     new_prognoses = pl.concat(predictions).with_columns(_version_of(models))
     old_prognoses = (
         new_prognoses.clear()
         if last is None
-        else last.prognoses.join(pl.concat(unchanged), on=["component", *PACK, "flight_id"], how="semi")
+        else last.prognoses.join(pl.concat(old_keys), on=["component", *PACK, "flight_id"], how="semi")
     )
-    return _Forecast(models, scored, pl.concat([old_prognoses, new_prognoses]).sort("component", *IN_ORDER))
+    return _Forecast(models, scored_flights, pl.concat([old_prognoses, new_prognoses]).sort("component", *IN_ORDER))
 
 
 def _version_of(models: Mapping[date, Prognosis]) -> pl.Expr:
@@ -183,7 +184,7 @@ def _choose(
     if last is None:
         return challenger, Verdict(True, "no other model is in service")
     base = last.newest.model
-    if inputs(base) != inputs(candidate):
+    if n_inputs(base) != n_inputs(candidate):
         return challenger, Verdict(True, "the model in service reads other inputs and can't be asked")
     if same_base(candidate, base):
         return challenger, Verdict(True, "the base in service is the one the present code learns")
@@ -199,13 +200,13 @@ def same_base(first: Prognosis, second: Prognosis) -> bool:
     """Check whether two models have the same base: their hazards agree at a few probe points."""
     if first.base_levels != second.base_levels or len(first.hazard) != len(second.hazard):
         return False
-    probe = np.linspace(0.0, 1.0, 7)[:, None] * np.ones(inputs(first))
+    probe = np.linspace(0.0, 1.0, 7)[:, None] * np.ones(n_inputs(first))
     return all(
         np.allclose(a.predict_proba(probe), b.predict_proba(probe))
         for a, b in zip(first.hazard, second.hazard, strict=True)
     )
 
 
-def inputs(model: Prognosis) -> int:
+def n_inputs(model: Prognosis) -> int:
     """Return the number of the hazard's input columns."""
     return int(model.hazard[0].n_features_in_)

@@ -74,48 +74,49 @@ def training_digests(record: FleetRecord, base: str, design: str = "") -> dict[d
     return {month: digest(month) for month in record.months()}
 
 
-def read_digest(stored: str) -> TrainingDigest:
+def read_digest(text: str) -> TrainingDigest:
     """Parse the result of `to_json`."""
-    fields: dict[str, Any] = json.loads(stored)
+    fields: dict[str, Any] = json.loads(text)
     return TrainingDigest(**fields)
 
 
-def retraining_reason(now: TrainingDigest, then: TrainingDigest | None) -> str:
+def retraining_reason(now: TrainingDigest, last: TrainingDigest | None) -> str:
     """Return why a model is fitted, or fitted again; empty where it stays.
 
     Parameters
     ----------
     now : TrainingDigest
         Its training data tonight.
-    then : TrainingDigest or None
+    last : TrainingDigest or None
         Its training data when it was fitted; None where the month has no model.
     """
-    if then is None:
+    if last is None:
         return "the month began"
-    changes = sum(abs(now.flights.get(p, 0) - then.flights.get(p, 0)) for p in now.flights.keys() | then.flights.keys())
-    lives = max(len(set(a.ended) - set(b.ended)) for a, b in ((now, then), (then, now)))
+    packs = now.flights.keys() | last.flights.keys()
+    changes = sum(abs(now.flights.get(p, 0) - last.flights.get(p, 0)) for p in packs)
+    lives = max(len(set(a.ended) - set(b.ended)) for a, b in ((now, last), (last, now)))
     reasons = {
-        "the base is another": now.base != then.base,
-        "the aircraft's models or the code of features are others": now.design != then.design,
-        "an aircraft joined or left": now.tails != then.tails,
-        "an operator's first message came late": now.operators != then.operators,
-        f"lives that had ended are others: {lives}": lives > MATERIAL_SHARE * len(then.ended),
-        f"{changes} flights of earlier months came late or went": changes > MATERIAL_SHARE * sum(then.flights.values()),
+        "the base is another": now.base != last.base,
+        "the aircraft's models or the code of features are others": now.design != last.design,
+        "an aircraft joined or left": now.tails != last.tails,
+        "an operator's first message came late": now.operators != last.operators,
+        f"lives that had ended are others: {lives}": lives > MATERIAL_SHARE * len(last.ended),
+        f"{changes} flights of earlier months came late or went": changes > MATERIAL_SHARE * sum(last.flights.values()),
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
 
 
-def flights_not_learned(now: TrainingDigest, then: TrainingDigest) -> int:
+def flights_not_learned(now: TrainingDigest, last: TrainingDigest) -> int:
     """Count flights of earlier months, by pack, that came after the model was fitted."""
-    return sum(max(0, n - then.flights.get(pack, 0)) for pack, n in now.flights.items())
+    return sum(max(0, n - last.flights.get(pack, 0)) for pack, n in now.flights.items())
 
 
 def _ended_lives(record: FleetRecord) -> pl.DataFrame:
-    """Digest lives ended by a message or a replacement, with the month in which the next unit flew: `life`, `month`."""
+    """Digest lives ended by a message or a replacement, and the month in which the next unit flew: `life`, `month`."""
     lives = life_table(record.features, record.lives()).sort("component", *PACK, "life")
     next_at = pl.col("first_departed_at").shift(-1).over("component", *PACK)
-    removed = lives.with_columns(month=next_at.dt.month_start().dt.date()).filter("removed")
+    removals = lives.with_columns(month=next_at.dt.month_start().dt.date()).filter("removed")
     message = pl.when("failed").then("end_flight_id")
-    rows = removed.select(*PACK, "component", "failed", "first_flight_id", message.alias("end_flight_id")).rows()
+    rows = removals.select(*PACK, "component", "failed", "first_flight_id", message.alias("end_flight_id")).rows()
     digests = [hashlib.blake2b(repr(row).encode(), digest_size=5).hexdigest() for row in rows]
-    return pl.DataFrame({"life": digests, "month": removed["month"]}, schema={"life": pl.String, "month": pl.Date})
+    return pl.DataFrame({"life": digests, "month": removals["month"]}, schema={"life": pl.String, "month": pl.Date})

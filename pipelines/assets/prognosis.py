@@ -91,7 +91,7 @@ def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:
         {
             "month": month, "model_version": month_model.model.version, "card": json.dumps(month_model.card),
             "service": json.dumps(month_model.service), "fits": json.dumps(fits_to_json(month_model.model)),
-            "training_digest": month_model.digest.to_json(), "scored_flights": json.dumps(month_model.scored),
+            "training_digest": month_model.digest.to_json(), "scored_flights": json.dumps(month_model.scored_flights),
             "model": base if month_model is update.newest else None,
         }
         for month, month_model in sorted(update.months.items())

@@ -29,7 +29,7 @@ def phrases() -> list[str]:
     declared = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
     names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     roles = [f"{role}:" for role in (*ROLES, "Else")]
-    return list(dict.fromkeys([*PHRASES.values(), *SIGNALS.values(), *CHECKS.values(), *names, *declared, *roles]))
+    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *declared, *roles]))
 
 
 def translate_evidence(sentence: str) -> str:

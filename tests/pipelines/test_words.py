@@ -72,9 +72,8 @@ def filled(phrase: str) -> str:
     return phrase.format(**{name: SAMPLE.get(name, "7") for name in fields(phrase)})
 
 
-@pytest.mark.parametrize("name", PHRASES)
-def test_a_phrase_is_known_again_with_its_values(name):
-    phrase = PHRASES[name]
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_a_phrase_is_known_again_with_its_values(phrase):
     found = pattern_of(phrase).fullmatch(filled(phrase))
     assert found is not None
     assert {k: v for k, v in found.groupdict().items() if k != "small"} == {
@@ -82,11 +81,11 @@ def test_a_phrase_is_known_again_with_its_values(name):
     }
 
 
-@pytest.mark.parametrize("name", PHRASES)
-def test_a_phrase_is_retold_as_it_was_translated(name):
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_a_phrase_is_retold_as_it_was_translated(phrase):
     with use_language("de"):
-        told = translate_evidence(filled(PHRASES[name]))
-    to = next(m.string for m in catalog("de") if m.id == PHRASES[name])
+        told = translate_evidence(filled(phrase))
+    to = next(m.string for m in catalog("de") if m.id == phrase)
     assert re.fullmatch(
         "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), told
     )

@@ -81,13 +81,13 @@ def test_what_is_looked_at_is_the_late_flights_of_both_packs(k: int, first: int)
         loss[:, 37:40] = np.nan  # one late flight is known
     shift = Shift(np.zeros(z.shape, bool), z, z, np.zeros(z.shape), np.zeros(z.shape))
     seen = Indications(grid, shift, loss, grid.partner())
-    (found,), (worth,) = seen.at(0, np.array([k]), first)
+    (found,), (worth,) = seen.shifts_at(0, np.array([k]), first)
     mine, theirs = told_by_hand(z[0], loss[0], k, first), told_by_hand(z[1], loss[1], k - 1, first - 1)
     assert found.tolist() == pytest.approx(mine[0] + theirs[0])
     assert worth.tolist() == pytest.approx(mine[1] + theirs[1])
     assert seen.same_time(0, np.array([2, 3, 4]), 1).tolist() == [2, 2, 3]
     lone = Indications(grid, shift, loss, np.array([-1, -1]))
-    (found,), (worth,) = lone.at(0, np.array([k]), first)
+    (found,), (worth,) = lone.shifts_at(0, np.array([k]), first)
     assert np.isnan(found[16:]).all()
     assert worth[16:].tolist() == [1.0] * 16
 

@@ -165,7 +165,7 @@ def test_a_jump_and_the_loss_it_leads_to_within_40_flights_are_one_case(rise, na
 def test_a_case_tells_since_when_the_unit_is_worn():
     (case,) = fouling(np.where(FLIGHT < 20, 0.05, np.where(FLIGHT < 40, 0.051, 0.2)))
     assert case.facts["since"] == 20
-    assert case.at(45)["gained"] != case.at(45)["gained"]  # no flight alone says
+    assert case.facts_at(45)["gained"] != case.facts_at(45)["gained"]  # no flight alone says
     assert fouling(0.2)[0].facts["since"] == 0
 
 
@@ -204,7 +204,7 @@ def test_a_smaller_diameter_is_a_case_where_no_efficiency_is_known():
     # departure passes -2.5 % with the third, too
     (case,) = shrunk(0.06)
     assert case.raised_flight in (42, 43)
-    assert case.at(60)["shrunk"] == pytest.approx(np.log(0.94), abs=0.005)
+    assert case.facts_at(60)["shrunk"] == pytest.approx(np.log(0.94), abs=0.005)
     assert shrunk(-0.06) == []
     assert shrunk(0.024) == []
     assert shrunk(0.027) != []

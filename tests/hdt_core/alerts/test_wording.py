@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 from hdt_core.alerts import wording
 from hdt_core.alerts.cases import FAILS_AT
+from hdt_core.alerts.diagnoses import DIAGNOSES
 
 NAN = float("nan")
 WORN = {
@@ -72,8 +73,8 @@ def test_severities_at_their_edges():
         assert wording.exchanger_severity(base | changed) == severity
     assert wording.flights_left(base | {"hx_fouling": 0.9, "hx_fouling_slope_30_per_flight": 0.1}) == 0.0
     assert wording.flights_left(base | {"hx_fouling_slope_30_per_flight": 1e-5}) is None
-    assert [wording.margin_severity({"hx_passage_100": p}) for p in (0.5, 0.51)] == ["medium", "high"]
-    assert [wording.door_severity({"kind": k}) for k in ("jam", "lost travel")] == ["high", "medium"]
+    assert [DIAGNOSES["HX_LOW_MARGIN"].severity({"hx_passage_100": p}) for p in (0.5, 0.51)] == ["medium", "high"]
+    assert [DIAGNOSES["RAM_DOOR_FAULT"].severity({"kind": k}) for k in ("jam", "lost travel")] == ["high", "medium"]
     kinds = [{"kind": "shift", "sensor": "hx_out_k"}, {"kind": "shift", "sensor": "mach"}, {"kind": "contradicted"}]
     assert [wording.sensor_severity(k) for k in kinds] == ["medium", "low", "medium"]
 

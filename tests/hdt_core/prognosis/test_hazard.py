@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, position, quantile
-from hdt_core.prognosis.trees import _by_tree, _row_by_row
+from hdt_core.prognosis.hazard import (
+    EDGES,
+    SPANS,
+    _by_tree,
+    _row_by_row,
+    event_by,
+    fit_hazard,
+    hazards,
+    position,
+    quantile,
+)
 
 
 def test_position_undoes_quantile():

@@ -6,8 +6,8 @@ from scipy.optimize import minimize
 
 from benchmarks.real.censored import life_bounds
 from hdt_core.components import Limit
-from hdt_core.prognosis.component_life import first_passage
-from hdt_core.prognosis.component_limits import PRIORS, learn_limit
+from hdt_core.prognosis.component_life import first_passage, learn_limit
+from hdt_core.prognosis.feature_rows import PRIOR_RULES
 from hdt_core.prognosis.hazard import (
     EDGES,
     SPANS,
@@ -95,7 +95,7 @@ def test_the_learner_is_as_declared(learned):
 def test_a_limit_is_the_normal_posterior_with_hubers_weights():
     """Losses of 0.2, 0.22 and one far off at 0.5, units 0.05 apart; the prior is 0.25 +- 0.06."""
     prior = Limit(0.25, 0.06, 0.05)
-    assert list(PRIORS.items()) == [("CC", prior)]
+    assert PRIOR_RULES["CC"] == prior
     levels = np.array([0.20, 0.22, np.nan, 0.5])
     middle = (0.22 + 0.25) / 2.0
     weight = np.array([1.0, 1.0, 1.5 * 0.05 / (0.5 - middle)])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hdt_core.margin.margin import PRIOR_RULE as PRIOR
 from hdt_core.prognosis import message_rule
-from hdt_core.prognosis.message_rule import PRIOR
 
 
 def lives(n: int, excess_k: float, of: int, seed: int = 0) -> tuple[dict[float, np.ndarray], np.ndarray]:

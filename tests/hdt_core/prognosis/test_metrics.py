@@ -4,11 +4,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from benchmarks.prognosis import calibration
 from hdt_core.prognosis.metrics import (
     alpha_lambda,
     auc,
     brier_skill,
-    calibration,
     constant_interval_score,
     interval_score,
     score_prognoses,

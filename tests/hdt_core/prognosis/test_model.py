@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from benchmarks.rolling import predict_prognosis
 from hdt_core.margin.margin import PRIOR_RULE
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
@@ -20,11 +21,11 @@ from hdt_core.prognosis.model import (
     Prognosis,
     _hazards,
     _lesson_scores,
+    assemble,
     fit_component,
     fit_member,
-    fit_tracks,
-    out_of_fold,
-    predict_prognosis,
+    predict_by_fold,
+    split_tails,
 )
 from hdt_core.prognosis.model_card import fits_to_json, from_parts, model_card, promote, to_parts, with_fits
 from hdt_core.prognosis.recalibrate import HazardCorrection
@@ -35,7 +36,7 @@ from pipelines.learned import shipped_base
 
 def fit_prognosis(features: pl.DataFrame, lives: pl.DataFrame, base: Prognosis) -> Prognosis:
     """A model fitted to all of a fleet's lives."""
-    return fit_tracks(base, {c: tracks(features, lives, c) for c in PRIOR_RULES})
+    return assemble(base, [], {c: fit_component(base, tracks(features, lives, c), c, []) for c in PRIOR_RULES})
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,9 @@ def fitted(fleet, base):
 @pytest.fixture(scope="module")
 def held_out(fleet, base):
     lives = episodes(*fleet)
-    return join_outcomes(out_of_fold(fleet[0], lives, base=base), fleet[0], lives)
+    track, folds = tracks(fleet[0], lives, "HX"), split_tails(fleet[0]["tail"].unique().to_list())
+    model = assemble(base, folds, {"HX": fit_component(base, track, "HX", folds)})
+    return join_outcomes(predict_by_fold(model, "HX", track, np.ones(len(track.at), bool)), fleet[0], lives)
 
 
 def test_every_flight_has_its_rows_for_both_components(fitted):
@@ -178,16 +181,6 @@ def _contrary(seed: int) -> HistGradientBoostingClassifier:
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((400, len(INPUTS)))
     return fit_hazard(rows, rng.uniform(1.0, 300.0, 400), np.ones(400, bool), seed=0)
-
-
-def test_held_out_by_operator_the_only_operator_is_judged_by_simulated_lives_alone(fleet, base):
-    features, *_ = fleet
-    lives = episodes(*fleet)
-    assert features["operator"].n_unique() == 1
-    alone = predict_prognosis(fit_prognosis(features.clear(), lives.clear(), base=base), features, lives)
-    held = out_of_fold(features, lives, base=base, by="operator")
-    names = ["rul_flights", "rul_low", "rul_high", "p_event_50"]
-    np.testing.assert_allclose(held[names].to_numpy(), alone[names].to_numpy(), equal_nan=True)
 
 
 @pytest.fixture(scope="module")

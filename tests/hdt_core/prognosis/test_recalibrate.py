@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import expit, logit
 
-from hdt_core.prognosis.component_limits import PRIORS, learn_limit
+from hdt_core.components.compressor import CC
+from hdt_core.prognosis.component_life import learn_limit
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
 from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, HazardCorrection, learn_correction, learn_levels
 
@@ -87,7 +88,7 @@ def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
 
 
 def test_limit_moves_from_the_prior_to_the_messages():
-    prior = PRIORS["CC"]
+    prior = CC.limit
     assert learn_limit(np.empty(0), prior) == prior
     few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)
     assert 0.15 < few.mean < prior.mean
@@ -97,5 +98,5 @@ def test_limit_moves_from_the_prior_to_the_messages():
 
 def test_a_clog_does_not_pull_the_limit_far():
     levels = np.array([0.25, 0.26, 0.24, 0.25])
-    clean, clogged = learn_limit(levels, PRIORS["CC"]), learn_limit(np.append(levels, 0.65), PRIORS["CC"])
+    clean, clogged = learn_limit(levels, CC.limit), learn_limit(np.append(levels, 0.65), CC.limit)
     assert abs(clogged.mean - clean.mean) < 0.03

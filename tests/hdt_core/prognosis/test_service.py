@@ -9,9 +9,8 @@ import pytest
 
 from hdt_core.prognosis.feature_rows import PRIOR_RULES, fleet_rows, learn_rule, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, start_of
-from hdt_core.prognosis.model import fit_tracks
+from hdt_core.prognosis.model import fit_component
 from hdt_core.prognosis.service import update_model
-from hdt_core.prognosis.unit_lives import episodes
 from pipelines.learned import shipped_base
 
 IN_MARCH = datetime(2024, 3, 30, tzinfo=UTC)
@@ -97,21 +96,19 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
     """Without the removals of one tail its own prognoses are the same."""
     whole, month = FleetRecord(*fleet), date(2024, 4, 1)
     tail = whole.as_of(start_of(month)).lives().filter("failed")["tail"][0]
-    held = next(fold for fold in at_once.months[month].model.folds if tail in fold.groups)
+    held = next(fold for fold in at_once.months[month].model.folds if tail in fold.tails)
     assert (
-        sorted(t for fold in at_once.months[month].model.folds for t in fold.groups)
+        sorted(t for fold in at_once.months[month].model.folds for t in fold.tails)
         == whole.features["tail"].unique().sort().to_list()
     )
     past = whole.as_of(start_of(month))
     others = FleetRecord(
-        *(f.filter(~pl.col("tail").is_in(held.groups)) for f in (past.features, past.messages, past.maintenance))
+        *(f.filter(~pl.col("tail").is_in(held.tails)) for f in (past.features, past.messages, past.maintenance))
     )
-    alone = fit_tracks(
-        base, {"HX": tracks(others.features, episodes(others.features, others.messages, others.maintenance), "HX")}
-    )
-    assert alone.fits["HX"].failures == held.fits["HX"].failures
-    np.testing.assert_allclose(alone.fits["HX"].correction.weights, held.fits["HX"].correction.weights, atol=1e-9)
-    np.testing.assert_allclose(alone.fits["HX"].levels, held.fits["HX"].levels, atol=1e-9)
+    (alone,) = fit_component(base, others.tracks()["HX"], "HX", [])
+    assert alone.failures == held.fits["HX"].failures
+    np.testing.assert_allclose(alone.correction.weights, held.fits["HX"].correction.weights, atol=1e-9)
+    np.testing.assert_allclose(alone.levels, held.fits["HX"].levels, atol=1e-9)
 
 
 def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):

@@ -22,7 +22,7 @@ from hdt_core.prognosis.model import (
     Prognosis,
     _keep_lessons,
     prior_levels,
-    split_groups,
+    split_tails,
     with_version,
 )
 from hdt_core.prognosis.model_card import from_parts, model_card, promote, to_parts
@@ -170,9 +170,9 @@ def test_the_learning_is_as_declared():
     assert (simulated_rows.__defaults__, model.fit_member.__defaults__) == ((50, 20, 600, 20), (50,))
     for rows, stride in ((1, 4), (4000, 4), (4001, 5), (8000, 8), (8001, 9)):
         assert model._stride(np.ones(rows, bool)) == stride
-    assert split_groups(list("gfedcba")) == [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]
-    assert split_groups(["x", "y"]) == [("x",), ("y",)]
-    assert split_groups([]) == []
+    assert split_tails(list("gfedcba")) == [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]
+    assert split_tails(["x", "y"]) == [("x",), ("y",)]
+    assert split_tails([]) == []
     assert model.LESSONS == ((False, False), (True, False), (False, True), (True, True))
     assert ComponentFit(PRIOR_RULES["CC"]) == ComponentFit(
         PRIOR_RULES["CC"], HazardCorrection((0.0,) * 4), NOMINAL, 0, 0
