@@ -70,7 +70,7 @@ def main(landing: Path) -> None:
             "peer, all in one": lambda: all_in_one(files, out),
             "ours": lambda: ours(landing, out),
             "peer, one long file": lambda: all_in_one([long], out),
-            "ours, one long file": lambda: read_snapshots(long, NOW).rows.write_parquet(out / "ours.parquet"),
+            "ours, one long file": lambda: read_snapshots([long], NOW).rows.write_parquet(out / "ours.parquet"),
         }
         rounds = [{name: cpu_s(work) for name, work in works.items()} for _ in range(ROUNDS)]
     best = {name: min(r[name] for r in rounds) for name in works}

@@ -14,9 +14,9 @@ from hdt_recorder.decoding.report_layouts import A330
 from hdt_recorder.recordings import MOST_BYTES, read_recording, unpacked_bytes
 from hdt_recorder.types_of_zone import types_of
 from pipelines.intake.columns import SIGNAL_COLUMNS
-from pipelines.intake.faults import Fault, quarantine
-from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.log_lines import Log, printable
+from pipelines.intake.faults import Fault
+from pipelines.intake.landing_file import FileIntake, LandingFile
+from pipelines.intake.log_lines import printable
 from pipelines.intake.logs import time_fault
 
 MESSAGE_FILE = "message.dat"
@@ -24,7 +24,7 @@ MESSAGE_FILE = "message.dat"
 (_FOOT_M,) = (c.scale for c in SIGNAL_COLUMNS if c.name == "altitude_ft")
 
 
-def read_printed(file: LandingFile, now: datetime, version: str) -> Log:
+def read_printed(file: LandingFile, now: datetime, version: str) -> FileIntake:
     """Heads of a file's reports in the columns of `raw_reports`, each once.
 
     A row of the account is a report. What is damaged below its head is told and keeps nothing out.
@@ -90,6 +90,6 @@ def _judge(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> t
 
 def _log(
     file: LandingFile, rows: list[tuple[object, ...]], faults: list[Fault], n_delivered: int = 0, n_duplicate: int = 0
-) -> Log:
+) -> FileIntake:
     frame = pl.DataFrame(rows, schema=dict(RawReports.create_empty().schema), orient="row")
-    return Log(frame, quarantine(file.path, file.received_at, faults), n_delivered, n_duplicate)
+    return FileIntake(frame, file.quarantine(faults), n_delivered, n_duplicate)

@@ -9,15 +9,13 @@ import polars as pl
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks, RawFleet
 from pipelines.assets.stage import stage
-from pipelines.intake.components import ComponentIntake
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.costs import costs_or_fault
 from pipelines.intake.faults import quarantine
 from pipelines.intake.findings import CASE, with_findings
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import list_landing
-from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.log_lines import Log
+from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
 from pipelines.intake.scan import REJECTED
@@ -87,7 +85,7 @@ def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
     return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
-def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
     files, now = landing_files(Path(home.landing), listing.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
     stored = {kind: scope.read_table(home.store, table) for kind, (table, _) in RECORDS.items()}
@@ -100,7 +98,7 @@ def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tupl
     return [(f, RECORDS[f.kind][1](f, now)) for f in files]
 
 
-def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, Log]]:
+def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
     """Read printed reports whose present version is not stored; there is one a flight."""
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
     stored = scope.read_table(home.store, "raw_reports").select(path="file", version="file_version")
@@ -111,7 +109,9 @@ def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[t
     return [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files]
 
 
-def _records(kind: str, logs: list[tuple[LandingFile, Log]], scope: PartitionScope, store: Store) -> pl.DataFrame:
+def _records(
+    kind: str, logs: list[tuple[LandingFile, FileIntake]], scope: PartitionScope, store: Store
+) -> pl.DataFrame:
     """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
     table, delivered = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in logs]
     stored = scope.read_table(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(delivered)))
@@ -137,11 +137,11 @@ def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
     return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
 
 
-def account(file: LandingFile, intake: Log | ComponentIntake) -> pl.DataFrame:
+def account(file: LandingFile, intake: FileIntake) -> pl.DataFrame:
     """Count one file's delivered, loaded, quarantined and duplicate rows."""
     counts = {
         "delivered": intake.n_delivered, "loaded": intake.n_loaded,
-        "quarantined": int(intake.quarantine["n_rows"].sum()), "duplicate": intake.n_duplicate,
+        "quarantined": intake.n_quarantined, "duplicate": intake.n_duplicate,
     }  # fmt: skip
     return pl.DataFrame({"file": [file.path]} | {k: [v] for k, v in counts.items()})
 

@@ -57,13 +57,23 @@ SI_NAMES = tuple(c.si_name for c in SIGNAL_COLUMNS)
 
 @dataclass(frozen=True, slots=True)
 class Contract:
-    """Columns of a file: required ones, text, numbers, and those that nearly every file has."""
+    """Columns of a kind of file."""
 
     keys: tuple[str, ...]
-    words: tuple[str, ...]
-    numbers: tuple[str, ...]
+    """Required columns."""
+    words: tuple[str, ...] = ()
+    numbers: tuple[str, ...] = ()
+    """Columns of numbers; of these and `words` any but a key may be missing."""
     core: tuple[str, ...] = ()
+    """Columns that nearly every file has."""
+    extra: tuple[str, ...] = ()
+    """Columns whose absence is never a sign of renaming."""
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Columns that may be missing, unless they seem renamed."""
+        return tuple(n for n in (*self.words, *self.numbers) if n not in self.keys)
 
 
-PACK_FILES = Contract(KEYS, WORDS, SIGNAL_NAMES, CORE_NAMES)
+PACK_FILES = Contract(KEYS, WORDS, ("pack", *SIGNAL_NAMES), CORE_NAMES)
 """Files of the pack by the data contract."""

@@ -8,8 +8,9 @@ from typing import Any
 
 import polars as pl
 
+from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
-from pipelines.intake.log_lines import Columns, Lines, Row, Words, parse_list
+from pipelines.intake.log_lines import Lines, Row, Words, parse_list
 from pipelines.intake.names import MAX_PACKS, is_operator, is_tail
 from pipelines.intake.times import to_day
 
@@ -19,7 +20,7 @@ FLEET: dict[str, type[pl.DataType]] = {
     "operator": pl.String, "tail": pl.String, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32,
     "type": pl.String,
 }  # fmt: skip
-COLUMNS = Columns(("operator", "tail"), ("msn", "delivered_on", "packs", "type"), unique=2)
+CONTRACT = Contract(("operator", "tail"), ("msn", "delivered_on", "packs", "type"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ FleetLines = dict[tuple[str, str], FleetLine]
 
 def parse_fleet(content: bytes) -> Lines:
     """Parse the lines of the list in the order of `FLEET`, and the faults of the others."""
-    return parse_list(content, COLUMNS, _validate)
+    return parse_list(content, CONTRACT, _validate, n_key=2)
 
 
 def _validate(words: Words, _: datetime | None) -> Row | Fault:

@@ -3,9 +3,11 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import SequenceMatcher
+from functools import lru_cache
 
+from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 
 _UNITS = {"ft", "degc", "psia", "pct", "lbpm", "rpm", "pos"}
@@ -17,24 +19,20 @@ class Header:
 
     names: tuple[str | None, ...] = ()
     fault: Fault | None = None
-    notes: tuple[Fault, ...] = field(default=())
+    notes: tuple[Fault, ...] = ()
 
 
-def match_header(
-    names_of_file: Sequence[str],
-    required: Collection[str],
-    optional: Collection[str],
-    core: Collection[str] = (),
-    extra: Collection[str] = (),
-) -> Header:
+@lru_cache(maxsize=256)  # thousands of files share a few headers
+def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
     """Match the names in a file with those of the contract.
 
     Case and blanks around a name are ignored. A required name that is missing rejects the file. An optional one may be
     missing for an operator, unless the file holds an unknown name that looks like it (`T_HX_IN` for `hx_in_degc`), or
-    two or more of `core` are missing beside as many unknown names: then columns were renamed, and reading the others
-    would lose a sensor silently. `extra` names may be missing.
+    two or more of the core are missing beside as many unknown names: then columns were renamed, and reading the others
+    would lose a sensor silently.
     """
-    contract_names = {*required, *optional, *extra}
+    required, optional = contract.keys, contract.optional
+    contract_names = {*required, *optional, *contract.extra}
     clean = [name.strip().strip('"').strip().lower() for name in names_of_file]
     names = tuple(name if name in contract_names else None for name in clean)
     counts = Counter(n for n in names if n)
@@ -49,7 +47,7 @@ def match_header(
     if duplicates := [n for n, times in counts.items() if times > 1]:
         twice = ", ".join(duplicates)
         return Header(fault=Fault("repeated_column", column_name=twice, detail=f"Twice: {twice}."))
-    absent = [n for n in required if n not in counts] or _renamed_columns(missing, strangers, core)
+    absent = [n for n in required if n not in counts] or _renamed_columns(missing, strangers, contract.core)
     if absent or (optional and not any(n in counts for n in optional)):
         absent = absent or missing
         detail = f"Missing: {', '.join(absent)}." + (f" Not known: {_join_names(strangers)}." if strangers else "")

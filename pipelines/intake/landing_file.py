@@ -1,10 +1,13 @@
-"""Describe one file of the landing zone: its aircraft, its kind, and what determines how it is read."""
+"""Describe one file of the landing zone: its aircraft, its kind, what determines how it is read, what it holds."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from typing import Literal
 
-from pipelines.intake.faults import Fault
+import polars as pl
+
+from pipelines.intake.faults import Fault, quarantine
 from pipelines.intake.fleet_list import PACKS
 
 Kind = Literal[
@@ -92,6 +95,10 @@ class LandingFile:
         """Absolute path."""
         return f"{self.landing}/{self.path}"
 
+    def quarantine(self, faults: Iterable[Fault]) -> pl.DataFrame:
+        """Turn faults of the file into quarantine rows."""
+        return quarantine(self.path, self.received_at, faults)
+
     def read_content(self) -> tuple[bytes | None, list[Fault]]:
         """Read the content; None and the fault where that fails."""
         limit = MAX_TEXT_BYTES if self.is_text else MAX_PARQUET_BYTES
@@ -113,3 +120,28 @@ class LandingFile:
 def modified_at(mtime_ns: int) -> datetime:
     """Convert the modification time of a file to UTC, to the second."""
     return datetime.fromtimestamp(mtime_ns // 1_000_000_000, UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class FileIntake:
+    """Rows of one file, each once, and quarantine rows; each delivered row is stored, quarantined or a duplicate."""
+
+    rows: pl.DataFrame
+    quarantine: pl.DataFrame
+    n_delivered: int
+    n_duplicate: int
+
+    @property
+    def n_quarantined(self) -> int:
+        """Delivered rows behind the quarantine rows."""
+        return int(self.quarantine["n_rows"].sum())
+
+    @property
+    def n_loaded(self) -> int:
+        """Delivered rows stored."""
+        return self.n_delivered - self.n_quarantined - self.n_duplicate
+
+    @property
+    def n_good(self) -> int:
+        """Delivered rows that could be stored if there were no other delivery."""
+        return self.n_loaded + self.n_duplicate + self.quarantine.filter(reason="conflicting_delivery").height

@@ -1,48 +1,19 @@
 """Parse a short list in CSV: each line validated by itself, each stored once."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import polars as pl
 
+from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
-from pipelines.intake.header import match_header
-from pipelines.intake.text import Text, open_text
-from pipelines.intake.text_columns import to_columns
+from pipelines.intake.text import Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
 
 Row = tuple[object, ...]
 Words = dict[str, str]
 """Fields of a line by column, stripped; empty where the file has no such column."""
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Columns of a list: required ones, optional ones, and `extra` ones whose absence is never a sign of renaming."""
-
-    required: tuple[str, ...]
-    optional: tuple[str, ...] = ()
-    extra: tuple[str, ...] = ()
-    time: str | None = None
-    """Column of times, which are parsed in bulk."""
-    unique: int = 0
-    """Leading fields that are a key: of several lines with one key the first counts. 0: whole lines are compared."""
-
-
-@dataclass(frozen=True, slots=True)
-class Log:
-    """Rows of a log, each once; quarantine rows; `n_delivered` = rows + `n_duplicate` + quarantined `n_rows`."""
-
-    rows: pl.DataFrame
-    quarantine: pl.DataFrame
-    n_delivered: int
-    n_duplicate: int
-
-    @property
-    def n_loaded(self) -> int:
-        """Rows stored."""
-        return self.rows.height
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,36 +26,46 @@ class Lines:
     n_duplicate: int
 
 
-def parse_list(content: bytes, columns: Columns, validate: Callable[[Words, datetime | None], Row | Fault]) -> Lines:
-    """Open a list, validate its lines and drop duplicates."""
-    required, optional, extra = columns.required, columns.optional, columns.extra
-    text = open_text(content, lambda names: match_header(names, required, optional, extra=extra))
-    lines, line_faults = to_columns([text], ())
-    nothing_happened = () if columns.unique else ("no_rows",)  # an aircraft without messages has a header alone
-    faults = [f for f in (*text.faults, *line_faults[0]) if f.reason not in nothing_happened]
+def parse_list(
+    content: bytes,
+    contract: Contract,
+    validate: Callable[[Words, datetime | None], Row | Fault],
+    time: str = "",
+    n_key: int = 0,
+) -> Lines:
+    """Open a list, validate its lines and drop duplicates.
+
+    `time` is the column of times, which are parsed in bulk. The first `n_key` fields are a key: of several lines with
+    one key the first counts; 0: whole lines are compared.
+    """
+    text = open_text(content, contract)
+    lines = to_columns([text], ())
+    nothing_happened = () if n_key else ("no_rows",)  # an aircraft without messages has a header alone
+    faults = [f for f in text.faults if f.reason not in nothing_happened]
     good: dict[Row, int] = {}
-    for row, words, moment in _words(lines, columns, faults):
+    for row, words, moment in _words(lines, contract, time, faults):
         result = validate(words, moment)
         if isinstance(result, Fault):
             faults.append(_row_fault(result, row, text))
         else:
             good.setdefault(result, row)
     n_duplicate = text.n_rows - len(good) - sum(f.n_rows for f in faults)
-    rows = _first_of_key(good, columns.unique, text, faults) if columns.unique else sorted(good, key=_sort_key)
+    rows = _first_of_key(good, n_key, text, faults) if n_key else sorted(good, key=_sort_key)
     return Lines(rows, faults, text.n_rows, n_duplicate)
 
 
-def _words(lines: pl.DataFrame, columns: Columns, faults: list[Fault]) -> list[tuple[int, Words, datetime | None]]:
-    if lines.is_empty():
-        return []
+def _words(
+    lines: pl.DataFrame, contract: Contract, time: str, faults: list[Fault]
+) -> Iterator[tuple[int, Words, datetime | None]]:
+    """Yield number, fields and time of each line; a note on times without zone goes to the faults."""
     moments: list[datetime | None] = [None] * lines.height
-    if columns.time is not None:
-        times, naive = to_utc(lines.select(columns.time, "row"), columns.time)
-        moments = times.get_column(columns.time).to_list()
-        faults.extend(zone_note(naive, columns.time))
-    names = (*columns.required, *columns.optional, *columns.extra)
-    rows = lines.iter_rows(named=True)
-    return [(r["row"], {c: printable(r.get(c)) for c in names}, m) for r, m in zip(rows, moments, strict=True)]
+    if time and lines.height:
+        times, naive = to_utc(lines.select(time, "row"), time)
+        moments = times[time].to_list()
+        faults.extend(zone_note(naive, time))
+    names = (*contract.keys, *contract.words, *contract.extra)
+    for line, moment in zip(lines.iter_rows(named=True), moments, strict=True):
+        yield line["row"], {name: printable(line.get(name)) for name in names}, moment
 
 
 def printable(field: str | None) -> str:
@@ -93,7 +74,7 @@ def printable(field: str | None) -> str:
 
 
 def _row_fault(fault: Fault, row: int, text: Text) -> Fault:
-    return Fault(fault.reason, row, fault.column_name, fault.detail, 1, content=text.line(row))
+    return replace(fault, row=row, n_rows=1, content=text.line(row))
 
 
 def _sort_key(row: Row) -> tuple[tuple[bool, str], ...]:

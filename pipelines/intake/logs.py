@@ -8,10 +8,11 @@ from datetime import date, datetime, timedelta
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
-from pipelines.intake.faults import Fault, quarantine
+from pipelines.intake.columns import Contract
+from pipelines.intake.faults import Fault
 from pipelines.intake.fleet_list import FLEET, parse_fleet
-from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.log_lines import Columns, Lines, Log, Row, Words, parse_list
+from pipelines.intake.landing_file import FileIntake, LandingFile
+from pipelines.intake.log_lines import Lines, Row, Words, parse_list
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.times import to_day
@@ -32,7 +33,7 @@ CHECKS: Schema = {**_KEYS, "planned_on": pl.Date, "name": pl.String}
 FARTHEST = timedelta(days=3660)
 
 
-def read_messages(file: LandingFile, now: datetime) -> Log:
+def read_messages(file: LandingFile, now: datetime) -> FileIntake:
     """Read maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
@@ -46,11 +47,11 @@ def read_messages(file: LandingFile, now: datetime) -> Log:
         flight, text = words["flight_id"] or None, words["text"] or None
         return file.operator, file.tail, moment, flight, pack, words["code"], text
 
-    columns = Columns(("message_time", "flight_id", "pack", "code"), ("text",), time="message_time")
-    return _read_log(file, MESSAGES, lambda content: parse_list(content, columns, validate))
+    contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
+    return _read_log(file, MESSAGES, lambda content: parse_list(content, contract, validate, "message_time"))
 
 
-def read_maintenance(file: LandingFile, now: datetime) -> Log:
+def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     """Read the work done on one aircraft: the columns of `MAINTENANCE`.
 
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
@@ -74,21 +75,21 @@ def read_maintenance(file: LandingFile, now: datetime) -> Log:
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials)  # fmt: skip
 
-    columns = Columns(("done_on", "pack", "component", "action"), ("finding", "reference"), SERIALS, time="done_on")
-    log = _read_log(file, MAINTENANCE, lambda content: parse_list(content, columns, validate))
+    contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=SERIALS)
+    log = _read_log(file, MAINTENANCE, lambda content: parse_list(content, contract, validate, "done_on"))
     if not early:
         return log
     detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
-    note = quarantine(file.path, file.received_at, [Fault("before_delivery", column_name="done_on", detail=detail)])
+    note = file.quarantine([Fault("before_delivery", column_name="done_on", detail=detail)])
     return replace(log, quarantine=pl.concat([log.quarantine, note]))
 
 
-def read_fleet(file: LandingFile, now: datetime) -> Log:
+def read_fleet(file: LandingFile, now: datetime) -> FileIntake:
     """Read the fleet list: the columns of `FLEET`."""
     return _read_log(file, FLEET, parse_fleet)
 
 
-def read_checks(file: LandingFile, now: datetime) -> Log:
+def read_checks(file: LandingFile, now: datetime) -> FileIntake:
     """Read planned checks (`CHECKS`) from CSV or Parquet with the columns `operator, tail, date, name`."""
 
     def validate(words: Words, _: datetime | None) -> Row | Fault:
@@ -99,14 +100,10 @@ def read_checks(file: LandingFile, now: datetime) -> Log:
             return Fault("unreadable_time", column_name="date", detail="A day (2024-06-19) within the next ten years.")
         return (words["operator"], words["tail"], day, words["name"] or "check")
 
-    columns = Columns(("operator", "tail", "date"), extra=("name",))
-
-    def parse(content: bytes) -> Lines:
-        return parse_list(content, columns, validate)
-
+    contract = Contract(("operator", "tail", "date"), extra=("name",))
+    log = _read_log(file, CHECKS, lambda content: parse_list(content, contract, validate))
     if file.is_text:
-        return _read_log(file, CHECKS, parse)
-    log = _read_log(file, CHECKS, parse, convert=parquet_as_text)
+        return log
     return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header precedes row 1
 
 
@@ -114,17 +111,16 @@ def _read_log(
     file: LandingFile,
     schema: Mapping[str, pl.DataType | type[pl.DataType]],
     parse: Callable[[bytes], Lines],
-    convert: Callable[[bytes], tuple[bytes | None, list[Fault]]] | None = None,
-) -> Log:
-    """Open a log and validate its lines."""
+) -> FileIntake:
+    """Open a log and validate its lines; of checks in Parquet the rows as lines of text."""
     content, faults = file.read_content()
-    if content is not None and convert:
-        content, faults = convert(content)
+    if content is not None and file.kind == "checks" and not file.is_text:
+        content, faults = parquet_as_text(content)
     if content is None:
-        return Log(pl.DataFrame(schema=schema), quarantine(file.path, file.received_at, faults), 0, 0)
+        return FileIntake(pl.DataFrame(schema=schema), file.quarantine(faults), 0, 0)
     lines = parse(content)
     rows = pl.DataFrame(lines.rows, schema=schema, orient="row")
-    return Log(rows, quarantine(file.path, file.received_at, lines.faults), lines.n_delivered, lines.n_duplicate)
+    return FileIntake(rows, file.quarantine(lines.faults), lines.n_delivered, lines.n_duplicate)
 
 
 def _pack_number(word: str, packs: int) -> int | None:

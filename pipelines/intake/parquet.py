@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 import polars as pl
@@ -10,10 +11,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipelines.intake.columns import PACK_FILES, Contract
+from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.header import match_header
-from pipelines.intake.text_columns import parse_numbers
+from pipelines.intake.text import parse_numbers
 from pipelines.storage.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000
@@ -31,7 +32,7 @@ _CALENDAR_S = (-62_135_596_800, 253_402_300_799)
 
 
 def open_parquet(
-    content: bytes, only: Collection[str] | None = None, contract: Contract = PACK_FILES
+    content: bytes, contract: Contract, only: Collection[str] | None = None
 ) -> tuple[pl.DataFrame, int, list[Fault]]:
     """Read the contract columns (or `only` some) of a Parquet file with `row` from 1; the rows delivered; the faults.
 
@@ -46,11 +47,7 @@ def open_parquet(
     except (pa.ArrowException, OSError, ValueError) as error:
         return pl.DataFrame(), 0, [_damage_fault(error)]
     if not 0 <= meta.num_rows <= MAX_ROWS or n_bytes > MAX_BYTES:
-        return (
-            pl.DataFrame(),
-            0,
-            [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {n_bytes} bytes.")],
-        )
+        return pl.DataFrame(), 0, [Fault("too_large", detail=f"It claims {meta.num_rows} rows and {n_bytes} bytes.")]
     try:
         with panics_as_errors():
             frame, faults = _read_table(parquet, meta.num_rows, only, contract)
@@ -63,10 +60,9 @@ def _read_table(
     parquet: pq.ParquetFile, n_rows: int, only: Collection[str] | None, contract: Contract
 ) -> tuple[pl.DataFrame, list[Fault]]:
     names_of_file = parquet.schema_arrow.names
-    header = match_header(names_of_file, contract.keys, (*contract.words, *contract.numbers), contract.core)
+    header = match_header(tuple(names_of_file), contract)
     if header.fault is not None:
-        fault = header.fault
-        return pl.DataFrame(), [Fault(fault.reason, None, fault.column_name, fault.detail, n_rows)]
+        return pl.DataFrame(), [replace(header.fault, n_rows=n_rows)]
     if n_rows == 0:
         return pl.DataFrame(), [*header.notes, Fault("no_rows")]
     columns_of = [(f, n) for f, n in zip(names_of_file, header.names, strict=True) if n and n in (only or (n,))]
@@ -113,13 +109,11 @@ def _longest_text_bytes(column: pa.ChunkedArray) -> int:
 def _to_types(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, list[Fault]]:
     """Cast text to String, times to Datetime or String, all else to Float64."""
     faults: list[Fault] = []
-    texts = (_FLIGHT, *contract.words)
-    for name, dtype in frame.schema.items():
-        if name == "row":
-            continue
-        if dtype in (pl.Categorical, pl.Enum, pl.Null) and (name in texts or name == _TIME or dtype != pl.Null):
+    texts = (_FLIGHT, _TIME, *contract.words)
+    for name, dtype in frame.drop("row").schema.items():
+        if dtype in (pl.Categorical, pl.Enum) or (dtype == pl.Null and name in texts):
             frame = frame.with_columns(pl.col(name).cast(pl.String))
-        if name in texts or name == _TIME:
+        if name in texts:
             continue
         if frame.schema[name] == pl.String:
             frame, bad = parse_numbers(frame, name)

@@ -13,8 +13,7 @@ import polars as pl
 
 from hdt_core.packages import load_entry_points
 from pipelines.intake.faults import Fault
-from pipelines.intake.landing_file import Kind, LandingFile
-from pipelines.intake.log_lines import Log
+from pipelines.intake.landing_file import FileIntake, Kind, LandingFile
 
 REPORTS, TYPES = "reports", "types"
 """Folder of an aircraft with printed reports; folder of the landing zone with descriptions of recordings."""
@@ -52,7 +51,7 @@ class Reader(Protocol):
     def rows(self, file: LandingFile, table: str) -> Rows:
         """Read the rows of `pack` or of a component's code, their number, and the file's faults."""
 
-    def read_printed(self, file: LandingFile, now: datetime, version: str) -> Log:
+    def read_printed(self, file: LandingFile, now: datetime, version: str) -> FileIntake:
         """Read the heads of a file's printed reports in the columns of `raw_reports`."""
 
     def coverage(self, landing: Path) -> pl.DataFrame:

@@ -1,120 +1,97 @@
-"""Open a text file: decode it, match its header, count its rows, and check whether it is regular.
+"""Parse text files: decode them, match their headers, split their lines into columns and parse the numbers."""
 
-A file is regular when its bytes are ASCII without NUL, its lines end in a newline and its number of commas fits the
-header.
-"""
-
+import csv
+import io
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import polars as pl
 
-from pipelines.intake.faults import Fault
-from pipelines.intake.header import Header
+from pipelines.intake.columns import Contract
+from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
+from pipelines.intake.header import Header, match_header
 
+TEXT_INDEX = "_text"
+"""Column with the index of a row's text; the contract has a column `text` of its own."""
+MAX_HEADER_BYTES = 1 << 16
+MAX_LINES = 1_000_000
+"""A month of reports has thousands of lines; a larger file would take minutes."""
 _BOMS = (
     (b"\xff\xfe\x00\x00", "utf-32"),
     (b"\x00\x00\xfe\xff", "utf-32"),
     (b"\xff\xfe", "utf-16"),
     (b"\xfe\xff", "utf-16"),
 )
-_SEPARATORS = (";", "\t", "|")
-
-MAX_HEADER_BYTES = 1 << 16
-MAX_LINES = 1_000_000
-"""A month of reports has thousands of lines; a larger file would take minutes."""
-
-Match = Callable[[tuple[str, ...]], Header]
-"""Matches the names in a header line with the contract."""
+_SEPARATORS = (b";", b"\t", b"|")
+_BLANKS = b" \t\r\x0b\x0c"
 
 
 @dataclass(slots=True)
 class Text:
-    """One open text file."""
+    """One open text file; without lines where the file as a whole is rejected."""
 
     header: Header = field(default_factory=Header)
-    body: bytes = b""
-    """Everything after the header, newline at the end."""
+    lines: dict[int, bytes] = field(default_factory=dict)
+    """Lines that are not blank, by number; the header is line 1."""
     n_rows: int = 0
-    """Delivered lines without blank ones and the header; counted before any is validated."""
-    n_lines: int = 0
-    is_regular: bool = False
+    """Delivered lines without blank ones and the header."""
     faults: list[Fault] = field(default_factory=list)
-    _lines: list[bytes] = field(default_factory=list)
 
     def line(self, row: int) -> str:
-        """Return line `row` of the file (the header is line 1), for a quarantine row."""
-        if not self._lines:
-            self._lines = self.body.split(b"\n")
-        return printable_line(self._lines[row - 2]) if 0 <= row - 2 < len(self._lines) else ""
-
-    @property
-    def is_rejected(self) -> bool:
-        """Whether the file as a whole is rejected."""
-        return not self.header.names
+        """Format a line, whatever its bytes, for a quarantine row."""
+        return _printable(self.lines.get(row, b""))
 
 
-def open_text(content: bytes, match: Match) -> Text:
-    """Decode, find the header and count the rows of one file."""
+def open_text(content: bytes, contract: Contract) -> Text:
+    """Decode one file, match its header with the contract and list its lines."""
     text = Text()
-    plain = _to_utf8(content, text)
-    first, _, body = plain.partition(b"\n")
-    if not plain[:4096].strip() and not plain.strip():
-        text.faults.append(Fault("empty_file"))
-    elif not _is_text(first[:MAX_HEADER_BYTES]):
-        text.faults.append(Fault("not_text", detail=f"It starts with the bytes {first[:8].hex(' ')}."))
-    elif len(first) > MAX_HEADER_BYTES:
-        text.faults.append(Fault("no_header", detail=f"The first line has {len(first)} bytes."))
-    else:
-        _open_header(text, first.decode(), body, match)
+    if (fault := _open_lines(_to_utf8(content, text), contract, text)) is not None:
+        text.n_rows = fault.n_rows
+        text.faults.append(fault)
     return text
 
 
-def _open_header(text: Text, first: str, body: bytes, match: Match) -> None:
-    separator = next((s for s in _SEPARATORS if s in first and "," not in first), None)
-    if separator:
-        text.n_rows = count_rows(body)
-        text.faults.append(Fault("wrong_separator", detail=f"Found {separator!r}.", n_rows=text.n_rows))
-        return
-    header = match(tuple(first.split(",")))
+def _open_lines(content: bytes, contract: Contract, text: Text) -> Fault | None:
+    """Add header and lines to `text`, or return the fault for which the file as a whole is rejected."""
+    first, _, body = content.partition(b"\n")
+    if (fault := _header_fault(first, body)) is not None:
+        return fault
+    header = match_header(tuple(first.decode().split(",")), contract)
     if header.fault is not None:
-        fault = header.fault
-        text.n_rows = count_rows(body) + (fault.reason == "no_header")  # then the first line is a row too
-        text.faults.append(replace(fault, n_rows=text.n_rows))
-        return
+        is_data = header.fault.reason == "no_header"  # then the first line is a row too
+        return replace(header.fault, n_rows=_count_rows(body) + is_data)
     text.faults.extend(header.notes)
-    if not body[:4096].strip() and not body.strip():
-        text.faults.append(Fault("no_rows"))
-        return
-    n_lines = _count(body, b"\n")
-    if n_lines > MAX_LINES:
-        text.n_rows = count_rows(body)
-        text.faults.append(Fault("too_large", detail=f"It has {n_lines} lines.", n_rows=text.n_rows))
-        return
-    text.header = header
-    text.body = _complete_lines(body, text)
-    text.n_lines = _count(text.body, b"\n")
-    text.is_regular = _is_regular(text)
-    text.n_rows = (text.n_lines if text.is_regular else count_rows(text.body)) + sum(f.n_rows for f in text.faults)
+    if not body or body.isspace():
+        return Fault("no_rows")
+    if (n_lines := body.count(b"\n")) > MAX_LINES:
+        return Fault("too_large", detail=f"It has {n_lines} lines.", n_rows=_count_rows(body))
+    lines, n_cut = _complete_lines(body.split(b"\n"), text)
+    text.header, text.lines = header, {row: line for row, line in enumerate(lines, 2) if line and not line.isspace()}
+    text.n_rows = len(text.lines) + n_cut
+    return None
 
 
-def count_rows(body: bytes) -> int:
-    """Count lines that are not blank, by the first visible character of each."""
-    n, before = 0, _NEWLINE
-    for start in range(0, len(body), _CHUNK):
-        marks = _MARKS[np.frombuffer(body, np.uint8, min(_CHUNK, len(body) - start), start)]
-        marks = np.concatenate([[before], marks[marks != _BLANK]])
-        n += int(np.count_nonzero((marks[1:] == _VISIBLE) & (marks[:-1] == _NEWLINE)))
-        before = marks[-1]
-    return n
+def _header_fault(first: bytes, body: bytes) -> Fault | None:
+    """Return the fault of a first line that is none of names separated by commas."""
+    if not first.strip() and not body.strip():
+        return Fault("empty_file")
+    if not _is_text(first[:MAX_HEADER_BYTES]):
+        return Fault("not_text", detail=f"It starts with the bytes {first[:8].hex(' ')}.")
+    if len(first) > MAX_HEADER_BYTES:
+        return Fault("no_header", detail=f"The first line has {len(first)} bytes.")
+    separator = next((s for s in _SEPARATORS if s in first and b"," not in first), None)
+    if separator is None:
+        return None
+    return Fault("wrong_separator", detail=f"Found {separator.decode()!r}.", n_rows=_count_rows(body))
 
 
-_BLANK, _VISIBLE, _NEWLINE = 0, 1, 2
-_MARKS = np.full(256, _VISIBLE, np.uint8)
-_MARKS[list(b" \t\r\x0b\x0c")] = _BLANK
-_MARKS[ord("\n")] = _NEWLINE
-_CHUNK = 1 << 22
+def _count_rows(body: bytes) -> int:
+    """Count the lines that are not blank, without a copy of each."""
+    visible = np.frombuffer(b"\n" + body.translate(None, _BLANKS), np.uint8) != ord("\n")
+    return int(np.count_nonzero(visible[1:] & ~visible[:-1]))
 
 
 def _to_utf8(content: bytes, text: Text) -> bytes:
@@ -142,26 +119,23 @@ def _is_text(line: bytes) -> bool:
         return False
 
 
-def _complete_lines(body: bytes, text: Text) -> bytes:
-    """End `body` with a newline; a last row that may have been cut short is removed and reported."""
-    if body.endswith(b"\n"):
-        return body
-    head, _, last = body.rpartition(b"\n")
-    if not last.strip() or _is_complete(head, last):
-        return body + b"\n"
-    row = body.count(b"\n") + 2
-    fault = Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=printable_line(last))
-    text.faults.append(fault)
-    return head + b"\n" if head else b""
+def _complete_lines(lines: list[bytes], text: Text) -> tuple[list[bytes], int]:
+    """Remove and report a last line without newline that may have been cut short; the others, and how many it was."""
+    *complete, last = lines
+    if not last.strip() or _is_complete(complete, last):
+        return lines, 0
+    row, content = len(lines) + 1, _printable(last)
+    text.faults.append(Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=content))
+    return complete, 1
 
 
-def _is_complete(head: bytes, last: bytes) -> bool:
+def _is_complete(lines: Sequence[bytes], last: bytes) -> bool:
     """Return whether a last line without newline is surely complete: its last number has the column's decimals.
 
     A number cut short shows only where the column has a fixed number of decimals; 14.7 may be complete or 14.75 cut.
     """
     fields = last.split(b",")
-    others = [line.split(b",") for line in head.split(b"\n") if line.strip()]
+    others = [line.split(b",") for line in lines if line.strip()]
     if len(others) < 3 or any(len(o) != len(fields) for o in others):
         return False
     decimals = {_decimals(o[-1]) for o in others if o[-1]}
@@ -172,29 +146,91 @@ def _decimals(number: bytes) -> int:
     return len(number.partition(b".")[2]) if re.fullmatch(rb"-?\d+\.\d+", number) else -1
 
 
-def _is_regular(text: Text) -> bool:
-    body = text.body
+def _printable(line: bytes) -> str:
+    return line[:500].decode(errors="backslashreplace").replace("\x00", "\\x00")
+
+
+def to_columns(texts: Sequence[Text], numbers: Collection[str]) -> pl.DataFrame:
+    """Parse the known columns of all texts, with `_text` (index in `texts`) and `row` (line); faults go to the texts.
+
+    Columns in `numbers` come as Float64, with NaN and infinity where the file says so; all others as String, null where
+    empty.
+    """
+    by_header: dict[tuple[str | None, ...], list[int]] = {}
+    for i, text in enumerate(texts):
+        if text.lines:
+            by_header.setdefault(text.header.names, []).append(i)
+    frames = [_split_lines(names, members, texts) for names, members in by_header.items()]
+    for k, frame in enumerate(frames):
+        for name in (n for n in numbers if n in frame.columns):
+            frames[k], bad = parse_numbers(frames[k], name)
+            for i, fault in bad:
+                texts[i].faults.append(fault)
+    return pl.concat(frames, how="diagonal") if frames else pl.DataFrame()
+
+
+def parse_numbers(frame: pl.DataFrame, name: str) -> tuple[pl.DataFrame, list[tuple[int, Fault]]]:
+    """Parse a text column as numbers; for each text that is none its file (`_text`, 0 where absent) and fault."""
+    text = frame[name].str.strip_chars(" \t")
+    number = text.cast(pl.Float64, strict=False)
+    if number.null_count() == text.null_count():
+        return frame.with_columns(number), []
+    file = pl.col(TEXT_INDEX) if TEXT_INDEX in frame.columns else pl.lit(0).alias(TEXT_INDEX)
+    bad = frame.filter(number.is_null() & (text.str.len_bytes() > 0)).select(file, "row", name)
+    bad, rest = first_and_rest(bad, [TEXT_INDEX], MAX_ROWS_LISTED)
+    faults = [(i, Fault("not_a_number", row, name, f"Found {value[:40]!r}.")) for i, row, value in bad.iter_rows()]
+    faults += [(i, Fault("not_a_number", None, name, f"And {n} more values.")) for i, n in rest.iter_rows()]
+    return frame.with_columns(number), faults
+
+
+def _split_lines(names: tuple[str | None, ...], members: Sequence[int], texts: Sequence[Text]) -> pl.DataFrame:
+    """Split the lines of texts with one header into columns; a line that does not fit goes to its text's faults."""
+    indices, rows, csv_lines = list[int](), list[int](), list[bytes]()
+    for i in members:
+        faults = []
+        for row, line in texts[i].lines.items():
+            result = _as_csv(line, len(names))
+            if isinstance(result, bytes):
+                indices.append(i)
+                rows.append(row)
+                csv_lines.append(result)
+            else:
+                faults.append(replace(result, row=row, n_rows=1, content=_printable(line)))
+        texts[i].faults += _limit_rows(faults)
+    place = pl.DataFrame({TEXT_INDEX: indices, "row": rows}, schema={TEXT_INDEX: pl.Int32, "row": pl.Int64})
+    columns = dict.fromkeys((name or f"_unknown_{k}" for k, name in enumerate(names)), pl.String)
+    frame = pl.read_csv(io.BytesIO(b"\n".join(csv_lines)), has_header=False, schema=columns, raise_if_empty=False)
+    return frame.select(name for name in names if name).hstack(place)
+
+
+def _as_csv(line: bytes, n_names: int) -> bytes | Fault:
+    """Check the bytes, quotes and number of fields of a line; return it with quotes only where CSV needs them."""
+    if b"\x00" in line or not (line.isascii() or _is_utf8(line)):
+        return Fault("bad_bytes")
+    n_fields = line.count(b",") + 1
+    if b'"' in line:
+        try:
+            fields = next(csv.reader([line.decode()], strict=True))
+        except (csv.Error, StopIteration):
+            return Fault("bad_quoting")
+        out = io.StringIO()
+        csv.writer(out, lineterminator="").writerow(fields)
+        line, n_fields = out.getvalue().encode(), len(fields)
     return (
-        body.isascii()
-        and b"\x00" not in body
-        and b"\r" not in body
-        and _count(body, b",") == text.n_lines * (len(text.header.names) - 1)
-        and (b'"' not in body or _only_empty_quotes(body))
+        line if n_fields == n_names else Fault("wrong_field_count", detail=f"It has {n_fields}, the header {n_names}.")
     )
 
 
-def _count(body: bytes, byte: bytes) -> int:
-    """Count a byte, five times as fast as `body.count`."""
-    return int(np.count_nonzero(np.frombuffer(body, np.uint8) == byte[0]))
+def _is_utf8(line: bytes) -> bool:
+    try:
+        line.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
-def _only_empty_quotes(body: bytes) -> bool:
-    """Return whether all quotes are empty pairs, so that none can hide a comma."""
-    quote = np.frombuffer(body, np.uint8) == ord('"')
-    pairs = quote[1:] & quote[:-1]
-    return not (pairs[1:] & pairs[:-1]).any() and np.count_nonzero(quote) == 2 * np.count_nonzero(pairs)
-
-
-def printable_line(line: bytes) -> str:
-    """Format a line of any bytes for a quarantine row."""
-    return line[:500].decode(errors="backslashreplace").replace("\x00", "\\x00")
+def _limit_rows(faults: list[Fault]) -> list[Fault]:
+    """Limit faults of rows: the first singly, the others in one count for each reason."""
+    more = Counter(f.reason for f in faults[MAX_ROWS_LISTED:])
+    counts = [Fault(reason, detail=f"And {n} more rows.", n_rows=n) for reason, n in more.items()]
+    return faults[:MAX_ROWS_LISTED] + counts

@@ -11,8 +11,7 @@ from recordings import message_file, printed_report
 import hdt_recorder.reader
 from hdt_recorder.printed_reports import read_printed
 from pipelines.intake.landing import list_landing
-from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.log_lines import Log
+from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.storage.catalog import connect
 
 AT = datetime(2026, 3, 5, 12, 30, 5, tzinfo=UTC)
@@ -28,7 +27,7 @@ def delivered(folder: Path, content: bytes, name: str = "message.dat") -> Landin
     return next(f for f in list_landing(folder).files if f.path.endswith(name))
 
 
-def balances(log: Log) -> bool:
+def balances(log: FileIntake) -> bool:
     return log.n_delivered == log.rows.height + log.n_duplicate + int(log.quarantine["n_rows"].sum())
 
 
@@ -95,7 +94,7 @@ def test_a_type_may_bring_its_own_layouts(tmp_path):
 def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_path, monkeypatch):
     landing, read = tmp_path / "landing", []
 
-    def watched(file: LandingFile, now: datetime, version: str) -> Log:
+    def watched(file: LandingFile, now: datetime, version: str) -> FileIntake:
         read.append(file.name)
         return read_printed(file, now, version)
 

@@ -10,7 +10,7 @@ from hdt_core.components import Channel, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from pipelines.intake import components as intake
-from pipelines.intake.landing_file import LandingFile
+from pipelines.intake.landing_file import FileIntake, LandingFile
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 CHANNELS = tuple(
@@ -44,11 +44,11 @@ def lines(flight: str, n: int, hot: float = 400.0) -> str:
     return HEAD + "".join(LINE.format(flight=flight, second=k, hot=hot) for k in range(n))
 
 
-def delivered(files, now) -> list[intake.ComponentIntake]:
+def delivered(files, now) -> list[FileIntake]:
     return [d for _, d in intake.read_components(files, now)]
 
 
-def balanced(read: list[intake.ComponentIntake]) -> bool:
+def balanced(read: list[FileIntake]) -> bool:
     return all(d.n_delivered == d.n_loaded + int(d.quarantine["n_rows"].sum()) + d.n_duplicate for d in read)
 
 
@@ -103,14 +103,14 @@ def test_what_is_wrong_is_told(deliver, text, reason):
 
 def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
     files = [deliver(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
-    real = intake._open_file
+    real = intake.open_files
 
-    def sick(file, component):
-        if file.path.endswith("2.csv"):
+    def sick(files, *rest):
+        if files[0].path.endswith("2.csv"):
             raise pl.exceptions.PanicException("so")
-        return real(file, component)
+        return real(files, *rest)
 
-    monkeypatch.setattr(intake, "_open_file", sick)
+    monkeypatch.setattr(intake, "open_files", sick)
     read = delivered(files, NOW)
     assert [d.n_loaded for d in read] == [4, 0, 4]
     assert read[1].quarantine["reason"].to_list() == ["cannot_process"]
