@@ -27,9 +27,10 @@ from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, l
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
-from hdt_core.flight.phases import LEG_KEY, add_phases
+from hdt_core.flight.phases import add_phases
 from hdt_core.flight.steady import SLOPE_T_LIMIT, WINDOW_S
 from hdt_core.flight.windows import number_flights
+from hdt_core.records.keys import LEG
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 
@@ -92,8 +93,8 @@ def classical(fleet: Fleet) -> pl.DataFrame:
         fleet.samples, NominalBaseline(learn_manifold(fleet.samples, numbered), learn_outlet_law(fleet.samples))
     )
     columns = ["index_level", "index_unrest", *(f"{c}_off" for c in TOLERANCE if c in LEG_CHECKS)]
-    vector = fleet.legs.join(signs, on=LEG_KEY, how="left", maintain_order="left").join(
-        check_sensors(signs.select(*LEG_KEY, *LEG_CHECKS), numbered), on=LEG_KEY, how="left", maintain_order="left"
+    vector = fleet.legs.join(signs, on=LEG, how="left", maintain_order="left").join(
+        check_sensors(signs.select(*LEG, *LEG_CHECKS), numbered), on=LEG, how="left", maintain_order="left"
     )
     x = vector.select(pl.col(c).fill_null(pl.col(c).median()).fill_nan(0.0) for c in columns).to_numpy()
     off = x - x.mean(axis=0)

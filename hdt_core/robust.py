@@ -51,3 +51,16 @@ def huber_weights(deviation: Array, scale: Array | float, k: float = HUBER_K) ->
         Standard deviation of good values; zero counts as very small.
     """
     return np.asarray(1.0 / np.maximum(1.0, deviation / (k * np.maximum(scale, 1e-9))))
+
+
+def huber_slopes(x: Array, y: Array, ridge: float, steps: int) -> Array:
+    """Regress centred y (n,) on centred x (n, p) with Huber's weights; `ridge`, a share of n, keeps constant columns
+    solvable. (p,)"""
+    weight: Array = np.ones(len(y))
+    slopes: Array = np.zeros(x.shape[1])
+    for _ in range(steps):
+        normal = x.T @ (weight[:, None] * x) + ridge * len(y) * np.eye(x.shape[1])
+        slopes = np.linalg.solve(normal, x.T @ (weight * y))
+        residual = np.abs(y - x @ slopes)
+        weight = huber_weights(residual, spread(residual))
+    return slopes

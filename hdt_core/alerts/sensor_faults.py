@@ -11,7 +11,7 @@ from hdt_core.alerts.fault_isolation import Indications
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.signatures import CHANNELS, HX_STEP, SHARED_SENSORS
 from hdt_core.health.detection import Array, Cusum, persistent, watch
-from hdt_core.health.sensor_checks import SENSORS
+from hdt_core.tables.raw import SIGNALS
 
 OUTLET_CHECKS = ("hx_out_minus_target_k", "hx_out_between_packs_k")
 """Checks that a faulty door of either pack shifts as well as a faulty sensor."""
@@ -33,7 +33,7 @@ def sensor_cases(
     """Find the cases of all sensors; `door_faulty`, `door_stuck` (units, flights): the door has a fault, or a jam."""
     restart = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     unusable = _unusable(grid, limits)
-    dropouts = [c for sensor in SENSORS for c in _dropout_cases(grid, sensor, unusable[sensor], restart, limits)]
+    dropouts = [c for sensor in SIGNALS for c in _dropout_cases(grid, sensor, unusable[sensor], restart, limits)]
     shifts = _shift_cases(grid, maintenance, (door_faulty, door_stuck), unusable)
     return dropouts + [case for case in shifts if not _repeats(case, dropouts)]
 
@@ -57,7 +57,7 @@ def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
     """Flag, by sensor, flights on which a once usable sensor is empty too often or frozen. (units, flights) bool"""
     running, n_snapshots = grid.flags("running"), grid.values("n_snapshots")
     unusable = {}
-    for sensor in SENSORS:
+    for sensor in SIGNALS:
         lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
         usable_before = np.cumsum(np.nan_to_num(lost_share, nan=1.0) < 0.5, axis=1) >= LEAST_USABLE_FLIGHTS
         empty = usable_before & (lost_share > limits.lost_share) & (lost_share * n_snapshots >= LEAST_EMPTY_READINGS)

@@ -12,22 +12,12 @@ from hdt_core.calibration.exchanger import SIGNALS
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import correct_signals
-from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, PACK
+from hdt_core.tables.raw import SIGNALS as RECORDER_SIGNALS
 
 Array = NDArray[Any]
 """Of numbers, counts or flags."""
 LEVEL_M = 300.0
-RECORDED = (
-    *SIGNALS,
-    "ram_out_k",
-    "cc_speed_rad_s",
-    "cc_in_k",
-    "cc_in_pa",
-    "cc_out_k",
-    "cc_out_pa",
-    "cc_flow_kg_s",
-    "vda_counts",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +48,7 @@ def departure(samples: pl.DataFrame) -> pl.Expr:
 def flights_of(samples: pl.DataFrame) -> pl.DataFrame:
     """List flights and packs of the samples in order: `FLIGHT_PACK`, `departed_at`, `order` (of the tail, from 0)."""
     flights = samples.group_by(FLIGHT_PACK).agg(departure(samples).alias("first"))
-    flights = flights.with_columns(pl.col("first").min().over("operator", "tail", "flight_id").alias("departed_at"))
+    flights = flights.with_columns(pl.col("first").min().over(FLIGHT).alias("departed_at"))
     key = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
     return flights.with_columns((key.cast(pl.Int32) - 1).alias("order")).drop("first").sort(*PACK, "order")
 
@@ -73,9 +63,9 @@ def cruise_samples(samples: pl.DataFrame, *, monitored: bool = True) -> pl.DataF
 
 
 def complete_air_data(cruise: pl.DataFrame) -> pl.DataFrame:
-    """Complete `RECORDED` by null columns, and a missing Mach number or total pressure from the other."""
-    missing = [pl.lit(None, dtype=pl.Float64).alias(c) for c in RECORDED if c not in cruise.columns]
-    cruise = cruise.with_columns(missing).with_columns(pl.col(c).cast(pl.Float64) for c in RECORDED)
+    """Complete the recorder's signals by null columns, and a missing Mach number or total pressure from the other."""
+    missing = [pl.lit(None, dtype=pl.Float64).alias(c) for c in RECORDER_SIGNALS if c not in cruise.columns]
+    cruise = cruise.with_columns(missing).with_columns(pl.col(c).cast(pl.Float64) for c in RECORDER_SIGNALS)
     altitude_m, mach, total_pa = (
         cruise[c].to_numpy().astype(float) for c in ("altitude_m", "mach", "total_pressure_pa")
     )
@@ -99,7 +89,7 @@ def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
     level = (pl.col("altitude_m") / LEVEL_M).round().alias("level")
     usable = cruise.drop_nulls(list(SIGNALS))
     points = usable.group_by(*FLIGHT_PACK, level).agg(
-        pl.col(list(RECORDED)).median(), pl.len().cast(pl.Float64).alias("n_samples")
+        pl.col(RECORDER_SIGNALS).median(), pl.len().cast(pl.Float64).alias("n_samples")
     )
     return points.join(flights, on=FLIGHT_PACK, validate="m:1").sort(*PACK, "order", "level")
 

@@ -18,9 +18,9 @@ from hdt_core.calibration.arrays import (
 from hdt_core.calibration.compressor import compressor_samples, probe_corrections
 from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
-from hdt_core.calibration.exchanger_fit import fit_exchanger
-from hdt_core.calibration.flight_estimates import design_gradient, estimate_flights
-from hdt_core.calibration.initial_wear import FIRST_FLIGHTS, entry_posterior, fleet_levels
+from hdt_core.calibration.exchanger_fit import ExchangerFit, fit_exchanger
+from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.calibration.initial_wear import entry_posterior, first_levels, fleet_levels
 from hdt_core.calibration.inlet_law import learn_inlet
 from hdt_core.calibration.missing_physics import coefficients
 from hdt_core.calibration.pooling import PooledLevel, levels_of
@@ -29,8 +29,8 @@ from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
-from hdt_core.records.each_aircraft import of_each_aircraft
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
+from hdt_core.records.packs import of_each_aircraft
 from hdt_core.robust import median_error
 
 TERM_ROUNDS = 3
@@ -77,56 +77,49 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     """Build the model without the fleet's clean level, which needs its flight estimates."""
     flights = flights_of(samples)
     base = flights.filter(pl.col("flight_id").is_in(baseline_flights(flights)))
-    admitted = _select_admitted(base, legs)
+    nominal = _select_admitted(base, legs).select(FLIGHT_PACK)
     window = baseline_samples(samples)
-    cruise = cruise_samples(window).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    cruise = cruise_samples(window).join(nominal, on=FLIGHT_PACK, how="semi")
     packs = flights.select(PACK).unique().sort(PACK)
     points = to_points(level_points(correct_inputs(cruise, terms), flights), packs)
     fit = fit_exchanger(points, *sensor_prior(cruise, packs))
-    machine = cruise_samples(window, monitored=False).join(admitted.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+    machine = cruise_samples(window, monitored=False).join(nominal, on=FLIGHT_PACK, how="semi")
     corrections = probe_corrections(machine, packs)
     compressor = fit_compressor(compressor_samples(machine, corrections))
-    at = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
-    ratio = hx.ln_conductance_ratio(points.signals, fit.mean, at)
-    slopes = design_gradient(points.signals, fit.mean, at, ratio)
-    usable = np.isfinite(slopes).all(axis=1)
-    anchor = slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES))
-    counts = base.group_by(PACK).agg(pl.len())
-    rows = packs.join(counts, on=PACK, how="left", maintain_order="left", validate="m:1").join(
-        corrections, on=PACK, maintain_order="left", validate="m:1"
-    )
-    designs = tuple(
-        SensorBiases(
-            r["operator"],
-            r["tail"],
-            r["pack"],
-            int(r["len"] or 0),
-            tuple(map(float, fit.bias[k])),
-            float(r["inlet_bias_k"]),
-            float(r["inlet_bias_ln"]),
-            float(r["exit_bias_ln"]),
-        )
-        for k, r in enumerate(rows.iter_rows(named=True))
-    )
+    counts = base.group_by(PACK).agg(pl.len().alias("n_flights"))
+    rows = corrections.join(counts, on=PACK, how="left", maintain_order="left", validate="m:1")
+    rows = rows.with_columns(pl.col("n_flights").fill_null(0))
     draft = Dsm(
-        dsm_version=version_of(_inputs(window), admitted.select(FLIGHT_PACK).sort(FLIGHT_PACK)),
-        exchanger=tuple(map(float, fit.mean)),
-        exchanger_cov=tuple(tuple(map(float, row)) for row in fit.cov),
-        gradient=tuple(map(float, anchor)),
+        dsm_version=version_of(_inputs(window), nominal.sort(FLIGHT_PACK)),
+        exchanger=tuple(fit.mean.tolist()),
+        exchanger_cov=tuple(map(tuple, fit.cov.tolist())),
+        gradient=tuple(_mean_gradient(points, fit).tolist()),
         clean_level=0.0,
         clean_level_sd=0.05,
         offset_sd=0.055,
         flight_sd=0.02,
         reference_ua_w_k=1700.0,
-        ram_balance_seen=fit.ram_seen,
+        ram_balance_seen=fit.has_ram_outlet,
         compressor=compressor,
-        packs=designs,
+        packs=tuple(
+            SensorBiases(bias=tuple(bias), **row)
+            for row, bias in zip(rows.iter_rows(named=True), fit.bias.tolist(), strict=True)
+        ),
         n_flights=base["flight_id"].n_unique(),
         cruise_flows_kg_s=_middle_flows(points, fit.mean),
         terms=terms,
     )
-    rows_in_order = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
-    return replace(draft, hot_inlet=learn_inlet(rows_in_order, draft.design, draft.bias_of(rows_in_order)))
+    cruise = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
+    return replace(draft, hot_inlet=learn_inlet(cruise, draft.design, draft.bias_of(cruise)))
+
+
+def _mean_gradient(points: Points, fit: ExchangerFit) -> Array:
+    """Average the ln conductance ratio's derivative by the design over the points. (p,)"""
+    bias = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
+    ratio = hx.ln_conductance_ratio(points.signals, fit.mean, bias)
+    slopes = hx.design_gradient(points.signals, fit.mean, bias, ratio)
+    usable = np.isfinite(slopes).all(axis=1)
+    return np.asarray(slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES)))
 
 
 def _middle_flows(points: Points, design: Array) -> tuple[float, float]:
@@ -142,22 +135,16 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel,
 
     A pack's own estimate comes from its first flights, corrected for the expected wear at entry.
     """
-    first = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER).group_by(PACK, maintain_order=True)
-    packs = (
-        first.head(FIRST_FLIGHTS)
-        .group_by(PACK, maintain_order=True)
-        .agg(pl.col("ln_ua_ratio").median().alias("seen"), pl.len().alias("n"))
-    )
+    packs = first_levels(twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER))
     if not packs.height:
         return ()
-    error = dsm.flight_sd * median_error(packs["n"].to_numpy())
-    posterior = entry_posterior(packs["seen"].to_numpy(), error**2, dsm.clean_level, dsm.offset_sd)
+    ratio, error = packs["ln_ua_ratio"].to_numpy(), dsm.flight_sd * median_error(packs["n"].to_numpy())
+    posterior = entry_posterior(ratio, error**2, dsm.clean_level, dsm.offset_sd)
     levels = packs.with_columns(
-        value=pl.Series(packs["seen"].to_numpy() + posterior.wear),
-        error_sd=pl.Series(np.sqrt(error**2 + posterior.wear_var)),
+        value=pl.Series(ratio + posterior.wear), error_sd=pl.Series(np.sqrt(error**2 + posterior.wear_var))
     )
-    at = hx.NAMES.index("ln_ua_reference")
-    ln_ua, ln_sd = dsm.exchanger[at], float(np.sqrt(dsm.exchanger_cov[at][at]))
+    i = hx.NAMES.index("ln_ua_reference")
+    ln_ua, ln_sd = dsm.exchanger[i], float(np.sqrt(dsm.exchanger_cov[i][i]))
     ln_levels = levels_of(levels, "hx_ua_reference_w_k")[1]
     ua = [float(np.exp(ln_ua + v.value)) for v in ln_levels]
     return tuple(replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(ln_levels, ua, strict=True))

@@ -13,7 +13,8 @@ from hdt_core.robust import median_error, spread_expr
 
 MAX_EXIT_SHARE = 0.8
 EXIT_BIAS_SD_LN = declared(CC.model.signal("cc_out_pa").gain_sd)
-CORRECTIONS = ("inlet_bias_k", "inlet_bias_ln", "exit_bias_ln")
+PROBE_BIASES = ("inlet_bias_k", "inlet_bias_ln", "exit_bias_ln")
+"""Of the inlet temperature and pressure, and the exit pressure."""
 
 
 def _share(own_sd: float | None, other_sd: float | None) -> float:
@@ -30,7 +31,7 @@ STEADY_SAMPLES = 5
 
 
 def probe_corrections(cruise: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame:
-    """Estimate biases of each pack's compressor probes: `CORRECTIONS`, one row a pack of `packs`.
+    """Estimate biases of each pack's compressor probes: `PROBE_BIASES`, one row a pack of `packs`.
 
     The inlet sits behind the same intake everywhere, so its temperature over TAT and pressure over total pressure are
     the fleet's, and so is the exit pressure by altitude and flow; a pack's difference is shared between its
@@ -46,7 +47,7 @@ def probe_corrections(cruise: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame
     )
     rows = packs.join(biases, on=PACK, how="left", maintain_order="left", validate="m:1")
     rows = rows.join(_exit_pressure_bias(cruise), on=PACK, how="left", maintain_order="left", validate="m:1")
-    return rows.select(*PACK, pl.col(CORRECTIONS).fill_nan(0.0).fill_null(0.0))
+    return rows.select(*PACK, pl.col(PROBE_BIASES).fill_nan(0.0).fill_null(0.0))
 
 
 def _exit_pressure_bias(cruise: pl.DataFrame) -> pl.DataFrame:

@@ -92,18 +92,16 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     by as much. Levels are those of machines at entry, raised by their expected wear.
     """
     rows = rows_of(samples, "diameter_m")
-    group, group_sd, group_levels = _pooled(
+    group, group_sd, group_levels = _pool(
         samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, wear=False
     )
-    efficiency, efficiency_sd, efficiency_levels = _pooled(
-        samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True
-    )
+    efficiency, efficiency_sd, efficiency_levels = _pool(samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True)
     flights = samples.select(FLIGHT_PACK).unique().height
     if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
         return _prior(flights)  # one flight a pack: nothing to compare within a machine
     line = fit_line(rows)
-    first_levels = pl.DataFrame({"seen": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
-    as_built, as_built_sd = _as_built(first_levels["seen"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
+    first_levels = pl.DataFrame({"level": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
+    as_built, as_built_sd = _as_built(first_levels["level"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
     # the slope is proportional to the level, so it is raised likewise
     slope = line.slope * as_built / float(np.mean(line.level))
     slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
@@ -158,7 +156,7 @@ def _as_built(levels: Array, wear: float, wear_sd: float) -> tuple[float, float]
     return as_built, float(np.hypot(scatter * median_error(float(len(levels))), wear_sd * middle))
 
 
-def _pooled(
+def _pool(
     samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, wear: bool
 ) -> tuple[float, float, tuple[PooledLevel, ...]]:
     """Pool a quantity: fleet value, standard deviation, and levels by operator and pack.
@@ -174,10 +172,10 @@ def _pooled(
         return *PRIOR[parameter], ()
     random = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
     error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
-    pooled, levels = levels_of(packs.with_columns(error_sd=error), parameter)
+    pool, levels = levels_of(packs.with_columns(error_sd=error), parameter)
     if wear:
         return *_as_built(packs["value"].to_numpy(), 2.0 * ENTRY_WEAR, 2.0 * ENTRY_WEAR_SD), levels
-    return pooled.fleet, pooled.fleet_sd, levels
+    return pool.fleet, pool.fleet_sd, levels
 
 
 def inlet_geometry(group_m3: float, group_sd_m3: float) -> dict[str, tuple[float, float]]:

@@ -12,6 +12,7 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import core_values
 from hdt_core.physics.model import Array
+from hdt_core.tables.calibration import CalibrationDesign
 
 _AT_REFERENCE = f"W/K at {REFERENCE_HOT_FLOW_KG_S} kg/s hot, {REFERENCE_RAM_FLOW_KG_S} kg/s ram"
 
@@ -20,19 +21,7 @@ def design_parameters(dsm: Dsm) -> pl.DataFrame:
     """Build the table of design parameters: one row a scope, component and parameter."""
     rows = [*_exchanger_rows(dsm), *_compressor_rows(dsm), *_inlet_rows(dsm)]
     rows += [*_level_rows(dsm), *_pack_rows(dsm)]
-    schema = {
-        "scope": pl.String,
-        "operator": pl.String,
-        "tail": pl.String,
-        "pack": pl.Int32,
-        "component": pl.String,
-        "parameter": pl.String,
-        "value": pl.Float64,
-        "sd": pl.Float64,
-        "unit": pl.String,
-        "n_flights": pl.Int64,
-        "identifiable": pl.Boolean,
-    }
+    schema = CalibrationDesign.create_empty().drop("dsm_version").schema
     return pl.DataFrame(rows, schema=schema, orient="row").with_columns(dsm_version=pl.lit(dsm.dsm_version))
 
 
@@ -60,8 +49,8 @@ def elasticities(dsm: Dsm) -> tuple[Array, Array]:
 
     An exponent enters only as its product with its film's share of the resistance, which cruise data determine.
     """
-    at, slopes = _with_slopes(dsm.design, dsm.cruise_flows_kg_s)
-    return at, np.sqrt(np.diag(slopes @ np.array(dsm.exchanger_cov) @ slopes.T))
+    values, slopes = _with_slopes(dsm.design, dsm.cruise_flows_kg_s)
+    return values, np.sqrt(np.diag(slopes @ np.array(dsm.exchanger_cov) @ slopes.T))
 
 
 def _elasticity_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
@@ -140,8 +129,8 @@ def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float)
 def _with_slopes(design: Array, flows_kg_s: tuple[float, float]) -> tuple[Array, Array]:
     """Compute elasticities and their derivatives by the design vector, (2,) and (2, p)."""
     n = len(hx.NAMES)
-    at = flow_elasticities(design[:, None] + 1e-5 * np.eye(n, n + 1, 1), *flows_kg_s)
-    return at[:, 0], (at[:, 1:] - at[:, :1]) / 1e-5
+    values = flow_elasticities(design[:, None] + 1e-5 * np.eye(n, n + 1, 1), *flows_kg_s)
+    return values[:, 0], (values[:, 1:] - values[:, :1]) / 1e-5
 
 
 def _exponential(value: Mapping[str, float], error: Mapping[str, float], name: str) -> tuple[float, float]:

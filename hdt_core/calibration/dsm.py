@@ -10,9 +10,11 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.compressor import PROBE_BIASES
 from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.forms import FormFit
 from hdt_core.calibration.pooling import PooledLevel
+from hdt_core.json_values import with_tuples
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import PACK
@@ -87,16 +89,13 @@ class Dsm:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "Dsm":
         """Build a model from the result of `to_dict`."""
-        values = dict(plain)
-        compressor = dict(values["compressor"])
+        values = with_tuples(dict(plain))
+        compressor = values["compressor"]
         compressor["forms"] = tuple(FormFit(**f) for f in compressor["forms"])
         compressor["levels"] = tuple(PooledLevel(**v) for v in compressor["levels"])
         values["compressor"] = CompressorFit(**compressor)
-        values["packs"] = tuple(SensorBiases(**{**p, "bias": tuple(p["bias"])}) for p in values["packs"])
+        values["packs"] = tuple(SensorBiases(**p) for p in values["packs"])
         values["levels"] = tuple(PooledLevel(**v) for v in values["levels"])
-        for name in ("exchanger", "gradient", "cruise_flows_kg_s", "hot_inlet"):
-            values[name] = tuple(values.get(name, ()))
-        values["exchanger_cov"] = tuple(tuple(row) for row in values["exchanger_cov"])
         return cls(**values)
 
     @property
@@ -106,22 +105,11 @@ class Dsm:
 
     def pack_table(self) -> pl.DataFrame:
         """Tabulate packs: `PACK`, compressor probe corrections and sensor biases as `bias_<signal>`."""
-        rows = [
-            {
-                "operator": p.operator,
-                "tail": p.tail,
-                "pack": p.pack,
-                "inlet_bias_k": p.inlet_bias_k,
-                "inlet_bias_ln": p.inlet_bias_ln,
-                "exit_bias_ln": p.exit_bias_ln,
-                **{f"bias_{name}": value for name, value in zip(hx.BIASES, p.bias, strict=True)},
-            }
-            for p in self.packs
-        ]
-        schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "inlet_bias_k": pl.Float64}
-        schema |= {"inlet_bias_ln": pl.Float64, "exit_bias_ln": pl.Float64}
-        schema |= {f"bias_{name}": pl.Float64 for name in hx.BIASES}
-        return pl.DataFrame(rows, schema=schema)
+        columns = (*PACK, *PROBE_BIASES)
+        rows = [(*(getattr(p, name) for name in columns), *p.bias) for p in self.packs]
+        schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32}
+        schema |= dict.fromkeys((*PROBE_BIASES, *(f"bias_{name}" for name in hx.BIASES)), pl.Float64)
+        return pl.DataFrame(rows, schema=schema, orient="row")
 
     def bias_of(self, frame: pl.DataFrame) -> Array:
         """Look up sensor biases of each row's pack, 0 for an unknown pack. (6, n)"""

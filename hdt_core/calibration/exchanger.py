@@ -4,18 +4,18 @@ Design, priors, bounds and sensors are those of the component's declaration; thi
 sample, with the sensors' biases removed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from hdt_core.components.exchanger import HX
+from hdt_core.flight.legs import MODEL_SIGNALS
 from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.heat_exchanger import measured_conductance_w_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array, declared
 
-SIGNALS = ("altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s")
-
+SIGNALS = MODEL_SIGNALS
 _DESIGN = HX.model.free("design")
 NAMES = tuple(p.name for p in _DESIGN)
 MEAN, SD = np.array([p.nominal for p in _DESIGN]), np.array([declared(p.sd) for p in _DESIGN])
@@ -53,8 +53,23 @@ def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Arra
     s = without_bias(signals, bias)
     ram = clean_ram_flow_kg_s(s, design)
     with np.errstate(divide="ignore", invalid="ignore"):  # a shut door or a pack at rest has no exchanger to fit
-        measured = measured_conductance_w_k(s["pack_flow_kg_s"], ram, s["hx_in_k"], s["hx_out_k"], s["tat_k"])
-        return np.log(measured) - ln_clean_conductance(s, ram, design)
+        ua_w_k = measured_conductance_w_k(s["pack_flow_kg_s"], ram, s["hx_in_k"], s["hx_out_k"], s["tat_k"])
+        return np.log(ua_w_k) - ln_clean_conductance(s, ram, design)
+
+
+def design_gradient(
+    signals: Mapping[str, Array],
+    design: Array,
+    bias: Array,
+    ratio: Array,
+    function: Callable[[Mapping[str, Array], Array, Array], Array] = ln_conductance_ratio,
+) -> Array:
+    """Compute the derivative of `function`, whose values are `ratio`, by each design parameter. (n, p)"""
+    columns = []
+    for j, unit in enumerate(np.eye(len(design))):
+        step = 1e-4 if design[j] + 1e-4 <= HIGH[j] else -1e-4
+        columns.append((function(signals, design + step * unit, bias) - ratio) / step)
+    return np.stack(columns, axis=1)
 
 
 def ln_ram_flow_ratio(signals: Mapping[str, Array], design: Array, bias: Array) -> Array:

@@ -41,15 +41,13 @@ Residual = Callable[[Mapping[str, Array], Array, Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class ExchangerFit:
-    """Design `mean` (p,) and `cov` (p, p), sensor `bias` and `bias_sd` (packs, 6); `ram_seen`: a ram outlet fixed the
-    scale."""
+    """Design `mean` (p,) and `cov` (p, p), sensor `bias` (packs, 6); `has_ram_outlet`: a ram outlet fixed the scale."""
 
     mean: Array
     cov: Array
     bias: Array
-    bias_sd: Array
     converged: bool
-    ram_seen: bool
+    has_ram_outlet: bool
 
 
 class _Linear(NamedTuple):
@@ -93,20 +91,20 @@ def fit_exchanger(points: Points, bias_mean: Array, bias_sd: Array) -> Exchanger
     Eliminating the random walk of a pack costs a tridiagonal solve, eliminating its biases a 6 x 6 one: the work is
     linear in flights. Weights are Cauchy's, steps of health beyond 4 sd are freed (a replacement, a clog).
     """
-    ram_seen = bool(np.isfinite(points.signals["ram_out_k"]).sum() >= MIN_RAM_POINTS)
-    effect = DESIGN_EFFECT if ram_seen else DESIGN_EFFECT_BLIND
+    has_ram_outlet = bool(np.isfinite(points.signals["ram_out_k"]).sum() >= MIN_RAM_POINTS)
+    effect = DESIGN_EFFECT if has_ram_outlet else DESIGN_EFFECT_BLIND
     packs = {k: _pack(points, k, bias_mean[k], bias_sd[k]) for k in range(len(bias_mean)) if (points.pack == k).any()}
-    design, bias, sd = hx.MEAN.copy(), bias_mean.copy(), bias_sd.copy()
+    design, bias = hx.MEAN.copy(), bias_mean.copy()
     health, cov, converged = np.full(len(points), np.nan), np.diag(hx.SD**2), not packs
     instruments = instruments_of(points.signals)
     for iteration in range(ITERATIONS if packs else 0):
         hot = _hot(points, design, bias, health, effect)
-        ram = _ram(points, design, bias, robust=iteration > 0) if ram_seen else None
-        explained = _first_stage(packs, hot, instruments, effect)
+        ram = _ram(points, design, bias, robust=iteration > 0) if has_ram_outlet else None
+        derivatives = _first_stage(packs, hot, instruments, effect)
         normal, right = _prior_terms(points, design)
         eliminations = {}
         for k, pack in packs.items():
-            gram, response = _gram(pack, hot, ram, explained, effect)
+            gram, response = _gram(pack, hot, ram, derivatives, effect)
             eliminations[k] = _eliminate(gram, response, pack, bias[k])
             coupling, factor = eliminations[k].coupling, eliminations[k].factor
             normal += gram[:N_DESIGN, :N_DESIGN] - coupling @ cho_solve(factor, coupling.T)
@@ -116,7 +114,7 @@ def fit_exchanger(points: Points, bias_mean: Array, bias_sd: Array) -> Exchanger
         step, design = new_design - design, new_design
         for k, (response, factor, coupling, bias_right) in eliminations.items():
             change = cho_solve(factor, bias_right - coupling.T @ step)
-            bias[k], sd[k] = bias[k] + change, np.sqrt(np.diag(cho_solve(factor, np.eye(N_BIAS))))
+            bias[k] += change
             level = response @ np.r_[step, change, 1.0]
             health[packs[k].rows] = level[packs[k].flight_of_row]
             if iteration >= JUMPS_FROM_ITERATION:
@@ -124,7 +122,7 @@ def fit_exchanger(points: Points, bias_mean: Array, bias_sd: Array) -> Exchanger
         converged = bool(np.abs(step).max() < TOLERANCE)
         if converged and iteration >= MIN_ITERATIONS:
             break
-    return ExchangerFit(design, cov, bias, sd, converged, ram_seen)
+    return ExchangerFit(design, cov, bias, converged, has_ram_outlet)
 
 
 def instruments_of(signals: Mapping[str, Array]) -> Array:
@@ -156,35 +154,33 @@ def _widen_jumps(points: Points, pack: _Pack, level: Array) -> Array:
 
 def _linearise(function: Residual, points: Points, design: Array, bias: Array) -> Array:
     """Compute columns of `_Linear` by forward differences."""
-    at = bias[points.pack].T
-    residual = function(points.signals, design, at)
-    columns = []
-    for j in range(N_DESIGN):
-        step = 1e-4 if design[j] + 1e-4 <= hx.HIGH[j] else -1e-4
-        columns.append((function(points.signals, design + step * np.eye(N_DESIGN)[j], at) - residual) / step)
-    for j, sd in enumerate(hx.BIAS_SDS):
-        shifted_bias = at + 0.01 * sd * np.eye(N_BIAS)[j][:, None]
-        columns.append((function(points.signals, design, shifted_bias) - residual) / (0.01 * sd))
-    return np.stack([*columns, residual], axis=1)
+    point_bias = bias[points.pack].T
+    residual = function(points.signals, design, point_bias)
+    by_design = hx.design_gradient(points.signals, design, point_bias, residual, function)
+    by_bias = []
+    for unit, sd in zip(np.eye(N_BIAS), hx.BIAS_SDS, strict=True):
+        shift = 0.01 * sd * unit[:, None]
+        by_bias.append((function(points.signals, design, point_bias + shift) - residual) / (0.01 * sd))
+    return np.column_stack([by_design, *by_bias, residual])
 
 
-def _weighted(columns: Array, averaged: Array, law_sd: float) -> _Linear:
+def _weigh(columns: Array, n_samples: Array, law_sd: float) -> _Linear:
     """Weigh by sensor noise, propagated through the equation, and the model's own error."""
     usable = np.asarray(np.isfinite(columns).all(axis=1))
     columns = np.where(usable[:, None], columns, 0.0)
-    noise = ((columns[:, N_DESIGN:-1] * hx.NOISE_SDS) ** 2).sum(axis=1) / np.minimum(averaged, MAX_AVERAGED)
+    noise = ((columns[:, N_DESIGN:-1] * hx.NOISE_SDS) ** 2).sum(axis=1) / np.minimum(n_samples, MAX_AVERAGED)
     return _Linear(columns, np.where(usable, 1.0 / (noise + law_sd**2), 0.0))
 
 
 def _hot(points: Points, design: Array, bias: Array, health: Array, effect: float) -> _Linear:
-    columns, weight = _weighted(_linearise(hx.ln_conductance_ratio, points, design, bias), points.n_samples, LAW_SD)
+    columns, weight = _weigh(_linearise(hx.ln_conductance_ratio, points, design, bias), points.n_samples, LAW_SD)
     square = np.where(np.isnan(health), 0.0, (columns[:, -1] - health) ** 2 * weight)
     return _Linear(columns, weight / (1.0 + square / CAUCHY_SD**2) / effect)
 
 
 def _ram(points: Points, design: Array, bias: Array, *, robust: bool) -> _Linear:
     columns = _linearise(hx.ln_ram_flow_ratio, points, design, bias)
-    columns, weight = _weighted(columns, points.n_samples, RAM_BALANCE_SD)
+    columns, weight = _weigh(columns, points.n_samples, RAM_BALANCE_SD)
     square = columns[:, -1] ** 2 * weight if robust else np.zeros(len(weight))
     return _Linear(columns, weight / (1.0 + square / CAUCHY_SD**2) / RAM_DESIGN_EFFECT)
 
@@ -236,9 +232,9 @@ def _gram(pack: _Pack, hot: _Linear, ram: _Linear | None, derivatives: Array, ef
     deviations = columns - mean[pack.flight_of_row]
     gram = (deviations * weight[:, None]).T @ deviations
     level_weight = _level_weight(per_flight, effect)
-    explained = _flight_means(pack, weight, derivatives[pack.rows])[0]
-    innovation = (explained - _smooth(level_weight, pack.gaps, explained, effect)) * level_weight[:, None]
-    gram[:-1, :-1] += explained.T @ innovation
+    predictors = _flight_means(pack, weight, derivatives[pack.rows])[0]
+    innovation = (predictors - _smooth(level_weight, pack.gaps, predictors, effect)) * level_weight[:, None]
+    gram[:-1, :-1] += predictors.T @ innovation
     gram[:-1, -1] += innovation.T @ mean[:, -1]
     if ram is not None:
         ram_columns = ram.columns[pack.rows]

@@ -58,22 +58,19 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     checks = _cross_checks(samples, cruise, exchanger, dsm)
     cruise_all = cruise_samples(samples, monitored=False)
     machine = compressor_flights(compressor_samples(cruise_all, dsm.pack_table()))
-    rows = flights.join(exchanger, on=FLIGHT_PACK, how="left", validate="m:1")
-    for table in (checks, machine):
+    rows = flights
+    for table in (exchanger, checks, machine):
         rows = rows.join(table, on=FLIGHT_PACK, how="left", validate="m:1")
     rows = finite(rows)
     odd = (pl.col("ln_ua_ratio").abs() > MOST_LN) | pl.col("ln_ua_ratio_sd").is_null()
     odd &= pl.col("ln_ua_ratio").is_not_null()
     expected_m = dsm.compressor.diameter_m(rows["vda_counts"].cast(pl.Float64).to_numpy())
     status = (
-        pl.when(odd)
-        .then(pl.lit("implausible"))
-        .when(pl.col("ln_ua_ratio").is_null())
-        .then(pl.lit("no_cruise"))
-        .when(pl.col("n_samples") < 3)
-        .then(pl.lit("few_samples"))
+        pl.when(odd).then(pl.lit("implausible"))
+        .when(pl.col("ln_ua_ratio").is_null()).then(pl.lit("no_cruise"))
+        .when(pl.col("n_samples") < 3).then(pl.lit("few_samples"))
         .otherwise(pl.lit("ok"))
-    )
+    )  # fmt: skip
     return (
         rows.with_columns(
             pl.Series("expected_diameter_m", expected_m).fill_nan(None),
@@ -101,25 +98,18 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         pl.Series("ln_expected", ln_clean_conductance(clean, ram, dsm.design)),
         pl.Series("effectiveness", (clean["hx_in_k"] - clean["hx_out_k"]) / (clean["hx_in_k"] - clean["tat_k"])),
     ).filter(pl.col("ratio").is_finite())
-    locations = _locate(values, "ratio", "ln_ua_ratio").join(
-        _locate(values.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio"),
-        on=FLIGHT_PACK,
-        how="left",
-        validate="m:1",
-    )
+    ram_ratios = _locate(values.filter(pl.col("balance").is_finite()), "balance", "ln_ram_ratio").drop("n")
     medians = values.group_by(FLIGHT_PACK).agg(
-        pl.col(MEDIANS).median(),
-        pl.col("ram_flow_kg_s", "effectiveness", "ln_expected").median(),
+        pl.col(*MEDIANS, "ram_flow_kg_s", "effectiveness", "ln_expected").median()
     )
-    estimates = (
-        locations.rename({"n": "n_samples"})
-        .drop("n_right", strict=False)
-        .join(_sensitivities(medians, dsm), on=FLIGHT_PACK, validate="m:1")
-    )
+    rows = _locate(values, "ratio", "ln_ua_ratio").rename({"n": "n_samples"})
+    rows = rows.join(ram_ratios, on=FLIGHT_PACK, how="left", validate="m:1")
     expected = pl.col("ln_expected").exp()
-    return estimates.with_columns(
-        expected.alias("ua_expected_w_k"), (expected * pl.col("ln_ua_ratio").exp()).alias("ua_w_k")
-    ).drop("ln_expected")
+    return (
+        rows.join(_sensitivities(medians, dsm), on=FLIGHT_PACK, validate="m:1")
+        .with_columns(expected.alias("ua_expected_w_k"), (expected * pl.col("ln_ua_ratio").exp()).alias("ua_w_k"))
+        .drop("ln_expected")
+    )
 
 
 def _cross_checks(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
@@ -175,20 +165,9 @@ def _sensitivities(medians: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
 def _map_sd(signals: dict[str, Array], dsm: Dsm, bias: Array, ratio: Array) -> Array:
     """Compute the ratio's standard deviation by the model's own uncertainty, relative to the model's anchor."""
     covariance = np.array(dsm.exchanger_cov)
-    gradient = design_gradient(signals, dsm.design, bias, ratio) - np.array(dsm.gradient)
+    gradient = hx.design_gradient(signals, dsm.design, bias, ratio) - np.array(dsm.gradient)
     variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def design_gradient(signals: dict[str, Array], design: Array, bias: Array, ratio: Array) -> Array:
-    """Compute the derivative of the ln conductance ratio by each design parameter. (n, p)"""
-    columns = []
-    for j in range(len(design)):
-        step = 1e-4 if design[j] + 1e-4 <= hx.HIGH[j] else -1e-4
-        shifted = design.copy()
-        shifted[j] += step
-        columns.append((hx.ln_conductance_ratio(signals, shifted, bias) - ratio) / step)
-    return np.stack(columns, axis=1)
 
 
 def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:

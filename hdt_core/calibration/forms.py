@@ -53,10 +53,10 @@ def compare_forms(rows: BlockRows) -> tuple[FormFit, ...]:
     scores, aics = [], []
     for form, degree in FORMS.items():
         basis = np.stack([z**k for k in range(1, degree + 1)], axis=1) if degree else np.zeros((len(z), 0))
-        predicted = np.full(len(z), np.nan)
+        prediction = np.full(len(z), np.nan)
         for k in range(FOLDS):
-            predicted[fold == k] = _predict(rows, basis, fold != k)[fold == k]
-        error = rows.y - predicted
+            prediction[fold == k] = _predict(rows, basis, fold != k)[fold == k]
+        error = rows.y - prediction
         error = error[np.isfinite(error)]
         about, rest = (rows.y - _predict(rows, b, np.ones(len(z), dtype=bool)) for b in (basis[:, :0], basis))
         parts = (picks @ np.bincount(rows.flight, v**2) for v in (rest, about))

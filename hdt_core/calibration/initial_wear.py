@@ -1,11 +1,11 @@
 """Estimate wear of units at entry and the distribution of clean units: empirical Bayes."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
-from polars.dataframe.group_by import GroupBy
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
@@ -62,9 +62,9 @@ def entry_posterior(ratio: Array, ratio_var: Array, level: float, offset_sd: flo
     log = np.log(SHARE) - 0.5 * (short**2 / var + np.log(var))
     weight = np.exp(log - log.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
-    at = WEAR_MEAN + WEAR_VAR / var * short
-    mean = (weight * at).sum(axis=1)
-    variance = WEAR_VAR * (1.0 - WEAR_VAR / var) + (at - mean[:, None]) ** 2
+    class_mean = WEAR_MEAN + WEAR_VAR / var * short
+    mean = (weight * class_mean).sum(axis=1)
+    variance = WEAR_VAR * (1.0 - WEAR_VAR / var) + (class_mean - mean[:, None]) ** 2
     return InitialWear(mean, (weight * variance).sum(axis=1))
 
 
@@ -84,11 +84,9 @@ def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
     scatter = spread(steps) if len(steps) >= 20 else dsm.flight_sd
     sampling = float((flights["ln_ua_ratio_sd"].to_numpy() ** 2).mean())
     flight_sd = float(np.sqrt(max(scatter**2 - sampling, MIN_FLIGHT_SD**2)))
-    first = flights.group_by(PACK, maintain_order=True).head(FIRST_FLIGHTS).group_by(PACK, maintain_order=True)
-    levels = first.agg(ratio.median(), pl.len())
-    renewed = _after_replacement(flights, maintenance).agg(ratio.median(), pl.len())
-    all_levels = pl.concat([levels, renewed], how="diagonal")
-    value, error = all_levels["ln_ua_ratio"].to_numpy(), 1.25 * scatter / np.sqrt(all_levels["len"].to_numpy())
+    levels = first_levels(flights)
+    all_levels = pl.concat([levels, _levels_after_replacement(flights, maintenance)], how="diagonal")
+    value, error = all_levels["ln_ua_ratio"].to_numpy(), 1.25 * scatter / np.sqrt(all_levels["n"].to_numpy())
     is_new = np.asarray(np.arange(all_levels.height) >= levels.height)
     level, level_sd, offset_sd = _clean_units(value, error**2, is_new)
     clean = flights.filter(ratio > level - CLEAN_BAND)["ua_expected_w_k"]
@@ -103,12 +101,17 @@ def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
     )
 
 
-def _after_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> GroupBy:
-    """Select first flights of units whose installation is logged, and which are therefore new."""
+def first_levels(flights: pl.DataFrame, unit: Sequence[str] = PACK) -> pl.DataFrame:
+    """Compute each unit's median `ln_ua_ratio` over its first flights, and their number `n`; flights in order."""
+    first = flights.group_by(unit, maintain_order=True).head(FIRST_FLIGHTS)
+    return first.group_by(unit, maintain_order=True).agg(pl.col("ln_ua_ratio").median(), pl.len().alias("n"))
+
+
+def _levels_after_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Compute first levels of units whose installation is logged, and which are therefore new."""
     life = pl.Series("life", log_flags(flights, maintenance, "HX")[1] == REPLACED).cast(pl.Int32)
     lives = flights.with_columns(life).with_columns(pl.col("life").cum_sum().over(PACK))
-    first = lives.filter(pl.col("life") > 0).group_by(*PACK, "life", maintain_order=True).head(FIRST_FLIGHTS)
-    return first.group_by(*PACK, "life", maintain_order=True)
+    return first_levels(lives.filter(pl.col("life") > 0), [*PACK, "life"])
 
 
 def _clean_units(value: Array, error_var: Array, is_new: Array) -> tuple[float, float, float]:

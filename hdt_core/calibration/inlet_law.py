@@ -15,7 +15,7 @@ from hdt_core.calibration.sensor_priors import DOOR_FREE
 from hdt_core.physics.compressor import exit_temperature_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.robust import huber_weights, spread
+from hdt_core.robust import huber_slopes
 
 NOMINAL_EFFICIENCY = 0.75
 """Efficiency assumed for a compressor without recorded discharge temperature; its error is a constant of the pack."""
@@ -52,7 +52,9 @@ def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float
     columns = pl.concat([cruise.select(PACK), pl.DataFrame(np.column_stack([x, y]))], how="horizontal")
     values = pl.exclude(PACK)
     deviations = columns.filter(pl.Series(usable)).select(values - values.median().over(PACK)).to_numpy()
-    return tuple(float(v) for v in _huber(deviations[:, :-1], deviations[:, -1]))
+    x, y = deviations[:, :-1], deviations[:, -1]
+    scale = np.maximum(x.std(axis=0), 1e-9)
+    return tuple(map(float, huber_slopes(x / scale, y, RIDGE, HUBER_STEPS) / scale))
 
 
 def inlet_above_law(cruise: pl.DataFrame, slopes: tuple[float, ...], design: Array, bias: Array) -> pl.DataFrame:
@@ -86,20 +88,20 @@ def full_open_inlet_k(
     held_k : array
         Level that the controller holds the outlet at, without sensor bias, (n,). [K]
     """
-    recorded = rows["hx_in_k"].to_numpy().astype(float)
+    inlet_k = rows["hx_in_k"].to_numpy().astype(float)
     if not slopes:
-        return recorded
+        return inlet_k
     signals, discharge_k, inlet_bias = _signals(rows, bias), _discharge_k(rows), bias[hx.BIASES.index("hx_in_k")]
-    full = signals | {"ram_door_open": np.ones_like(recorded)}
+    full = signals | {"ram_door_open": np.ones_like(inlet_k)}
     with np.errstate(all="ignore"):
         ram, full_ram = (clean_ram_flow_kg_s(of, design) for of in (signals, full))
         now = _by_stream(discharge_k, _ram_outlet_k(signals, ram), ram, signals) @ np.array(slopes)
         # linear in the ram outlet, which is itself linear in the inlet
         at_tat, per_k = (_by_stream(discharge_k, signals["tat_k"] + rise_k, full_ram, signals) for rise_k in (0.0, 1.0))
         share = np.clip((per_k - at_tat) @ np.array(slopes), 0.0, MOST_EFFECTIVE)
-        above_held = recorded - inlet_bias + at_tat @ np.array(slopes) - now - held_k
+        above_held = inlet_k - inlet_bias + at_tat @ np.array(slopes) - now - held_k
         full_open_k = above_held / (1.0 - share * (signals["pack_flow_kg_s"] / full_ram)) + held_k + inlet_bias
-    return np.where(np.isfinite(full_open_k), full_open_k, recorded)
+    return np.where(np.isfinite(full_open_k), full_open_k, inlet_k)
 
 
 def _signals(rows: pl.DataFrame, bias: Array) -> dict[str, Array]:
@@ -132,18 +134,6 @@ def _discharge_k(cruise: pl.DataFrame) -> Array:
     """Return compressor exit temperature as recorded, on flights without any by the pressure ratio. (n,) [K]"""
     inlet_k, inlet_pa, exit_pa = (cruise[c].to_numpy().astype(float) for c in ("tat_k", "cc_in_pa", "cc_out_pa"))
     with np.errstate(all="ignore"):
-        modelled = exit_temperature_k(inlet_k, exit_pa / inlet_pa, np.full(len(inlet_k), NOMINAL_EFFICIENCY))
-    unrecorded = cruise.select((pl.col("cc_out_k").count() == 0).over(FLIGHT_PACK))[:, 0].to_numpy()
-    return np.asarray(np.where(unrecorded, modelled, cruise["cc_out_k"].to_numpy().astype(float)))
-
-
-def _huber(x: Array, y: Array) -> Array:
-    """Fit slopes of y by x, both about their packs' medians; a weak ridge keeps constant terms solvable."""
-    scale = np.maximum(x.std(axis=0), 1e-9)
-    unit, weight, slopes = x / scale, np.ones(len(y)), np.zeros(x.shape[1])
-    for _ in range(HUBER_STEPS):
-        normal = unit.T @ (weight[:, None] * unit) + RIDGE * len(y) * np.eye(len(scale))
-        slopes = np.linalg.solve(normal, unit.T @ (weight * y))
-        miss = np.abs(y - unit @ slopes)
-        weight = huber_weights(miss, spread(miss))
-    return np.asarray(slopes / scale)
+        by_ratio_k = exit_temperature_k(inlet_k, exit_pa / inlet_pa, np.full(len(inlet_k), NOMINAL_EFFICIENCY))
+    is_unrecorded = cruise.select((pl.col("cc_out_k").count() == 0).over(FLIGHT_PACK))[:, 0].to_numpy()
+    return np.asarray(np.where(is_unrecorded, by_ratio_k, cruise["cc_out_k"].to_numpy().astype(float)))

@@ -16,7 +16,7 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.exchanger_fit import DESIGN_EFFECT, MAX_STEP, instruments_of
-from hdt_core.calibration.flight_estimates import MEDIANS, design_gradient
+from hdt_core.calibration.flight_estimates import MEDIANS
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import TERMS, correct_signals, within
 from hdt_core.records.keys import IN_ORDER, PACK
@@ -89,8 +89,8 @@ def propose(twin_flights: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     schema = {"term": pl.String, "meaning": pl.String, "value": pl.Float64, "sd": pl.Float64, "unit": pl.String}
     schema |= dict.fromkeys(("bic_gain", "f", "held_out_change", "loss_shift_sd"), pl.Float64) | {"n": pl.Int64}
     evidence = pl.DataFrame(rows, schema=schema, orient="row").sort("bic_gain", descending=True, nulls_last=True)
-    bound = [v is not None and v in TERMS[name].bounds for name, v in evidence.select("term", "value").rows()]
-    passes = (pl.col("bic_gain") > LEAST_BIC) & (pl.col("held_out_change") < -LEAST_GAIN) & ~pl.Series(bound)
+    is_at_bound = [v is not None and v in TERMS[name].bounds for name, v in evidence.select("term", "value").rows()]
+    passes = (pl.col("bic_gain") > LEAST_BIC) & (pl.col("held_out_change") < -LEAST_GAIN) & ~pl.Series(is_at_bound)
     passes &= pl.col("value").abs() > LEAST_SDS * pl.col("sd")
     return evidence.with_columns(proposed=(pl.int_range(pl.len()) == 0) & passes.fill_null(False))
 
@@ -158,23 +158,23 @@ def _fit(steps: _FlightSteps, dsm: Dsm, names: tuple[str, ...], among: Array | N
 
 def _columns(steps: _FlightSteps, terms: dict[str, float], design: Array) -> Array:
     """Compute negative derivatives of the residual by each term and design value. (changes, terms + design)"""
-    corrected, ratio = correct_signals(steps.signals, terms), steps.ratio(terms, design)
+    signals, ratio = correct_signals(steps.signals, terms), steps.ratio(terms, design)
     by_term = [steps.ratio(terms | {name: value + STEP}, design) - ratio for name, value in terms.items()]
-    by_design = design_gradient(corrected, design, steps.bias, ratio)
+    by_design = hx.design_gradient(signals, design, steps.bias, ratio)
     derivatives = np.c_[np.reshape(by_term, (len(terms), len(ratio))).T / STEP, by_design]
     return np.asarray(-np.diff(derivatives, axis=0)[steps.change])
 
 
 def _step(columns: Array, residual: Array, instruments: Array, design: Array) -> tuple[Array, Array]:
     """Solve Huber's regression, with the design's prior and none for the terms (first): step and sd of each."""
-    explained = instruments @ np.linalg.lstsq(instruments, columns, rcond=None)[0]
+    predictors = instruments @ np.linalg.lstsq(instruments, columns, rcond=None)[0]
     free = columns.shape[1] - len(design)
-    prior, towards = np.r_[np.zeros(free), hx.SD**-2.0], np.r_[np.zeros(free), hx.MEAN - design]
+    prior, offset = np.r_[np.zeros(free), hx.SD**-2.0], np.r_[np.zeros(free), hx.MEAN - design]
     weight, scale = np.ones(len(residual)), spread(residual)
     for _ in range(ROBUST_STEPS):
-        weighted = explained * weight[:, None] / (scale**2 * DESIGN_EFFECT)
-        cov = np.linalg.pinv(weighted.T @ explained + np.diag(prior), hermitian=True)
-        step = cov @ (weighted.T @ residual + prior * towards)
+        information = (predictors * weight[:, None] / (scale**2 * DESIGN_EFFECT)).T
+        cov = np.linalg.pinv(information @ predictors + np.diag(prior), hermitian=True)
+        step = cov @ (information @ residual + prior * offset)
         error = residual - columns @ step
         scale = spread(error)
         weight = huber_weights(np.abs(error), scale, HUBER)

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.records.keys import PACK
 
 SPREADS = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4])
 """Grid of sds between operators, and between packs of one, as shares of the sd over all packs."""
@@ -45,18 +46,18 @@ def levels_of(packs: pl.DataFrame, parameter: str) -> tuple[PoolingResult, tuple
         `operator, tail, pack, value, error_sd, n`: each pack's own estimate, from `n` flights.
     """
     codes, operator = np.unique(packs["operator"].to_numpy(), return_inverse=True)
-    pooled = pool(packs["value"].to_numpy().astype(float), packs["error_sd"].to_numpy().astype(float), operator)
+    result = pool(packs["value"].to_numpy().astype(float), packs["error_sd"].to_numpy().astype(float), operator)
     flights = np.bincount(operator, packs["n"].to_numpy(), len(codes))
     levels = [
         PooledLevel(str(o), None, None, parameter, float(m), float(s), int(n))
-        for o, m, s, n in zip(codes, pooled.operator, pooled.operator_sd, flights, strict=True)
+        for o, m, s, n in zip(codes, result.operator, result.operator_sd, flights, strict=True)
     ]
-    rows = packs.select("operator", "tail", "pack", "n").rows()
+    rows = packs.select(*PACK, "n").rows()
     levels += [
         PooledLevel(operator, tail, int(pack), parameter, float(m), float(s), int(n))
-        for (operator, tail, pack, n), m, s in zip(rows, pooled.pack, pooled.pack_sd, strict=True)
+        for (operator, tail, pack, n), m, s in zip(rows, result.pack, result.pack_sd, strict=True)
     ]
-    return pooled, tuple(levels)
+    return result, tuple(levels)
 
 
 def pool(value: Array, error_sd: Array, operator: Array) -> PoolingResult:
@@ -121,8 +122,9 @@ def _posterior(
     packs_var = (1.0 - gain) * tau_pack**2 + (1.0 - gain) ** 2 * operators_var[operator]
     within_groups = (np.log(variance) + (y - operator_mean[group]) ** 2 / variance).sum()
     present = weight > 0.0
-    between = (np.log(weight[present] / total[present]) + total[present] * (operator_mean[present] - fleet) ** 2).sum()
-    evidence = -0.5 * (within_groups + between + np.log(total.sum()))
+    square = total[present] * (operator_mean[present] - fleet) ** 2
+    between_groups = (np.log(weight[present] / total[present]) + square).sum()
+    evidence = -0.5 * (within_groups + between_groups + np.log(total.sum()))
     return (
         float(evidence),
         np.r_[fleet, operators, packs],

@@ -12,8 +12,8 @@ from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors,
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
-from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import flag_windows, number_flights
+from hdt_core.records.keys import LEG
 from hdt_core.robust import Z_90
 
 CONTAMINANT_LOSS = 0.15
@@ -43,7 +43,7 @@ def learn_baseline(
     baseline = NominalBaseline(learn_manifold(samples, flights), learn_outlet_law(samples))
     indicators = leg_indicators(samples, baseline)
     baseline = replace(
-        baseline, level=learn_level(flights.join(indicators, on=LEG_KEY, how="left", validate="m:1"), maintenance)
+        baseline, level=learn_level(flights.join(indicators, on=LEG, how="left", validate="m:1"), maintenance)
     )
     residuals = _residuals(_apply_rules(flights, indicators, maintenance, messages, baseline, None))
     return replace(baseline, scatter=learn_scatter(residuals, [c for c in residuals.columns if c.endswith("_off")]))
@@ -93,7 +93,7 @@ def admit_by(
     flights = number_flights(legs.drop("flight_number", strict=False))
     if twin_flights is not None:
         indicators = indicators.join(
-            twin_flights.select(*LEG_KEY, *TWIN_CHECKS), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
+            twin_flights.select(*LEG, *TWIN_CHECKS), on=LEG, how="left", maintain_order="left", validate="m:1"
         )
     rows = _apply_rules(flights, indicators, maintenance, messages, baseline, health_parameters)
     return _without_outliers(rows, baseline.scatter).select(legs.columns)
@@ -109,22 +109,22 @@ def _apply_rules(
 ) -> pl.DataFrame:
     """Apply every rule but that of outliers."""
     levels = flights.join(
-        indicators.select(*LEG_KEY, "index_level", "index_n", "index_unrest"), on=LEG_KEY, how="left", validate="m:1"
+        indicators.select(*LEG, "index_level", "index_n", "index_unrest"), on=LEG, how="left", validate="m:1"
     )
     rows = flag_windows(flights, maintenance, messages)
     checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in indicators.columns)
-    sensor_flags = check_sensors(indicators.select(*LEG_KEY, *checks), flights)
+    sensor_flags = check_sensors(indicators.select(*LEG, *checks), flights)
     index_flags = judge_conductance(levels, maintenance, baseline.level)
     for part in (sensor_flags, index_flags, _wear_reasons(health_parameters)):
         rows = rows.join(
-            part, on=[c for c in LEG_KEY if c in part.columns], how="left", maintain_order="left", validate="m:1"
+            part, on=[c for c in LEG if c in part.columns], how="left", maintain_order="left", validate="m:1"
         )
     return _give_reasons(rows)
 
 
 def _wear_reasons(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
-    """Return `wear`, a reason code or null, by the twin, and `seen`: whether the twin has estimated the exchanger."""
-    schema = {**dict.fromkeys(LEG_KEY, pl.String), "pack": pl.Int32, "wear": pl.String, "seen": pl.Boolean}
+    """Return `wear`, a reason code or null, by the twin, and whether it `has_estimate` of the exchanger."""
+    schema = {**dict.fromkeys(LEG, pl.String), "pack": pl.Int32, "wear": pl.String, "has_estimate": pl.Boolean}
     if health_parameters is None or health_parameters.is_empty():
         return pl.DataFrame(schema=schema)
     limits = pl.DataFrame(
@@ -135,12 +135,12 @@ def _wear_reasons(health_parameters: pl.DataFrame | None) -> pl.DataFrame:
     # uncertain, would hardly ever be nominal
     over = pl.col("value") + Z_90 * pl.col("sd").fill_null(0.0) > pl.col("limit")
     worst = pl.col("code").filter(over).max()  # the exchanger's code takes precedence
-    return losses.group_by(LEG_KEY).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("seen"))
+    return losses.group_by(LEG).agg(worst.alias("wear"), (pl.col("code") == "HX_WORN").any().alias("has_estimate"))
 
 
 def _give_reasons(rows: pl.DataFrame) -> pl.DataFrame:
     """Replace an empty `reason` by the first rule of level two that is broken."""
-    own = pl.when(pl.col("reason") != "").then(pl.col("reason"))
+    level_one = pl.when(pl.col("reason") != "").then(pl.col("reason"))
     rules = {
         "MAINTENANCE": pl.col("near_maintenance"),
         "MESSAGE": pl.col("near_message"),
@@ -148,10 +148,10 @@ def _give_reasons(rows: pl.DataFrame) -> pl.DataFrame:
         "UNREST": pl.col("unrest"),
         "STRAY": pl.col("stray"),
         # the index takes a unit's best flights for its clean state and new units from the log alone
-        "HX_WORN": pl.col("worn") & ~pl.col("seen").fill_null(False),
+        "HX_WORN": pl.col("worn") & ~pl.col("has_estimate").fill_null(False),
     }
     reasons = [pl.when(rule.fill_null(False)).then(pl.lit(code)) for code, rule in rules.items()]
-    return rows.with_columns(pl.coalesce(own, *reasons, "wear", pl.lit("")).alias("reason"))
+    return rows.with_columns(pl.coalesce(level_one, *reasons, "wear", pl.lit("")).alias("reason"))
 
 
 def _residuals(rows: pl.DataFrame) -> pl.DataFrame:
@@ -163,10 +163,10 @@ def _residuals(rows: pl.DataFrame) -> pl.DataFrame:
 def _without_outliers(rows: pl.DataFrame, scatter: Scatter | None) -> pl.DataFrame:
     """Reject outliers in the joint deviations among legs that passed all other rules."""
     residuals = _residuals(rows)
-    outliers = residuals.select(LEG_KEY).with_columns(
-        scatter.outlying(residuals) if scatter else pl.lit(False).alias("outlier")
+    outliers = residuals.select(LEG).with_columns(
+        scatter.flag_outliers(residuals) if scatter else pl.lit(False).alias("outlier")
     )
-    flagged = rows.join(outliers, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
+    flags = rows.join(outliers, on=LEG, how="left", maintain_order="left", validate="m:1")
     reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
-    screened = flagged.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return screened.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))
+    verdicts = flags.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
+    return verdicts.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))

@@ -4,10 +4,10 @@ import polars as pl
 
 from hdt_core.components import Component
 from hdt_core.flight.bleed import BLEED, ODD_BLEED
-from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.steady import drift_free
+from hdt_core.records.keys import LEG
 
-LEG = list(LEG_KEY)
+LEG = list(LEG)
 MIN_SAMPLES = 5
 """Samples below which a flight yields no estimate of a component."""
 NO_EVIDENCE = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")

@@ -8,17 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.flight.legs import PACK_OFF_FLOW_KG_S
+from hdt_core.records.keys import FLIGHT, LEG, PACK
+from hdt_core.records.packs import join_other_pack
 from hdt_core.robust import MEDIAN_SD, spread_expr
 
 DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
-RUNNING_KG_S = 0.1
 SMOOTHED_FLIGHTS = 7
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
 SAMPLE_COLUMNS = (
-    *LEG_KEY, "time_utc", "source", "phase", *LAW_TERMS, "total_pressure_pa", "hx_out_k", "ram_door_open",
+    *LEG, "time_utc", "source", "phase", *LAW_TERMS, "total_pressure_pa", "hx_out_k", "ram_door_open",
     "pack_flow_kg_s", "cc_in_k", "cc_in_pa", "cc_flow_kg_s",
 )  # fmt: skip
 """Columns of the samples that the checks use."""
@@ -59,7 +60,7 @@ class OutletLaw:
 def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
     """Fit the law by least squares to samples of running packs with a free door; None for fewer than ten."""
     columns = samples.select("pack_flow_kg_s", "ram_door_open", "hx_out_k", *LAW_TERMS)
-    running = columns.filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    running = columns.filter(pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S)
     free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
     if free.height < 10:
         return None
@@ -77,12 +78,12 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     values : DataFrame
         Of `leg_checks`, all flights of each tail, with `TWIN_CHECKS`; a missing check is skipped.
     legs : DataFrame
-        `LEG_KEY` and `flight_number`.
+        `LEG` and `flight_number`.
 
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `sensor_shift` (bool), `sensor_check`, the check with the largest shift (null if none),
+        `LEG`, `sensor_shift` (bool), `sensor_check`, the check with the largest shift (null if none),
         and `<check>_off`, the leg's own deviation.
 
     Notes
@@ -95,69 +96,67 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     its usual scatter until it returned.
     """
     absent = (pl.lit(None, pl.Float64).alias(c) for c in CHECKS if c not in values.columns)
-    rows = values.with_columns(absent).join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, validate="m:1")
-    tail, unit = list(LEG_KEY[:2]), [*LEG_KEY[:2], "pack"]
-    off = rows.sort(*unit, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(unit) for c in CHECKS)
+    rows = values.with_columns(absent).join(legs.select(*LEG, "flight_number"), on=LEG, validate="m:1")
+    off = rows.sort(*PACK, "flight_number").with_columns(pl.col(c) - pl.col(c).median().over(PACK) for c in CHECKS)
     smooth = off.with_columns(
-        pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(unit).alias(f"{c}_smooth")
+        pl.col(c).rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=3).over(PACK).alias(f"{c}_smooth")
         for c in CHECKS
     )
-    flight = [*tail, "flight_id"]
-    parts = smooth.with_columns(_scatters(unit)).with_columns(
-        e for c in TOLERANCE for e in (_side(c, unit), _shift(c, unit), _other_pack(c, flight))
+    parts = smooth.with_columns(_scatters()).with_columns(
+        e for c in TOLERANCE for e in (_side(c), _shift(c), _is_of_other_pack(c))
     )
-    scores = parts.with_columns(_score(c, unit).alias(f"{c}_score") for c in TOLERANCE)
+    scores = parts.with_columns(_score(c).alias(f"{c}_score") for c in TOLERANCE)
     worst = pl.max_horizontal(pl.col(f"{c}_score") for c in TOLERANCE).fill_null(0.0)
     check_name = pl.coalesce(
         pl.when((pl.col(f"{c}_score") == worst) & (worst > 1.0)).then(pl.lit(c)) for c in TOLERANCE
     )
-    alone = [pl.col(c).fill_null(0.0).alias(f"{c}_off") for c in TOLERANCE]
-    return scores.select(*LEG_KEY, (worst > 1.0).alias("sensor_shift"), check_name.alias("sensor_check"), *alone)
+    deviations = [pl.col(c).fill_null(0.0).alias(f"{c}_off") for c in TOLERANCE]
+    return scores.select(*LEG, (worst > 1.0).alias("sensor_shift"), check_name.alias("sensor_check"), *deviations)
 
 
-def _scatters(unit: list[str]) -> list[pl.Expr]:
+def _scatters() -> list[pl.Expr]:
     """Return the scatter of each check: `_step` between flights, `_alone` of single flights, `_smooth_usual`."""
     checks, smooth = pl.col(list(TOLERANCE)), pl.col([f"{c}_smooth" for c in TOLERANCE])
     values = {"_step": checks.diff(), "_alone": checks, "_usual": smooth}
-    return [spread_expr(v).over(unit).name.suffix(end) for end, v in values.items()]
+    return [spread_expr(v).over(PACK).name.suffix(end) for end, v in values.items()]
 
 
-def _side(check: str, unit: list[str]) -> pl.Expr:
+def _side(check: str) -> pl.Expr:
     """Return the sign of the smoothed check where it has left its level, else 0."""
-    smooth = pl.col(f"{check}_smooth").forward_fill().over(unit)
+    smooth = pl.col(f"{check}_smooth").forward_fill().over(PACK)
     outside = smooth.abs() > pl.max_horizontal(f"{check}_smooth_usual", pl.lit(USUAL_SHARE * TOLERANCE[check]))
     return pl.when(outside).then(smooth.sign()).otherwise(0.0).alias(f"{check}_side")
 
 
-def _shift(check: str, unit: list[str]) -> pl.Expr:
+def _shift(check: str) -> pl.Expr:
     """Return the smoothed check over its allowance; noise is of steps between flights, which a drift does not raise."""
     noise = MEDIAN_SD * pl.col(f"{check}_step") / (2.0 * SMOOTHED_FLIGHTS) ** 0.5
-    allowed = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
-    return (pl.col(f"{check}_smooth").abs() / allowed).alias(f"{check}_shift")
+    allowance = pl.max_horizontal(noise * FAULT_SD, pl.lit(TOLERANCE[check]))
+    return (pl.col(f"{check}_smooth").abs() / allowance).alias(f"{check}_shift")
 
 
-def _other_pack(check: str, flight: list[str]) -> pl.Expr:
-    """Whether the shift is the other pack's: this one's own reading is clearly less displaced."""
+def _is_of_other_pack(check: str) -> pl.Expr:
+    """Flag a shift of the other pack: this one's own reading is clearly nearer to the fleet's law."""
     name = f"{check}_other"
     if check not in BETWEEN_PACKS:
         return pl.lit(False).alias(name)
-    displaced = pl.col(f"{BETWEEN_PACKS[check]}_smooth").abs()
-    return (displaced < 0.5 * displaced.max().over(flight)).fill_null(False).alias(name)
+    offset = pl.col(f"{BETWEEN_PACKS[check]}_smooth").abs()
+    return (offset < 0.5 * offset.max().over(FLIGHT)).fill_null(False).alias(name)
 
 
-def _score(check: str, unit: list[str]) -> pl.Expr:
+def _score(check: str) -> pl.Expr:
     """Return the shift over its allowance, of the flight alone or the largest of its period; above 1 it is a fault."""
     side, shift, other = (pl.col(f"{check}_{part}") for part in ("side", "shift", "other"))
-    period = pl.struct(*unit, side).rle_id()
+    period = pl.struct(*PACK, side).rle_id()
     lasting = pl.when(side != 0.0).then(shift.max().over(period)).otherwise(shift)
-    whose = pl.when(side != 0.0).then(other.sort_by(shift).last().over(period)).otherwise(other)
+    is_of_other = pl.when(side != 0.0).then(other.sort_by(shift).last().over(period)).otherwise(other)
     alone = pl.col(f"{check}_alone") * FAULT_SD
     single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
-    return pl.max_horizontal(pl.when(~whose).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
+    return pl.max_horizontal(pl.when(~is_of_other).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
 
 
 def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
-    """Average each check over the leg: `LEG_KEY`, `LEG_CHECKS`.
+    """Average each check over the leg: `LEG`, `LEG_CHECKS`.
 
     Parameters
     ----------
@@ -166,19 +165,13 @@ def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
     law : OutletLaw, optional
         Without it, a check between packs flags both.
     """
-    running = samples.select(SAMPLE_COLUMNS).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
-    sample_key = [*LEG_KEY[:3], "time_utc", "source"]
-    other = running.select(
-        *sample_key,
-        (3 - pl.col("pack")).cast(running.schema["pack"]).alias("pack"),
-        *(pl.col(c).alias(f"other_{c}") for c in ("hx_out_k", "ram_door_open", "pack_flow_kg_s")),
-    )
+    running = samples.select(SAMPLE_COLUMNS).filter(pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S)
     rows = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
-    paired = rows.join(other, on=[*sample_key, "pack"], how="left", validate="m:1")
+    pairs = join_other_pack(rows, ("hx_out_k", "ram_door_open", "pack_flow_kg_s"), ("time_utc", "source"))
     free = pl.col("ram_door_open").is_between(*DOOR_FREE)
     both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
     cruise = pl.col("phase") == "cruise"
-    return paired.group_by(LEG_KEY).agg(
+    return pairs.group_by(LEG).agg(
         (pl.col("hx_out_k") - pl.col("other_hx_out_k")).filter(both_free).mean().alias("outlet_between_packs_k"),
         (pl.col("hx_out_k") - pl.col("law_k")).filter(both_free).mean().alias("outlet_above_law_k"),
         (pl.col("cc_in_k") - pl.col("tat_k")).mean().alias("inlet_minus_tat_k"),

@@ -2,12 +2,13 @@
 
 import polars as pl
 
-from hdt_core.flight.phases import LEG_KEY, add_phases, number_legs, seconds_between
+from hdt_core.flight.phases import add_phases, number_legs, seconds_between
 from hdt_core.flight.quality import SIGNALS, null_bad_values
 from hdt_core.flight.steady import average_log, steady_snapshots
 from hdt_core.flight.windows import flag_windows, number_flights
+from hdt_core.records.keys import FLIGHT, LEG
 
-RECORD_KEY = (*LEG_KEY, "source")
+RECORD_KEY = (*LEG, "source")
 # without these neither exchanger nor compressor can be modelled on a sample
 MODEL_SIGNALS = (
     "altitude_m",
@@ -62,26 +63,23 @@ def judge_legs(
     """
     samples = prepare_samples(snapshots)
     legs = _give_reasons(flag_windows(number_flights(_summarise(samples)), maintenance, messages))
-    flagged = samples.join(
-        legs.select(*LEG_KEY, "admitted"), on=LEG_KEY, how="left", maintain_order="left", validate="m:1"
-    )
-    return legs, flagged.with_columns(
-        (pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")).alias("nominal")
-    ).drop("admitted")
+    rows = samples.join(legs.select(*LEG, "admitted"), on=LEG, how="left", maintain_order="left", validate="m:1")
+    nominal = pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")
+    return legs, rows.with_columns(nominal.alias("nominal")).drop("admitted")
 
 
 def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
     """Screen values, add phases, average logs; `monitored` where a sample is steady cruise and complete."""
     ordered = number_legs(snapshots.sort(*RECORD_KEY, "time_utc", maintain_order=True), RECORD_KEY)
-    repeated = (pl.col("_leg") == pl.col("_leg").shift(1)) & (pl.col("time_utc") == pl.col("time_utc").shift(1))
-    first = pl.col("time_utc").min().over("operator", "tail", "flight_id")
-    recorded = ordered.filter(~repeated.fill_null(False)).drop("_leg").with_columns(first.alias("departed_at"))
-    screened = add_phases(null_bad_values(recorded, by=RECORD_KEY), by=RECORD_KEY)
-    reports = steady_snapshots(screened.filter(pl.col("source") == "acms"), by=RECORD_KEY).with_columns(
+    is_repeat = (pl.col("_leg") == pl.col("_leg").shift(1)) & (pl.col("time_utc") == pl.col("time_utc").shift(1))
+    first = pl.col("time_utc").min().over(FLIGHT)
+    records = ordered.filter(~is_repeat.fill_null(False)).drop("_leg").with_columns(first.alias("departed_at"))
+    phases = add_phases(null_bad_values(records, by=RECORD_KEY), by=RECORD_KEY)
+    reports = steady_snapshots(phases.filter(pl.col("source") == "acms"), by=RECORD_KEY).with_columns(
         pl.lit(1, pl.Int64).alias("n_averaged")
     )
-    log = average_log(screened.filter(pl.col("source") == "cpl"), by=RECORD_KEY)
-    rows = pl.concat([reports.drop("phase_code"), log], how="diagonal").sort(*LEG_KEY, "time_utc", "source")
+    log = average_log(phases.filter(pl.col("source") == "cpl"), by=RECORD_KEY)
+    rows = pl.concat([reports.drop("phase_code"), log], how="diagonal").sort(*LEG, "time_utc", "source")
     complete = pl.all_horizontal(pl.col(s).is_not_null() for s in MODEL_SIGNALS)
     running = pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S
     icing = pl.col("tat_k").is_between(*ICING_TAT_K) & (pl.col("altitude_m") < ICING_BELOW_M)
@@ -95,7 +93,7 @@ def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
     """Summarise each flight and pack in the quantities of the rules."""
     cruise = pl.col("phase") == "cruise"
     cruise_s = seconds_between(pl.col("time_utc").filter(cruise).max(), pl.col("time_utc").filter(cruise).min())
-    legs = samples.group_by(LEG_KEY).agg(
+    legs = samples.group_by(LEG).agg(
         pl.col("departed_at").first(),
         pl.col("time_utc").max().alias("landed_at"),
         pl.when(pl.col("source").n_unique() > 1)
@@ -113,15 +111,15 @@ def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
         (pl.col("altitude_m").max() - pl.col("altitude_m").min()).alias("_rise_m"),
         *(pl.col(s).null_count().alias(f"_missing_{s}") for s in SIGNALS),
     )
-    flights = legs.with_columns(pl.col("landed_at").max().over("operator", "tail", "flight_id"))
-    return flights.with_columns(pl.col("^n_.*$").cast(pl.Int64)).sort(*LEG_KEY)
+    flights = legs.with_columns(pl.col("landed_at").max().over(FLIGHT))
+    return flights.with_columns(pl.col("^n_.*$").cast(pl.Int64)).sort(*LEG)
 
 
 def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
     """Add `reason`, the first rule broken, and `admitted`."""
     rules = {
-        "PACK_OFF": _off(pl.col("_flow")),
-        "OTHER_PACK_OFF": (_off(pl.col("_flow")).any().over("operator", "tail", "flight_id")),
+        "PACK_OFF": _is_off(pl.col("_flow")),
+        "OTHER_PACK_OFF": _is_off(pl.col("_flow")).any().over(FLIGHT),
         "SENSOR_FROZEN": pl.col("n_frozen") > 0,
         "DOOR_STILL": (pl.col("_door_span") < DOOR_STILL)
         & (pl.col("n_samples") >= DOOR_STILL_ROWS)
@@ -139,7 +137,7 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _off(flow: pl.Expr) -> pl.Expr:
+def _is_off(flow: pl.Expr) -> pl.Expr:
     return (flow < PACK_OFF_FLOW_KG_S).fill_null(False)
 
 
@@ -147,5 +145,5 @@ def _dropped_out(signal: str) -> pl.Expr:
     """Flag far more gaps than a fitted sensor has; a signal missing on both packs of the flight is not fitted."""
     missing = pl.col(f"_missing_{signal}")
     share = missing / pl.col("n_samples")
-    installed = (share < 1.0).any().over("operator", "tail", "flight_id")
-    return installed & (missing >= DROPOUT_ROWS) & (share > DROPOUT_SHARE)
+    is_fitted = (share < 1.0).any().over(FLIGHT)
+    return is_fitted & (missing >= DROPOUT_ROWS) & (share > DROPOUT_SHARE)

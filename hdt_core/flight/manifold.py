@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.flight.phases import LEG_KEY
-from hdt_core.robust import MAD_TO_SD, huber_weights, spread
+from hdt_core.records.keys import LEG
+from hdt_core.robust import MAD_TO_SD, huber_slopes
 
 Array = NDArray[np.float64]
 
@@ -46,9 +46,9 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     Parameters
     ----------
     samples : DataFrame
-        Samples with `monitored`, sorted by `LEG_KEY` and time.
+        Samples with `monitored`, sorted by `LEG` and time.
     legs : DataFrame
-        `LEG_KEY` and `flight_number`.
+        `LEG` and `flight_number`.
 
     Notes
     -----
@@ -62,14 +62,14 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     ----------
     .. [1] P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
     """
-    numbers = legs.select(*LEG_KEY, "flight_number")
-    usable = _usable(samples, *LEG_KEY).join(numbers, on=LEG_KEY, how="left", maintain_order="left", validate="m:1")
+    numbers = legs.select(*LEG, "flight_number")
+    usable = _usable(samples, *LEG).join(numbers, on=LEG, how="left", maintain_order="left", validate="m:1")
     if usable.height <= 10 * len(TERMS):
         return None
     x, slopes = usable.select(TERMS).to_numpy(), _slopes(usable)
     centre = np.median(x, axis=0)
     off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
-    step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG_KEY)).abs().median()).item()
+    step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG)).abs().median()).item()
     noise = max(MAD_TO_SD * (1.0 if step is None else float(step)) / 2**0.5, LEAST_NOISE)
     return Manifold(tuple(centre.tolist()), tuple(slopes.tolist()), noise)
 
@@ -88,8 +88,8 @@ def add_conductance_index(samples: pl.DataFrame, manifold: Manifold | None) -> p
     rows = samples.with_row_index("_row")
     indices = _usable(rows, "_row").select("_row", index.alias("conductance_index"))
     # joined by row number alone, because the samples are too wide to copy
-    aligned = rows.select("_row").join(indices, on="_row", how="left", maintain_order="left", validate="m:1")
-    return samples.with_columns(aligned["conductance_index"])
+    column = rows.select("_row").join(indices, on="_row", how="left", maintain_order="left", validate="m:1")
+    return samples.with_columns(column["conductance_index"])
 
 
 def _usable(samples: pl.DataFrame, *keys: str) -> pl.DataFrame:
@@ -118,18 +118,9 @@ def _regressors() -> list[pl.Expr]:
 
 def _slopes(usable: pl.DataFrame) -> Array:
     """Regress y on the terms by Huber's method, with offsets of pack and block removed as medians."""
-    block = [*LEG_KEY[:2], "pack", pl.col("flight_number") // BLOCK_FLIGHTS]
+    block = [*LEG[:2], "pack", pl.col("flight_number") // BLOCK_FLIGHTS]
     within = usable.select((pl.col(c) - pl.col(c).median().over(block)).alias(c) for c in ("y", *TERMS))
-    x, y = within.select(TERMS).to_numpy(), within["y"].to_numpy()
-    weight = np.ones(y.size)
-    # a weak ridge keeps the system regular where a regressor is constant
-    ridge = 1e-6 * y.size * np.eye(x.shape[1])
-    slopes = np.zeros(x.shape[1])
-    for _ in range(HUBER_STEPS):
-        slopes = np.linalg.solve(x.T @ (weight[:, None] * x) + ridge, x.T @ (weight * y))
-        residual = np.abs(y - x @ slopes)
-        weight = huber_weights(residual, spread(residual))
-    return np.asarray(slopes)
+    return huber_slopes(within.select(TERMS).to_numpy(), within["y"].to_numpy(), 1e-6, HUBER_STEPS)
 
 
 def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:
@@ -138,25 +129,22 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
     Parameters
     ----------
     samples : DataFrame
-        As for `add_conductance_index`, sorted by `LEG_KEY` and time.
+        As for `add_conductance_index`, sorted by `LEG` and time.
 
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `index_level` (median), `index_n`, and `index_unrest`: the largest departure of the mean of a few
+        `LEG`, `index_level` (median), `index_n`, and `index_unrest`: the largest departure of the mean of a few
         samples in a row from the leg's median, in standard errors; transient ice raises it, wear does not.
     """
-    keys = list(LEG_KEY)
-    indices = (
-        add_conductance_index(samples, manifold).select(*keys, "conductance_index").drop_nulls("conductance_index")
-    )
-    off = pl.col("conductance_index") - pl.col("conductance_index").median().over(keys)
-    runs = [(pl.col("_off").rolling_mean(m).over(keys).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
+    indices = add_conductance_index(samples, manifold).select(*LEG, "conductance_index").drop_nulls("conductance_index")
+    off = pl.col("conductance_index") - pl.col("conductance_index").median().over(LEG)
+    runs = [(pl.col("_off").rolling_mean(m).over(LEG).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
     noise = manifold.noise if manifold else np.nan  # without a law no sample has an index
     return (
         indices.with_columns(off.alias("_off"))
         .with_columns(runs)
-        .group_by(keys)
+        .group_by(LEG)
         .agg(
             pl.col("conductance_index").median().alias("index_level"),
             pl.len().cast(pl.Int64).alias("index_n"),

@@ -4,18 +4,18 @@ For calibration only, with later flights too; monitoring keeps all legs.
 """
 
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 import polars as pl
 from scipy.stats import chi2
 from sklearn.covariance import MinCovDet
 
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.robust import MAD_TO_SD
 
-UNIT = ("operator", "tail", "pack")
-_UNIT = [*UNIT, "unit"]
+UNIT = [*PACK, "unit"]
 SMOOTHED_FLIGHTS = 7
 WORN_INDEX = 0.09  # drop of the conductance index, about the fraction of conductance lost
 CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, robust to noise and a few strays
@@ -45,7 +45,8 @@ class IndexLevel:
 def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> IndexLevel:
     """Learn the statistics from levels as of `judge_conductance`."""
     smooth = _smooth(levels, maintenance)
-    return IndexLevel(*(_number(v) for v in (_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())))
+    # medians of floats, None without any
+    return IndexLevel(_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())  # type: ignore[arg-type]
 
 
 def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: IndexLevel) -> pl.DataFrame:
@@ -54,7 +55,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     Parameters
     ----------
     levels : DataFrame
-        `LEG_KEY`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
+        `LEG`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
     maintenance : DataFrame
         Replaced exchangers (`component` HX) begin a new unit.
     fleet : IndexLevel
@@ -63,7 +64,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     Returns
     -------
     DataFrame
-        `LEG_KEY`, `worn`, `unrest`, `stray` (bool), `index_off`, the leg's deviation from the running
+        `LEG`, `worn`, `unrest`, `stray` (bool), `index_off`, the leg's deviation from the running
         median of its neighbours, and `index_n`, its number of samples.
 
     Notes
@@ -73,7 +74,7 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     """
     smooth = _smooth(levels, maintenance)
     floor = pl.lit(None if fleet.clean is None else fleet.clean - 2.0 * UNIT_SD, pl.Float64)
-    away = smooth.join(_clean(smooth), on=_UNIT, how="left", validate="m:1").with_columns(
+    away = smooth.join(_clean(smooth), on=UNIT, how="left", validate="m:1").with_columns(
         (pl.max_horizontal("clean", floor) - pl.col("smooth")).alias("drop")
     )
     flags = {
@@ -82,24 +83,20 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
         "stray": pl.col("index_off").abs() > max(STRAY_INDEX, STRAY_SD * MAD_TO_SD * (fleet.stray or 0.0)),
     }
     return away.select(
-        *LEG_KEY, "index_n", "index_off", *(flag.fill_null(False).alias(name) for name, flag in flags.items())
+        *LEG, "index_n", "index_off", *(flag.fill_null(False).alias(name) for name, flag in flags.items())
     )
 
 
 def _smooth(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
     """Add the running median of each unit, and each leg's deviation from it."""
-    units = number_units(levels, maintenance).sort(*UNIT, "flight_number")
+    units = number_units(levels, maintenance).sort(*PACK, "flight_number")
     running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
-    smooth = units.with_columns(running.over(_UNIT).alias("smooth"))
+    smooth = units.with_columns(running.over(UNIT).alias("smooth"))
     return smooth.with_columns((pl.col("index_level") - pl.col("smooth")).alias("index_off"))
 
 
 def _clean(smooth: pl.DataFrame) -> pl.DataFrame:
-    return smooth.group_by(_UNIT).agg(pl.col("smooth").quantile(CLEAN_QUANTILE).alias("clean"))
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, float) else None
+    return smooth.group_by(UNIT).agg(pl.col("smooth").quantile(CLEAN_QUANTILE).alias("clean"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +107,7 @@ class Scatter:
     mean: tuple[float, ...]
     precision: tuple[tuple[float, ...], ...]
 
-    def outlying(self, residuals: pl.DataFrame) -> pl.Series:
+    def flag_outliers(self, residuals: pl.DataFrame) -> pl.Series:
         """Flag rows with a squared robust distance above the chi-square quantile. Nulls count as zero."""
         off = residuals.select(pl.col(self.columns).fill_null(0.0)).to_numpy() - np.array(self.mean)
         distance = ((off @ np.array(self.precision)) * off).sum(axis=1)
@@ -132,10 +129,9 @@ def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None
     """
     x = residuals.select(pl.col(columns).fill_null(0.0)).to_numpy()
     # a residual that is zero for most legs (not recorded, door at its stop) has no scatter
-    moving = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)
-    if len(x) < MCD_MIN_LEGS or not moving.any():
+    moves = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)
+    if len(x) < MCD_MIN_LEGS or not moves.any():
         return None
-    covariance = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moving])
-    varying = tuple(c for c, moves in zip(columns, moving, strict=True) if moves)
+    covariance = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moves])
     precision = tuple(map(tuple, covariance.get_precision().tolist()))
-    return Scatter(varying, tuple(covariance.location_.tolist()), precision)
+    return Scatter(tuple(compress(columns, moves)), tuple(covariance.location_.tolist()), precision)

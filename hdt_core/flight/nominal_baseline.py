@@ -2,15 +2,15 @@
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import polars as pl
 
 from hdt_core.flight.cross_checks import OutletLaw, leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
 from hdt_core.flight.nominal import IndexLevel, Scatter
-from hdt_core.flight.phases import LEG_KEY
-from hdt_core.records.each_aircraft import of_each_aircraft
+from hdt_core.json_values import with_tuples
+from hdt_core.records.keys import LEG
+from hdt_core.records.packs import of_each_aircraft
 from hdt_core.tables.base import finite
 
 
@@ -30,9 +30,9 @@ class NominalBaseline:
     @classmethod
     def from_json(cls, text: str) -> "NominalBaseline":
         """Read a baseline from JSON."""
-        plain = json.loads(text)
+        plain = with_tuples(json.loads(text))
         kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": IndexLevel, "scatter": Scatter}
-        return cls(**{name: kind(**_frozen(plain[name])) for name, kind in kinds.items() if plain[name] is not None})
+        return cls(**{name: kind(**plain[name]) for name, kind in kinds.items() if plain[name]})
 
 
 def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataFrame:
@@ -40,17 +40,6 @@ def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataF
 
     def indicators(own: pl.DataFrame) -> pl.DataFrame:
         checks = leg_checks(own, baseline.outlet)
-        return checks.join(
-            leg_conductance(own, baseline.manifold), on=LEG_KEY, how="full", coalesce=True, validate="m:1"
-        )
+        return checks.join(leg_conductance(own, baseline.manifold), on=LEG, how="full", coalesce=True, validate="m:1")
 
-    return finite(of_each_aircraft(samples, indicators)).sort(LEG_KEY)
-
-
-def _frozen(plain: dict[str, Any]) -> dict[str, Any]:
-    """Convert lists to the tuples of the laws."""
-    return {k: _tuple(v) for k, v in plain.items()}
-
-
-def _tuple(value: Any) -> Any:
-    return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
+    return finite(of_each_aircraft(samples, indicators)).sort(LEG)

@@ -1,5 +1,7 @@
 """Screens of single values: physical range, spikes and frozen sensors."""
 
+from collections.abc import Sequence
+
 import polars as pl
 
 from hdt_core.flight.phases import number_legs, seconds_between
@@ -40,7 +42,7 @@ FROZEN_RISE_M = {
 }
 
 
-def null_bad_values(records: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
+def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
     """Null values that no sound sensor can report, and count them.
 
     Parameters
@@ -61,30 +63,30 @@ def null_bad_values(records: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFra
     where noise or the change of altitude must have changed it. The screens apply in turn.
     """
     rows = number_legs(records, by)
-    ranged = _null(rows, {s: _out_of_range(s) for s in SIGNALS}, "n_out_of_range")
-    calm = _null(ranged, {s: _spike(s) for s in SIGNALS}, "n_spikes")
-    frozen = {s: _frozen_noisy(s) for s in NOISY} | {s: _frozen_in_climb(s) for s in FROZEN_RISE_M}
-    return _null(calm, frozen, "n_frozen").drop("_leg")
+    rows = _null(rows, {s: _is_out_of_range(s) for s in SIGNALS}, "n_out_of_range")
+    rows = _null(rows, {s: _is_spike(s) for s in SIGNALS}, "n_spikes")
+    frozen_flags = {s: _is_frozen_noisy(s) for s in NOISY} | {s: _is_frozen_in_climb(s) for s in FROZEN_RISE_M}
+    return _null(rows, frozen_flags, "n_frozen").drop("_leg")
 
 
 def _null(records: pl.DataFrame, bad: dict[str, pl.Expr], count_name: str) -> pl.DataFrame:
     """Null each signal where its flag is true; count the flags of a row."""
-    flagged = records.with_columns(flag.fill_null(False).alias(f"_bad_{signal}") for signal, flag in bad.items())
-    screened = flagged.with_columns(
-        *(pl.when(pl.col(f"_bad_{s}")).then(None).otherwise(pl.col(s)).alias(s) for s in bad),
+    rows = records.with_columns(flag.fill_null(False).alias(f"_bad_{signal}") for signal, flag in bad.items())
+    rows = rows.with_columns(
+        *(pl.when(~pl.col(f"_bad_{s}")).then(s) for s in bad),
         pl.sum_horizontal(pl.col(f"_bad_{s}").cast(pl.Int32) for s in bad).alias(count_name),
     )
-    return screened.drop(f"_bad_{s}" for s in bad)
+    return rows.drop(f"_bad_{s}" for s in bad)
 
 
-def _out_of_range(signal: str) -> pl.Expr:
+def _is_out_of_range(signal: str) -> pl.Expr:
     low, high, _ = LIMITS[signal]
     # recorders write a few counts below zero for a flow or speed of zero
     margin = 0.02 * high if low == 0.0 else 0.0
     return pl.col(signal).is_nan() | ~pl.col(signal).is_between(low - margin, high)
 
 
-def _spike(signal: str) -> pl.Expr:
+def _is_spike(signal: str) -> pl.Expr:
     """Flag a sample beyond both neighbours, on the same side, by more than the signal can jump."""
     jump = LIMITS[signal][2]
     before = pl.col(signal) - pl.col(signal).forward_fill().shift(1).over("_leg")
@@ -97,14 +99,14 @@ def _run(signal: str) -> pl.Expr:
     return pl.struct("_leg", pl.col(signal).forward_fill().over("_leg")).rle_id()
 
 
-def _frozen_noisy(signal: str) -> pl.Expr:
+def _is_frozen_noisy(signal: str) -> pl.Expr:
     run = _run(signal)
     span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
     running = pl.col(signal) > OFF_BELOW * LIMITS[signal][1]
     return (pl.col(signal).count().over(run) >= NOISY_RUN) & (span_s >= NOISY_RUN_S) & running
 
 
-def _frozen_in_climb(signal: str) -> pl.Expr:
+def _is_frozen_in_climb(signal: str) -> pl.Expr:
     read_at_m = pl.col("altitude_m").filter(pl.col(signal).is_not_null())
     rise_m = (read_at_m.max() - read_at_m.min()).over(_run(signal))
     return (rise_m > FROZEN_RISE_M[signal]) & pl.col(signal).is_not_null()

@@ -1,5 +1,7 @@
 """Steady state: a slope test and averages over minutes of 1 Hz logs, and its equivalent between snapshots."""
 
+from collections.abc import Sequence
+
 import polars as pl
 
 from hdt_core.flight.phases import number_legs, seconds_between
@@ -19,7 +21,7 @@ DRIVERS: dict[str, tuple[float, float]] = {
 }
 
 
-def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
+def average_log(log: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
     """Average a 1 Hz log over whole minutes of one phase, which serve the twin as precise snapshots.
 
     Parameters
@@ -37,7 +39,7 @@ def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
     window = (pl.col("time_utc").dt.epoch("s") // WINDOW_S).alias("_window")
     second = pl.col("time_utc").dt.epoch("s").cast(pl.Float64)
     counts = [c for c in log.columns if c.startswith("n_")]
-    averaged = log.group_by(*by, window, "phase", maintain_order=True).agg(
+    windows = log.group_by(*by, window, "phase", maintain_order=True).agg(
         pl.col("time_utc").median().cast(log.schema["time_utc"]),
         *(pl.col(c).first() for c in ("departed_at",) if c in log.columns),
         pl.col("level").all(),
@@ -47,7 +49,7 @@ def average_log(log: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
         pl.len().cast(pl.Int64).alias("n_averaged"),
         pl.all_horizontal(drift_free(second, s, harmful) for s, (harmful, _) in DRIVERS.items()).alias("steady"),
     )
-    return averaged.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")
+    return windows.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")
 
 
 def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
@@ -64,8 +66,7 @@ def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
     harmful : float
         Largest drift that leaves what the signal drives quasi-steady. [signal's unit / s]
     """
-    recorded = pl.col(signal).is_not_null()
-    time, reading = second.filter(recorded), pl.col(signal).drop_nulls()
+    time, reading = second.filter(pl.col(signal).is_not_null()), pl.col(signal).drop_nulls()
     slope = pl.cov(time, reading) / time.var()
     degrees = reading.len() - 2
     residual = (reading.var() - slope**2 * time.var()).clip(lower_bound=0.0)
@@ -73,7 +74,7 @@ def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
     return ((t < SLOPE_T_LIMIT) | (slope.abs() < harmful)).fill_null(True)
 
 
-def steady_snapshots(snapshots: pl.DataFrame, *, by: tuple[str, ...]) -> pl.DataFrame:
+def steady_snapshots(snapshots: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
     """Add `steady`: whether a level snapshot agrees with a neighbour in all `DRIVERS`.
 
     As snapshots allow no slope test, no driver may have changed since the nearer neighbour of the same phase faster

@@ -4,8 +4,8 @@ import polars as pl
 
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
+from hdt_core.records.keys import AIRCRAFT, FLIGHT, PACK
 
-TAIL_KEY = ("operator", "tail")
 # flights of the tail before an entry that may be sick, and after it that may still be: entries come up to five
 # flights late
 AROUND_MAINTENANCE = {**{c.code: c.around_work for c in (HX, CC)}, "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
@@ -33,18 +33,15 @@ def baseline_flights(flights: pl.DataFrame) -> list[str]:
         Sorted flight ids. A tail short of the first milestone contributes all. The result does not depend on the order
         in which flights arrived.
     """
-    each = flights.group_by("operator", "tail", "flight_id").agg(pl.col("departed_at").min())
-    ordered = each.with_columns(
-        order=pl.struct("departed_at", "flight_id").rank("ordinal").over("operator", "tail"),
-        held=pl.len().over("operator", "tail"),
-    )
-    reached = pl.max_horizontal(pl.when(pl.col("held") >= m).then(m) for m in MILESTONES)
-    return sorted(ordered.filter(pl.col("order") <= reached.fill_null(MILESTONES[0]))["flight_id"].to_list())
+    each = flights.group_by(FLIGHT).agg(pl.col("departed_at").min())
+    order = pl.struct("departed_at", "flight_id").rank("ordinal").over(AIRCRAFT)
+    milestone = pl.max_horizontal(pl.when(pl.len().over(AIRCRAFT) >= m).then(m) for m in MILESTONES)
+    return sorted(each.filter(order <= milestone.fill_null(MILESTONES[0]))["flight_id"].to_list())
 
 
 def number_flights(legs: pl.DataFrame) -> pl.DataFrame:
     """Add `flight_number`: the tail's flights in order of departure, from 0, the same for both packs."""
-    order = pl.col("departed_at").rank("dense").over(TAIL_KEY).cast(pl.Int64) - 1
+    order = pl.col("departed_at").rank("dense").over(AIRCRAFT).cast(pl.Int64) - 1
     return legs.with_columns(order.alias("flight_number"))
 
 
@@ -63,19 +60,19 @@ def flag_windows(legs: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.Dat
     """
     times = [c for c in ("done_at", "done_on") if c in maintenance.columns]
     work = maintenance.filter(~pl.col("action").is_in(HARMLESS)).select(
-        *TAIL_KEY,
+        *AIRCRAFT,
         pl.col("pack").cast(pl.Int32),
         pl.coalesce(pl.col(c).cast(pl.Datetime("us", "UTC")) for c in times).alias("at"),
         pl.col("component").alias("kind"),
     )
     warnings = messages.select(
-        *TAIL_KEY,
+        *AIRCRAFT,
         pl.col("pack").cast(pl.Int32),
         pl.col("message_time").cast(pl.Datetime("us", "UTC")).alias("at"),
         pl.col("code").str.slice(0, 5).alias("kind"),
     )
-    flagged = _flag(legs, work, AROUND_MAINTENANCE, "near_maintenance")
-    return _flag(flagged, warnings, AROUND_MESSAGE, "near_message")
+    rows = _flag(legs, work, AROUND_MAINTENANCE, "near_maintenance")
+    return _flag(rows, warnings, AROUND_MESSAGE, "near_message")
 
 
 def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int, int]], name: str) -> pl.DataFrame:
@@ -84,22 +81,15 @@ def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int,
         {"kind": list(reach), "_before": [b for b, _ in reach.values()], "_after": [a for _, a in reach.values()]},
         schema={"kind": pl.String, "_before": pl.Int64, "_after": pl.Int64},
     )
-    flights = legs.select(*TAIL_KEY, "departed_at", "flight_number").unique().sort("departed_at")
+    flights = legs.select(*AIRCRAFT, "departed_at", "flight_number").unique().sort("departed_at")
     entry_spans = entries.join(spans, on="kind", validate="m:1").sort("at")
     # the last flight before the entry; an entry during a long pause concerns no flight
     last_flights = entry_spans.join_asof(
-        flights,
-        left_on="at",
-        right_on="departed_at",
-        by=list(TAIL_KEY),
-        tolerance=LONGEST_PAUSE,
-        check_sortedness=False,
+        flights, left_on="at", right_on="departed_at", by=AIRCRAFT, tolerance=LONGEST_PAUSE, check_sortedness=False
     ).drop_nulls("flight_number")
     last = pl.col("flight_number")
     span = pl.int_ranges(last - pl.col("_before"), last + pl.col("_after") + 1).alias("flight_number")
-    flight_rows = last_flights.select(*TAIL_KEY, "pack", span).explode("flight_number").unique()
+    flight_rows = last_flights.select(*AIRCRAFT, "pack", span).explode("flight_number").unique()
     hits = flight_rows.with_columns(pl.lit(True).alias(name))
-    flagged = legs.join(
-        hits, on=[*TAIL_KEY, "pack", "flight_number"], how="left", maintain_order="left", validate="m:1"
-    )
-    return flagged.with_columns(pl.col(name).fill_null(False))
+    rows = legs.join(hits, on=[*PACK, "flight_number"], how="left", maintain_order="left", validate="m:1")
+    return rows.with_columns(pl.col(name).fill_null(False))

@@ -4,31 +4,23 @@ Every column of a flight uses that flight and those before it. The unit ends the
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import polars as pl
 
 from hdt_core.health.virtual_sensors import virtual_sensors
 from hdt_core.margin.first_passage import passages
 from hdt_core.margin.margin import DELIVERY_COLUMNS, MARGIN_COLUMNS, compressor_margin, exchanger_margin
-from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK
+from hdt_core.records.packs import join_other_pack
 from hdt_core.records.unit_index import number_units
-from hdt_core.tables.base import finite
+from hdt_core.tables.base import DatedLegTable, finite
+from hdt_core.tables.features import HEALTH
 
 HORIZONS = (10, 30, 100)
 """Flights over which trends are taken."""
-HEALTH = ("hx_fouling", "cc_efficiency_loss", "cc_diameter_loss", "cc_effective_diameter_m")
-"""Health parameters that get a column, an `_sd`, a `_status` and trends."""
 LOSSES = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
 FLIGHT_ESTIMATES = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
 """Inputs of the margins: tracked losses, and estimates from single flights."""
-KEY_SCHEMA: dict[str, Any] = {
-    "operator": pl.String,
-    "tail": pl.String,
-    "flight_id": pl.String,
-    "pack": pl.Int32,
-    "departed_at": pl.Datetime("us", "UTC"),
-}
 
 
 def features(
@@ -40,7 +32,7 @@ def features(
     twin_flights: pl.DataFrame | None = None,
     cross_checks: pl.DataFrame | None = None,
     demand: pl.DataFrame | None = None,
-    health: Sequence[str] = HEALTH,
+    health: Sequence[str] = tuple(HEALTH),
 ) -> pl.DataFrame:
     """Compute the features: one row for each flight and pack, one column a feature.
 
@@ -93,14 +85,11 @@ def _component(parameter: str) -> str:
 
 def _flights(legs: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
     """Return every flight and pack of either table, numbered by departure within its tail."""
-    frames = [f.select(*KEY_SCHEMA) for f in (legs, health_parameters) if f.height]
-    rows = (
-        (pl.concat(frames) if frames else pl.DataFrame(schema=KEY_SCHEMA))
-        .unique(LEG, keep="first")
-        .sort("operator", "tail", "departed_at", "flight_id", "pack")
-    )
-    order = pl.struct("departed_at", "flight_id").rank("dense").over("operator", "tail")
-    return rows.with_columns((order.cast(pl.Int64) - 1).alias("flight_index"))
+    frames = [f.select(LEG_AT) for f in (legs, health_parameters) if f.height]
+    rows = pl.concat([DatedLegTable.create_empty(), *frames]).unique(LEG, keep="first")
+    order = pl.struct("departed_at", "flight_id").rank("dense").over(AIRCRAFT)
+    rows = rows.with_columns((order.cast(pl.Int64) - 1).alias("flight_index"))
+    return rows.sort(*AIRCRAFT, "departed_at", "flight_id", "pack")
 
 
 def _health(long: pl.DataFrame, health: Sequence[str]) -> pl.DataFrame:
@@ -170,10 +159,10 @@ def since_maintenance(
     rows = flights
     for component in components:
         rows = number_units(rows, maintenance, component.upper(), f"{component}_life")
-    ordered = rows.sort(*PACK, "departed_at", "flight_id")
+    rows = rows.sort(IN_ORDER)
     lead = f"{components[0]}_life"
     age = pl.int_range(pl.len()).over([*PACK, lead])
-    return ordered.with_columns(
+    return rows.with_columns(
         pl.when(pl.col(lead) > pl.col(lead).first().over(PACK)).then(age).alias("flights_since_replacement"),
         age.alias("flights_seen_of_unit"),
     )
@@ -217,14 +206,7 @@ def _pack_differences(wide: pl.DataFrame) -> pl.DataFrame:
     names = [
         n for n in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median") if n in wide.columns
     ]
-    other = wide.select(
-        "operator",
-        "tail",
-        "flight_id",
-        (3 - pl.col("pack")).cast(pl.Int32).alias("pack"),
-        *(pl.col(n).alias(f"other_{n}") for n in names),
-    )
-    rows = wide.join(other, on=LEG, how="left", validate="m:1")
+    rows = join_other_pack(wide, names)
     return rows.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
         f"other_{n}" for n in names
     )

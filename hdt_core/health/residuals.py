@@ -5,7 +5,6 @@ the second the part of it that the health parameters explain, the third the rema
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -19,24 +18,20 @@ from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m,
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import PhysicsModel
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.tables.base import finite
+from hdt_core.tables.residuals import Residuals
 
 KINDS = ("sensor_minus_dsm", "dsm_minus_twin", "sensor_minus_twin")
-SIGNALS: dict[str, tuple[str, str, float]] = {
-    # component, unit, standard deviation of one reading about a sound model
-    "hx_out_k": ("HX", "K", hx.NOISE_SD["hx_out_k"]),
-    "ram_out_k": ("HX", "K", hx.NOISE_SD["ram_out_k"]),
-    "cc_effective_diameter_m": ("CC", "m", 0.005),
-    "cc_out_pa": ("CC", "Pa", 400.0),
-    "cc_out_k": ("CC", "K", 0.7),
-    "cc_flow_kg_s": ("CC", "kg/s", 0.016),
+SIGNALS = {
+    "hx_out_k": ("HX", "K"),
+    "ram_out_k": ("HX", "K"),
+    "cc_effective_diameter_m": ("CC", "m"),
+    "cc_out_pa": ("CC", "Pa"),
+    "cc_out_k": ("CC", "K"),
+    "cc_flow_kg_s": ("CC", "kg/s"),
 }
-SCHEMA: dict[str, Any] = {
-    "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32, "component": pl.String,
-    "signal": pl.String, "kind": pl.String, "mean": pl.Float64, "sd": pl.Float64, "rms": pl.Float64,
-    "mean_sigma": pl.Float64, "unit": pl.String, "n": pl.Int64,
-}  # fmt: skip
+"""Signals with residuals, and the component and unit of each."""
 
 
 def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
@@ -54,14 +49,13 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     Returns
     -------
     DataFrame
-        One row a flight, pack, signal and kind: mean, sd, rms in `unit`, `mean_sigma` (mean over the scatter of one
-        reading), n. The model's sensor biases are removed from the sensor's side.
+        Table `residuals`. The model's sensor biases are removed from the sensor's side.
     """
     packs = dsm.pack_table()
-    corrections = packs.select("operator", "tail", "pack", "inlet_bias_k", "inlet_bias_ln")
+    corrections = packs.select(*PACK, "inlet_bias_k", "inlet_bias_ln")
     cruise = compressor_samples(cruise_samples(samples), packs)
     rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left", validate="m:1")
-    rows = rows.join(corrections, on=["operator", "tail", "pack"], how="left", maintain_order="left", validate="m:1")
+    rows = rows.join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
     return _summarise(rows, columns, SIGNALS)
 
@@ -87,11 +81,11 @@ def component_residuals(
     inputs = {s.name: rows[s.name].to_numpy() for s in model.inputs}
     model_outputs = model.predict({}, inputs)
     twin = model.predict({name: rows[name].cast(pl.Float64).to_numpy() for name in health}, inputs)
-    outputs = {s.name: (s.unit, s.sigma) for s in model.outputs if s.sigma is not None and s.name in rows.columns}
+    signals = {s.name: (component, s.unit) for s in model.outputs if s.sigma is not None and s.name in rows.columns}
     columns: dict[str, Array] = {}
-    for name in outputs:
+    for name in signals:
         columns |= _differences(name, rows[name].cast(pl.Float64).to_numpy(), model_outputs[name], twin[name])
-    return _summarise(rows, columns, {name: (component, *of) for name, of in outputs.items()})
+    return _summarise(rows, columns, signals)
 
 
 def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
@@ -154,15 +148,15 @@ def _differences(signal: str, sensor: Array, model: Array, twin: Array) -> dict[
 
 
 def _summarise(
-    rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str, float]]
+    rows: pl.DataFrame, columns: Mapping[str, Array], signals: Mapping[str, tuple[str, str]]
 ) -> pl.DataFrame:
     """Summarise differences of each row, named `signal|kind`, by flight and pack."""
     wide = finite(rows.select(LEG).with_columns(pl.Series(name, np.asarray(v)) for name, v in columns.items()))
     parts = [_statistics(wide, signal, kind, *signals[signal]) for signal in signals for kind in KINDS]
-    return finite(pl.concat(parts)).select(pl.col(c).cast(t) for c, t in SCHEMA.items()).sort(*LEG, "signal", "kind")
+    return Residuals.conform(finite(pl.concat(parts))).sort(*LEG, "signal", "kind")
 
 
-def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str, sigma: float) -> pl.DataFrame:
+def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit: str) -> pl.DataFrame:
     e = pl.col(f"{signal}|{kind}")
     statistics = (
         wide.filter(e.is_not_null())
@@ -170,6 +164,4 @@ def _statistics(wide: pl.DataFrame, signal: str, kind: str, component: str, unit
         .agg(e.mean().alias("mean"), e.std().alias("sd"), (e**2).mean().sqrt().alias("rms"), pl.len().alias("n"))
     )
     labels: Mapping[str, str] = {"component": component, "signal": signal, "kind": kind, "unit": unit}
-    return statistics.with_columns(
-        (pl.col("mean") / sigma).alias("mean_sigma"), *(pl.lit(v).alias(k) for k, v in labels.items())
-    )
+    return statistics.with_columns(pl.lit(v).alias(k) for k, v in labels.items())

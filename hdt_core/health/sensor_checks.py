@@ -11,13 +11,9 @@ from hdt_core.calibration.arrays import departure
 from hdt_core.margin.control_schedules import DOOR_FREE, RUNNING_KG_S, ControlSchedules, has_authority, learn_schedules
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG
+from hdt_core.records.packs import join_other_pack
 from hdt_core.tables.base import finite
-
-SENSORS = (
-    "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s",
-    "ram_out_k", "cc_speed_rad_s", "cc_in_k", "cc_in_pa", "cc_out_k", "cc_out_pa", "cc_flow_kg_s", "vda_counts",
-)  # fmt: skip
-"""Signals with a sensor of their own, as the raw tables name them."""
+from hdt_core.tables.raw import SIGNALS
 
 PEG_BAND = 0.015
 """Samples within this of a flight's widest opening may rest on a stop: three sigma of the position sensor. [-]"""
@@ -70,10 +66,10 @@ def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = Non
 def _counts() -> list[pl.Expr]:
     """Return empty and motionless sensors, and whether the pack runs, without which they mean nothing."""
     flows = [(pl.col(c).median() > RUNNING_KG_S).fill_null(False) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
-    lost_share = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SENSORS]
+    lost_share = [(pl.col(c).null_count() / pl.len()).alias(f"{c}_lost_share") for c in SIGNALS]
     still = [
         ((pl.col(c).max() == pl.col(c).min()) & (pl.col(c).count() >= STILL_SAMPLES)).alias(f"{c}_still")
-        for c in SENSORS
+        for c in SIGNALS
     ]
     return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost_share, *still]
 
@@ -114,20 +110,11 @@ def _with_pitot(level: pl.DataFrame) -> pl.DataFrame:
 
 def _pair_packs(samples: pl.DataFrame) -> pl.DataFrame:
     """Join each sample with the other pack's of the same time."""
-    key = ["tail", "flight_id", "time_utc", "source"]
-    signals = [
-        "tat_k",
-        "total_pressure_pa",
-        "hx_in_k",
-        "hx_out_k",
-        "pack_flow_kg_s",
-        "cc_flow_kg_s",
-        "cc_out_pa",
-        "cc_out_k",
+    signals = (
+        "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "pack_flow_kg_s", "cc_flow_kg_s", "cc_out_pa", "cc_out_k",
         "ram_door_open",
-    ]
-    other = samples.select(*key, (3 - pl.col("pack")).alias("pack"), *(pl.col(c).alias(f"other_{c}") for c in signals))
-    return samples.join(other, on=[*key, "pack"], how="left", validate="m:1")
+    )  # fmt: skip
+    return join_other_pack(samples, signals, ("time_utc", "source"))
 
 
 def _log_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:

@@ -24,6 +24,7 @@ from hdt_core.physics.compressor import (
 )
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.tables.features import COMPRESSOR_DEMAND, FeaturesMargin
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
 """Shares of the demanded flow at which critical diameters are stored; others are interpolated. [-]"""
@@ -40,10 +41,6 @@ SIGNALS = (
 CRITICAL_DIAMETER = {w: tuple(f"critical_ln_diameter_{w}_{round(100 * f)}pct" for f in FLOWS) for w in CONDITIONS}
 WIDEST = {w: f"cc_widest_share_{w}" for w in CONDITIONS}
 CLEAN_PARTS = ("cc_flow_margin_design_kg_s", "cc_flow_margin_demand_kg_s", "cc_flow_margin_ambient_kg_s")
-DEMAND_SCHEMA = {"cc_flow_asked_kg_s": pl.Float64, "cc_speed_limit_met": pl.Boolean} | dict.fromkeys(
-    (*(name for where in CONDITIONS for name in (*CRITICAL_DIAMETER[where], WIDEST[where])), *CLEAN_PARTS), pl.Float64
-)
-"""Columns of `compressor_demand` and their types."""
 
 
 def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
@@ -71,14 +68,13 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedul
     has_map = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
     cruise = cruise_samples(samples, monitored=False)
     if limit_rad_s is None or not has_map or not cruise.height:
-        nothing = (pl.lit(None, dtype).alias(name) for name, dtype in DEMAND_SCHEMA.items())
-        return samples.select(FLIGHT_PACK).clear().with_columns(nothing)
+        return FeaturesMargin.create_empty().select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
     flights = _hardest_curves(cruise, dsm, schedules, limit_rad_s)
     return flights.with_columns(
         *_median_curves(flights, dsm, schedules, limit_rad_s),
         cc_flow_asked_kg_s=pl.col("flow_kg_s"),
         cc_speed_limit_met=pl.lit(schedules.speed.at_limit),
-    ).select(*FLIGHT_PACK, *DEMAND_SCHEMA)
+    ).select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
 
 
 def required_diameter(demand: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple[Array, Array]:
@@ -170,8 +166,8 @@ def _with_pressure(rows: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) ->
 def _hunting_ln(rows: pl.DataFrame, fit: CompressorFit) -> Array:
     """Return ln of each sample's diameter over its flight's: a hunting machine meets its limit for moments."""
     built_m = fit.diameter_m(rows["vda_counts"].to_numpy())
-    own = rows.with_columns(own=(pl.col("diameter_m") / pl.Series(built_m)).log())
-    return own.select((pl.col("own") - pl.col("own").median().over(FLIGHT_PACK)).fill_null(0.0))[:, 0].to_numpy()
+    ratios = rows.with_columns(ratio=(pl.col("diameter_m") / pl.Series(built_m)).log())
+    return ratios.select((pl.col("ratio") - pl.col("ratio").median().over(FLIGHT_PACK)).fill_null(0.0))[:, 0].to_numpy()
 
 
 def _columns(condition: str, critical: Array, widest: Array) -> list[pl.Series]:

@@ -42,12 +42,12 @@ def demand_quantiles(critical: Array, pack: Index, flight: Index) -> dict[str, A
         mean of the recent ones less that of those a hundred flights before, 0 while fewer are known. NaN before the
         first known flight.
     """
-    filled = _fill_forward(critical)
-    first = np.where(np.isfinite(filled).any(axis=1), np.isfinite(filled).argmax(axis=1), filled.shape[1])
+    demand = _fill_forward(critical)
+    first = np.where(np.isfinite(demand).any(axis=1), np.isfinite(demand).argmax(axis=1), demand.shape[1])
     n_flights = flight - first[pack] + 1
-    window = np.sort(_past(filled, pack, flight, n_flights, WINDOW_FLIGHTS), axis=1)
-    recent = np.sort(_past(filled, pack, flight, n_flights, RECENT_FLIGHTS), axis=1)
-    earlier = _past(filled, pack, flight - TREND_FLIGHTS, n_flights, RECENT_FLIGHTS).mean(axis=1)
+    window = np.sort(_past(demand, pack, flight, n_flights, WINDOW_FLIGHTS), axis=1)
+    recent = np.sort(_past(demand, pack, flight, n_flights, RECENT_FLIGHTS), axis=1)
+    earlier = _past(demand, pack, flight - TREND_FLIGHTS, n_flights, RECENT_FLIGHTS).mean(axis=1)
     trend = np.where(n_flights >= TREND_FLIGHTS + RECENT_FLIGHTS, recent.mean(axis=1) - earlier, 0.0)
     columns = [window[:, round(level * (WINDOW_FLIGHTS - 1))] for level in LEVELS]
     columns += [recent[:, round(level * (RECENT_FLIGHTS - 1))] for level in RECENT_LEVELS]

@@ -7,13 +7,15 @@ the compressor delivers that plus the pressure loss of its flow in pack and duct
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.json_values import with_tuples
+from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK
 from hdt_core.robust import huber_weights, spread
 
 DOOR_FREE = (0.08, 0.95)
@@ -103,11 +105,11 @@ class ControlSchedule:
 
     def column(self, tail: Array, x: Array, third: Array | float = 0.0) -> pl.Series:
         """Return the scheduled part for rows of many tails; null where an argument is missing."""
-        extra = np.broadcast_to(np.asarray(third, dtype=float), x.shape)
+        third = np.broadcast_to(np.asarray(third, dtype=float), x.shape)
         out = np.full(len(x), np.nan)
         for name in np.unique(tail.astype(str)):
             rows = tail == name
-            out[rows] = self.shape(name, x[rows], extra[rows])
+            out[rows] = self.shape(name, x[rows], third[rows])
         return pl.Series(out).fill_nan(None)
 
 
@@ -131,34 +133,18 @@ class ControlSchedules:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        both = {"outlet": self.outlet, "delivery": self.delivery}
-        plain: dict[str, Any] = {
-            name: {
-                "knots": list(v.knots),
-                "shapes": {k: list(s) for k, s in v.shapes.items()},
-                "gains": dict(v.gains),
-                "levels": dict(v.levels),
-            }
-            for name, v in both.items()
-        }
-        return plain | {"speed": {"rad_s": self.speed.rad_s, "met": self.speed.at_limit}}
+        return asdict(self) | {"speed": {"rad_s": self.speed.rad_s, "met": self.speed.at_limit}}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "ControlSchedules":
         """Read schedules from the values of `to_dict`."""
-
-        def law(p: Mapping[str, Any]) -> ControlSchedule:
-            shapes = {k: tuple(v) for k, v in p["shapes"].items()}
-            return ControlSchedule(tuple(p["knots"]), shapes, dict(p["gains"]), dict(p["levels"]))
-
-        return cls(
-            law(plain["outlet"]), law(plain["delivery"]), SpeedLimit(*(plain["speed"][key] for key in ("rad_s", "met")))
-        )
+        outlet, delivery = (ControlSchedule(**with_tuples(plain[name])) for name in ("outlet", "delivery"))
+        return cls(outlet, delivery, SpeedLimit(plain["speed"]["rad_s"], plain["speed"]["met"]))
 
 
 SAMPLE_COLUMNS = (
-    "operator", "tail", "flight_id", "pack", "time_utc", "phase", "altitude_m", "tat_k", "hx_out_k", "ram_door_open",
-    "pack_flow_kg_s", "cc_out_pa", "cc_speed_rad_s",
+    *LEG, "time_utc", "phase", "altitude_m", "tat_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s", "cc_out_pa",
+    "cc_speed_rad_s",
 )  # fmt: skip
 """Columns of the samples that the schedules are learned from; a flight may lack the last."""
 
@@ -177,7 +163,7 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     and three rounds of Huber weights, so a jammed door or a drifting sensor in the window has little weight.
     """
     window = _baseline(samples.select(pl.selectors.by_name(*SAMPLE_COLUMNS, require_all=False)))
-    pack = pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64).alias("group")
+    pack = pl.struct(PACK).rank("dense").cast(pl.Int64).alias("group")
     flight = pl.struct("tail", "flight_id", "pack").rank("dense").cast(pl.Int64).alias("group")
     outlet = window.filter(has_authority()).select("tail", "pack", flight, x="tat_k", y="hx_out_k", third=pl.lit(0.0))
     flow2 = pl.col("pack_flow_kg_s") ** 2
@@ -185,8 +171,7 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     running_rows = window.filter(running)
     delivery_rows = running_rows.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
     delivery = _learn(delivery_rows, ALTITUDE_KNOTS_M)
-    scheduled = delivery.column(*(delivery_rows[c].to_numpy() for c in ("tail", "x", "third")))
-    beyond = delivery_rows["y"] - scheduled - delivery.level_column(delivery_rows)
+    beyond = _above_schedule(delivery, delivery_rows) - delivery.level_column(delivery_rows)
     no_speed = pl.repeat(None, running_rows.height, dtype=pl.Float64, eager=True)
     speed = running_rows.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
     limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
@@ -199,9 +184,9 @@ def has_authority(prefix: str = "") -> pl.Expr:
 
 
 def _baseline(samples: pl.DataFrame) -> pl.DataFrame:
-    start = samples.group_by("operator", "tail", "flight_id").agg(pl.col("time_utc").min().alias("start"))
-    order = pl.struct("start", "flight_id").rank("ordinal").over("operator", "tail")
-    return samples.join(start.filter(order <= LEARNING_FLIGHTS), on=["operator", "tail", "flight_id"], how="semi")
+    start = samples.group_by(FLIGHT).agg(pl.col("time_utc").min().alias("start"))
+    order = pl.struct("start", "flight_id").rank("ordinal").over(AIRCRAFT)
+    return samples.join(start.filter(order <= LEARNING_FLIGHTS), on=FLIGHT, how="semi")
 
 
 def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> ControlSchedule:
@@ -216,11 +201,14 @@ def _learn(rows: pl.DataFrame, knots: tuple[float, ...]) -> ControlSchedule:
 
 def _levels(law: ControlSchedule, rows: pl.DataFrame) -> dict[str, float]:
     """Return the median residual of each pack from the schedule, and of all packs under `""`."""
-    scheduled = law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
-    residuals = rows.select("tail", "pack", residual=pl.col("y") - scheduled)
+    residuals = rows.select("tail", "pack", residual=_above_schedule(law, rows))
     own = residuals.group_by("tail", "pack").agg(pl.col("residual").median()).sort("tail", "pack")
     levels = {f"{tail}/{pack}": float(level) for tail, pack, level in own.rows()}
     return levels | ({"": float(residuals["residual"].median())} if rows.height else {})  # type: ignore[arg-type]
+
+
+def _above_schedule(law: ControlSchedule, rows: pl.DataFrame) -> pl.Series:
+    return rows["y"] - law.column(*(rows[c].to_numpy() for c in ("tail", "x", "third")))
 
 
 def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...], float]:
@@ -235,7 +223,7 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
     weight: Array = np.ones(len(y))
     coefficients: Array = np.zeros(n + 1)
     for _ in range(4):
-        x, d = _centred(basis, group, weight), _centred(y[:, None], group, weight)[:, 0]
+        x, d = _centre(basis, group, weight), _centre(y[:, None], group, weight)[:, 0]
         # the groups' constants absorb any other, so a weak ridge makes the solution unique
         normal = (x * weight[:, None]).T @ x + ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
         coefficients = np.linalg.solve(normal, x.T @ (weight * d))
@@ -245,7 +233,7 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
     return tuple(float(v) for v in heights), float(coefficients[n])
 
 
-def _centred(values: Array, group: Array, weight: Array) -> Array:
+def _centre(values: Array, group: Array, weight: Array) -> Array:
     total = np.maximum(np.bincount(group, weight), 1e-12)
     mean = np.stack([np.bincount(group, weight * column) / total for column in values.T], axis=1)
     return np.asarray(values - mean[group])

@@ -17,7 +17,8 @@ from scipy.special import ndtr, ndtri
 from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
 from hdt_core.margin.margin import PRIOR_RULE, at_excess
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.packs import number_packs
 
 Array = NDArray[np.float64]
 
@@ -102,18 +103,18 @@ def passages(flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     rows = flights.join(
         demand.select(*LEG, *CRITICAL[: len(EXCESS_K)]), on=LEG, how="left", maintain_order="left", validate="m:1"
     )
-    pack = rows.select(pl.struct("operator", "tail", "pack").rank("dense").cast(pl.Int64) - 1).to_series().to_numpy()
-    flight = rows.select(pl.int_range(pl.len()).over("operator", "tail", "pack")).to_series().to_numpy()
     if not rows.height:
         return rows.select(LEG).with_columns(pl.lit(None, pl.Float64).alias(name) for name in PASSAGES)
+    pack, flight = number_packs(rows), rows.select(pl.int_range(pl.len()).over(PACK))[:, 0].to_numpy()
     curves = np.full((pack.max() + 1, flight.max() + 1, len(EXCESS_K)), np.nan)
     curves[pack, flight] = rows.select(CRITICAL[: len(EXCESS_K)]).to_numpy().astype(float)
     quantiles = demand_quantiles(repeated_demand(at_excess(curves, PRIOR_RULE.excess_k), PRIOR_RULE.of), pack, flight)
-    ratio, loss, slope, run = (
+    ratio, loss, slope, flights_of_unit = (
         rows[c].cast(pl.Float64).to_numpy()
         for c in ("hx_ln_ua_ratio", "hx_fouling", "hx_fouling_slope_100_per_flight", "flights_seen_of_unit")
     )
-    rate = wear_rate(np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), np.where(np.isnan(slope), 2.0, run + 1.0))
+    n_flights = np.where(np.isnan(slope), 2.0, flights_of_unit + 1.0)
+    rate = wear_rate(np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), n_flights)
     levels = np.stack([quantiles[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1)
     chance = passage(ratio, np.full(ratio.size, RATIO_SD), levels, *rate, np.array(EDGES))
     columns = [

@@ -9,7 +9,8 @@ from hdt_core.margin.compressor_demand import CLEAN_PARTS, CONDITIONS, FLOWS, cu
 from hdt_core.margin.curves import read_across
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, SHARES
 from hdt_core.physics.model import Array
-from hdt_core.records.keys import FLIGHT_PACK
+from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.tables.features import COMPRESSOR_MARGIN, EXCHANGER_MARGIN
 from hdt_core.tracking.compressor_tracking import PROBE_SD
 
 LEVEL_SD_K = {"flight": 0.5, "pack": 2.0}
@@ -19,17 +20,9 @@ RATIO_SD = 0.025
 [-]"""
 UNIT_FLIGHTS = 30
 """Flights of the running median of a unit's offset."""
-MARGIN_COLUMNS = (
-    "hx_ln_ua_ratio", "hx_margin_k", "hx_margin_sd_k", "hx_margin_status", "hx_margin_hot_day_k",
-    "hx_margin_hot_day_sd_k", *PARTS, "hx_margin_wear_k", "hx_margin_profile_k", "overheat_p20_k", "full_open_share",
-)  # fmt: skip
+MARGIN_COLUMNS = (*EXCHANGER_MARGIN, "hx_margin_status")
 """Columns of the margin after each flight: see `exchanger_margin`."""
-DELIVERY_COLUMNS = (
-    "cc_ln_diameter_ratio", "cc_diameter_left", "cc_diameter_left_sd", "cc_diameter_left_hot_high",
-    "cc_flow_asked_kg_s", "cc_flow_margin_kg_s", "cc_flow_margin_sd_kg_s", "cc_flow_margin_status",
-    "cc_flow_margin_hot_high_kg_s", "cc_flow_margin_hot_high_sd_kg_s", "cc_flow_margin_hot_high_status", *CLEAN_PARTS,
-    "cc_flow_margin_wear_kg_s", "cc_flow_margin_profile_kg_s",
-)  # fmt: skip
+DELIVERY_COLUMNS = (*COMPRESSOR_MARGIN, "cc_flow_margin_status", "cc_flow_margin_hot_high_status")
 """Columns of the compressor's margin: see `compressor_margin`."""
 
 
@@ -158,8 +151,8 @@ def _spare(rows: pl.DataFrame, condition: str, ln_diameter: Array) -> Array:
 
 def _reach(name: str) -> pl.Expr:
     """Return the status of a flow margin: a bound where the map ends first or the speed limit was not reached."""
-    bounded = pl.col("cc_speed_limit_met") & pl.col(f"{name}_sd_kg_s").is_not_null()
-    status = pl.when(pl.col(f"{name}_kg_s").is_null()).then(pl.lit("not_known")).when(bounded)
+    is_exact = pl.col("cc_speed_limit_met") & pl.col(f"{name}_sd_kg_s").is_not_null()
+    status = pl.when(pl.col(f"{name}_kg_s").is_null()).then(pl.lit("not_known")).when(is_exact)
     return status.then(pl.lit("ok")).otherwise(pl.lit("at_least")).alias(f"{name}_status")
 
 
@@ -167,7 +160,7 @@ def ln_ratio_margin(ln_ratio: pl.Expr, loss: str, life: str) -> pl.Expr:
     """Return the tracked ln ratio: the filter's loss plus the unit's own offset."""
     ln_loss = -(1.0 - pl.col(loss)).log()
     offset = (ln_ratio + ln_loss).rolling_median(UNIT_FLIGHTS, min_samples=1).forward_fill()
-    return offset.over("operator", "tail", "pack", life) - ln_loss
+    return offset.over(*PACK, life) - ln_loss
 
 
 def at_excess(curve: Array, excess_k: float) -> Array:

@@ -8,7 +8,7 @@ import dataframely as dy
 from hdt_core.tables.base import DatedLegTable, Table, count, flag, moment, number, operator_key, pack_key, text
 from hdt_core.tables.raw import Signals
 
-_HEALTH = {
+HEALTH = {
     "hx_fouling": ("-", "conductance lost by the heat exchanger"),
     "cc_efficiency_loss": ("-", "efficiency lost by the compressor"),
     "cc_diameter_loss": ("-", "effective diameter lost, against equation (6)"),
@@ -57,7 +57,7 @@ _FREE = {
     "hx_out_minus_target_k": "exchanger outlet less its controller's target",
     "hx_out_between_packs_k": "exchanger outlet less the other pack's",
 }
-_MARGIN = {
+EXCHANGER_MARGIN = {
     "hx_ln_ua_ratio": "ln of the conductance that is left over the model's, unit's offset included, as tracked",
     "hx_margin_k": "margin: level held less outlet with the ram door full open, hottest fifth of the high samples",
     "hx_margin_sd_k": "standard deviation of it",
@@ -73,7 +73,7 @@ _MARGIN = {
     "overheat_p20_k": "outlet above its level with the ram door full open, hottest fifth of the high samples",
     "full_open_share": "share of the high samples with the ram door full open",
 }
-_DELIVERY = {
+COMPRESSOR_MARGIN = {
     "cc_ln_diameter_ratio": "ln of the effective diameter that is left over equation (6)'s, unit's offset included, as "
     "tracked",
     "cc_diameter_left": "share of it that may still go before flow or pressure falls short, hardest fifth of cruise",
@@ -145,7 +145,7 @@ def _columns() -> Iterator[tuple[str, dy.Column]]:
 
 
 def _of_health() -> Iterator[tuple[str, dy.Column]]:
-    for name, (unit, what) in _HEALTH.items():
+    for name, (unit, what) in HEALTH.items():
         yield name, _col(dy.Float64, unit, f"{what}, after this flight")
         yield f"{name}_sd", _col(dy.Float64, unit, "standard deviation of it")
         yield f"{name}_status", _col(dy.String, "", "how that estimate ended")
@@ -177,7 +177,7 @@ def _of_cross_checks() -> Iterator[tuple[str, dy.Column]]:
 
 
 def _of_margin() -> Iterator[tuple[str, dy.Column]]:
-    for name, what in _MARGIN.items():
+    for name, what in EXCHANGER_MARGIN.items():
         yield _number(name, what)
     for ahead in (100, 300):
         what = (
@@ -185,7 +185,7 @@ def _of_margin() -> Iterator[tuple[str, dy.Column]]:
         )
         yield _number(f"hx_passage_{ahead}", what)
     yield "hx_margin_status", _col(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
-    yield from (_number(name, what) for name, what in _DELIVERY.items())
+    yield from (_number(name, what) for name, what in COMPRESSOR_MARGIN.items())
     reach = "ok, at_least (as far as the diffuser's map or the speeds on record reach) or not_known"
     yield "cc_flow_margin_status", _col(dy.String, "", reach)
     yield "cc_flow_margin_hot_high_status", _col(dy.String, "", reach)
@@ -194,7 +194,7 @@ def _of_margin() -> Iterator[tuple[str, dy.Column]]:
 def _of_life() -> Iterator[tuple[str, dy.Column]]:
     yield "flights_since_replacement", _col(dy.Int64, "-", "flights of this exchanger; null before the first logged")
     yield "flights_seen_of_unit", _col(dy.Int64, "-", "flights of this exchanger on record")
-    for name, (unit, _) in _HEALTH.items():
+    for name, (unit, _) in HEALTH.items():
         per_flight = f"{unit}/flight" if unit != "-" else "1/flight"
         for n in (10, 30, 100):
             meaning = f"slope of {name} over the unit's last {n} flights"
@@ -258,7 +258,7 @@ def _delivery(where: str) -> dict[str, dy.Float64]:
 
 
 _CRITICAL = {**_critical("p20"), **_critical("p50"), **_critical("hot_day")}
-_DEMAND = {
+COMPRESSOR_DEMAND = {
     "cc_flow_asked_kg_s": number("flow asked of the compressor, by speed and diffuser, median in cruise", "kg/s"),
     "cc_speed_limit_met": flag("the compressors' highest speed is known to be their limit", nullable=True),
     **_delivery("p20"),
@@ -269,7 +269,7 @@ _DEMAND = {
     "cc_flow_margin_ambient_kg_s": number("what its level and the air outside add", "kg/s"),
 }
 FeaturesMargin = cast(
-    "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **_DEMAND})
+    "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **COMPRESSOR_DEMAND})
 )
 
 

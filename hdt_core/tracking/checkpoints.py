@@ -8,17 +8,15 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.records.keys import PACK
+from hdt_core.tables.twin import TwinCheckpoints
 from hdt_core.tracking.hypotheses import Hypotheses
 
 STATES = 5
+LABELS = ("log_weight", "pace", "since", "unlogged", "faulty")
 PLACE = [*PACK, "chapter"]
 CHECKPOINT_KEY = [*PLACE, "seen"]
 """Of a segment; and with the digest of the flights before it. The table calls a segment a chapter."""
-_SCHEMA: dict[str, Any] = {
-    "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "chapter": pl.Int64, "seen": pl.String,
-    "history": pl.Int64, "log_weight": pl.Float64, "mean": pl.List(pl.Float64), "cov": pl.List(pl.Float64),
-    "pace": pl.Int64, "since": pl.Int64, "unlogged": pl.Boolean, "faulty": pl.Boolean,
-}  # fmt: skip
+_EMPTY = TwinCheckpoints.create_empty()
 
 
 class Restart(NamedTuple):
@@ -31,10 +29,10 @@ class Restart(NamedTuple):
 
 def from_first_flight(n_packs: int) -> Restart:
     """Start every pack at its first flight."""
-    return Restart(np.zeros(n_packs, dtype=np.int64), {}, pl.DataFrame(schema=_SCHEMA))
+    return Restart(np.zeros(n_packs, dtype=np.int64), {}, _EMPTY)
 
 
-def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[list[str]]) -> Restart:
+def read_checkpoints(rows: pl.DataFrame, packs: pl.DataFrame, digests: list[list[str]]) -> Restart:
     """Select checkpoints before which no flight has changed.
 
     Smoothing reaches to the end of the next segment: the last segment whose earlier flights are all unchanged has
@@ -42,7 +40,7 @@ def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[li
 
     Parameters
     ----------
-    stored : DataFrame
+    rows : DataFrame
         Of `checkpoint_rows`.
     packs : DataFrame
         `PACK`, in order.
@@ -50,17 +48,17 @@ def read_checkpoints(stored: pl.DataFrame, packs: pl.DataFrame, digests: list[li
         Of `flight_panel.fingerprints`: digest of each pack's flights before each segment.
     """
     now = [(*packs.row(p), c, digest) for p, segments in enumerate(digests) for c, digest in enumerate(segments)]
-    keys = pl.DataFrame(now, schema={c: _SCHEMA[c] for c in CHECKPOINT_KEY}, orient="row")
-    valid = stored.select(*_SCHEMA).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
-    marked: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
+    keys = pl.DataFrame(now, schema=_EMPTY.select(CHECKPOINT_KEY).schema, orient="row")
+    valid = rows.select(_EMPTY.columns).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
+    segments_of: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
     number = {row: p for p, row in enumerate(packs.rows())}
     for *pack, segment in valid.select(*PACK, "chapter").unique().rows():
-        marked[number[tuple(pack)]].add(segment)
-    begin = {p: max((c - 1 for c in segments if c - 1 in segments), default=0) for p, segments in marked.items()}
+        segments_of[number[tuple(pack)]].add(segment)
+    begin = {p: max((c - 1 for c in segments if c - 1 in segments), default=0) for p, segments in segments_of.items()}
     checkpoints = {}
     restart_places = _places((*packs.row(p), c) for p, c in begin.items() if c)
-    for key, rows in valid.join(restart_places, on=PLACE, how="semi").group_by(PLACE, maintain_order=True):
-        checkpoints[number[key[:-1]], int(str(key[-1]))] = _hypotheses(rows)
+    for key, own in valid.join(restart_places, on=PLACE, how="semi").group_by(PLACE, maintain_order=True):
+        checkpoints[number[key[:-1]], int(str(key[-1]))] = _hypotheses(own)
     return Restart(np.array([begin[p] for p in range(packs.height)], dtype=np.int64), checkpoints, valid)
 
 
@@ -74,30 +72,20 @@ def checkpoint_rows(
 
 
 def _places(rows: Iterable[tuple[Any, ...]]) -> pl.DataFrame:
-    return pl.DataFrame(list(rows), schema={c: _SCHEMA[c] for c in PLACE}, orient="row")
+    return pl.DataFrame(list(rows), schema=_EMPTY.select(PLACE).schema, orient="row")
 
 
 def _rows(pack: tuple[Any, ...], segment: int, digest: str, b: Hypotheses) -> pl.DataFrame:
     n = len(b.pack)
     columns: dict[str, Any] = {c: [v] * n for c, v in zip(CHECKPOINT_KEY, (*pack, segment, digest), strict=True)}
-    columns |= {c: getattr(b, c) for c in ("log_weight", "pace", "since", "unlogged", "faulty")}
+    columns |= {c: getattr(b, c) for c in LABELS}
     columns |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(n, STATES**2).tolist(), "history": np.arange(n)}
-    return pl.DataFrame(columns).select(pl.col(c).cast(t) for c, t in _SCHEMA.items())
+    return TwinCheckpoints.conform(pl.DataFrame(columns))
 
 
 def _hypotheses(rows: pl.DataFrame) -> Hypotheses:
     n = rows.height
+    labels = {c: rows[c].to_numpy() for c in LABELS}
     mean, cov = (np.array(rows[c].to_list(), dtype=float) for c in ("mean", "cov"))
-    pace, since, unlogged, faulty = (rows[c].to_numpy() for c in ("pace", "since", "unlogged", "faulty"))
-    return Hypotheses(
-        np.zeros(n, dtype=np.int64),
-        rows["log_weight"].to_numpy(),
-        mean,
-        cov.reshape(n, STATES, STATES),
-        pace,
-        since,
-        unlogged,
-        faulty,
-        np.arange(n),
-        np.ones((n, STATES)),
-    )
+    identity = {"pack": np.zeros(n, dtype=np.int64), "parent": np.arange(n), "retention": np.ones((n, STATES))}
+    return Hypotheses(mean=mean, cov=cov.reshape(n, STATES, STATES), **labels, **identity)

@@ -1,7 +1,4 @@
-"""Calibrate a declared component on nominal flights and filter its health along the flights' estimates.
-
-What a new component needs beside its `PhysicsModel`: nothing. The estimators are those of every other model.
-"""
+"""Calibrate a declared component on nominal flights and filter its health along the flights' estimates."""
 
 from typing import NamedTuple
 
@@ -12,13 +9,13 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.initial_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
 from hdt_core.components import Component
 from hdt_core.components.exchanger import HX
-from hdt_core.estimation.estimate import Estimate, Estimator
+from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.nls import NonlinearLeastSquares
 from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import Param, PhysicsModel
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import MAD_TO_SD
-from hdt_core.tracking.flight_panel import health_rows, lay_out
+from hdt_core.tracking.flight_panel import FILTERED, health_rows, lay_out
 from hdt_core.tracking.segments import filter_segments
 from hdt_core.tracking.sequential import recorded_outputs, samples_problem
 from hdt_core.tracking.track import loss_of
@@ -29,14 +26,13 @@ LEAST_STEPS = 8
 SUDDEN, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
 """Sudden losses are of any size, and with no second sensor a step is rather the part's than a fault's."""
 UNKNOWN_SD = 0.3
-"""Of a design that the declaration says nothing of, about what calibration makes of it. [ln loss]"""
-SAYS_NOTHING = ("diverged", "not_identifiable")
+"""Of a design without a declared prior, about the calibrated one. [ln loss]"""
+WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
+"""Statuses of a flight whose values are no estimate."""
 
 
-def calibrate_component(
-    model: PhysicsModel, samples: pl.DataFrame, *, estimator: Estimator | None = None
-) -> tuple[PhysicsModel, Estimate]:
-    """Free the `design` parameters on nominal samples, health at its nominal value; a declared prior counts.
+def calibrate_component(model: PhysicsModel, samples: pl.DataFrame) -> tuple[PhysicsModel, Estimate]:
+    """Estimate the `design` parameters from nominal samples, health at its nominal value; a declared prior counts.
 
     Parameters
     ----------
@@ -46,21 +42,19 @@ def calibrate_component(
     Returns
     -------
     PhysicsModel, Estimate
-        The digital system model: the same declaration with what was found as its nominal values; and how it was found.
-        Its status is `weakly_identifiable` where the nominal samples leave a design parameter open, which
-        `Estimate.weak` names: health told at other flows or temperatures than theirs then rests on a guess.
+        The digital system model: the same declaration with the estimates as its nominal values; and the estimate. Its
+        status is `weakly_identifiable` where the nominal samples leave a design parameter open, which `Estimate.weak`
+        names: health at other flows or temperatures than theirs then rests on a guess.
 
     Raises
     ------
     ValueError
-        The samples do not determine the design, or no finite answer was found.
+        The samples do not determine the design, or the estimate is not finite.
     """
     free = [p.name for p in model.free("design")]
-    solve = NonlinearLeastSquares() if estimator is None else estimator
-    estimate = solve.estimate(
-        samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
-    )
-    if estimate.status in SAYS_NOTHING:
+    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
+    estimate = NonlinearLeastSquares().estimate(problem)
+    if estimate.status in WITHOUT_ESTIMATE:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
     return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate
 
@@ -82,17 +76,17 @@ class DesignOffset(NamedTuple):
 def track_component(
     flights: pl.DataFrame, component: Component, maintenance: pl.DataFrame, offset: DesignOffset | None = None
 ) -> pl.DataFrame:
-    """Health parameters of every flight as the catalog holds them, filtered along each pack.
+    """Filter the health parameters of every flight along each pack.
 
-    The filter is the exchanger's, of units that differ, enter worn, are renewed and washed, with its wear brought to
-    the component's: losses by the loss at which it fails, rates by its life, the walk of wear by the declared drift.
+    The filter is the exchanger's, for units that differ, enter worn, are renewed and washed, with wear scaled to the
+    component: losses by the loss at which it fails, rates by its life, the walk of wear by the declared drift.
 
     Parameters
     ----------
     flights : DataFrame
         Of `flight_by_flight` with the health parameters free; whole packs.
     component : Component
-        Its log is heeded for the actions that end a life.
+        Entries of the log with its `ended_by` count.
     maintenance : DataFrame
         `operator, tail, pack, component, action, done_on`.
     offset : DesignOffset, optional
@@ -101,8 +95,8 @@ def track_component(
     Returns
     -------
     DataFrame
-        Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator. A flight counts as much as
-        flights scatter; nothing else is taken from later ones.
+        Table `twin_components`. A flight's weight follows from the scatter of all flights; nothing else is taken from
+        later ones.
 
     Raises
     ------
@@ -111,37 +105,33 @@ def track_component(
     """
     if flights.is_empty():
         raise ValueError(f"{component.model.name}: no flight to follow")
-    rows = flights.sort(IN_ORDER)
-    tracks = [
-        _filtered(rows, p, component, maintenance, offset or DesignOffset()) for p in component.model.free("health")
-    ]
-    return pl.concat(tracks)
+    rows, offset = flights.sort(IN_ORDER), offset or DesignOffset()
+    return pl.concat([_track(rows, p, component, maintenance, offset) for p in component.model.free("health")])
 
 
-def _filtered(
+def _track(
     flights: pl.DataFrame, param: Param, component: Component, maintenance: pl.DataFrame, offset: DesignOffset
 ) -> pl.DataFrame:
     """Filter one parameter along each pack."""
     size, settings = wear_settings(component, param, offset)
-    estimates = flights.select(pl.when(~pl.col("status").is_in(SAYS_NOTHING)).then(param.name), f"{param.name}_sd")
+    estimates = flights.select(pl.when(~pl.col("status").is_in(WITHOUT_ESTIMATE)).then(param.name), f"{param.name}_sd")
     loss, loss_sd = estimates.to_numpy().astype(float).T
     wear, sd = (x / size for x in wear_of(loss, loss_sd, param))
     variance = np.where(np.isfinite(wear), sd**2 + _scatter(flights, wear, sd) ** 2, 1.0)
-    observed = (-wear - offset.shift / size, variance, np.ones_like(wear))
-    panel = lay_out(flights, observed, maintenance, component.code, component.ended_by)
+    observations = (-wear - offset.shift / size, variance, np.ones_like(wear))
+    panel = lay_out(flights, observations, maintenance, component.code, component.ended_by)
     begin = np.zeros(panel.row.shape[1], dtype=np.int64)
     level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).tracks[:2]
     value, value_sd = size * level, size * level_sd
     if param.bounds[1] < 1.0:
         value, value_sd = loss_of(value, value_sd)
     status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
-    names = (component.code, param.name, param.unit, "kalman_filtered")
-    return health_rows(flights, names, value, value_sd, status)
+    return health_rows(flights, (component.code, param.name, param.unit, FILTERED), value, value_sd, status)
 
 
 def wear_settings(component: Component, param: Param, offset: DesignOffset) -> tuple[float, Settings]:
-    """Wear at which the component fails over that at which the exchanger does; the filter's settings over that."""
-    size = _failed(component, param) / _failed(HX, HX.model.param(HX.loss))
+    """Return the component's wear at failure over the exchanger's, and the filter's settings scaled by it."""
+    size = _wear_at_failure(component, param) / _wear_at_failure(HX, HX.model.param(HX.loss))
     rate_ratio = HX.life_flights / component.life_flights
     factors = np.array([1.0, rate_ratio, rate_ratio, rate_ratio**1.5, rate_ratio**1.5])
     paces = tuple(Pace(*(factors * pace).tolist()) for pace in PACES)
@@ -153,28 +143,25 @@ def wear_settings(component: Component, param: Param, offset: DesignOffset) -> t
 
 
 def _entries(new_share: float) -> tuple[EntryWear, ...]:
-    """The exchanger's ways to enter a record with another share of new units."""
+    """Return the exchanger's classes of units at entry with another share of new ones."""
     factor = (1.0 - new_share) / sum(e.share for e in ENTRY if not e.is_new)
     return tuple(e._replace(share=new_share if e.is_new else factor * e.share) for e in ENTRY)
 
 
-def _failed(component: Component, param: Param) -> float:
-    """Wear at the loss at which it fails."""
+def _wear_at_failure(component: Component, param: Param) -> float:
     return float(wear_of(np.array(component.limit.mean), np.array(0.0), param)[0])
 
 
 def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
-    """Wear, the ln of what is left with its sign turned, and its deviation; of what can exceed 1 the loss itself."""
+    """Convert a loss and its sd to wear, -ln(1 - loss), and its sd; a loss that can exceed 1 stays as it is."""
     return (-np.log1p(-loss), sd / (1.0 - loss)) if param.bounds[1] < 1.0 else (loss, sd)
 
 
 def _scatter(flights: pl.DataFrame, wear: Array, sd: Array) -> Array:
-    """Standard deviation of one flight about the pack's health beyond what it says itself, by the steps of its pack."""
-    frame = flights.select(PACK).with_columns(seen=pl.Series(wear).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
-    steps = pl.col("seen").drop_nulls().diff()
-    excess_var = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - pl.col("var").filter(
-        pl.col("seen").is_not_null()
-    ).mean()
+    """Estimate a flight's sd about its pack's health beyond its own `sd`, from the steps between the pack's flights."""
+    frame = flights.select(PACK).with_columns(wear=pl.Series(wear).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
+    steps = pl.col("wear").drop_nulls().diff()
+    own_var = pl.col("var").filter(pl.col("wear").is_not_null()).mean()
+    excess_var = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - own_var
     pack_var = pl.when(steps.len() > LEAST_STEPS).then(excess_var)
-    scatter = frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())
-    return scatter[:, 0].to_numpy()
+    return frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())[:, 0].to_numpy()

@@ -1,18 +1,14 @@
-"""Compute means of a component's declared readings by flight, which need no model."""
-
-from typing import Any
+"""Compute the means of a component's declared readings by flight, without its model."""
 
 import polars as pl
 
 from hdt_core.components import Component, Reading
-from hdt_core.flight.component_legs import LEG, MIN_SAMPLES, lacks_channel
+from hdt_core.flight.component_legs import MIN_SAMPLES, lacks_channel
+from hdt_core.records.keys import LEG
 from hdt_core.robust import MAD_TO_SD
+from hdt_core.tables.twin import TwinHealth
+from hdt_core.tracking.flight_panel import health_rows
 
-HEALTH: dict[str, Any] = {
-    "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32,
-    "departed_at": pl.Datetime("us", "UTC"), "component": pl.String, "parameter": pl.String, "value": pl.Float64,
-    "sd": pl.Float64, "unit": pl.String, "status": pl.String, "estimator": pl.String,
-}  # fmt: skip
 ONE_OR_MORE = "one_or_more"
 BEYOND_SHARE = 0.1
 """Share of a flight's samples beyond a reading's possible range that sets its status."""
@@ -38,19 +34,19 @@ def component_readings(samples: pl.DataFrame, component: Component) -> pl.DataFr
         `not_recorded`.
     """
     frames = [_flights(samples, component, reading) for reading in component.readings]
-    return pl.concat(frames) if frames else pl.DataFrame(schema=HEALTH)
+    return pl.concat([TwinHealth.create_empty(), *frames])
 
 
 def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> pl.DataFrame:
     is_used = pl.lit(True) if reading.where is None else reading.where.fill_null(False)
-    values = pl.col("reading").filter(pl.col("wanted") & pl.col("reading").is_finite())
+    values = pl.col("reading").filter(pl.col("is_used") & pl.col("reading").is_finite())
     deviation = (values - values.median()).abs()
-    valid = values.filter(deviation <= STRAY_SD * MAD_TO_SD * deviation.median() + 1e-9 * values.median().abs())
-    rows = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), is_used.alias("wanted"))
-    flights = rows.group_by(LEG, maintain_order=True).agg(
+    regular = values.filter(deviation <= STRAY_SD * MAD_TO_SD * deviation.median() + 1e-9 * values.median().abs())
+    rows = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), is_used.alias("is_used"))
+    means = rows.group_by(LEG, maintain_order=True).agg(
         pl.col("time_utc").min().alias("departed_at"),
-        valid.mean().alias("value"),
-        valid.std().alias("sd"),
+        regular.mean().alias("value"),
+        regular.std().alias("sd"),
         values.len().alias("n"),
         (values >= reading.below).mean().alias("beyond"),
         (lacks_channel(component) | pl.any_horizontal(_absent(component, reading))).alias("lacks"),
@@ -63,11 +59,8 @@ def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> p
         .otherwise(pl.lit("measured"))
     )  # fmt: skip
     is_enough = pl.col("n") >= MIN_SAMPLES
-    return flights.with_columns(
-        pl.when(is_enough).then("value"), pl.when(is_enough).then("sd"), status.alias("status"),
-        pl.lit(component.code).alias("component"), pl.lit(reading.name).alias("parameter"),
-        pl.lit(reading.unit).alias("unit"), pl.lit("reading").alias("estimator"),
-    ).select(pl.col(c).cast(t) for c, t in HEALTH.items())  # fmt: skip
+    value, sd = (means.select(pl.when(is_enough).then(c))[:, 0] for c in ("value", "sd"))
+    return health_rows(means, (component.code, reading.name, reading.unit, "reading"), value, sd, status)
 
 
 def _absent(component: Component, reading: Reading) -> list[pl.Expr]:

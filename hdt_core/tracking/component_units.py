@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -12,20 +11,23 @@ from scipy.stats import median_abs_deviation
 from hdt_core.calibration.arrays import Array
 from hdt_core.components import Component
 from hdt_core.flight.bleed import reject_odd_bleed
-from hdt_core.flight.component_legs import LEG, NO_EVIDENCE, component_legs, component_samples
+from hdt_core.flight.component_legs import NO_EVIDENCE, component_legs, component_samples
 from hdt_core.physics.model import PhysicsModel, declared
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.packs import is_among
 from hdt_core.records.unit_index import number_units, select_entries
+from hdt_core.tables.components import CalibrationComponents
+from hdt_core.tables.twin import TwinHealth
 from hdt_core.tracking.component import (
-    SAYS_NOTHING,
+    WITHOUT_ESTIMATE,
     DesignOffset,
     calibrate_component,
     design_prior,
     track_component,
     wear_of,
 )
-from hdt_core.tracking.component_readings import HEALTH, ONE_OR_MORE, component_readings
-from hdt_core.tracking.flight_panel import health_rows
+from hdt_core.tracking.component_readings import ONE_OR_MORE, component_readings
+from hdt_core.tracking.flight_panel import FILTERED, health_rows
 from hdt_core.tracking.sequential import flight_by_flight
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
@@ -36,7 +38,6 @@ WIDEST = -3.0
 """Lower bound of a loss judged by the declared design, which may be far smaller than the real one."""
 NEAR_BOUND = 1e-3
 """Share of a loss's span that counts as its bound."""
-KEYS = [*PACK, "component"]
 
 
 def commission(
@@ -58,23 +59,29 @@ def commission(
     legs : DataFrame
         As of `component_legs`; reasons of the second level beside.
     design : DataFrame
-        Long form: `KEYS`, parameter, value, sd, unit, n_flights, identifiable, dsm_version. Of a pack that was not
-        commissioned the declared prior, which rests on 0 flights, or none where the declaration has no prior.
+        Table `calibration_components` without its scope. Of a pack that was not commissioned the declared prior, which
+        rests on 0 flights, or none where the declaration has no prior.
     """
     samples = component_samples(signals, component)
     legs = component_legs(samples, component)
     if component.bleed_air and reports is not None:
         legs = reject_odd_bleed(legs, reports)
-    first_flights = _as_built(legs, maintenance, component)
-    strays, rows = [], []
-    for pack, flights in first_flights.group_by(PACK, maintain_order=True):
-        stray, design = _calibrated(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
-        strays.append(stray)
-        rows += [(*pack, component.code, *row) for row in design]
-    packs = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)).select(PACK).unique(maintain_order=True)
-    commissioned = {row[:3] for row in rows}
-    prior = [(*p, component.code, *row) for p in packs.rows() if p not in commissioned for row in _prior(component)]
-    return _second_level(legs, strays, rows), pl.DataFrame(rows + prior, schema=_DESIGN, orient="row")
+    fits = {
+        pack: _calibrate_pack(samples.join(flights, on=LEG, how="semi").filter("nominal"), component)
+        for pack, flights in _as_built(legs, maintenance, component).group_by(PACK, maintain_order=True)
+    }
+    strays = pl.concat([samples.select(LEG).clear(), *(stray for stray, _ in fits.values())])
+    design = _design({pack: rows for pack, (_, rows) in fits.items()}, component)
+    legs = _second_level(legs, strays, design.select(PACK).unique())
+    others = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE) & ~is_among(design.select(PACK).unique()))
+    packs = others.select(PACK).unique(maintain_order=True).rows()
+    return legs, pl.concat([design, _design(dict.fromkeys(packs, _prior(component)), component)])
+
+
+def _design(packs: Mapping[tuple[object, ...], list[tuple[object, ...]]], component: Component) -> pl.DataFrame:
+    """Tabulate each pack's rows, which hold the columns from `parameter` on."""
+    rows = [(*pack, component.code, *row) for pack, own in packs.items() for row in own]
+    return pl.DataFrame(rows, schema=CalibrationComponents.create_empty().drop("scope").schema, orient="row")
 
 
 def _prior(component: Component) -> list[tuple[object, ...]]:
@@ -83,13 +90,6 @@ def _prior(component: Component) -> list[tuple[object, ...]]:
         return []
     version = f"prior {component.version}"
     return [(p.name, p.nominal, p.sd, p.unit, 0, False, version) for p in component.model.free("design")]
-
-
-_DESIGN: dict[str, Any] = {
-    "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String, "parameter": pl.String,
-    "value": pl.Float64, "sd": pl.Float64, "unit": pl.String, "n_flights": pl.Int64, "identifiable": pl.Boolean,
-    "dsm_version": pl.String,
-}  # fmt: skip
 
 
 def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
@@ -103,25 +103,28 @@ def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Componen
     return steady.group_by(PACK, maintain_order=True).head(n_flights)
 
 
-def _calibrated(samples: pl.DataFrame, component: Component) -> tuple[pl.DataFrame, list[tuple[object, ...]]]:
-    """Find outlying flights, and calibrate one pack's design as rows; none where the flights do not determine it."""
-    none = samples.select(LEG).clear()
+def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.DataFrame, list[tuple[object, ...]]]:
+    """Select outlying flights, and calibrate one pack's design as rows; none where the flights do not determine it."""
+    nothing: tuple[pl.DataFrame, list[tuple[object, ...]]] = samples.select(LEG).clear(), []
     if samples.select(pl.struct(LEG).n_unique()).item() < FEWEST:
-        return none, []
+        return nothing
     try:
         first, _ = calibrate_component(component.model, samples)
-        flights = flight_by_flight(samples, first, [p.name for p in component.model.free("health")])
-        stray = _strays(flights, component.loss)
-        regular = samples.join(stray, on=LEG, how="anti")
+        stray = _strays(flight_by_flight(samples, first, _health_names(component)), component.loss)
+        regular = samples.filter(~is_among(stray))
         dsm, estimate = calibrate_component(component.model, regular)
     except ValueError:  # the flights do not determine the design: NOT_COMMISSIONED
-        return none, []
+        return nothing
     n_flights = regular.select(pl.struct(LEG).n_unique()).item()
     params = zip(component.model.free("design"), estimate.belief.sd.tolist(), strict=True)
     version = hashlib.blake2b(f"{component.version} {dsm.nominal}".encode(), digest_size=6).hexdigest()
     return stray, [
         (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version) for p, sd in params
     ]
+
+
+def _health_names(component: Component) -> list[str]:
+    return [p.name for p in component.model.free("health")]
 
 
 def _strays(flights: pl.DataFrame, loss: str) -> pl.DataFrame:
@@ -132,26 +135,15 @@ def _strays(flights: pl.DataFrame, loss: str) -> pl.DataFrame:
     return flights.filter(far).select(LEG)
 
 
-def _second_level(legs: pl.DataFrame, strays: list[pl.DataFrame], rows: list[tuple[object, ...]]) -> pl.DataFrame:
-    """Add reasons of the second level; `admitted` where there is none."""
-    commissioned = pl.DataFrame(
-        [row[:3] for row in rows], schema=dict(list(_DESIGN.items())[:3]), orient="row"
-    ).unique()
-    stray_legs = pl.concat([legs.select(LEG).clear(), *strays]).with_columns(pl.lit(True).alias("stray"))
-    marked = legs.join(
-        commissioned.with_columns(pl.lit(True).alias("known")), on=PACK, how="left", validate="m:1"
-    ).join(stray_legs, on=LEG, how="left", validate="m:1")
+def _second_level(legs: pl.DataFrame, strays: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame:
+    """Add reasons of the second level by outlying flights and commissioned packs; `admitted` where there is none."""
     reason = (
-        pl.when(pl.col("reason") != "")
-        .then("reason")
-        .when(pl.col("stray"))
-        .then(pl.lit("STRAY"))
-        .when(pl.col("known").is_null())
-        .then(pl.lit("NOT_COMMISSIONED"))
+        pl.when(pl.col("reason") != "").then("reason")
+        .when(is_among(strays)).then(pl.lit("STRAY"))
+        .when(~is_among(packs)).then(pl.lit("NOT_COMMISSIONED"))
         .otherwise("reason")
-    )
-    verdicts = marked.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return verdicts.drop("known", "stray").sort("operator", "tail", "departed_at", "flight_id", "pack")
+    )  # fmt: skip
+    return legs.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
 
 
 def unit_health(
@@ -166,51 +158,34 @@ def unit_health(
     health : DataFrame
         Of `track_component`: filtered along each life, long form.
     """
-    results = [
-        _tracked(pack, model, legs, maintenance, component, rests_on_prior)
-        for model, rests_on_prior, pack in _packs(samples.filter("nominal"), design, component)
-    ]
-    if not results:
-        empty = flight_by_flight(samples.clear(), component.model, [component.loss])
-        return empty, pl.DataFrame(schema=HEALTH)
-    flights, health = zip(*results, strict=True)
+    steady = samples.filter("nominal").join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
+    flights = [flight_by_flight(samples.clear(), component.model, _health_names(component))]
+    health: list[pl.DataFrame] = [TwinHealth.create_empty()]
+    for model, rests_on_prior, own in pack_models(steady, design, component):
+        estimates = _reject_beyond_range(flight_by_flight(own, model, _health_names(component)), own, component)
+        flights.append(estimates)
+        if estimates.height:
+            offset = _design_offset(own, model, component)
+            health.append(
+                health_by_prior(estimates, offset.sd, component)
+                if rests_on_prior
+                else track_component(estimates, component, maintenance, offset)
+            )
     return pl.concat(flights), pl.concat(health)
 
 
-def calibrated_model(design: pl.DataFrame, component: Component) -> PhysicsModel:
-    """The digital system model of one pack, from its rows of `commission`'s design."""
-    return component.model.calibrated(dict(design.select("parameter", "value").rows()))
-
-
-def _packs(
+def pack_models(
     samples: pl.DataFrame, design: pl.DataFrame, component: Component
 ) -> Iterator[tuple[PhysicsModel, bool, pl.DataFrame]]:
+    """Yield each pack's digital system model by `commission`'s design, whether no flight calibrated it, its samples."""
     for pack, rows in design.filter(component=component.code).group_by(PACK, maintain_order=True):
-        pack_samples = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
-        yield calibrated_model(rows, component), bool((rows["n_flights"] == 0).all()), pack_samples
-
-
-def _tracked(
-    samples: pl.DataFrame,
-    model: PhysicsModel,
-    legs: pl.DataFrame,
-    maintenance: pl.DataFrame,
-    component: Component,
-    rests_on_prior: bool,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Flights and health of one pack."""
-    steady = samples.join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
-    flights = _explained(flight_by_flight(steady, model, [p.name for p in model.free("health")]), steady, component)
-    if flights.is_empty():
-        return flights, pl.DataFrame(schema=HEALTH)
-    built = _design_offset(steady, model, component)
-    if rests_on_prior:
-        return flights, by_prior(flights, built.sd, component)
-    return flights, track_component(flights, component, maintenance, built)
+        model = component.model.calibrated(dict(rows.select("parameter", "value").rows()))
+        own = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
+        yield model, bool((rows["n_flights"] == 0).all()), own
 
 
 def _design_offset(samples: pl.DataFrame, calibrated: PhysicsModel, component: Component) -> DesignOffset:
-    """What the declaration says of a pack's design, by what each of both makes of the first flights."""
+    """Estimate the declared design's offset from a pack's calibrated one by the wear of the first flights with each."""
     if design_prior(component.model) is None:
         return DesignOffset()
     loss, first = component.model.param(component.loss), samples.select(LEG).unique(maintain_order=True).head(FEWEST)
@@ -228,35 +203,34 @@ def _design_offset(samples: pl.DataFrame, calibrated: PhysicsModel, component: C
     return DesignOffset(float(shift), float(np.linalg.norm(shifts)))
 
 
-def _explained(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
+def _reject_beyond_range(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:
     """Mark flights beyond the part's possible range as not identifiable: the model lacks their cause."""
-    (low, high), loss = next(p.bounds for p in component.model.params if p.name == component.loss), component.loss
-    better = pl.col(loss) < low + NEAR_BOUND * (high - low)
+    low, high = component.model.param(component.loss).bounds
+    is_beyond = pl.col(component.loss) < low + NEAR_BOUND * (high - low)
     if not component.has_term:
         readings = component_readings(samples, component).filter(status=ONE_OR_MORE)
-        beyond = readings.select(pl.struct(LEG).unique()).to_series()
-        better |= pl.struct(LEG).is_in(beyond.implode())
-    return flights.with_columns(pl.when(better).then(pl.lit("not_identifiable")).otherwise("status").alias("status"))
+        is_beyond |= is_among(readings.select(LEG).unique())
+    return flights.with_columns(pl.when(is_beyond).then(pl.lit("not_identifiable")).otherwise("status").alias("status"))
 
 
-def by_prior(flights: pl.DataFrame, design_sd: float, component: Component) -> pl.DataFrame:
-    """Health where no flight has calibrated the design: what the declaration believes, moved by what flights say.
+def health_by_prior(flights: pl.DataFrame, design_sd: float, component: Component) -> pl.DataFrame:
+    """Estimate health where no flight has calibrated the design: the declaration's prior, moved by the flights.
 
-    A part is taken to be as built, give or take the loss that would raise an alert. A flight's own loss is as unsure as
-    the design is, and flights of one pack share that error: it does not grow smaller with their number.
+    A part is taken to be as built, give or take the loss that would raise an alert. A flight's own loss is as uncertain
+    as the design, and flights of one pack share that error: it does not shrink with their number.
 
     Parameters
     ----------
     design_sd : float
         Of `DesignOffset`.
     """
-    variances = []
+    rows = []
     for param in component.model.free("health"):
         loss, sd = flights.select(param.name, f"{param.name}_sd").to_numpy().astype(float).T
-        variance = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
-        weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + variance**2)
-        weight = np.nan_to_num(np.where(flights["status"].is_in(SAYS_NOTHING), 0.0, weight))
+        shared_sd = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
+        weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + shared_sd**2)
+        weight = np.nan_to_num(np.where(flights["status"].is_in(WITHOUT_ESTIMATE), 0.0, weight))
         value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)
-        names = (component.code, param.name, param.unit, "kalman_filtered")
-        variances.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
-    return pl.concat(variances)
+        names = (component.code, param.name, param.unit, FILTERED)
+        rows.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
+    return pl.concat(rows)

@@ -1,4 +1,4 @@
-"""Compressor health flight by flight: effective diameter as seen, losses of diameter and efficiency filtered."""
+"""Track compressor health flight by flight: effective diameter, and filtered losses of diameter and efficiency."""
 
 import numpy as np
 import polars as pl
@@ -6,10 +6,10 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array, declared
-from hdt_core.records.keys import PACK
+from hdt_core.records.packs import split_packs
 from hdt_core.records.renewals import log_flags
 from hdt_core.robust import median_error
-from hdt_core.tracking.flight_panel import health_rows
+from hdt_core.tracking.flight_panel import FILTERED, health_rows
 
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
 """Scatter of a flight about the machine's state, for packs too young to show their own."""
@@ -20,28 +20,22 @@ PROBE_SD, SAMPLE_SD = 0.0025, 0.003
 
 
 def compressor_parameters(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """`cc_effective_diameter_m`, `cc_efficiency_loss`, `cc_diameter_loss` of every row of `flights`, in long form."""
-    diameter = _long(
-        flights, "cc_effective_diameter_m", flights["diameter_m"], _diameter_sd(flights), "m", "closed_form"
-    )
+    """Estimate `cc_effective_diameter_m`, `cc_efficiency_loss` and `cc_diameter_loss` of every row, in long form."""
+    diameter = (flights["diameter_m"], _diameter_sd(flights))
     efficiency = np.log(dsm.compressor.efficiency / _positive(flights["efficiency"]))
     built_sd = dsm.compressor.efficiency_sd / dsm.compressor.efficiency
     level_sd = float(np.hypot(declared(EFFICIENCY.unit_sd), built_sd))
-    renewed = log_flags(flights, maintenance, "CC")[1]
-    efficiency_loss, efficiency_sd = filtered_loss(
-        flights, efficiency, renewed, EFFICIENCY_SD, level_sd, EFFICIENCY.drift
-    )
+    renewals = log_flags(flights, maintenance, "CC")[1]
+    efficiency_loss = filter_loss(flights, efficiency, renewals, EFFICIENCY_SD, level_sd, EFFICIENCY.drift)
     ln_diameter = np.log(_positive(flights["expected_diameter_m"]) / _positive(flights["diameter_m"]))
-    diameter_loss, diameter_sd = filtered_loss(
-        flights, ln_diameter, renewed, DIAMETER_SD_LN, declared(DIAMETER.unit_sd), DIAMETER.drift
+    unit_sd = declared(DIAMETER.unit_sd)
+    diameter_loss = filter_loss(flights, ln_diameter, renewals, DIAMETER_SD_LN, unit_sd, DIAMETER.drift)
+    tracks = (
+        ("cc_effective_diameter_m", "m", "closed_form", *diameter),
+        ("cc_efficiency_loss", "-", FILTERED, *efficiency_loss),
+        ("cc_diameter_loss", "-", FILTERED, *diameter_loss),
     )
-    return pl.concat(
-        [
-            diameter,
-            _long(flights, "cc_efficiency_loss", efficiency_loss, efficiency_sd, "-", "kalman_filtered"),
-            _long(flights, "cc_diameter_loss", diameter_loss, diameter_sd, "-", "kalman_filtered"),
-        ]
-    )
+    return pl.concat([_long(flights, *track) for track in tracks])
 
 
 def _positive(column: pl.Series) -> Array:
@@ -50,15 +44,15 @@ def _positive(column: pl.Series) -> Array:
 
 
 def _diameter_sd(flights: pl.DataFrame) -> pl.Series:
-    """Of the flight's median: what scatters from sample to sample is mostly the machine itself, and no error."""
+    """Compute the sd of the flight's median; scatter from sample to sample is mostly the machine's, and no error."""
     noise = SAMPLE_SD * median_error(np.maximum(flights["cc_n_samples"].to_numpy(), 1.0))
     return flights["diameter_m"] * pl.Series(np.hypot(PROBE_SD, noise))
 
 
-def filtered_loss(
-    flights: pl.DataFrame, ln_ratio: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float
+def filter_loss(
+    flights: pl.DataFrame, ln_ratio: Array, renewals: Array, scatter: float, level_sd: float, step_sd: float
 ) -> tuple[pl.Series, pl.Series]:
-    """Loss against the pack's own level as first met, by a two-state filter (level of machine and sensors, loss).
+    """Filter loss against the pack's own first level, with two states: level of machine and sensors, and loss.
 
     Parameters
     ----------
@@ -66,23 +60,22 @@ def filtered_loss(
         In order: see `keys.IN_ORDER`.
     ln_ratio : array
         ln of expected over measured, NaN where none. (n,)
-    renewed : array
+    renewals : array
         Above 0 on the first flight of another machine. (n,)
     """
-    pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
     loss, sd = np.full(len(ln_ratio), np.nan), np.full(len(ln_ratio), np.nan)
-    for rows in np.split(np.arange(len(ln_ratio)), np.flatnonzero(np.diff(pack)) + 1) if len(ln_ratio) else []:
-        loss[rows], sd[rows] = _filter(ln_ratio[rows], renewed[rows], scatter, level_sd, step_sd)
+    for rows in split_packs(flights):
+        loss[rows], sd[rows] = _filter(ln_ratio[rows], renewals[rows], scatter, level_sd, step_sd)
     return pl.Series(loss).fill_nan(None), pl.Series(sd).fill_nan(None)
 
 
-def _filter(ln_ratio: Array, renewed: Array, scatter: float, level_sd: float, step_sd: float) -> tuple[Array, Array]:
+def _filter(ln_ratio: Array, renewals: Array, scatter: float, level_sd: float, step_sd: float) -> tuple[Array, Array]:
     loss, sd = np.full(len(ln_ratio), np.nan), np.full(len(ln_ratio), np.nan)
     x, w = 0.0, 0.005  # level, loss
     pxx, pxw, pww = level_sd**2, 0.0, ENTRY_LOSS_SD**2
     has_started = False
     for k, value in enumerate(ln_ratio):
-        if renewed[k]:
+        if renewals[k]:
             x, w, pxx, pxw, pww = 0.0, 0.003, level_sd**2, 0.0, 0.005**2
         pww += step_sd**2
         if np.isfinite(value):
@@ -99,7 +92,7 @@ def _filter(ln_ratio: Array, renewed: Array, scatter: float, level_sd: float, st
     return loss, sd
 
 
-def _long(flights: pl.DataFrame, name: str, value: pl.Series, sd: pl.Series, unit: str, estimator: str) -> pl.DataFrame:
-    measured = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
-    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(measured)
+def _long(flights: pl.DataFrame, name: str, unit: str, estimator: str, value: pl.Series, sd: pl.Series) -> pl.DataFrame:
+    known_status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(known_status)
     return health_rows(flights, ("CC", name, unit, estimator), value, sd.set(value.is_null(), None), status)

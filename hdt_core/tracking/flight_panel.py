@@ -9,10 +9,14 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.records.keys import LEG_AT, PACK
+from hdt_core.records.keys import LEG_AT
+from hdt_core.records.packs import split_packs
 from hdt_core.records.renewals import RENEWALS, log_flags, log_kept
 from hdt_core.tracking.sensor_shifts import Corrections
 from hdt_core.tracking.wear_model import Observation
+
+FILTERED = "kalman_filtered"
+"""Estimator of a value from its flight and earlier ones."""
 
 
 class FlightPanel(NamedTuple):
@@ -20,12 +24,7 @@ class FlightPanel(NamedTuple):
     more."""
 
     row: Array
-    ratio: Array
-    variance: Array
-    exposure: Array
-    log_open: Array
-    log_due: Array
-    log_kept: Array
+    observations: Observation
 
     @property
     def n_rows(self) -> int:
@@ -37,13 +36,9 @@ class FlightPanel(NamedTuple):
         """Number of flights of each pack. (packs,)"""
         return np.asarray((self.row >= 0).sum(axis=0))
 
-    def flight(self, k: Array, packs: Array) -> Observation:
-        """Return flight k of each of some packs."""
-        return Observation(*(values[k, packs] for values in self[1:]))
-
 
 def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame, dsm: Dsm) -> FlightPanel:
-    """What each row of `flights` (in order) shows of the exchanger, and what the log says about it."""
+    """Lay out the exchanger's conductance ratio of each row of `flights` (in order), corrected, and its log."""
     ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
     sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
     variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
@@ -53,33 +48,20 @@ def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Data
 
 def lay_out(
     flights: pl.DataFrame,
-    observed: tuple[Array, Array, Array],
+    observations: tuple[Array, Array, Array],
     maintenance: pl.DataFrame,
     component: str,
     actions: Sequence[str] = RENEWALS,
 ) -> FlightPanel:
-    """Ratio, variance and exposure of each row of `flights` (in order), and what the log says about a component."""
-    ratio, variance, exposure = observed
-    pack = flights.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64) - 1
-    n_packs = int(pack.max()) + 1 if len(pack) else 0
-    start = np.searchsorted(pack, np.arange(n_packs))
-    turn = np.arange(len(pack)) - start[pack] if len(pack) else np.zeros(0, dtype=np.int64)
-    shape = (int(turn.max()) + 1 if len(turn) else 0, n_packs)
-    index = np.full(shape, -1)
-    index[turn, pack] = np.arange(len(pack))
-    log_open, log_due = log_flags(flights, maintenance, component, actions)
-
-    def scatter(values: Array, empty: float) -> Array:
-        return np.where(index >= 0, values[np.maximum(index, 0)], empty)
-
+    """Lay out ratio, variance and exposure of each row of `flights` (in order), and the log of a component."""
+    packs = split_packs(flights)
+    index = np.full((max(map(len, packs)), len(packs) if flights.height else 0), -1)
+    for pack, rows in enumerate(packs):
+        index[: len(rows), pack : pack + 1] = rows[:, None]
+    log = (*log_flags(flights, maintenance, component, actions), log_kept(flights, maintenance))
+    columns = zip((*observations, *log), (np.nan, 1.0, 1.0, 0, 0, 0), strict=True)
     return FlightPanel(
-        index,
-        scatter(ratio, np.nan),
-        scatter(variance, 1.0),
-        scatter(exposure, 1.0),
-        scatter(log_open, 0),
-        scatter(log_due, 0),
-        scatter(log_kept(flights, maintenance), 0),
+        index, Observation(*(np.where(index >= 0, values[np.maximum(index, 0)], empty) for values, empty in columns))
     )
 
 
@@ -89,7 +71,7 @@ def fingerprints(panel: FlightPanel, inputs: list[Array], names: list[str], seal
     Parameters
     ----------
     panel : FlightPanel
-        What is seen of each flight.
+        The observations of each flight.
     inputs : list of array, each (rows,)
         Further inputs of a row's result.
     names : list of str, (rows,)
@@ -100,14 +82,13 @@ def fingerprints(panel: FlightPanel, inputs: list[Array], names: list[str], seal
     digests = []
     for pack, n in enumerate(panel.flights):
         rows = panel.row[:n, pack]
-        matrix = np.column_stack([*(v[:n, pack] for v in panel[1:]), *(values[rows] for values in inputs)]).astype(
-            float
-        )
-        hashed, pack_digests = hashlib.blake2b(seal.encode(), digest_size=10), []
+        columns = [*(v[:n, pack] for v in panel.observations), *(values[rows] for values in inputs)]
+        matrix = np.column_stack(columns).astype(float)
+        digest, pack_digests = hashlib.blake2b(seal.encode(), digest_size=10), []
         for first in range(0, n, segment):
-            pack_digests.append(hashed.copy().hexdigest())
-            hashed.update(matrix[first : first + segment].tobytes())
-            hashed.update("|".join(names[r] for r in rows[first : first + segment]).encode())
+            pack_digests.append(digest.copy().hexdigest())
+            digest.update(matrix[first : first + segment].tobytes())
+            digest.update("|".join(names[r] for r in rows[first : first + segment]).encode())
         digests.append(pack_digests)
     return digests
 

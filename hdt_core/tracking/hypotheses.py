@@ -1,5 +1,5 @@
-"""Weighted hypotheses about packs, flat and sorted by pack: joined, pruned, merged; and branched, by what may happen to
-a pack between two flights and by what the log says of it, each with its chance.
+"""Weighted hypotheses about packs, flat and sorted by pack: join, prune, merge; branch them by events between two
+flights and by entries of the log, each with its chance.
 """
 
 from typing import NamedTuple
@@ -68,14 +68,14 @@ class Hypotheses(NamedTuple):
 
 
 class Branching(NamedTuple):
-    """How one flight branched hypotheses and how they were merged, for the smoother.
+    """Branches of one flight and the rows they were merged into, for the smoother.
 
-    Each row is a branch: parent (m,) its row before, into (m,) the row it went into, -1 where it was dropped, weight
-    (m,) its probability, prior (m, ...) its state before the flight's news.
+    prior (m, ...) each branch before the flight's update, new_row (m,) the row it was merged into, -1 where it was
+    dropped, weight (m,) its probability.
     """
 
     prior: Hypotheses
-    into: Array
+    new_row: Array
     weight: Array
 
 
@@ -85,27 +85,25 @@ def join(parts: list[Hypotheses]) -> Hypotheses:
 
 
 def prune(b: Hypotheses, offset_bin: float = np.inf) -> tuple[Hypotheses, Array]:
-    """Drop light hypotheses, merge like ones by their moments, keep the heaviest; and where each row went."""
+    """Drop light hypotheses, merge like ones by their moments, keep the heaviest; return also each row's new row."""
     bins = np.round(b.mean[:, WEAR] / WEAR_BIN)
     heavy = np.flatnonzero(b.log_weight > np.log(LEAST_WEIGHT))
     offset = np.round(b.mean[:, SENSORS] / offset_bin)
     keys = np.stack([b.pack, b.pace, b.faulty, b.unlogged, bins, offset])[:, heavy]
     order = np.lexsort((-b.log_weight[heavy], *keys[::-1]))
     heads = np.flatnonzero(np.r_[True, (np.diff(keys[:, order]) != 0).any(axis=0)])
-    merged = _merged(b.at(heavy[order]), heads)
-    order_by_weight = np.lexsort((-merged.log_weight, merged.pack))
-    place = np.arange(len(order_by_weight)) - np.searchsorted(
-        merged.pack[order_by_weight], merged.pack[order_by_weight]
-    )
-    heaviest = order_by_weight[place < MOST]
-    new_row, into = np.full(len(heads), -1), np.full(len(b.pack), -1)
-    new_row[heaviest] = np.arange(len(heaviest))
-    into[heavy[order]] = new_row[_runs(heads, len(order))]
-    return normalise(merged.at(heaviest)), into
+    few = _merge(b.at(heavy[order]), heads)
+    by_weight = np.lexsort((-few.log_weight, few.pack))
+    place = np.arange(len(by_weight)) - np.searchsorted(few.pack[by_weight], few.pack[by_weight])
+    heaviest = by_weight[place < MOST]
+    row_of_run, new_row = np.full(len(heads), -1), np.full(len(b.pack), -1)
+    row_of_run[heaviest] = np.arange(len(heaviest))
+    new_row[heavy[order]] = row_of_run[_runs(heads, len(order))]
+    return normalise(few.at(heaviest)), new_row
 
 
 def normalise(b: Hypotheses) -> Hypotheses:
-    """Let weights add up to 1 in each pack; rows sorted by pack."""
+    """Scale weights to a sum of 1 in each pack; rows sorted by pack."""
     first = np.flatnonzero(np.r_[True, np.diff(b.pack) != 0])
     count = np.diff(np.r_[first, len(b.pack)])
     top = np.repeat(np.maximum.reduceat(b.log_weight, first), count)
@@ -114,11 +112,11 @@ def normalise(b: Hypotheses) -> Hypotheses:
 
 
 def _runs(heads: Array, n: int) -> Array:
-    """Which run each of n rows belongs to, runs starting at `heads`."""
+    """Number the run of each of n rows, runs starting at `heads`. (n,)"""
     return np.repeat(np.arange(len(heads)), np.diff(np.r_[heads, n]))
 
 
-def _merged(b: Hypotheses, heads: Array) -> Hypotheses:
+def _merge(b: Hypotheses, heads: Array) -> Hypotheses:
     """Merge each run that starts at `heads` into one hypothesis, with the labels of the heaviest, its first."""
     run = _runs(heads, len(b.pack))
     top = b.log_weight[heads]
@@ -141,29 +139,27 @@ def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypothe
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():
         return b
-    washed = _washed(b.at(acts & (flight.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    return join([b.at(~acts), washed, *_renewed(b.at(acts & (flight.log_due == REPLACED)), settings)])
+    washes = _wash(b.at(acts & (flight.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    return join([b.at(~acts), washes, *_renew(b.at(acts & (flight.log_due == REPLACED)), settings)])
 
 
 def branch_on_surprise(
-    b: Hypotheses, residual: Array, surprised: Array, logged: Array, settings: Settings
+    b: Hypotheses, residual: Array, is_surprising: Array, log_entry: Array, settings: Settings
 ) -> list[Hypotheses]:
     """Branch for a surprising flight, or for one on whose day the log names a wash or a new core."""
-    is_below, is_above = surprised & (residual < 0.0), surprised & (residual > 0.0)
-    is_renewal, is_wash = logged == REPLACED, logged == WASHED
-    is_unlogged = is_above & (logged == NOTHING)
+    is_below, is_above = is_surprising & (residual < 0.0), is_surprising & (residual > 0.0)
+    is_without_entry = is_above & (log_entry == NOTHING)
+    wash = _wash(b.at(log_entry == WASHED), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    unlogged_units = (u._replace(unlogged=u.pack >= 0) for u in _renew(b.at(is_without_entry), settings))
     return [
-        *(_chance(child, RENEWAL_LOGGED * LOG_LATE) for child in _renewed(b.at(is_renewal), settings)),
-        _chance(_washed(b.at(is_wash), WASH_LEAVES, WASH_LEAVES_SD, settings), RENEWAL_LOGGED * LOG_LATE),
-        *(
-            _chance(child._replace(unlogged=child.pack >= 0), RENEWAL_UNLOGGED)
-            for child in _renewed(b.at(is_unlogged), settings)
-        ),
-        _chance(_washed(b.at(is_unlogged), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
-        _chance(_worn(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
-        _chance(_worn(b.at(is_below), *settings.clog), CHANCE["clog"]),
-        _chance(_faulty(b.at(surprised & ~b.faulty)), settings.fault_chance),
-        _chance(_sound(b.at(surprised & b.faulty)), CHANCE["fault_over"]),
+        *(_chance(unit, RENEWAL_LOGGED * LOG_LATE) for unit in _renew(b.at(log_entry == REPLACED), settings)),
+        _chance(wash, RENEWAL_LOGGED * LOG_LATE),
+        *(_chance(unit, RENEWAL_UNLOGGED) for unit in unlogged_units),
+        _chance(_wash(b.at(is_without_entry), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
+        _chance(_add_wear(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
+        _chance(_add_wear(b.at(is_below), *settings.clog), CHANCE["clog"]),
+        _chance(_begin_fault(b.at(is_surprising & ~b.faulty)), settings.fault_chance),
+        _chance(_end_fault(b.at(is_surprising & b.faulty)), CHANCE["fault_over"]),
     ]
 
 
@@ -171,9 +167,9 @@ def _chance(b: Hypotheses, chance: float) -> Hypotheses:
     return b._replace(log_weight=b.log_weight + np.log(chance))
 
 
-def _renewed(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
-    """Another unit, at each pace; the pack's sensors stay."""
-    children = []
+def _renew(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
+    """Install another unit, at each pace; the pack's sensors stay."""
+    branches = []
     for j, pace in enumerate(settings.paces):
         mean, cov = b.mean.copy(), b.cov.copy()
         for i in (WEAR, RATE, UNIT):
@@ -181,13 +177,13 @@ def _renewed(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
         mean[:, WEAR], cov[:, WEAR, WEAR] = RENEWED_WEAR, RENEWED_SD**2
         mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
         mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, settings.unit_sd**2
-        child = b._replace(mean=mean, cov=cov, pace=np.full_like(b.pace, j), since=np.zeros_like(b.since))
-        child = child._replace(retention=b.retention * [0.0, 0.0, 1.0, 0.0, 1.0])
-        children.append(_chance(child, pace.share))
-    return children
+        labels = {"pace": np.full_like(b.pace, j), "since": np.zeros_like(b.since)}
+        branch = b._replace(mean=mean, cov=cov, retention=b.retention * [0.0, 0.0, 1.0, 0.0, 1.0], **labels)
+        branches.append(_chance(branch, pace.share))
+    return branches
 
 
-def _washed(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> Hypotheses:
+def _wash(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> Hypotheses:
     """Keep part of the wear on the same unit, which may then wear at another rate."""
     retention = np.array([share, 1.0, 1.0, 1.0, 1.0])
     mean, cov = b.mean * retention, b.cov * retention[:, None] * retention
@@ -196,7 +192,7 @@ def _washed(b: Hypotheses, share: float, share_sd: float, settings: Settings) ->
     return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), retention=b.retention * retention)
 
 
-def _worn(b: Hypotheses, step: float, step_sd: float) -> Hypotheses:
+def _add_wear(b: Hypotheses, step: float, step_sd: float) -> Hypotheses:
     """Add a sudden deposit or clog."""
     mean, cov = b.mean.copy(), b.cov.copy()
     mean[:, WEAR] += step
@@ -204,15 +200,14 @@ def _worn(b: Hypotheses, step: float, step_sd: float) -> Hypotheses:
     return b._replace(mean=mean, cov=cov)
 
 
-def _faulty(b: Hypotheses) -> Hypotheses:
-    """Door or sensor adds something that is not the core's, while it lasts."""
+def _begin_fault(b: Hypotheses) -> Hypotheses:
+    """Begin a fault of door or sensor, an offset that is not the core's."""
     cov = b.cov.copy()
     cov[:, OTHER, OTHER] += FAULT_SD**2
     return b._replace(cov=cov, faulty=np.ones_like(b.faulty))
 
 
-def _sound(b: Hypotheses) -> Hypotheses:
-    """End the fault."""
+def _end_fault(b: Hypotheses) -> Hypotheses:
     mean, cov = b.mean.copy(), b.cov.copy()
     mean[:, OTHER] = 0.0
     cov[:, OTHER, :] = cov[:, :, OTHER] = 0.0

@@ -16,7 +16,7 @@ RAM_FLOW_SD = 0.08
 
 
 def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
-    r"""`hx_h_hot_w_k` and `hx_h_cold_w_k` of every row of `flights`, null where the flight does not identify them.
+    r"""Estimate `hx_h_hot_w_k` and `hx_h_cold_w_k` of every row, null where the flight does not identify them.
 
     Parameters
     ----------
@@ -38,11 +38,11 @@ def lumped_coefficients(flights: pl.DataFrame) -> pl.DataFrame:
     across_k = np.where(across_k > ACROSS_SD_K / MOST_RELATIVE_SD, across_k, np.nan)
     hot_w = flights["pack_flow_kg_s"].to_numpy().astype(float) * CP_HOT_J_KG_K * (k["hx_in_k"] - k["hx_out_k"])
     cold_w = flights["ram_flow_kg_s"].to_numpy().astype(float) * CP_COLD_J_KG_K * (k["ram_out_k"] - k["tat_k"])
-    rows = [
-        _rows(flights, "hx_h_hot_w_k", hot_w / across_k, np.hypot(ACROSS_SD_K / across_k, BIAS_SD["pack_flow_kg_s"])),
-        _rows(flights, "hx_h_cold_w_k", cold_w / across_k, np.hypot(ACROSS_SD_K / across_k, RAM_FLOW_SD)),
-    ]
-    return pl.concat(rows)
+    flow_sds = {"hx_h_hot_w_k": (hot_w, BIAS_SD["pack_flow_kg_s"]), "hx_h_cold_w_k": (cold_w, RAM_FLOW_SD)}
+    return pl.concat(
+        _rows(flights, name, heat_w / across_k, np.hypot(ACROSS_SD_K / across_k, flow_sd))
+        for name, (heat_w, flow_sd) in flow_sds.items()
+    )
 
 
 def _rows(flights: pl.DataFrame, name: str, value: Array, relative_sd: Array) -> pl.DataFrame:

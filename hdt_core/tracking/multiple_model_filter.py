@@ -1,10 +1,9 @@
 """Multiple-model filter: hypotheses of what has happened to a pack, each a Kalman filter, weighted side by side.
 
-A step in the conductance can be a clog, a new core, a wash, or a fault of door or sensor that will pass; flights to
-come decide. So nothing is decided on the spot: a surprising flight branches the hypothesis, the log and later flights
-weigh the branches, and what can't be told apart leaves a wide and honest belief. How worn a unit was when its records
-began is such a question too. Hypotheses are kept flat, sorted by pack, so that one pack or a fleet advance by the same
-code.
+A step in the conductance can be a clog, a new core, a wash, or a fault of door or sensor that will pass; only later
+flights decide. So a surprising flight branches the hypothesis, the log and later flights weight the branches, and
+causes that they cannot separate leave a wide posterior. The wear of a unit when its records begin is treated likewise.
+Hypotheses are flat arrays sorted by pack, so that one pack or a fleet advance by the same code.
 
 References
 ----------
@@ -86,29 +85,27 @@ def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tup
     mean, cov = predict(hypotheses.mean, hypotheses.cov, hypotheses.pace, since, hypotheses.faulty, settings)
     log_weight = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
     identity = {"parent": np.arange(len(since)), "retention": np.ones_like(mean)}
-    predicted = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=log_weight, **identity)
-    prior = apply_log(predicted, flight.of(hypotheses.pack), settings)
+    prior = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=log_weight, **identity)
+    prior = apply_log(prior, flight.of(hypotheses.pack), settings)
     observations = flight.of(prior.pack)
     residual, variance = innovation(prior.mean, prior.cov, observations, settings.level)
-    is_observed = np.isfinite(observations.ratio)
-    is_surprising = is_observed & (np.abs(residual) > SURPRISE * np.sqrt(variance))
-    is_logged = is_observed & (observations.log_open > 0) & (prior.since > LATE_FLIGHTS)
+    has_ratio = np.isfinite(observations.ratio)
+    is_surprising = has_ratio & (np.abs(residual) > SURPRISE * np.sqrt(variance))
+    has_entry = has_ratio & (observations.log_open > 0) & (prior.since > LATE_FLIGHTS)
     branches = prior
-    if is_surprising.any() or is_logged.any():
-        new_branches = branch_on_surprise(
-            prior, residual, is_surprising, np.where(is_logged, observations.log_open, NOTHING), settings
-        )
-        stays = prior._replace(log_weight=prior.log_weight + np.where(is_logged, np.log1p(-RENEWAL_LOGGED), 0.0))
-        branches = join([stays, *new_branches])
-    branched = branches.at(np.argsort(branches.pack, kind="stable"))
-    mean, cov, evidence = update(branched.mean, branched.cov, flight.of(branched.pack), settings.level)
-    posterior = normalise(branched._replace(mean=mean, cov=cov, log_weight=branched.log_weight + evidence))
-    pruned, into = prune(posterior, settings.offset_bin)
-    return pruned, Branching(branched, into, np.exp(posterior.log_weight))
+    if is_surprising.any() or has_entry.any():
+        log_entry = np.where(has_entry, observations.log_open, NOTHING)
+        stays = prior._replace(log_weight=prior.log_weight + np.where(has_entry, np.log1p(-RENEWAL_LOGGED), 0.0))
+        branches = join([stays, *branch_on_surprise(prior, residual, is_surprising, log_entry, settings)])
+    branches = branches.at(np.argsort(branches.pack, kind="stable"))
+    mean, cov, evidence = update(branches.mean, branches.cov, flight.of(branches.pack), settings.level)
+    posterior = normalise(branches._replace(mean=mean, cov=cov, log_weight=branches.log_weight + evidence))
+    survivors, new_row = prune(posterior, settings.offset_bin)
+    return survivors, Branching(branches, new_row, np.exp(posterior.log_weight))
 
 
 def wear_summary(hypotheses: Hypotheses, n: int) -> tuple[Array, Array]:
-    """Mean and standard deviation of ln loss, of which nothing negative is possible, over the hypotheses. (n,) each"""
+    """Compute mean and sd of ln loss over the hypotheses of n packs, truncated below 0. (n,) each"""
     weight = np.exp(hypotheses.log_weight)
     mean, variance = _above_zero(hypotheses.mean[:, WEAR], np.sqrt(hypotheses.cov[:, WEAR, WEAR]))
     middle = np.bincount(hypotheses.pack, weight * mean, n)

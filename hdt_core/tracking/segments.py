@@ -28,7 +28,7 @@ LEAST_SD, LEAST_WEIGHT = 1e-4, 1e-300
 
 
 def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> list[tuple[Array, Array]]:
-    r"""Mean and standard deviation of ln loss at each flight, from all flights: (packs,) each, packs that still fly.
+    r"""Smooth: mean and sd of ln loss at each flight, from all flights, (packs,) each, of packs that still fly.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> l
 
     Notes
     -----
-    Each branch back to its parent (Rauch, Tung and Striebel 1965), with its event D, weighed by what is now known of
-    where it led; branches of one parent merged by their moments (Kim 1994):
+    Each branch goes back to its parent (Rauch, Tung and Striebel 1965), with its event D, weighted by the smoothed
+    probability of the row it went into; branches of one parent merge by their moments (Kim 1994):
 
     .. math:: x_{k|N} = x_{k|k} + P_{k|k} (D F)^T P_{k+1|k}^{-1} (x_{k+1|N} - x_{k+1|k})
     """
@@ -47,26 +47,26 @@ def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> l
     summaries = [wear_summary(smoothed, smoothed.n_packs)]
     for earlier, branching in zip(filtered[-2::-1], branchings[:0:-1], strict=True):
         continuing = earlier.of_first(smoothed.n_packs)
-        finished = earlier.at(np.arange(len(continuing.pack), len(earlier.pack)))
-        smoothed = join([_one_back(continuing, branching, smoothed), finished])
+        ends_here = earlier.at(np.arange(len(continuing.pack), len(earlier.pack)))
+        smoothed = join([_smooth_back(continuing, branching, smoothed), ends_here])
         summaries.append(wear_summary(smoothed, smoothed.n_packs))
     return summaries[::-1]
 
 
-def _one_back(earlier: Hypotheses, branching: Branching, later: Hypotheses) -> Hypotheses:
-    """Smooth `earlier` by `later`."""
-    live = np.flatnonzero(branching.into >= 0)
-    branch, child, branch_weight = branching.prior.at(live), branching.into[live], branching.weight[live]
+def _smooth_back(earlier: Hypotheses, branching: Branching, later: Hypotheses) -> Hypotheses:
+    """Smooth `earlier` by `later`, one flight after it."""
+    live = np.flatnonzero(branching.new_row >= 0)
+    branch, child, branch_weight = branching.prior.at(live), branching.new_row[live], branching.weight[live]
     weight = np.exp(later.log_weight)[child] * branch_weight / np.bincount(child, branch_weight)[child]
     parents = earlier.at(branch.parent)
     move = branch.retention[:, :, None] * transition(parents.faulty)
     gain = np.swapaxes(np.linalg.solve(branch.cov, move @ parents.cov), 1, 2)
     mean = parents.mean + (gain @ (later.mean[child] - branch.mean)[:, :, None])[:, :, 0]
     cov = parents.cov + gain @ (later.cov[child] - branch.cov) @ np.swapaxes(gain, 1, 2)
-    return _collapsed(earlier, branch.parent, weight, mean, cov)
+    return _merge_branches(earlier, branch.parent, weight, mean, cov)
 
 
-def _collapsed(earlier: Hypotheses, parent: Array, weight: Array, mean: Array, cov: Array) -> Hypotheses:
+def _merge_branches(earlier: Hypotheses, parent: Array, weight: Array, mean: Array, cov: Array) -> Hypotheses:
     """Merge branches of each parent; a parent without any gets no weight."""
     total = np.zeros(len(earlier.pack))
     np.add.at(total, parent, weight)
@@ -89,16 +89,16 @@ class SegmentResult(NamedTuple):
 def filter_segments(
     panel: FlightPanel, settings: Settings, begin: Array, checkpoints: Checkpoints, *, smoothed: bool = True
 ) -> SegmentResult:
-    """Filter and smooth each pack from segment `begin` (packs,) on, where it is not the first from its checkpoint."""
+    """Filter and smooth each pack from segment `begin` (packs,) on; from its checkpoint where that is not the first."""
     result = SegmentResult(np.full((4, panel.n_rows), np.nan), {})
     remaining = panel.flights - begin * SEGMENT_FLIGHTS
     packs = np.argsort(-remaining, kind="stable")
-    for first in range(0, len(packs), SIDE_BY_SIDE):
-        _together(panel, settings, packs[first : first + SIDE_BY_SIDE], begin, checkpoints, result, smoothed=smoothed)
+    for i in range(0, len(packs), SIDE_BY_SIDE):
+        _filter_packs(panel, settings, packs[i : i + SIDE_BY_SIDE], begin, checkpoints, result, smoothed=smoothed)
     return result
 
 
-def _together(
+def _filter_packs(
     panel: FlightPanel,
     settings: Settings,
     packs: Array,
@@ -108,9 +108,9 @@ def _together(
     *,
     smoothed: bool,
 ) -> None:
-    """Some packs side by side, those with most flights left first: who has none left drops out at the end."""
+    """Filter and smooth some packs side by side, those with most flights left first; a pack without any drops out."""
     first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
-    hypotheses = _opened(packs, begin, checkpoints, settings)
+    hypotheses = _first_hypotheses(packs, begin, checkpoints, settings)
     steps: list[tuple[Hypotheses, Branching]] = []
     for k in range(int(remaining[0]) if len(remaining) else 0):
         n_packs = int((remaining > k).sum())
@@ -118,19 +118,18 @@ def _together(
         if k % SEGMENT_FLIGHTS == 0:
             segment = begin[packs] + k // SEGMENT_FLIGHTS
             result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(n_packs)})
-        hypotheses, branching = mmf.step(hypotheses, panel.flight(first[:n_packs] + k, packs[:n_packs]), settings)
+        cell = (first[:n_packs] + k, packs[:n_packs])
+        hypotheses, branching = mmf.step(hypotheses, panel.observations.of(cell), settings)
         steps += [(hypotheses, branching)] if smoothed else []
-        row = panel.row[first[:n_packs] + k, packs[:n_packs]]
-        result.tracks[:2, row] = mmf.wear_summary(hypotheses, n_packs)
+        result.tracks[:2, panel.row[cell]] = wear_summary(hypotheses, n_packs)
         if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == remaining[0]):
             window = steps[-(SEGMENT_FLIGHTS + k % SEGMENT_FLIGHTS + 1) :]
-            for k_back, (level, sd) in enumerate(smooth(*zip(*window, strict=True))):
-                at = first[: len(level)] + k + 1 - len(window) + k_back
-                result.tracks[2:, panel.row[at, packs[: len(level)]]] = level, sd
+            for flight, (level, sd) in enumerate(smooth(*zip(*window, strict=True)), k + 1 - len(window)):
+                result.tracks[2:, panel.row[first[: len(level)] + flight, packs[: len(level)]]] = level, sd
             steps = window
 
 
-def _opened(packs: Array, begin: Array, checkpoints: Checkpoints, settings: Settings) -> Hypotheses:
+def _first_hypotheses(packs: Array, begin: Array, checkpoints: Checkpoints, settings: Settings) -> Hypotheses:
     """Collect the hypotheses with which packs begin, numbered side by side."""
     parts = [checkpoints[int(p), int(begin[p])] if begin[p] else mmf.start(1, settings) for p in packs]
     return join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])

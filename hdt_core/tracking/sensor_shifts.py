@@ -1,11 +1,10 @@
 """Correct the conductance ratio for sensor faults that redundant sensors confirm.
 
-Pack flow is also seen at the compressor's inlet, TAT at the compressors' inlets, the exchanger's exit temperature by
-the other pack, whose controller keeps a constant distance while both doors can move, the door's position by climb and
-descent. Where a difference departs from its usual level, and the conductance departs with it as that
-sensor's error would make it, the error is corrected. With a confirming second difference no such step is needed, so a
-slow drift can be corrected too: climb and descent have no other reason to differ from the cruise, and TAT differs from
-both packs' compressor inlets alike.
+Redundant are the compressor's inlet flow for pack flow, the compressors' inlet temperatures for TAT, the other pack's
+exit temperature, at a constant distance while both doors can move, and climb and descent for the door's position. If
+a difference leaves its usual level, and the conductance with it as that sensor's error would make it, the error is
+corrected. With a confirming second difference no such step is needed, so a slow drift can be corrected too: climb and
+descent have no other reason to differ from the cruise, and TAT differs from both packs' compressor inlets alike.
 """
 
 from math import copysign, isfinite, isnan, nan, sqrt
@@ -15,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.records.keys import PACK
+from hdt_core.records.packs import join_other_pack, split_packs
 
 
 class RedundantSensor(NamedTuple):
@@ -65,10 +64,7 @@ def corrections(flights: pl.DataFrame) -> Corrections:
     """Estimate what sensor faults add to the ln conductance ratio of each row, from it and earlier rows, in order."""
     n = flights.height
     total = Corrections(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool))
-    if not n:
-        return total
-    table = _with_other_pack(flights)
-    pack = table.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(np.int64)
+    table = join_other_pack(flights, ["tat_apart_k"] if "tat_apart_k" in flights.columns else [])
     ratio = table["ln_ua_ratio"].to_numpy().astype(float)
     for sensor in REDUNDANT_SENSORS:
         if sensor.difference not in table.columns:
@@ -77,30 +73,16 @@ def corrections(flights: pl.DataFrame) -> Corrections:
         slope = table[sensor.slope].to_numpy().astype(float) if sensor.slope else np.ones(n)
         column = sensor.confirmation
         confirmation = table[column].to_numpy().astype(float) if column else np.full(n, np.nan)
-        for rows in np.split(np.arange(n), np.flatnonzero(np.diff(pack)) + 1):
+        for rows in split_packs(flights):
             series = (values[rows].tolist() for values in (difference, slope, ratio - total.shift, confirmation))
-            shift = np.array(_walk(sensor, *series))
+            shift = np.array(_follow_difference(sensor, *series))
             total.shift[rows] += shift
             total.variance[rows] += (SHIFT_SD * shift) ** 2
             total.fault[rows] |= shift != 0.0
     return total
 
 
-def _with_other_pack(flights: pl.DataFrame) -> pl.DataFrame:
-    """Join flights with the other pack's difference of TAT."""
-    if "tat_apart_k" not in flights.columns:
-        return flights
-    key = [*PACK, "flight_id"]
-    other_pack = flights.select(
-        *PACK[:2],
-        (3 - pl.col("pack")).cast(flights.schema["pack"]).alias("pack"),
-        "flight_id",
-        other_tat_apart_k="tat_apart_k",
-    )
-    return flights.join(other_pack.unique(key), on=key, how="left", maintain_order="left", validate="m:1")
-
-
-def _walk(
+def _follow_difference(
     sensor: RedundantSensor, difference: list[float], slope: list[float], ratio: list[float], confirmation: list[float]
 ) -> list[float]:
     """Follow one difference along a pack; return the correction of each flight, from it and earlier ones.
@@ -123,9 +105,9 @@ def _walk(
                     second += (confirmation[k] - confirmation_mean - second) / min(n_second, SHIFT_MEMORY)
                 if not fault and n_off >= sensor.n_confirm:
                     if min(n_confirmation, n_second) >= MIN_CONFIRM:
-                        fault = _is_confirmed(second, level)
+                        fault = _explains(level, second)
                     else:
-                        fault = _to_blame(ratio[k] - ratio_mean, slope[k] * level)
+                        fault = _explains(slope[k] * level, ratio[k] - ratio_mean)
             else:
                 n_back += 1
                 if n_back >= MIN_CONFIRM or not fault:
@@ -141,16 +123,11 @@ def _walk(
         if fault and n_back == 0 and isfinite(slope[k]):
             shift[k] = slope[k] * level
         if isfinite(ratio[k]) and (n_off == 0 or fault) and n_back != 1:
-            corrected = ratio[k] - shift[k]
-            ratio_mean = corrected if isnan(ratio_mean) else ratio_mean + (corrected - ratio_mean) / RATIO_MEMORY
+            value = ratio[k] - shift[k]
+            ratio_mean = value if isnan(ratio_mean) else ratio_mean + (value - ratio_mean) / RATIO_MEMORY
     return shift
 
 
-def _is_confirmed(confirmation: float, deviation: float) -> bool:
-    """Check whether the confirming difference has departed alike."""
-    return bool(isfinite(confirmation) and SHARE_LOW < confirmation / deviation < SHARE_HIGH)
-
-
-def _to_blame(change: float, expected: float) -> bool:
-    """Check whether the conductance changed as this sensor's error would change it."""
+def _explains(expected: float, change: float) -> bool:
+    """Whether a sensor's error explains a change: of the conductance, or of the confirming difference."""
     return bool(isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)

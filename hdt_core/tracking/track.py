@@ -10,13 +10,13 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
 from hdt_core.tracking.compressor_tracking import compressor_parameters
-from hdt_core.tracking.flight_panel import build_panel, fingerprints, health_rows
+from hdt_core.tracking.flight_panel import FILTERED, build_panel, fingerprints, health_rows
 from hdt_core.tracking.lumped_coefficients import lumped_coefficients
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
 from hdt_core.tracking.wear_model import Settings
 
-FILTERED, SMOOTHED = "kalman_filtered", "kalman_smoothed"
+SMOOTHED = "kalman_smoothed"
 LOSS, LOSS_SMOOTHED = "hx_fouling", "hx_fouling_smoothed"
 
 
@@ -28,7 +28,7 @@ class TrackResult(NamedTuple):
 
 
 def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    """Health parameters of every flight and pack; what is not called smoothed takes nothing from later flights.
+    """Track the health parameters of every flight and pack; only those called smoothed use later flights.
 
     Parameters
     ----------
@@ -42,71 +42,65 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
     Returns
     -------
     DataFrame
-        Long form: `LEG_AT`, component, parameter, value, sd, unit, status, estimator.
+        Table `twin_health`.
     """
     return track_on(twin_flights, maintenance, dsm).health
 
 
 def track_on(
-    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, stored: TrackResult | None = None, seal: str = ""
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None = None, seal: str = ""
 ) -> TrackResult:
-    """`track`, continued from `stored` results of packs whose earlier flights are unchanged.
+    """Do as `track`, continued from `previous` results of packs whose earlier flights are unchanged.
 
     Parameters
     ----------
-    stored : TrackResult, optional
+    previous : TrackResult, optional
         Result of an earlier call for the same packs, or for some of them.
     seal : str
-        Further inputs of the track, the version of the code; results stored under another are not used.
+        Further inputs of the track, the version of the code; results under another are not used.
     """
     flights = twin_flights.sort(IN_ORDER)
-    health, checkpoints = _exchanger(flights, maintenance, dsm, stored, f"{seal}|{dsm.dsm_version}")
+    health, checkpoints = _exchanger(flights, maintenance, dsm, previous, f"{seal}|{dsm.dsm_version}")
     rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
-    valid = _sound(pl.concat(rows))
+    valid = _null_invalid(pl.concat(rows))
     return TrackResult(valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
 
 
-def _sound(rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows without value where an estimate came out as no number, or with a doubt that is none."""
+def _null_invalid(rows: pl.DataFrame) -> pl.DataFrame:
+    """Null values and sds where either is not finite or the sd is negative; their status is `no_number`."""
     value, sd = pl.col("value"), pl.col("sd")
-    broken = (~value.is_finite() | ~sd.is_finite() | (sd < 0)).fill_null(False)
-    status = pl.when(broken).then(pl.lit("no_number")).otherwise("status").alias("status")
-    return rows.with_columns(pl.when(~broken).then(value), pl.when(~broken).then(sd), status)
+    is_invalid = (~value.is_finite() | ~sd.is_finite() | (sd < 0)).fill_null(False)
+    status = pl.when(is_invalid).then(pl.lit("no_number")).otherwise("status").alias("status")
+    return rows.with_columns(pl.when(~is_invalid).then(value), pl.when(~is_invalid).then(sd), status)
 
 
 def _exchanger(
-    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, stored: TrackResult | None, seal: str
+    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None, seal: str
 ) -> TrackResult:
-    faults, map_sd = corrections(flights), _map_sd(flights)
+    faults = corrections(flights)
+    map_sd = np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float))
     panel = build_panel(flights, faults, maintenance, dsm)
     names = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
     digests = fingerprints(panel, [map_sd, faults.variance, faults.fault], names, seal, SEGMENT_FLIGHTS)
     packs = flights.select(PACK).unique(maintain_order=True)
     restart = (
-        from_first_flight(packs.height) if stored is None else read_checkpoints(stored.checkpoints, packs, digests)
+        from_first_flight(packs.height) if previous is None else read_checkpoints(previous.checkpoints, packs, digests)
     )
-    result = filter_segments(panel, _settings(dsm), restart.begin, restart.checkpoints)
+    settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
+    result = filter_segments(panel, settings, restart.begin, restart.checkpoints)
     is_new = pl.Series(np.isfinite(result.tracks[0]))
     tracks = ((LOSS, FILTERED, result.tracks[:2]), (LOSS_SMOOTHED, SMOOTHED, result.tracks[2:]))
     health = pl.concat(
         _rows(flights, name, estimator, track[0], track[1], map_sd, faults).filter(is_new)
         for name, estimator, track in tracks
     )
-    if stored is not None and not is_new.all():
-        stored_rows = stored.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
-        stored_rows = stored_rows.join(flights.filter(~is_new).select(LEG_AT), on=LEG_AT, how="semi")
-        if stored_rows.height != len(tracks) * (~is_new).sum():  # something removed what the checkpoints speak of
+    if previous is not None and not is_new.all():
+        old_rows = previous.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
+        old_rows = old_rows.join(flights.filter(~is_new).select(LEG_AT), on=LEG_AT, how="semi")
+        if old_rows.height != len(tracks) * (~is_new).sum():  # rows before the checkpoints have been removed
             return _exchanger(flights, maintenance, dsm, None, seal)
-        health = pl.concat([stored_rows, health])
+        health = pl.concat([old_rows, health])
     return TrackResult(health, checkpoint_rows(packs, digests, restart, result.checkpoints))
-
-
-def _settings(dsm: Dsm) -> Settings:
-    return Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
-
-
-def _map_sd(flights: pl.DataFrame) -> Array:
-    return np.asarray(np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float)))
 
 
 def _rows(
@@ -114,12 +108,10 @@ def _rows(
 ) -> pl.DataFrame:
     value, value_sd = loss_of(level, np.sqrt(sd**2 + map_sd**2 + faults.variance))
     status = (
-        pl.when(pl.col("ln_ua_ratio").is_null())
-        .then(pl.lit("predicted"))
-        .when(pl.Series(faults.fault))
-        .then(pl.lit("sensor_corrected"))
-        .otherwise(pl.col("status"))
-    )
+        pl.when(pl.col("ln_ua_ratio").is_null()).then(pl.lit("predicted"))
+        .when(pl.Series(faults.fault)).then(pl.lit("sensor_corrected"))
+        .otherwise("status")
+    )  # fmt: skip
     return health_rows(flights, ("HX", name, "-", estimator), value, value_sd, status)
 
 

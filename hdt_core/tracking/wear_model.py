@@ -1,8 +1,8 @@
 """Model of wear from flight to flight and its effect on the conductance ratio: one scalar observation a flight.
 
 The state of a pack is wear (ln loss of conductance at the reference condition), its rate, the offset of its sensors,
-that of its unit, and what is not the core's at all: the model's slow error, or a fault while it lasts. Functions take
-any number of states at once; `hdt_core.tracking.multiple_model_filter` says which states those are.
+that of its unit, and an offset that is not the core's: the model's slow error, or a fault while it lasts. Functions
+take any number of states at once, those of `hdt_core.tracking.multiple_model_filter`.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ LEAST_SENSORS_SD = 0.015
 
 
 class Pace(NamedTuple):
-    """A way to wear: share of lives, ln loss a flight as a life begins, its spread, and how fast the rate changes."""
+    """A class of wear: share of lives, ln loss a flight as a life begins, its spread, and the rate's random walk."""
 
     share: float
     rate: float
@@ -45,16 +45,16 @@ CLOG, FAULT_CHANCE = (0.13, 0.08), 1 / 2000
 FAULT_STEP = 0.005
 """A sensor that drifts does so within a hundred flights."""
 OUTLIER_SHARE, OUTLIER_SD = 0.01, 0.3
-"""Flights that say nothing of the core: icing, a pack switched off, a spike that passed the filter."""
+"""Flights without information on the core: icing, a pack switched off, a spike that passed the filter."""
 ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
-"""How the state shows in the ratio, once it is brought to the reference condition."""
+"""Derivative of the ratio at the reference condition by the state."""
 
 
 class Settings(NamedTuple):
-    """What the pass takes from the digital system model (see `Dsm`), and how the component's units differ and wear.
+    """Settings of the filter: clean level of the digital system model (see `Dsm`), spread and wear of the units.
 
-    `clog` is the ln loss of a sudden one and its spread, `fault_chance` that of a fault of door or sensor on a flight.
-    Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged.
+    `clog` is the ln loss of a sudden clog and its spread, `fault_chance` the chance of a fault of door or sensor on a
+    flight. Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged.
     """
 
     level: float
@@ -70,17 +70,16 @@ class Settings(NamedTuple):
 
     @property
     def sensors_sd(self) -> float:
-        """What a pack's sensors and the clean level's own error add to all of its units alike."""
+        """Sd of a pack's offset common to all of its units: its sensors, and the clean level's own error."""
         sensor_var = max(self.offset_sd**2 - self.unit_sd**2, LEAST_SENSORS_SD**2)
         return float(np.sqrt(sensor_var + self.level_sd**2))
 
 
 class Observation(NamedTuple):
-    """One flight of n packs: ln ratio (NaN where none), its variance, and the log: renewal possible, renewal due,
-    whether one is kept. (n,)
+    """Observations of n flights: ln ratio (NaN where none), its variance, and flags of the log. (n,)
 
     `exposure` is the clean conductance of the flight over that of the reference condition: see `at_reference`.
-    `log_open`, `log_due`, `log_kept`: see `hdt_core.records.renewals`.
+    `log_open` (a renewal is possible), `log_due` (it is due), `log_kept` (a log is kept): see `records.renewals`.
     """
 
     ratio: Array
@@ -90,13 +89,13 @@ class Observation(NamedTuple):
     log_due: Array
     log_kept: Array
 
-    def of(self, rows: Array) -> "Observation":
-        """Observations of the packs at `rows`."""
+    def of(self, rows: Array | tuple[Array, Array]) -> "Observation":
+        """Select observations by an index of the arrays."""
         return Observation(*(values[rows] for values in self))
 
 
 def at_reference(flight: Observation, wear: Array) -> Observation:
-    r"""Flights as the reference condition would have shown them, for packs with about this much wear. (n,)
+    r"""Convert observations to the reference condition, for packs with about this much wear. (n,)
 
     Notes
     -----
@@ -105,8 +104,8 @@ def at_reference(flight: Observation, wear: Array) -> Observation:
 
     .. math:: \ln\left[1 + (e^{L} - 1) \, UA / UA_0\right]
 
-    All hypotheses of a pack share the correction: else a flight at another condition would be taken for news of how
-    much is wear and how much is offset, and the law isn't known that well.
+    All hypotheses of a pack share the correction: else a flight at another condition would seem to tell wear from
+    offset, and the law is not known that well.
     """
     positive_wear = np.maximum(wear, 0.0)
     return flight._replace(ratio=flight.ratio + np.log1p(np.expm1(positive_wear) * flight.exposure) - positive_wear)
@@ -151,8 +150,8 @@ def update(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[
 
     Notes
     -----
-    With probability `OUTLIER_SHARE` a flight says nothing. Both cases are merged by their moments at once: a flight
-    that may or may not be one leaves a wider belief.
+    With probability `OUTLIER_SHARE` a flight holds no information. Both cases are merged by their moments at once: a
+    possible outlier leaves a wider posterior.
     """
     residual, variance = innovation(mean, cov, flight, level)
     log_regular = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
@@ -164,9 +163,9 @@ def update(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[
     # Joseph's form keeps the covariance symmetric and positive
     shrink = np.eye(5) - gain[:, :, None] * ROW
     updated_cov = shrink @ cov @ np.swapaxes(shrink, 1, 2) + _outer(gain) * flight.variance[:, None, None]
-    between = (use * (1.0 - use))[:, None, None] * _outer(shift)
-    mixed = use[:, None, None] * updated_cov + (1.0 - use)[:, None, None] * cov + between
-    return mean + use[:, None] * shift, mixed, np.where(np.isfinite(flight.ratio), evidence, 0.0)
+    spread_of_means = (use * (1.0 - use))[:, None, None] * _outer(shift)
+    new_cov = use[:, None, None] * updated_cov + (1.0 - use)[:, None, None] * cov + spread_of_means
+    return mean + use[:, None] * shift, new_cov, np.where(np.isfinite(flight.ratio), evidence, 0.0)
 
 
 def log_normal(residual: Array, variance: Array) -> Array:

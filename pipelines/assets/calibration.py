@@ -6,16 +6,16 @@ from pathlib import Path
 
 import polars as pl
 
-from hdt_core.calibration.arrays import RECORDED
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit_by, learn_baseline
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
-from hdt_core.flight.phases import LEG_KEY
 from hdt_core.margin.control_schedules import learn_schedules
-from hdt_core.records.each_aircraft import of_each_aircraft
+from hdt_core.records.keys import LEG
+from hdt_core.records.packs import of_each_aircraft
+from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata
@@ -28,8 +28,8 @@ from pipelines.storage.store import Store
 def calibration(home: Home) -> StageResult:
     """Estimate design parameters and nominal health of fleet, operator and tail from nominal legs."""
     store, cells = home.store, baseline_cells(home.ledger)
-    samples = _of_cells(store, "legs_samples", cells, SAMPLE_COLUMNS, (*LEG_KEY, "time_utc", "source"))
-    verdicts = _of_cells(store, "legs_verdicts", cells, ("*",), LEG_KEY)
+    samples = _of_cells(store, "legs_samples", cells, SAMPLE_COLUMNS, (*LEG, "time_utc", "source"))
+    verdicts = _of_cells(store, "legs_verdicts", cells, ("*",), LEG)
     maintenance, messages, reports = (
         baseline_records(store, t, cells) for t in ("raw_maintenance", "raw_messages", "raw_reports")
     )
@@ -45,7 +45,7 @@ def calibration(home: Home) -> StageResult:
     return StageResult((pl.DataFrame(model), design_parameters(dsm), schedules, window(verdicts)), plots)
 
 
-SAMPLE_COLUMNS = (*LEG_KEY, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *RECORDED)
+SAMPLE_COLUMNS = (*LEG, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *SIGNALS)
 """Columns of the samples that calibration needs; more would take memory on a large fleet."""
 
 

@@ -8,11 +8,11 @@ import polars as pl
 
 from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
 from hdt_core.components import Component, component_rows, recorded_components
-from hdt_core.flight.component_legs import LEG, component_samples
+from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
 from hdt_core.prognosis.unit_lives import Failure, component_lives, life_table
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_readings import component_readings
 from pipelines.assets.raw import account, of_aircraft, stored_rows_of_absent_files
@@ -109,14 +109,13 @@ def _residuals(
     samples: pl.DataFrame, flights: pl.DataFrame, design: pl.DataFrame, component: Component
 ) -> list[pl.DataFrame]:
     """Compute residuals of each pack against its own model."""
-    from hdt_core.tracking.component_units import calibrated_model
+    from hdt_core.tracking.component_units import pack_models
 
     nominal = samples.filter("nominal").join(flights, on=LEG, how="semi")
-    packs = design.filter(component=component.code).group_by(PACK, maintain_order=True)
     return [
-        component_residuals(pack_samples, flights, calibrated_model(rows, component), component.code)
-        for key, rows in packs
-        if (pack_samples := nominal.filter(*(pl.col(c) == v for c, v in zip(PACK, key, strict=True)))).height
+        component_residuals(pack_samples, flights, model, component.code)
+        for model, _, pack_samples in pack_models(nominal, design, component)
+        if pack_samples.height
     ]
 
 

@@ -11,9 +11,9 @@ from hdt_core.alerts.alerts import raise_alerts, with_health
 from hdt_core.alerts.cases import Case, Limits
 from hdt_core.alerts.sensor_faults import may_feign_wear
 from hdt_core.health.features import features
-from hdt_core.health.residuals import SCHEMA as RESIDUALS
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.residuals import Residuals
 
 FLIGHTS = 90
 
@@ -33,7 +33,7 @@ def track(samples: pl.DataFrame, loss: dict[int, np.ndarray], sd: float = 0.01) 
 def alerts_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame, **kw: Any) -> pl.DataFrame:
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
     seen = cross_checks(samples)
-    out = features(health, pl.DataFrame(schema=RESIDUALS), legs, maintenance, cross_checks=seen)
+    out = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=seen)
     return raise_alerts(out, health, maintenance, **kw)
 
 
@@ -285,7 +285,7 @@ def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_d
 def test_the_models_cross_checks_tell_inlet_and_door_from_a_blockage(samples, nothing_done, shifts, sensor) -> None:
     health = track(samples, {1: np.where(np.arange(FLIGHTS) >= 50, 0.12, 0.0)} if sensor is None else {})
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
-    seen = features(health, pl.DataFrame(schema=RESIDUALS), legs, nothing_done, cross_checks=cross_checks(samples))
+    seen = features(health, Residuals.create_empty(), legs, nothing_done, cross_checks=cross_checks(samples))
     rng, hit = np.random.default_rng(2), (pl.col("pack") == 1) & (pl.col("departed_at") >= when(samples, 50))
     noise = {"w_hx_in_over_discharge_k": 0.7, "w_conductance_off_cruise_ln": 0.018, "hx_fouling_flight": 0.016}
     checks = [

@@ -102,7 +102,7 @@ def test_twenty_points_of_a_ram_outlet_fix_the_ram_flow(small, known, seen):
     points = to_points(level_points(cruise_samples(small.samples), flights_of(small.samples)), packs)
     points.signals["ram_out_k"] = np.where(np.arange(len(points)) < known, points.signals["ram_out_k"], np.nan)
     found = fit_exchanger(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
-    assert (found.ram_seen, found.converged) == (seen, True)
+    assert (found.has_ram_outlet, found.converged) == (seen, True)
     nothing = fit_exchanger(replace(points, pack=points.pack[:0]), np.full((1, 6), 0.1), np.tile(hx.BIAS_SDS, (1, 1)))
     assert nothing.converged
     np.testing.assert_array_equal(nothing.bias, [[0.1] * 6])

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.calibration.compressor_fit import _as_built, _pooled, fit_compressor, inlet_geometry
+from hdt_core.calibration.compressor_fit import _as_built, _pool, fit_compressor, inlet_geometry
 from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
 from hdt_core.calibration.forms import compare_forms
 from hdt_core.calibration.pooling import pool
@@ -98,8 +98,8 @@ def test_an_as_built_line_is_that_of_machines_as_seen_raised():
     ]
     fit, line = fit_compressor(pl.concat(frames)), fit_line(rows)
     # a flow sensor's 2 % and .3 % of an efficiency are no pack's own
-    group = _pooled(pl.concat(frames), "group_m3", "cc_area_diameter_tan_beta_m3", 0.02, wear=False)[2]
-    assert fit.levels == (*group, *_pooled(pl.concat(frames), "efficiency", "cc_efficiency", 0.003, wear=True)[2])
+    group = _pool(pl.concat(frames), "group_m3", "cc_area_diameter_tan_beta_m3", 0.02, wear=False)[2]
+    assert fit.levels == (*group, *_pool(pl.concat(frames), "efficiency", "cc_efficiency", 0.003, wear=True)[2])
     as_built, as_built_sd = _as_built(line.level, 0.004, 0.008)
     slope = line.slope * as_built / line.level.mean()
     slope_sd = np.hypot(line.slope_sd, slope * as_built_sd / as_built)
@@ -159,15 +159,15 @@ def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
         )
         for tail, level in (("A", 0.78), ("B", 0.80), ("C", 0.82))
     ])  # fmt: skip
-    value, sd, levels = _pooled(rows, "efficiency", "cc_efficiency", 0.003, wear=True)
+    value, sd, levels = _pool(rows, "efficiency", "cc_efficiency", 0.003, wear=True)
     assert value == pytest.approx(0.80 * (1.0 + np.log(2.0) * 0.008))
     assert sd == pytest.approx(np.hypot(1.4826 * 0.02 * 1.2533 / np.sqrt(3.0), 0.016 * 0.8))
     assert [v.n_flights for v in levels] == [60, 20, 20, 20]
     middle = np.array([0.78, 0.80, 0.82])
     scatter = np.array([np.std([m] * 20 + [0.5] * 10, ddof=1) for m in middle]) * 1.2533 / np.sqrt(30.0)
     by_hand = pool(middle, np.hypot(scatter, 0.02 * middle), np.zeros(3, dtype=int))
-    assert _pooled(rows, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(by_hand[:2])
-    assert _pooled(rows.clear(), "efficiency", "cc_efficiency", 0.02, wear=True) == (0.75, 0.05, ())
+    assert _pool(rows, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(by_hand[:2])
+    assert _pool(rows.clear(), "efficiency", "cc_efficiency", 0.02, wear=True) == (0.75, 0.05, ())
 
 
 def test_the_papers_law_stands_where_there_are_fewer_than_thirty_points():

@@ -50,7 +50,7 @@ def levels(flight: np.ndarray, weight: np.ndarray, loose, effect: float):
 
 
 def by_matrices(points: Points, bias_mean, bias_sd, iterations: int, *, ram_seen: bool):
-    """Design and its covariance, biases and their sd, after so many steps.
+    """Design and its covariance, and biases, after so many steps.
 
     A flight's mean ratio follows a walk of 0.01 a flight that begins within 0.3; it scatters by 0.02 about that, beyond
     its points' own error. Of neighbouring points ten count as one, forty where nothing shows the ram flow.
@@ -110,7 +110,7 @@ def by_matrices(points: Points, bias_mean, bias_sd, iterations: int, *, ram_seen
             health[r] = level[of]
             if iteration >= 3:
                 loose[k] = 1.0 + 1000.0 * (np.abs(np.diff(level)) > 0.04)
-    return design, cov, bias, np.sqrt(np.diag(bias_cov)).reshape(n_packs, B)
+    return design, cov, bias
 
 
 @pytest.fixture(scope="module")
@@ -138,13 +138,12 @@ def test_the_fit_is_least_squares_through_instruments(points, iterations, ram_se
     mean[1] *= -1.0
     monkeypatch.setattr(exchanger_fit, "ITERATIONS", iterations)
     found = exchanger_fit.fit_exchanger(points, mean, sd)
-    design, cov, bias, bias_sd = by_matrices(points, mean, sd, iterations, ram_seen=ram_seen)
+    design, cov, bias = by_matrices(points, mean, sd, iterations, ram_seen=ram_seen)
     scale = np.sqrt(np.diag(cov))
     np.testing.assert_allclose((found.mean - design) / scale, 0.0, atol=2e-3)
     np.testing.assert_allclose(found.cov / np.outer(scale, scale), cov / np.outer(scale, scale), atol=2e-3)
     np.testing.assert_allclose(found.bias / sd, bias / sd, atol=2e-3)
-    np.testing.assert_allclose(found.bias_sd, bias_sd, rtol=2e-3)
-    assert found.ram_seen == ram_seen
+    assert found.has_ram_outlet == ram_seen
 
 
 @pytest.mark.parametrize("sure", [1.0, 1e-3])

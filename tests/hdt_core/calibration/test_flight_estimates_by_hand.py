@@ -17,7 +17,7 @@ from hdt_core.calibration.arrays import (
     to_points,
 )
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
-from hdt_core.calibration.flight_estimates import _locate, design_gradient, estimate_flights
+from hdt_core.calibration.flight_estimates import _locate, estimate_flights
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import PACK
 
@@ -86,7 +86,7 @@ def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flow
     ]) / 2e-5  # fmt: skip
     assert row["ln_ua_ratio_map_sd"] == pytest.approx(0.1 * np.linalg.norm(gradient), rel=1e-3)
     here = hx.ln_conductance_ratio(at, DSM.design, bias)
-    np.testing.assert_allclose(design_gradient(at, DSM.design, bias, here)[0], gradient, rtol=1e-2, atol=1e-4)
+    np.testing.assert_allclose(hx.design_gradient(at, DSM.design, bias, here)[0], gradient, rtol=1e-2, atol=1e-4)
 
 
 def test_climb_above_2500_m_tells_of_the_door(flown):

@@ -10,8 +10,8 @@ from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
 from hdt_core.flight.nominal import learn_scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
-from hdt_core.flight.phases import LEG_KEY
 from hdt_core.flight.windows import number_flights
+from hdt_core.records.keys import LEG
 
 KEY = ["tail", "flight_id", "pack"]
 
@@ -28,7 +28,7 @@ def admitted(fleet, level_one):
 
 
 def test_no_leg_is_lost_and_every_reason_is_declared(level_one, admitted):
-    assert admitted.select(LEG_KEY).equals(level_one[0].select(LEG_KEY))
+    assert admitted.select(LEG).equals(level_one[0].select(LEG))
     assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
     assert (admitted["admitted"] == (admitted["reason"] == "")).all()
     assert admitted.columns == level_one[0].columns
@@ -47,13 +47,13 @@ def test_nominal_flights_are_admitted_and_sick_ones_are_not(fleet, admitted):
 
 def test_twin_that_reports_wear_turns_the_leg_away(fleet, level_one, admitted):
     worn = admitted.filter("admitted").head(3)
-    said = worn.select(*LEG_KEY).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
+    said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
     again = admit(*level_one, fleet.maintenance, fleet.messages, said)
-    assert again.join(worn.select(LEG_KEY), on=LEG_KEY, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
+    assert again.join(worn.select(LEG), on=LEG, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
 
 
 def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.Expr, mine: pl.Expr) -> pl.DataFrame:
-    numbered = samples.join(legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY, how="left", maintain_order="left")
+    numbered = samples.join(legs.select(*LEG, "flight_number"), on=LEG, how="left", maintain_order="left")
     return numbered.with_columns(pl.when(mine).then(change).otherwise(pl.col(column)).alias(column)).drop(
         "flight_number"
     )
@@ -65,14 +65,12 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     tail = legs["tail"][0]
     span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
     off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
-    found = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(
-        legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY
-    )
+    found = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(legs.select(*LEG, "flight_number"), on=LEG)
     before = check_sensors(leg_checks(samples, learn_outlet_law(samples)), legs).join(
-        legs.select(*LEG_KEY, "flight_number"), on=LEG_KEY
+        legs.select(*LEG, "flight_number"), on=LEG
     )
     sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))
-    hit = found.join(sound.select(LEG_KEY), on=LEG_KEY, how="semi")
+    hit = found.join(sound.select(LEG), on=LEG, how="semi")
     assert hit["sensor_shift"].mean() >= 0.9
     other = found.filter(span & (pl.col("pack") == 2))
     assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
@@ -80,10 +78,10 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
 
 def test_twin_that_finds_the_exchanger_sound_is_believed_over_the_index(fleet, level_one, admitted):
     worn = admitted.filter(pl.col("reason") == "HX_WORN")
-    said = worn.select(*LEG_KEY).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
+    said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
     again = admit(*level_one, fleet.maintenance, fleet.messages, said)
     assert worn.height > 20
-    assert set(again.join(worn.select(LEG_KEY), on=LEG_KEY, how="semi")["reason"]) <= {"", "OUTLIER"}
+    assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
 
 
 def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.DataFrame:
@@ -91,7 +89,7 @@ def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.D
     rng = np.random.default_rng(5)
     noise = {c: sd * rng.normal(size=legs.height) for c, sd in (("inlet_apart_k", 0.7), ("door_apart_ln", 0.018))}
     drift = pl.when(mine & pl.col("flight_number").is_between(100, 140)).then(pl.col("flight_number") - 100.0)
-    seen = legs.select(*LEG_KEY, "flight_number").with_columns(pl.Series(c, v) for c, v in noise.items())
+    seen = legs.select(*LEG, "flight_number").with_columns(pl.Series(c, v) for c, v in noise.items())
     return seen.with_columns(pl.col(column) + slope * drift.otherwise(0.0)).drop("flight_number")
 
 
@@ -106,7 +104,7 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
         admit_by(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
     )
     sound = before.with_columns(legs["flight_number"]).filter("admitted")
-    hit = after.join(sound.select(*LEG_KEY, "flight_number"), on=LEG_KEY)
+    hit = after.join(sound.select(*LEG, "flight_number"), on=LEG)
     assert (hit.filter(mine & pl.col("flight_number").is_between(110, 140))["reason"] == "SENSOR_SHIFT").all()
     assert hit.filter(~mine | ~pl.col("flight_number").is_between(90, 145))["admitted"].mean() > 0.99
 
@@ -114,8 +112,8 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
 @pytest.mark.parametrize("ice_k", [4.0])
 def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
     legs, samples = level_one
-    enough = pl.col("monitored").sum().over(LEG_KEY) >= 10
-    place = pl.col("monitored").cum_sum().over(LEG_KEY)
+    enough = pl.col("monitored").sum().over(LEG) >= 10
+    place = pl.col("monitored").cum_sum().over(LEG)
     calm = leg_conductance(samples, learn_manifold(samples, legs))
     iced = samples.with_columns(
         pl.when(enough & pl.col("monitored") & place.is_between(3, 6))
@@ -124,7 +122,7 @@ def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
         .alias("hx_out_k")
     )
     restless = leg_conductance(iced, learn_manifold(samples, legs))
-    both = calm.join(restless, on=LEG_KEY, suffix="_iced").filter(pl.col("index_n") >= 10)
+    both = calm.join(restless, on=LEG, suffix="_iced").filter(pl.col("index_n") >= 10)
     assert (both["index_unrest"] > 6.5).mean() <= 0.05
     assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
 
@@ -153,7 +151,7 @@ def test_mcd_is_not_masked_by_what_it_must_reject(share):
     sick = np.arange(1000) < 1000 * share
     x[sick] += 8.0 * scales * rng.choice([-1, 1], size=3)
     residuals = pl.DataFrame(x, schema=["a", "b", "c"])
-    out = learn_scatter(residuals, residuals.columns).outlying(residuals).to_numpy()
+    out = learn_scatter(residuals, residuals.columns).flag_outliers(residuals).to_numpy()
     assert out[sick].all()
     assert out[~sick].mean() <= 0.01
 
@@ -173,5 +171,5 @@ def test_signs_of_a_leg_are_its_own(fleet, level_one):
     legs, samples = level_one
     norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
-    whole, part = (leg_indicators(s, norm).sort(LEG_KEY) for s in (samples, some))
-    assert part.equals(whole.join(part.select(LEG_KEY), on=LEG_KEY, how="semi").sort(LEG_KEY))
+    whole, part = (leg_indicators(s, norm).sort(LEG) for s in (samples, some))
+    assert part.equals(whole.join(part.select(LEG), on=LEG, how="semi").sort(LEG))

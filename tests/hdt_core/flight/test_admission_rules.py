@@ -6,7 +6,7 @@ import pytest
 from hdt_core.flight.admission import admit_by
 from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG
 
 N = 30
 TEXT = dict.fromkeys(("operator", "tail", "component", "action", "code"), pl.String)
@@ -24,13 +24,13 @@ def verdicts(
 ) -> pl.DataFrame:
     """Second-level verdicts on legs that show these signs."""
     own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | signs
-    shown = legs.select(LEG_KEY).with_columns(pl.Series(k, v) for k, v in own.items())
+    shown = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
     baseline = NominalBaseline(level=IndexLevel(clean=0.0, stray=0.0), scatter=scatter)
     return admit_by(baseline, legs, shown, NO_WORK, NO_MESSAGE, health).sort("flight_id")
 
 
 def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:
-    told = LEGS.select(LEG_KEY).with_columns(parameter=pl.lit(parameter), value=pl.lit(value))
+    told = LEGS.select(LEG).with_columns(parameter=pl.lit(parameter), value=pl.lit(value))
     return told.with_columns(sd=pl.lit(sd, pl.Float64))
 
 

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from hdt_core.flight.cross_checks import TOLERANCE, OutletLaw, check_sensors, learn_outlet_law, leg_checks
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG
 
 N = 60
 FLIGHT = np.arange(N)
@@ -79,8 +79,8 @@ def checked(column: str, values: np.ndarray, other: np.ndarray | None = None, **
     packs = [{"pack": 1, column: values} | more] + ([] if other is None else [{"pack": 2, column: other}])
     key = {"operator": "TST", "tail": "T", "flight_id": [f"F{k:02d}" for k in range(N)]}
     rows = pl.concat([pl.DataFrame(key | p) for p in packs], how="diagonal").cast({"pack": pl.Int32})
-    legs = rows.select(*LEG_KEY, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
-    return check_sensors(rows, legs).join(legs, on=LEG_KEY).sort("pack", "flight_number")
+    legs = rows.select(*LEG, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
+    return check_sensors(rows, legs).join(legs, on=LEG).sort("pack", "flight_number")
 
 
 ALTERNATE = np.where(FLIGHT % 2 == 0, 1.0, -1.0)
@@ -156,5 +156,5 @@ def two_packs(late: np.ndarray, share: float) -> pl.DataFrame:
     one = pl.DataFrame(key | {"pack": 1, "outlet_between_packs_k": late, "outlet_above_law_k": late})
     two = pl.DataFrame(key | {"pack": 2, "outlet_between_packs_k": -late, "outlet_above_law_k": share * late})
     rows = pl.concat([one, two]).cast({"pack": pl.Int32})
-    legs = rows.select(*LEG_KEY, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
-    return check_sensors(rows, legs).join(legs, on=LEG_KEY).sort("pack", "flight_number")
+    legs = rows.select(*LEG, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
+    return check_sensors(rows, legs).join(legs, on=LEG).sort("pack", "flight_number")

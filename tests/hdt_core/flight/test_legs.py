@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 
 from hdt_core.flight.legs import REASONS, judge_legs
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +28,14 @@ def judged(one_tail, no_log):
 
 def test_every_flight_and_pack_is_judged_once_with_a_known_reason(one_tail, judged):
     legs, _ = judged
-    assert legs.select(LEG_KEY).sort(LEG_KEY).equals(one_tail.select(LEG_KEY).unique().sort(LEG_KEY))
+    assert legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
     assert set(legs["reason"]) <= {"", *REASONS}
     assert (legs["admitted"] == (legs["reason"] == "")).all()
 
 
 def test_nominal_samples_are_monitored_samples_of_admitted_legs(judged):
     legs, samples = judged
-    nominal = samples.filter("nominal").join(legs.select(*LEG_KEY, "admitted"), on=LEG_KEY)
+    nominal = samples.filter("nominal").join(legs.select(*LEG, "admitted"), on=LEG)
     assert nominal["monitored"].all()
     assert nominal["admitted"].all()
     assert set(nominal["phase"]) == {"cruise"}

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from hdt_core.flight.manifold import TERMS, Manifold, add_conductance_index, learn_manifold, leg_conductance
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG
 
 FLIGHTS, EACH = 40, 8
 
@@ -30,7 +30,7 @@ def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
         "total_pressure_pa": total, "mach": mach,
     }  # fmt: skip
     samples = pl.DataFrame(key | signals).cast({"pack": pl.Int32})
-    legs = samples.select(LEG_KEY).unique(maintain_order=True).with_columns(flight_number=pl.int_range(pl.len()))
+    legs = samples.select(LEG).unique(maintain_order=True).with_columns(flight_number=pl.int_range(pl.len()))
     return samples, legs
 
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import chi2
 
 from hdt_core.flight.nominal import IndexLevel, Scatter, judge_conductance, learn_level, learn_scatter
-from hdt_core.flight.phases import LEG_KEY
+from hdt_core.records.keys import LEG
 
 N = 50
 FLIGHT = np.arange(N)
@@ -33,7 +33,7 @@ UNKNOWN = IndexLevel()
 
 def judged(level: np.ndarray, fleet: IndexLevel = UNKNOWN, **more: float) -> pl.DataFrame:
     told = judge_conductance(levels(level, **more), NO_LOG, fleet)
-    return told.sort(LEG_KEY)
+    return told.sort(LEG)
 
 
 @pytest.mark.parametrize(("drop", "worn"), [(0.091, True), (0.089, False)])
@@ -86,7 +86,7 @@ def test_outliers_lie_beyond_the_chi_square_quantile():
     rows = pl.DataFrame(
         {"a": [1.0 + 0.5 * 1.001 * edge, 1.0 + 0.5 * 0.999 * edge, 1.0], "b": [0.0, None, 1.001 * edge]}
     )
-    assert scatter.outlying(rows).to_list() == [True, False, True]
+    assert scatter.flag_outliers(rows).to_list() == [True, False, True]
 
 
 def test_a_scatter_wants_two_hundred_legs_that_move():

@@ -9,11 +9,11 @@ from polars.testing import assert_frame_equal
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.health.features import features, residual_column, since_maintenance
-from hdt_core.health.residuals import SCHEMA as RESIDUALS
 from hdt_core.health.virtual_sensors import virtual_sensors
+from hdt_core.tables.residuals import Residuals
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
-NO_RESIDUALS = pl.DataFrame(schema=RESIDUALS)
+NO_RESIDUALS = Residuals.create_empty()
 
 
 def health(loss: np.ndarray, pack: int = 1, tail: str = "T-AAA") -> pl.DataFrame:

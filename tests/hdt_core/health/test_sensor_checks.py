@@ -5,7 +5,8 @@ import polars as pl
 import pytest
 from hand_pack import FLIGHT, LAWS
 
-from hdt_core.health.sensor_checks import CHECKS, SENSORS, cross_checks
+from hdt_core.health.sensor_checks import CHECKS, cross_checks
+from hdt_core.tables.raw import SIGNALS
 
 FROM = 30
 
@@ -25,7 +26,7 @@ def test_sound_aircraft_shows_nothing(fly) -> None:
     out = cross_checks(fly(40))
     assert out.height == 80
     assert out["running"].all()
-    for sensor in SENSORS:
+    for sensor in SIGNALS:
         expected = 1.0 if sensor == "ram_out_k" else 0.0
         assert out[f"{sensor}_lost_share"].max() == expected
         assert not out[f"{sensor}_still"].any()

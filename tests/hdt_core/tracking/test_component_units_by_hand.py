@@ -9,18 +9,19 @@ from by_hand import flights, log
 
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
 from hdt_core.tracking.component_units import (
     _as_built,
-    _calibrated,
+    _calibrate_pack,
     _design_offset,
-    _explained,
-    _packs,
     _prior,
+    _reject_beyond_range,
     _second_level,
     _strays,
-    by_prior,
+    health_by_prior,
+    pack_models,
 )
 from hdt_core.tracking.sequential import MIN_SAMPLES, flight_by_flight, recorded_outputs
 from hdt_core.tracking.wear_model import Settings
@@ -97,7 +98,7 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, k
     rng = np.random.default_rng(1)
     rows = samples([1.8] * n, 5).with_columns(speed=pl.Series(rng.uniform(0.5, 1.5, 5 * n)))
     rows = rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
-    stray, found = _calibrated(rows, PART)
+    stray, found = _calibrate_pack(rows, PART)
     assert (stray.height, len(found)) == (0, known)
     if known:
         name, value, sd, unit, count, identifiable, version = found[0]
@@ -107,16 +108,17 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, k
         odd = rows.with_columns(
             lift=pl.col("lift") * pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
         )
-        stray, found = _calibrated(odd, PART)
+        stray, found = _calibrate_pack(odd, PART)
         assert (stray["flight_id"].to_list(), found[0][4]) == (["T-1_004"], 9)
         assert found[0][1] == pytest.approx(1.9, abs=0.01)
 
 
 def test_reasons_of_the_second_level():
     legs = flights(4, reason=["SHORT", "", "", ""])
-    own = _second_level(legs, [legs[2:3].select("operator", "tail", "flight_id", "pack")], [("TST", "T-1", 1, "x")])
+    key, pack = legs.select(LEG), legs.select(PACK).unique()
+    own = _second_level(legs, key[2:3], pack)
     assert own.select("reason", "admitted").rows() == [("SHORT", False), ("", True), ("STRAY", False), ("", True)]
-    none = _second_level(legs, [], [])
+    none = _second_level(legs, key.clear(), pack.clear())
     assert none["reason"].to_list() == ["SHORT", *["NOT_COMMISSIONED"] * 3]
     assert not none["admitted"].any()
     assert _prior(PART) == [("pmp_size", 2.0, 0.2, "m", 0, False, f"prior {PART.version}")]
@@ -126,7 +128,7 @@ def test_reasons_of_the_second_level():
 def test_a_loss_at_its_lower_bound_says_nothing(loss, status):
     """A thousandth of the span of 1 above -0.1."""
     rows = flights(1, pmp_loss=loss).with_columns(status=pl.lit("converged"))
-    assert _explained(rows, samples([1.0]), PART)["status"].to_list() == [status]
+    assert _reject_beyond_range(rows, samples([1.0]), PART)["status"].to_list() == [status]
 
 
 def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_design():
@@ -135,7 +137,7 @@ def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_desig
     assert built == pytest.approx((0.0, np.log(2.1 / 2.0)), abs=1e-6)
     rows = flights(4, pmp_loss=[0.15, 0.15, None, 0.15], pmp_loss_sd=[0.02, None, 0.1, 0.02])
     said = pl.Series(["converged"] * 3 + ["not_identifiable"])
-    found = by_prior(rows.with_columns(status=said), built.sd, PART)
+    found = health_by_prior(rows.with_columns(status=said), built.sd, PART)
     moved = (0.15 - (1.0 - 1.7 / 2.1)) ** 2
     weight = 0.15**2 / (0.15**2 + 0.02**2 + moved)
     np.testing.assert_allclose(found["value"], [weight * 0.15, 0.0, 0.0, 0.0], atol=1e-8)
@@ -143,7 +145,7 @@ def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_desig
     assert set(found["status"]) == {"prior_only"}
 
 
-def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flight_calibrated_it():
+def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flight_calibrate_pack_it():
     sizes = np.linspace(1.0, 2.0, 40)
     design = pl.DataFrame(
         {
@@ -158,7 +160,7 @@ def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flig
     )
     rows = samples([1.8]).with_columns(tail=pl.lit("T-7"))
     other = design.with_columns(component=pl.lit("OTHER"), value=pl.lit(9.9))
-    found = list(_packs(rows, pl.concat([other, design]), PART))
+    found = list(pack_models(rows, pl.concat([other, design]), PART))
     np.testing.assert_allclose([model.nominal["pmp_size"] for model, _, _ in found], sizes)
     assert [on_prior for _, on_prior, _ in found] == [True, False] * 20
     assert [own.height for *_, own in found] == [0, 4] + [0] * 38

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from by_hand import DSM, flights, log
 
-from hdt_core.tracking.compressor_tracking import compressor_parameters, filtered_loss
+from hdt_core.tracking.compressor_tracking import compressor_parameters, filter_loss
 
 LOSSES = {"cc_efficiency_loss": (np.hypot(0.008, 0.01), 0.006), "cc_diameter_loss": (0.04, 0.02)}
 """Spread of a pack's level, of unit and of what the model was built from; scatter of a flight."""
@@ -60,10 +60,10 @@ def test_a_loss_is_filtered_as_by_matrices(machine, loss):
 def test_each_pack_is_filtered_by_itself(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
     seen = np.tile(np.linspace(0.0, 0.1, 12), 2)
-    loss, sd = filtered_loss(two, seen, np.zeros(24), 0.006, 0.01, 0.001)
+    loss, sd = filter_loss(two, seen, np.zeros(24), 0.006, 0.01, 0.001)
     assert loss[:12].equals(loss[12:])
     assert sd[:12].equals(sd[12:])
-    assert filtered_loss(two.clear(), np.zeros(0), np.zeros(0), 0.006, 0.01, 0.001)[0].is_empty()
+    assert filter_loss(two.clear(), np.zeros(0), np.zeros(0), 0.006, 0.01, 0.001)[0].is_empty()
 
 
 def test_an_exchangers_replacement_is_no_compressors(machine):

@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 from by_hand import DSM, flights, log
 
-from hdt_core.tracking.flight_panel import build_panel, fingerprints
+from hdt_core.tracking.flight_panel import FILTERED, build_panel, fingerprints
 from hdt_core.tracking.sensor_shifts import Corrections
-from hdt_core.tracking.track import FILTERED, LOSS, _rows, _sound, track_on
+from hdt_core.tracking.track import LOSS, _null_invalid, _rows, track_on
 
 
 @pytest.fixture
@@ -30,16 +30,17 @@ def test_each_flight_shows_its_ratio_without_the_sensors_error(seen, faults):
     assert panel.row.tolist() == [[0, 3], [1, -1], [2, -1]]
     assert panel.n_rows == 4
     assert panel.flights.tolist() == [3, 1]
-    np.testing.assert_allclose(panel.ratio, [[0.01, 0.01], [np.nan] * 2, [-0.05, np.nan]])
+    seen = panel.observations
+    np.testing.assert_allclose(seen.ratio, [[0.01, 0.01], [np.nan] * 2, [-0.05, np.nan]])
     # a flight's own noise, that of flights about the pack's health, and the correction's
     own = 0.004**2 + 0.015**2
-    np.testing.assert_allclose(panel.variance, [[own, own], [1.0, 1.0], [0.003**2 + 0.015**2 + 1e-4, 1.0]])
-    np.testing.assert_allclose(panel.exposure, [[1.1, 1.1], [1.0, 1.0], [0.9, 1.0]])
-    assert panel.log_open[:, 0].tolist() == [0, 2, 2]
-    assert panel.log_due[:, 0].tolist() == [0, 0, 2]
-    assert panel.log_kept[:, 0].tolist() == [0, 1, 1]
-    assert panel.log_kept[:, 1].tolist() == [0, 0, 0]
-    one = panel.flight(np.array([2, 0]), np.array([0, 1]))
+    np.testing.assert_allclose(seen.variance, [[own, own], [1.0, 1.0], [0.003**2 + 0.015**2 + 1e-4, 1.0]])
+    np.testing.assert_allclose(seen.exposure, [[1.1, 1.1], [1.0, 1.0], [0.9, 1.0]])
+    assert seen.log_open[:, 0].tolist() == [0, 2, 2]
+    assert seen.log_due[:, 0].tolist() == [0, 0, 2]
+    assert seen.log_kept[:, 0].tolist() == [0, 1, 1]
+    assert seen.log_kept[:, 1].tolist() == [0, 0, 0]
+    one = panel.observations.of((np.array([2, 0]), np.array([0, 1])))
     np.testing.assert_allclose(one.ratio, [-0.05, 0.01])
 
 
@@ -88,7 +89,7 @@ def test_the_track_takes_level_and_doubt_from_the_model(seen):
 def test_no_number_is_no_estimate():
     nan, inf = float("nan"), float("inf")
     rows = pl.DataFrame({"value": [0.1, nan, 0.1, 0.1, None, 0.1], "sd": [0.0, 0.1, inf, -0.1, None, None]})
-    found = _sound(rows.with_columns(status=pl.lit("ok")))
+    found = _null_invalid(rows.with_columns(status=pl.lit("ok")))
     assert found["status"].to_list() == ["ok", *["no_number"] * 3, "ok", "ok"]
     assert found["value"].to_list() == [0.1, None, None, None, None, 0.1]
     assert found["sd"].to_list() == [0.0, None, None, None, None, None]

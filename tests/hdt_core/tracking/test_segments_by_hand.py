@@ -5,8 +5,8 @@ import pytest
 
 from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.flight_panel import FlightPanel
-from hdt_core.tracking.segments import _collapsed, filter_segments
-from hdt_core.tracking.wear_model import Settings
+from hdt_core.tracking.segments import _merge_branches, filter_segments
+from hdt_core.tracking.wear_model import Observation, Settings
 
 SETTINGS = Settings(0.0, 0.01, 0.05)
 NONE = np.zeros(2, dtype=np.int64)
@@ -18,7 +18,7 @@ def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
     row = np.column_stack([np.arange(n), np.where(np.arange(n) < m, n + np.arange(n), -1)])
     ratio = np.column_stack([first, np.r_[second, np.full(n - m, np.nan)]])
     flat = np.zeros((n, 2))
-    return FlightPanel(row, ratio, flat + 4e-4, flat + 1.0, flat, flat, flat)
+    return FlightPanel(row, Observation(ratio, flat + 4e-4, flat + 1.0, flat, flat, flat))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_branches_of_one_parent_are_merged_by_their_moments():
     parent, weight = np.array([3, 3, 5]), np.array([0.2, 0.6, 0.1])
     mean, cov = np.zeros((3, 5)), np.tile(1e-9 * np.eye(5), (3, 1, 1))
     mean[:, 0] = 0.1, 0.2, 0.3
-    after = _collapsed(before, parent, weight, mean, cov)
+    after = _merge_branches(before, parent, weight, mean, cov)
     np.testing.assert_allclose(np.exp(after.log_weight[[3, 5]]), [0.8, 0.1])
     assert np.exp(np.delete(after.log_weight, [3, 5])).max() < 1e-200
     np.testing.assert_allclose(after.mean[[3, 5], 0], [0.175, 0.3])
