@@ -62,7 +62,7 @@ def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
         for p in (ROOT / name).rglob("*")
         if p.is_file()
     ]
-    wanted = {p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".typed"}}
+    wanted = {p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".toml", ".typed"}}
     assert len(wanted) > 30
     assert wanted <= held
     assert not {h for h in held if h.startswith(("tests", "benchmarks", "docs"))}
@@ -78,6 +78,7 @@ def test_it_carries_every_page_that_a_message_points_at(wheel):
         for node in _messages(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node.value, str)
     ]
+    texts += [file.read_text(encoding="utf-8") for file in (ROOT / "pipelines").rglob("*.toml")]
     pages = {page for text in texts for page in re.findall(r"`hdt docs ([a-z0-9-]+)`", text)}
     assert pages >= {"raw-data", "howto-recorder"}
     assert {f"pipelines/docs/{page}.md" for page in pages} <= held

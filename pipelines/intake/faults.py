@@ -1,12 +1,13 @@
 """Describe faults of delivered files, rows and values, and turn them into quarantine rows."""
 
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from importlib.resources import files
+from typing import NamedTuple
 
 import polars as pl
-
-from pipelines.intake.reasons import REASONS
 
 QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
     "file": pl.String(), "row": pl.Int64(), "column_name": pl.String(), "reason": pl.String(), "detail": pl.String(),
@@ -17,6 +18,20 @@ QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
 `n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
 `content` is the rejected row as delivered, cut at 500 characters."""
 
+
+class Reason(NamedTuple):
+    """One class of bad input; `scope` names what is not stored, as `reasons.toml` groups them."""
+
+    scope: str
+    sentence: str
+    remedy: str
+
+
+REASONS = {
+    code: Reason(scope, *texts)
+    for scope, codes in tomllib.loads((files(__package__) / "reasons.toml").read_text("utf-8")).items()
+    for code, texts in codes.items()
+}
 MAX_VALUES_LISTED = 100
 """Values at fault that are listed singly for a file, column and reason; the rest is counted in one entry."""
 
@@ -51,12 +66,9 @@ def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault])
     """Turn faults of one file into quarantine rows; the detail begins with the sentence of the reason."""
     rows = []
     for f in faults:
-        reason = REASONS[f.reason]
-        sentence_and_scope = (f"{reason.sentence} {f.detail}".strip(), reason.scope)
-        content = f.content and f.content[:500]
-        rows.append(
-            (file, f.row, f.column_name, f.reason, *sentence_and_scope, f.flight_id, f.n_rows, content, received_at)
-        )
+        scope, sentence, _ = REASONS[f.reason]
+        detail, content = f"{sentence} {f.detail}".strip(), f.content and f.content[:500]
+        rows.append((file, f.row, f.column_name, f.reason, detail, scope, f.flight_id, f.n_rows, content, received_at))
     return pl.DataFrame(rows, schema=QUARANTINE_SCHEMA, orient="row")
 
 

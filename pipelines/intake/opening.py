@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import polars as pl
 
 from pipelines.intake.columns import Contract
-from pipelines.intake.faults import Fault, limit_values
+from pipelines.intake.faults import REASONS, Fault, limit_values
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.readers import readers
-from pipelines.intake.reasons import REASONS
 from pipelines.intake.text import TEXT_INDEX, Text, open_text, to_columns
 from pipelines.intake.times import to_utc, zone_note
 

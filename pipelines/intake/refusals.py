@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from pipelines.intake.reasons import REASONS
+from pipelines.intake.faults import REASONS
 from pipelines.words import _, several
 
 if TYPE_CHECKING:

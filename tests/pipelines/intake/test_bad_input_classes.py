@@ -29,8 +29,8 @@ from spoils import (
     timed,
 )
 
+from pipelines.intake.faults import REASONS
 from pipelines.intake.merge import merge_deliveries
-from pipelines.intake.reasons import REASONS
 
 FLIGHT = "LX-AAA_20240525_04"
 CSV = f"AQX/LX-AAA/acms/{FLIGHT}.csv"
