@@ -18,7 +18,7 @@ from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
-from pipelines.intake.scan import REJECTED
+from pipelines.intake.scan import WITHOUT_FLIGHT
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
@@ -35,11 +35,11 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     fleet = pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed")
     checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
     costs, cost_faults = costs_or_fault(Path(home.home))
-    rejected = read_snapshots(landing_files(landing, ledger.files([REJECTED])), now)
-    accounts = rejected.delivered.select(
+    without_flight = read_snapshots(landing_files(landing, ledger.files([WITHOUT_FLIGHT])), now)
+    accounts = without_flight.delivered.select(
         "file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0
     )
-    quarantines = [list_landing(landing).quarantine, rejected.quarantine]
+    quarantines = [list_landing(landing).quarantine, without_flight.quarantine]
     if not fleet.height:  # a missing or broken list removes no aircraft
         fleet = home.store.read_table("raw_fleet")
     return (

@@ -6,7 +6,7 @@ from datetime import datetime
 import polars as pl
 
 from hdt_core.components import Channel, Component, recorded_components
-from hdt_core.tables.components import COMPONENT_FLIGHT_ID
+from hdt_core.tables.components import COMPONENT_FLIGHT_ID, RawComponents
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import RECORDER, FileIntake, LandingFile
@@ -17,11 +17,6 @@ from pipelines.storage.panics import first_line, panics_as_errors
 
 FLIGHT = ["operator", "tail", "component", "flight_id"]
 KEY = [*FLIGHT, "pack", "time_utc"]
-SCHEMA = {
-    "operator": pl.String(), "tail": pl.String(), "flight_id": pl.String(), "pack": pl.Int32(),
-    "component": pl.String(), "time_utc": pl.Datetime("us", "UTC"), "signal": pl.String(), "value": pl.Float64(),
-    "file": pl.String(),
-}  # fmt: skip
 
 
 def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[LandingFile, FileIntake]]:
@@ -42,13 +37,17 @@ def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[L
     """
     pairs = [(file, folder) for file in files for folder in _components_in(file)]
     parts = [_read_file(file, folder, now) for file, folder in pairs]
-    no_rows = pl.DataFrame(schema={**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64(), "index": pl.Int64()})
-    rows = pl.concat([no_rows, *(_with_aircraft(x, i, pairs[i][0]) for i, (x, _) in enumerate(parts))], how="diagonal")
+    rows = pl.concat([_NO_ROWS, *(_with_aircraft(x, i, pairs[i][0]) for i, (x, _) in enumerate(parts))], how="diagonal")
     rows_to_store = _choose_deliveries(rows)
-    return [
-        (file, _intake_of(file, parts[i][1], rows.filter(index=i), rows_to_store.filter(index=i), rows_to_store))
-        for i, (file, _) in enumerate(pairs)
-    ]
+    by_file, stored_by_file = (frame.partition_by("index", as_dict=True) for frame in (rows, rows_to_store))
+    results = []
+    for i, (file, _) in enumerate(pairs):
+        own, own_stored = by_file.get((i,), rows.clear()), stored_by_file.get((i,), rows_to_store.clear())
+        results.append((file, _intake_of(file, parts[i][1], own, own_stored, rows_to_store)))
+    return results
+
+
+_NO_ROWS = RawComponents.create_empty().select(*KEY, row=pl.lit(0, pl.Int64), index=pl.lit(0, pl.Int64))
 
 
 def _components_in(file: LandingFile) -> tuple[str, ...]:
@@ -78,9 +77,9 @@ def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int
     """Select the rows that can be stored, in SI; faults of the others and of impossible values."""
     if "pack" not in raw.columns:
         raw = raw.with_columns(pack=pl.lit(1.0))
-    reasons = raw.with_columns(reason=_reason(now, packs))
-    rejected = reasons.drop_nulls("reason").select("reason", "row").rows()
-    good = reasons.filter(pl.col("reason").is_null())
+    reasons = raw.select(reason=_reason(now, packs))["reason"]
+    bad_rows = zip(reasons.drop_nulls(), raw["row"].filter(reasons.is_not_null()), strict=True)
+    good = raw.filter(reasons.is_null())
     values, faults = _to_si(good, _channels(component))
     key = good.select(
         pl.lit(component.code).alias("component"),
@@ -89,7 +88,7 @@ def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int
         pl.col("report_time").alias("time_utc"),
         "row",
     )
-    return key.hstack(values), [*(Fault(reason, row, n_rows=1) for reason, row in rejected), *faults]
+    return key.hstack(values), [*(Fault(reason, row, n_rows=1) for reason, row in bad_rows), *faults]
 
 
 def _reason(now: datetime, packs: int) -> pl.Expr:
@@ -127,8 +126,7 @@ def _channels(component: Component) -> Sequence[Channel]:
 
 def _with_aircraft(rows: pl.DataFrame, index: int, file: LandingFile) -> pl.DataFrame:
     """Add a file's aircraft to its rows: another's flights may have the same names."""
-    keys = {**{k: SCHEMA[k] for k in KEY}, "row": pl.Int64()}
-    frame = rows if rows.width else pl.DataFrame(schema=keys)
+    frame = rows if rows.width else _NO_ROWS
     return frame.with_columns(
         pl.lit(index, pl.Int64).alias("index"), operator=pl.lit(file.operator), tail=pl.lit(file.tail)
     )
@@ -148,7 +146,7 @@ def _intake_of(
     """Sort the rows of one file into stored rows, duplicates and conflicts with the rows stored of any file."""
     others = rows.join(own_stored.select("row"), on="row", how="anti")
     signals = [c for c in rows.columns if c not in (*KEY, "row", "index")]
-    same = others.join(all_stored, on=[*KEY, *signals], how="semi", nulls_equal=True)
+    same = others.join(all_stored, on=[*KEY, *signals], how="semi", nulls_equal=True) if others.height else others
     differ = others.join(same.select("row"), on="row", how="anti")
     detail = "Another row of this flight and time is stored."
     conflicts = [
@@ -156,5 +154,5 @@ def _intake_of(
         for row, flight in differ.select("row", "flight_id").rows()
     ]
     long = own_stored.unpivot(signals, index=KEY, variable_name="signal", value_name="value").drop_nulls("value")
-    long = long.with_columns(file=pl.lit(file.path)).select(pl.col(c).cast(t) for c, t in SCHEMA.items())
+    long = RawComponents.conform(long.with_columns(file=pl.lit(file.path)))
     return FileIntake(long, file.quarantine([*open_file.faults, *conflicts]), open_file.n_rows, same.height)

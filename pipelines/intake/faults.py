@@ -9,11 +9,9 @@ from typing import NamedTuple
 
 import polars as pl
 
-QUARANTINE_SCHEMA: dict[str, pl.DataType] = {
-    "file": pl.String(), "row": pl.Int64(), "column_name": pl.String(), "reason": pl.String(), "detail": pl.String(),
-    "scope": pl.String(), "flight_id": pl.String(), "n_rows": pl.Int64(), "content": pl.String(),
-    "received_at": pl.Datetime("us", "UTC"),
-}  # fmt: skip
+from hdt_core.tables.raw import RawQuarantine
+
+NO_FAULTS = RawQuarantine.create_empty().drop("operator", "tail")
 """`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
 `n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
 `content` is the rejected row as delivered, cut at 500 characters."""
@@ -68,8 +66,8 @@ def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault])
     for f in faults:
         scope, sentence, _ = REASONS[f.reason]
         detail, content = f"{sentence} {f.detail}".strip(), f.content and f.content[:500]
-        rows.append((file, f.row, f.column_name, f.reason, detail, scope, f.flight_id, f.n_rows, content, received_at))
-    return pl.DataFrame(rows, schema=QUARANTINE_SCHEMA, orient="row")
+        rows.append((file, f.row, f.column_name, f.reason, detail, scope, f.flight_id, received_at, f.n_rows, content))
+    return pl.DataFrame(rows, schema=NO_FAULTS.schema, orient="row")
 
 
 def limit_values(values: list[Fault]) -> list[Fault]:

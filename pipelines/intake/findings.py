@@ -45,8 +45,8 @@ def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
     rows = rows.join(matches, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
         closes_alert_id=pl.col("case_alert_id"), finding=pl.coalesce("finding", "case_finding")
     )
-    unmatched = work.join(pairs, on="closes_alert_id", how="anti", maintain_order="left")
-    return pl.concat([schema.conform(rows), unmatched])
+    work_of_cases_alone = work.join(pairs, on="closes_alert_id", how="anti", maintain_order="left")
+    return pl.concat([schema.conform(rows), work_of_cases_alone])
 
 
 def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, str]]:

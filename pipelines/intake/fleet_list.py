@@ -6,8 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.log_lines import Lines, Row, Words, parse_list
@@ -16,10 +14,6 @@ from pipelines.intake.times import to_day
 
 PACKS = 2
 """Packs of an aircraft that is not in the fleet list."""
-FLEET: dict[str, type[pl.DataType]] = {
-    "operator": pl.String, "tail": pl.String, "msn": pl.String, "delivered_on": pl.Date, "packs": pl.Int32,
-    "type": pl.String,
-}  # fmt: skip
 CONTRACT = Contract(("operator", "tail"), ("msn", "delivered_on", "packs", "type"))
 
 
@@ -37,7 +31,7 @@ FleetLines = dict[tuple[str, str], FleetLine]
 
 
 def parse_fleet(content: bytes) -> Lines:
-    """Parse the lines of the list in the order of `FLEET`, and the faults of the others."""
+    """Parse the lines of the list in the order of `raw_fleet`, and the faults of the others."""
     return parse_list(content, CONTRACT, _validate, n_key=2)
 
 

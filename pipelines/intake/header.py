@@ -31,23 +31,22 @@ def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
     two or more of the core are missing beside as many unknown names: then columns were renamed, and reading the others
     would lose a sensor silently.
     """
-    required, optional = contract.keys, contract.optional
-    contract_names = {*required, *optional, *contract.extra}
+    keys, optional = contract.keys, contract.optional
+    contract_names = {*keys, *optional, *contract.extra}
     clean = [name.strip().strip('"').strip().lower() for name in names_of_file]
     names = tuple(name if name in contract_names else None for name in clean)
     counts = Counter(n for n in names if n)
     strangers = [f.strip() for f, n in zip(names_of_file, names, strict=True) if n is None and f.strip()]
-    missing = [n for n in (*required, *optional) if n not in counts]
+    missing = [n for n in (*keys, *optional) if n not in counts]
     if not counts:
         is_data = any(c.isdigit() for c in "".join(clean))
-        keys = ", ".join(required)
         reason = "no_header" if is_data else "missing_columns"
-        detail = f"Missing: {keys}. It reads: {_join_names(names_of_file)}."
-        return Header(fault=Fault(reason, column_name=keys, detail=detail))
+        detail = f"Missing: {', '.join(keys)}. It reads: {_join_names(names_of_file)}."
+        return Header(fault=Fault(reason, column_name=", ".join(keys), detail=detail))
     if duplicates := [n for n, times in counts.items() if times > 1]:
         twice = ", ".join(duplicates)
         return Header(fault=Fault("repeated_column", column_name=twice, detail=f"Twice: {twice}."))
-    absent = [n for n in required if n not in counts] or _renamed_columns(missing, strangers, contract.core)
+    absent = [n for n in keys if n not in counts] or _renamed_columns(missing, strangers, contract.core)
     if absent or (optional and not any(n in counts for n in optional)):
         absent = absent or missing
         detail = f"Missing: {', '.join(absent)}." + (f" Not known: {_join_names(strangers)}." if strangers else "")
@@ -63,8 +62,8 @@ def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
 def _renamed_columns(missing: Sequence[str], strangers: Sequence[str], core: Collection[str]) -> list[str]:
     """Return all missing names as soon as an unknown name seems to stand for one of them."""
     similar = any(_looks_like(stranger, name) for stranger in strangers for name in missing)
-    swapped = 2 <= sum(name in core for name in missing) <= len(strangers)
-    return list(missing) if similar or swapped else []
+    n_core = sum(name in core for name in missing)
+    return list(missing) if similar or 2 <= n_core <= len(strangers) else []
 
 
 def _looks_like(stranger: str, name: str) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.intake.broken_rows import BROKEN
+from pipelines.intake.broken_rows import BREAKS_DECLARATION
 from pipelines.intake.columns import AIRPORTS
 from pipelines.intake.landing_file import LandingFile, modified_at
 from pipelines.intake.merge import ACCOUNT, MergeResult, compare_redelivery, count_rows, merge_deliveries
@@ -82,7 +82,7 @@ class StoredRows:
 
     def _stored_quarantine(self) -> pl.DataFrame:
         """Read the quarantine of delivered rows; that of computed rows belongs to their own stage."""
-        return self._read("raw_quarantine").filter(pl.col("reason") != BROKEN)
+        return self._read("raw_quarantine").filter(pl.col("reason") != BREAKS_DECLARATION)
 
     @cached_property
     def _stored_rows(self) -> pl.DataFrame:

@@ -1,16 +1,17 @@
 """Read the logs beside the recorder files: messages, maintenance, fleet list and planned checks."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import date, datetime, timedelta
 
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
+from hdt_core.tables.raw import RawChecks, RawFleet, RawMaintenance, RawMessages
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
-from pipelines.intake.fleet_list import FLEET, parse_fleet
+from pipelines.intake.fleet_list import parse_fleet
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.log_lines import Lines, Row, Words, parse_list
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
@@ -21,20 +22,11 @@ COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 SERIALS = ("serial_off", "serial_on")
 FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 
-_UTC = pl.Datetime("us", "UTC")
-Schema = dict[str, pl.DataType | type[pl.DataType]]
-_KEYS: Schema = {"operator": pl.String, "tail": pl.String}
-MESSAGES: Schema = {**_KEYS, "message_time": _UTC, "flight_id": pl.String, "pack": pl.Int32, "code": pl.String,
-                    "text": pl.String}  # fmt: skip
-MAINTENANCE: Schema = {**_KEYS, "done_on": pl.Date, "pack": pl.Int32, "component": pl.String, "action": pl.String,
-               "finding": pl.String, "reference": pl.String, "done_at": _UTC, "serial_off": pl.String,
-               "serial_on": pl.String}  # fmt: skip
-CHECKS: Schema = {**_KEYS, "planned_on": pl.Date, "name": pl.String}
 FARTHEST = timedelta(days=3660)
 
 
 def read_messages(file: LandingFile, now: datetime) -> FileIntake:
-    """Read maintenance messages of one aircraft: `operator, tail, message_time, flight_id, pack, code, text`."""
+    """Read maintenance messages of one aircraft: the columns of `raw_messages`."""
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         pack = _pack_number(words["pack"], file.packs)
@@ -48,11 +40,13 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
         return file.operator, file.tail, moment, flight, pack, words["code"], text
 
     contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
-    return _read_log(file, MESSAGES, lambda content: parse_list(content, contract, validate, "message_time"))
+    return _read_log(
+        file, RawMessages.create_empty(), lambda content: parse_list(content, contract, validate, "message_time")
+    )
 
 
 def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
-    """Read the work done on one aircraft: the columns of `MAINTENANCE`.
+    """Read the work done on one aircraft: the columns of `raw_maintenance`.
 
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
     any other; work before the aircraft's delivery gets a note.
@@ -67,16 +61,17 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
         codes = {c: words[c].upper() for c in ("component", "action", "finding")}
-        allowed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
-        if odd := [c for c, code in codes.items() if code not in allowed[c]]:
+        codes_agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
+        if odd := [c for c, code in codes.items() if code not in codes_agreed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
         finding, reference = codes["finding"] or None, words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials)  # fmt: skip
 
+    no_work = RawMaintenance.create_empty().drop("counts_from", "source", "closes_alert_id")
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=SERIALS)
-    log = _read_log(file, MAINTENANCE, lambda content: parse_list(content, contract, validate, "done_on"))
+    log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     if not early:
         return log
     detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
@@ -85,12 +80,12 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
 
 
 def read_fleet(file: LandingFile, now: datetime) -> FileIntake:
-    """Read the fleet list: the columns of `FLEET`."""
-    return _read_log(file, FLEET, parse_fleet)
+    """Read the fleet list: the columns of `raw_fleet`."""
+    return _read_log(file, RawFleet.create_empty(), parse_fleet)
 
 
 def read_checks(file: LandingFile, now: datetime) -> FileIntake:
-    """Read planned checks (`CHECKS`) from CSV or Parquet with the columns `operator, tail, date, name`."""
+    """Read planned checks from CSV or Parquet with the columns `operator, tail, date, name`."""
 
     def validate(words: Words, _: datetime | None) -> Row | Fault:
         if not is_operator(words["operator"]) or not is_tail(words["tail"]):
@@ -101,25 +96,21 @@ def read_checks(file: LandingFile, now: datetime) -> FileIntake:
         return (words["operator"], words["tail"], day, words["name"] or "check")
 
     contract = Contract(("operator", "tail", "date"), extra=("name",))
-    log = _read_log(file, CHECKS, lambda content: parse_list(content, contract, validate))
+    log = _read_log(file, RawChecks.create_empty(), lambda content: parse_list(content, contract, validate))
     if file.is_text:
         return log
     return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header precedes row 1
 
 
-def _read_log(
-    file: LandingFile,
-    schema: Mapping[str, pl.DataType | type[pl.DataType]],
-    parse: Callable[[bytes], Lines],
-) -> FileIntake:
+def _read_log(file: LandingFile, no_rows: pl.DataFrame, parse: Callable[[bytes], Lines]) -> FileIntake:
     """Open a log and validate its lines; of checks in Parquet the rows as lines of text."""
     content, faults = file.read_content()
     if content is not None and file.kind == "checks" and not file.is_text:
         content, faults = parquet_as_text(content)
     if content is None:
-        return FileIntake(pl.DataFrame(schema=schema), file.quarantine(faults), 0, 0)
+        return FileIntake(no_rows, file.quarantine(faults), 0, 0)
     lines = parse(content)
-    rows = pl.DataFrame(lines.rows, schema=schema, orient="row")
+    rows = pl.DataFrame(lines.rows, schema=no_rows.schema, orient="row")
     return FileIntake(rows, file.quarantine(lines.faults), lines.n_delivered, lines.n_duplicate)
 
 

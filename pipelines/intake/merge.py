@@ -8,7 +8,7 @@ from typing import NamedTuple
 import polars as pl
 
 from pipelines.intake.columns import SI_NAMES, WORDS
-from pipelines.intake.faults import MAX_ROWS_LISTED, QUARANTINE_SCHEMA, Fault, first_and_rest, quarantine
+from pipelines.intake.faults import MAX_ROWS_LISTED, NO_FAULTS, Fault, first_and_rest, quarantine
 
 FLIGHT = ("operator", "source", "flight_id")
 KEY = (*FLIGHT, "pack", "time_utc")
@@ -16,7 +16,7 @@ VALUES = (*SI_NAMES, *WORDS)
 SAME = 1e-6
 """Relative difference up to which two values are the same: a 32-bit float and the text it was printed from."""
 ACCOUNT = ("file", "flight_id")
-REPLACED = "replaced_row"
+REPLACED_ROW = "replaced_row"
 _PLACE = ("file", "row_in_file")
 
 
@@ -153,7 +153,7 @@ def _quarantine(faults: Iterable[tuple[str, Fault]], received_at: Mapping[str, d
     for file, fault in faults:
         by_file.setdefault(file, []).append(fault)
     frames = [quarantine(file, received_at.get(file), own) for file, own in by_file.items()]
-    return pl.concat([pl.DataFrame(schema=QUARANTINE_SCHEMA), *frames])
+    return pl.concat([NO_FAULTS, *frames])
 
 
 def _content(row: Mapping[str, object]) -> str:
@@ -191,11 +191,11 @@ def compare_redelivery(
         fewer than are stored of it; one with none leaves the flight unchanged, any other replaces it. Rows that it
         lacks stay where it contradicts none that it repeats, else they are quarantined; a note gives both counts.
     """
-    replaced_rows = stored_quarantine.filter(pl.col("reason") == REPLACED)
+    replaced_rows = stored_quarantine.filter(pl.col("reason") == REPLACED_ROW)
     before, now = count_rows(stored_rows, replaced_rows), count_rows(rows, quarantine_rows)
     fewer = before.join(now, on=ACCOUNT, suffix="_now", validate="m:1").filter(pl.col("n_now") < pl.col("n"))
     if fewer.is_empty():
-        return rows.clear(), pl.DataFrame(schema=QUARANTINE_SCHEMA)
+        return rows.clear(), NO_FAULTS
     fewer_but_some = fewer.join(rows.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")
     old = stored_rows.join(fewer_but_some, on=ACCOUNT, how="semi")
     missing_rows = old.join(rows, on=(*KEY, "file"), how="anti")
@@ -203,7 +203,7 @@ def compare_redelivery(
     new_rows = [
         _notes(fewer, received_at),
         _replaced_rows(missing_rows.join(conflicts, on=ACCOUNT, how="semi"), received_at),
-        replaced_rows.join(fewer, on=ACCOUNT, how="semi").select(list(QUARANTINE_SCHEMA)),
+        replaced_rows.join(fewer, on=ACCOUNT, how="semi").select(NO_FAULTS.columns),
     ]
     return missing_rows.join(conflicts, on=ACCOUNT, how="anti").select(rows.columns), pl.concat(new_rows)
 
@@ -231,5 +231,7 @@ def _notes(fewer: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataF
 
 def _replaced_rows(rows: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
     in_order = rows.sort(*ACCOUNT, "time_utc", "pack").iter_rows(named=True)
-    faults = ((row["file"], Fault(REPLACED, None, None, "", 1, row["flight_id"], _content(row))) for row in in_order)
+    faults = (
+        (row["file"], Fault(REPLACED_ROW, None, None, "", 1, row["flight_id"], _content(row))) for row in in_order
+    )
     return _quarantine(faults, received_at)

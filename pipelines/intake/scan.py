@@ -21,10 +21,13 @@ from pipelines.storage.ledger import FileRecord, Ledger
 CLOCK_DIFFERENCE = timedelta(hours=1)
 TICK_NS = 3_000_000_000
 """Coarsest change times (FAT: 2 s): a file that was read that much later is unchanged while its time is."""
-REJECTED = "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows are stored
+WITHOUT_FLIGHT = (
+    "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows are stored
+)
 Row = tuple[str, str, str, str, int, int, str]
 Records = Mapping[str, FileRecord]
-REFUSED = "refused"  # kind of an entry of the landing zone that is no file of the contract
+NO_FILE = "refused"
+"""Kind of an entry of the landing zone that is no file of the contract."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,7 @@ class Scan:
     """Flights in the new files; one in two of them counts twice."""
     new_paths: frozenset[str]
     """Paths of the new files."""
-    ignored: pl.DataFrame
+    quarantine: pl.DataFrame
     """Quarantine rows of ignored entries."""
 
 
@@ -47,8 +50,8 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     new = _new_files(listing.files, records, ledger)
     flights = _flights([f for f in new if f.kind in FLIGHT_FILES])
     rows = [(f.path, f.operator, f.tail, _kind_of(f, flights), f.size, f.mtime_ns, _digest(f)) for f in new]
-    ignored = [(p, "", "", REFUSED, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
-    rows += [r for r in ignored if r[0] not in records]
+    no_files = [(p, "", "", NO_FILE, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
+    rows += [r for r in no_files if r[0] not in records]
     own_files = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, records)]
     rows += [r for r in own_files if r[0] not in records or records[r[0]].digest != r[6]]
     final = (f for f in listing.files if f.touched_ns < began_ns - TICK_NS)  # when a night reads them
@@ -101,8 +104,8 @@ def _is_new(file: LandingFile, record: FileRecord | None, last_scan_ns: int) -> 
         return True
     if record.digest.partition(" ")[2] != file.context:
         return True
-    touched = file.touched_ns > last_scan_ns if record.touched_ns is None else file.touched_ns != record.touched_ns
-    return touched and _digest(file) != record.digest
+    later = file.touched_ns > last_scan_ns if record.touched_ns is None else file.touched_ns != record.touched_ns
+    return later and _digest(file) != record.digest
 
 
 def _touched_ns(file: LandingFile, records: Records) -> int | None:
@@ -118,7 +121,7 @@ def _last_scan_ns(ledger: Ledger) -> int:
 
 
 def _kind_of(file: LandingFile, flights: dict[str, list[str]]) -> str:
-    return REJECTED if file.kind in FLIGHT_FILES and not flights[file.path] else file.kind
+    return WITHOUT_FLIGHT if file.kind in FLIGHT_FILES and not flights[file.path] else file.kind
 
 
 def _digest(file: LandingFile) -> str:

@@ -6,15 +6,17 @@ from datetime import datetime
 
 import polars as pl
 
-from pipelines.intake.columns import PACK_FILES, SI_NAMES, SIGNAL_COLUMNS, WORDS
-from pipelines.intake.faults import QUARANTINE_SCHEMA, Fault
+from hdt_core.tables.raw import RawSnapshots
+from pipelines.intake.columns import PACK_FILES, SIGNAL_COLUMNS, WORDS
+from pipelines.intake.faults import NO_FAULTS, Fault
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.names import flight_day, flight_of_file, flight_tail
 from pipelines.intake.opening import add_faults, open_files
 from pipelines.intake.row_validation import describe_files, validate_rows
 from pipelines.storage.panics import first_line, panics_as_errors
 
-ROW_COLUMNS = ("operator", "tail", "flight_id", "pack", "time_utc", "source", *WORDS, *SI_NAMES, "file", "row_in_file")
+NO_ROWS = RawSnapshots.create_empty().with_columns(row_in_file=pl.lit(0, pl.Int64))
+ROW_COLUMNS = NO_ROWS.columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
         if len(files) == 1:  # it costs no other file
             file = files[0]
             faults = file.quarantine([Fault("cannot_process", detail=first_line(error))])
-            return Intake(_no_rows(), faults, _delivered_frame([file.path], [0]))
+            return Intake(NO_ROWS, faults, _delivered_frame([file.path], [0]))
     half = len(files) // 2
     parts = [read_snapshots(part, now) for part in (files[:half], files[half:])]
     return Intake(*(pl.concat([getattr(p, f) for p in parts]) for f in ("rows", "quarantine", "delivered")))
@@ -63,7 +65,7 @@ def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
 
 def _read_together(files: Sequence[LandingFile], now: datetime) -> Intake:
     opened_files, raw = open_files(files, PACK_FILES)
-    rows = _no_rows()
+    rows = NO_ROWS
     if raw.height:
         types = dict.fromkeys(PACK_FILES.words, pl.String) | dict.fromkeys(PACK_FILES.numbers, pl.Float64)
         raw = raw.with_columns(pl.lit(None, t).alias(c) for c, t in types.items() if c not in raw.columns)
@@ -74,7 +76,7 @@ def _read_together(files: Sequence[LandingFile], now: datetime) -> Intake:
     frames = [f.quarantine(o.faults) for f, o in zip(files, opened_files, strict=True) if o.faults]
     return Intake(
         rows,
-        pl.concat([pl.DataFrame(schema=QUARANTINE_SCHEMA), *frames]),
+        pl.concat([NO_FAULTS, *frames]),
         _delivered_frame([f.path for f in files], [o.n_rows for o in opened_files]),
     )
 
@@ -108,13 +110,3 @@ def _to_si(rows: pl.DataFrame, files_table: pl.DataFrame) -> pl.DataFrame:
     pack = pl.col("pack").cast(pl.Int32)
     values = rows.select("flight_id", pack, *WORDS, *si, time_utc="report_time", row_in_file="row")
     return values.hstack(of_file).select(ROW_COLUMNS)
-
-
-def _no_rows() -> pl.DataFrame:
-    types: dict[str, pl.DataType | type[pl.DataType]] = {
-        "pack": pl.Int32,
-        "time_utc": pl.Datetime("us", "UTC"),
-        "row_in_file": pl.Int64,
-        **dict.fromkeys(SI_NAMES, pl.Float64),
-    }
-    return pl.DataFrame(schema={c: types.get(c, pl.String) for c in ROW_COLUMNS})

@@ -163,7 +163,7 @@ def run_night(
             chain.step(step)
     if only is None and not chain.failed:
         ledger.settle(recipe_version(ledger, STAGES))
-    ignored = tuple(ignored_entries(zone.ignored))
+    ignored = tuple(ignored_entries(zone.quarantine))
     night = Night(
         zone.files, zone.new, chain.runs, chain.cells, chain.failed, tuple(chain.repairs), ignored, zone.new_paths
     )
