@@ -13,6 +13,7 @@ from pipelines.intake.landing_file import RECORDER, FileIntake, LandingFile
 from pipelines.intake.names import EARLIEST, MAX_PACKS
 from pipelines.intake.opening import OpenFile, add_faults, open_files
 from pipelines.intake.readers import readers
+from pipelines.intake.row_validation import in_future, is_pack
 from pipelines.storage.panics import first_line, panics_as_errors
 
 FLIGHT = ["operator", "tail", "component", "flight_id"]
@@ -93,15 +94,14 @@ def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int
 
 def _reason(now: datetime, packs: int) -> pl.Expr:
     """Give the reason why a row is rejected; null where it is not."""
-    moment, pack = pl.col("report_time"), pl.col("pack")
+    moment = pl.col("report_time")
     has_id = pl.col("flight_id").str.strip_chars().str.contains(COMPONENT_FLIGHT_ID)
-    of_aircraft = (pack.is_between(1, packs) & (pack == pack.floor())).fill_null(False)
     return (
         pl.when(~has_id.fill_null(False)).then(pl.lit("bad_cycle_id"))
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
         .when(moment < pl.lit(EARLIEST).cast(pl.Datetime("us", "UTC"))).then(pl.lit("too_early"))
-        .when(moment > pl.lit(now).dt.cast_time_unit("us")).then(pl.lit("future_time"))
-        .when(~of_aircraft).then(pl.lit("bad_pack"))
+        .when(in_future(now)).then(pl.lit("future_time"))
+        .when(~is_pack(pl.lit(packs))).then(pl.lit("bad_pack"))
     )  # fmt: skip
 
 

@@ -231,7 +231,5 @@ def _notes(fewer: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataF
 
 def _replaced_rows(rows: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
     in_order = rows.sort(*ACCOUNT, "time_utc", "pack").iter_rows(named=True)
-    faults = (
-        (row["file"], Fault(REPLACED_ROW, None, None, "", 1, row["flight_id"], _content(row))) for row in in_order
-    )
+    faults = ((r["file"], Fault(REPLACED_ROW, None, None, "", 1, r["flight_id"], _content(r))) for r in in_order)
     return _quarantine(faults, received_at)

@@ -100,14 +100,14 @@ def _row_reasons(raw: pl.DataFrame, files: pl.DataFrame, now: datetime, slips: p
     keys = raw.select(*unit, "report_time", "pack").join(
         flights, on=unit, how="left", nulls_equal=True, maintain_order="left", validate="m:1"
     )
-    moment, pack = pl.col("report_time"), pl.col("pack")
+    moment = pl.col("report_time")
     in_flight = moment.is_between(pl.col("day") - EARLY, pl.col("day") + LATE)
     reason = (
         pl.when(pl.col("wrong_id").is_not_null()).then("wrong_id")
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
-        .when(moment > pl.lit(now).dt.cast_time_unit("us")).then(pl.lit("future_time"))
+        .when(in_future(now)).then(pl.lit("future_time"))
         .when(~in_flight).then(pl.lit("time_contradicts_flight_id"))
-        .when(~(pack.is_between(1, pl.col("packs")) & (pack == pack.floor())).fill_null(False)).then(pl.lit("bad_pack"))
+        .when(~is_pack(pl.col("packs"))).then(pl.lit("bad_pack"))
     )  # fmt: skip
     reasons = keys.select(reason.alias("reason"))
     if slips.is_empty():
@@ -116,6 +116,17 @@ def _row_reasons(raw: pl.DataFrame, files: pl.DataFrame, now: datetime, slips: p
     rows = rows.join(slips, on="index", how="left", suffix="_slip", maintain_order="left", validate="m:1")
     slip = pl.when(pl.col("reason").is_null()).then(pl.col("column_name", "sentence"))
     return rows.select(pl.coalesce("reason", "reason_slip").alias("reason"), slip)
+
+
+def in_future(now: datetime) -> pl.Expr:
+    """Return whether a row's time is after `now`."""
+    return pl.col("report_time") > pl.lit(now).dt.cast_time_unit("us")
+
+
+def is_pack(packs: pl.Expr) -> pl.Expr:
+    """Return whether a row's pack is the number of one of `packs`."""
+    pack = pl.col("pack")
+    return (pack.is_between(1, packs) & (pack == pack.floor())).fill_null(False)
 
 
 def _flights(pairs: pl.DataFrame, files: pl.DataFrame) -> pl.DataFrame:

@@ -21,11 +21,10 @@ from pipelines.storage.ledger import FileRecord, Ledger
 CLOCK_DIFFERENCE = timedelta(hours=1)
 TICK_NS = 3_000_000_000
 """Coarsest change times (FAT: 2 s): a file that was read that much later is unchanged while its time is."""
-WITHOUT_FLIGHT = (
-    "rejected"  # kind of a file that should hold flights and names none: only its quarantine rows are stored
-)
 Row = tuple[str, str, str, str, int, int, str]
 Records = Mapping[str, FileRecord]
+WITHOUT_FLIGHT = "rejected"
+"""Kind of a file that should hold flights and names none: only its quarantine rows are stored."""
 NO_FILE = "refused"
 """Kind of an entry of the landing zone that is no file of the contract."""
 
