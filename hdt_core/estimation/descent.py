@@ -15,9 +15,8 @@ from hdt_core.estimation.damped import (
     is_settled,
     next_damping,
 )
+from hdt_core.estimation.identifiability import SINGULAR
 from hdt_core.estimation.problem import Array, Problem
-
-OBSERVABLE = 1e-14  # eigenvalue of the scaled normal matrix, to its largest, from which a direction is observable
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +106,7 @@ def distance_to_optimum(at: Point, bounds: Array) -> float:
     size = np.sqrt(np.maximum(normal.diagonal(), 0.0))
     size[size == 0.0] = 1.0
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    observable = values > OBSERVABLE * max(float(values[-1]), 0.0)
+    observable = values > values[-1] / SINGULAR
     along = vectors[:, observable].T @ (gradient / size) / np.sqrt(values[observable])
     step = -(vectors[:, observable] @ (along / np.sqrt(values[observable]))) / size
     is_inside = (at.theta[free] + step >= lower[free]) & (at.theta[free] + step <= upper[free])

@@ -91,7 +91,7 @@ def invert_information(information: Array) -> tuple[Array, bool]:
     values, vectors = np.linalg.eigh(information / scales)
     if values[0] > values[-1] / SINGULAR:
         return (vectors / values) @ vectors.T / scales, True
-    observable = values > max(values[-1], 0.0) / SINGULAR
+    observable = values > values[-1] / SINGULAR
     cov = (vectors[:, observable] / values[observable]) @ vectors[:, observable].T / scales
     unobservable = (np.abs(vectors[:, ~observable]) > 1e-6).any(axis=1)
     cov[unobservable] = 0.0

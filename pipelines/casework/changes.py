@@ -7,10 +7,18 @@ from typing import Any
 
 from pipelines.storage.cases import CaseLog
 
-FINDINGS = {
+_CODES = {
     "clean": "NO_FAULT_FOUND", "fouled": "FOULED", "clogged": "CLOGGED", "corroded": "CORRODED", "damaged": "DAMAGED",
 }  # fmt: skip
-"""Findings as people enter them, and as the maintenance log has them."""
+"""Findings of any part, as people enter them and as the maintenance log has them."""
+_CODES_OF = {
+    "HX": {},
+    "CC": {"serviceable": "NO_FAULT_FOUND", "eroded": "DAMAGED"},
+    "RAM_DOOR": {"moves freely": "NO_FAULT_FOUND", "jammed": "DAMAGED", "out of rig": "DAMAGED"},
+    "SENSOR": {"reads correctly": "NO_FAULT_FOUND", "reads wrongly": "DAMAGED", "wiring fault": "DAMAGED"},
+}
+"""Further findings by component; their own words go into the note, as the log has no code for them."""
+_CODES_OF_DECLARED = {"serviceable": "NO_FAULT_FOUND", "worn": "DAMAGED"}
 ACTIONS = ("inspected", "cleaned", "replaced", "adjusted")
 LONGEST_MUTE = timedelta(days=366)
 KINDS = ("acknowledge", "assign", "mute", "watch", "unwatch", "close", "reopen")
@@ -19,6 +27,11 @@ _ALERT = ("alert_id", "operator", "tail", "pack", "component", "diagnosis")
 _STATE_THEN = {"severity_then": "severity", "loss_then": "now_loss", "p_event_50_then": "now_p_event_50"}
 _OPEN_ONLY = ("acknowledge", "assign", "mute")
 _MAX_TEXT, _MAX_NAME = 1000, 80
+
+
+def findings(component: str) -> dict[str, str]:
+    """Map what an inspection of a component may find to the maintenance log's codes."""
+    return _CODES_OF.get(component, _CODES_OF_DECLARED) | _CODES
 
 
 class RefusedError(ValueError):
@@ -74,8 +87,9 @@ def _mute(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 def _close(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
     finding, action = (str(fields.get(k) or "").lower() for k in ("finding", "action"))
-    if finding not in FINDINGS:
-        raise RefusedError(f"finding is {', '.join(FINDINGS)}, not {finding or 'nothing'}")
+    codes = findings(case["component"])
+    if finding not in codes:
+        raise RefusedError(f"finding is {', '.join(codes)}, not {finding or 'nothing'}")
     action = action or ACTIONS[0]
     if action not in ACTIONS:
         raise RefusedError(f"action is {', '.join(ACTIONS)}, not {action}")
@@ -83,8 +97,10 @@ def _close(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
     day, at = parse_moment(on, "on") if on else (now.date(), now)
     if day < case["raised_at"].date() or day > now.date() or (_has_time(on) and at > now):
         raise RefusedError(f"on is a day from {case['raised_at'].date()}, when it was raised, to today, not {on}")
+    note = _text(fields.get("note"), "note")
     return {
-        "finding": FINDINGS[finding],
+        "note": note if finding in _CODES else "; ".join(filter(None, (finding, note))),
+        "finding": codes[finding],
         "action": action.upper(),
         "done_on": day.isoformat(),
         "done_at": at.isoformat() if _has_time(on) or not on else None,

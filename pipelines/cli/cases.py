@@ -22,7 +22,9 @@ app.add_typer(case, name="case")
 @app.command()
 def close(
     alert: AlertId,
-    finding: Annotated[str, typer.Option(help="clean, fouled, clogged, corroded or damaged.")],
+    finding: Annotated[
+        str, typer.Option(help="clean, fouled, clogged, corroded, damaged, or one of the component's own.")
+    ],
     by: By,
     action: Annotated[str, typer.Option(help="inspected, cleaned, replaced or adjusted.")] = "inspected",
     on: Annotated[str | None, typer.Option(help="Day or time (UTC) of the work; default now.")] = None,
@@ -96,6 +98,7 @@ def list_(
 ) -> None:
     """List the open cases, the most urgent first."""
     from pipelines.casework.listing import OPEN, list_cases
+    from pipelines.report import words
 
     where, arguments = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
     folder = home_folder(home)
@@ -104,11 +107,11 @@ def list_(
         out.print_json(json.dumps(rows, default=str))
         return
     table = Table(box=SIMPLE_HEAD)
-    for name in ("alert", "pack", "diagnosis", "severity", "state", "owner"):
-        table.add_column(name, no_wrap=name not in {"state", "owner"})
+    for name in ("alert", "unit", "diagnosis", "severity", "state", "owner"):
+        table.add_column(name, no_wrap=name not in {"unit", "diagnosis", "state", "owner"})
     for r in rows:
-        pack = f"{r['tail']} {r['pack']}"
-        table.add_row(r["alert_id"][:8], pack, r["diagnosis"], r["severity"], _state(r), r["owner"] or "")
+        labels = (words.unit_name(r), words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
+        table.add_row(r["alert_id"][:8], *labels)
     out.print(table)
 
 
@@ -122,7 +125,9 @@ def _state(row: Mapping[str, Any]) -> str:
 @case.command("show")
 def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
     """Show one case: its state, evidence, action and history."""
+    from pipelines.casework.changes import findings
     from pipelines.casework.listing import find_case, history_of
+    from pipelines.report import words
 
     where = home_folder(home)
     row = _call(lambda: find_case(where, alert))
@@ -130,9 +135,10 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
     if as_json:
         out.print_json(json.dumps(row | {"history": history}, default=str))
         return
-    head = f"{row['alert_id']}  {row['operator']} {row['tail']} pack {row['pack']}  {row['diagnosis']}"
+    head = f"{row['alert_id']}  {row['operator']} {words.unit_name(row)}  {words.diagnosis(row['diagnosis'])}"
     lines = [head, f"{_state(row)}; severity {row['severity']}; raised {row['raised_at']:%Y-%m-%d}"]
     lines += [row["evidence_now"], row["recommended_action"]]
+    lines += [f"hdt close {row['alert_id'][:8]} --finding: {', '.join(findings(row['component']))}"]
     for entry in history:
         values = (entry[c] for c in ("assignee", "until", "finding", "action", "note"))
         text = ", ".join(str(v) for v in values if v is not None)

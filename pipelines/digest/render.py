@@ -94,7 +94,7 @@ def _unit(row: Row) -> str:
     """Name the unit, such as `AQX LX-AAC pack 2 (right)`, or the file."""
     if "tail" not in row:
         return str(row["file"])
-    unit = words.pack_name(row) if "pack" in row else row["tail"]
+    unit = words.unit_name(row) if "pack" in row else row["tail"]
     return f"{row['operator']} {unit}"
 
 

@@ -123,7 +123,7 @@ def _alert_lines(a: Row) -> list[str]:
     now = _("unchanged.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
     at_last = _("At its end") if is_closed else _("Now")
     return [
-        _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.pack_name(a)}", state=state,
+        _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.unit_name(a)}", state=state,
           diagnosis=f"{words.diagnosis(a['diagnosis'])} ({a['diagnosis']})", id=a["alert_id"]),
         _("When raised ({time}, after {flight}, {severity}): {evidence}", time=words.clock(a["raised_at"]),
           flight=a["raised_flight_id"], severity=_(at_first), evidence=_numbers(a, "raised") + then),

@@ -82,7 +82,7 @@ def _row(
     return {
         **{k: row[k] for k in ("operator", "urgency", "place")},
         **(margins[0] if margins else {"margin_k": None, "door_share": None}),
-        "name": words.unit_name(row) if own else words.pack_name(row),
+        "name": words.unit_name(row),
         "card": card,
         "unit": (*key, code) if own else key,
         "find": words.search_text(row, row["diagnoses"]),

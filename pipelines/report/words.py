@@ -8,7 +8,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
-from hdt_core.components import components
+from hdt_core.components import components, recorded_components
 from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.prognosis.model import HORIZON
@@ -21,6 +21,7 @@ URGENCY = {"act": "Act now", "plan": "Plan", "none": "No action", "unknown": "No
 """Labels of urgency, in the order of every output."""
 REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
 PARTS = {**{c.code: c.name for c in components().values()}, "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
+DECLARED = {c.code for c in recorded_components().values()}
 SIDES = {1: "left", 2: "right"}
 WEARS = {c.code: (c.lost, int(c.warn_loss < 0.1)) for c in components().values()}
 """Components that wear: name of the loss, and decimals of its percentage."""
@@ -48,8 +49,10 @@ def pack_name(row: Row) -> str:
 
 
 def unit_name(row: Row) -> str:
-    """Name a unit, such as `LX-AAC hydraulic oil cooler 2`."""
-    return f"{row['tail']} {_(row['name'])} {row['pack']}"
+    """Name a declared component's unit, such as `LX-AAC hydraulic oil cooler 2`; of anything else, the pack."""
+    part = row.get("component")
+    name = row.get("name") or (PARTS[part] if part in DECLARED else None)
+    return f"{row['tail']} {_(name)} {row['pack']}" if name else pack_name(row)
 
 
 def unit_key(row: Row) -> tuple[Any, ...]:
@@ -72,7 +75,7 @@ def unknown(rows: Iterable[Row]) -> list[str]:
 
 
 def _unknown(rows: list[Row], missing: str) -> str:
-    names = [unit_name(row) if "name" in row else pack_name(row) for row in rows]
+    names = list(map(unit_name, rows))
     more = several(" and {n} more", " and {n} more", len(names) - FEW) if len(names) > FEW else ""
     since = min((row["missing_since"] for row in rows if row["missing_since"] is not None), default=None)
     return _(
@@ -93,9 +96,8 @@ def _missing(row: Row) -> str:
 
 def search_text(row: Row, diagnoses: str | None = None) -> str:
     """Return the text by which the page's search finds a row or a card."""
-    name = unit_name(row) if "name" in row else pack_name(row)
     labels = f"{diagnoses} {diagnosis(diagnoses)}" if diagnoses else ""
-    return f"{row['operator']} {name} {labels} {urgency(row) if row.get('urgency') else ''}".lower()
+    return f"{row['operator']} {unit_name(row)} {labels} {urgency(row) if row.get('urgency') else ''}".lower()
 
 
 def percent(value: float | None, digits: int = 0) -> str:

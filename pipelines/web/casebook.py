@@ -20,9 +20,10 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from pipelines.casework.board import Board, Row, component_key
-from pipelines.casework.changes import ACTIONS, FINDINGS, KINDS, change_case
+from pipelines.casework.changes import ACTIONS, KINDS, change_case, findings
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
+from pipelines.report import words
 from pipelines.report.tonight import read_tonight
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.catalog import catalog_version
@@ -140,11 +141,14 @@ class Casebook:
         if case is None:
             return self._none(request)
         component = component_key(case)
-        return self._page(
-            request, "case.html", status, title=f"{case['tail']} pack {case['pack']}: {case['diagnosis']}", case=case,
-            history=board.history.get(case["alert_id"], []), message=message, findings=list(FINDINGS), actions=ACTIONS,
-            due=board.due.get(component), choices=board.choices.get(component, []),
-        )  # fmt: skip
+        context = {
+            "title": f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}",
+            "history": board.history.get(case["alert_id"], []),
+            "findings": list(findings(case["component"])),
+            "due": board.due.get(component),
+            "choices": board.choices.get(component, []),
+        }
+        return self._page(request, "case.html", status, case=case, message=message, actions=ACTIONS, **context)
 
     def _none(self, request: Request) -> Response:
         """Answer alike for a case that does not exist and for one of another operator."""

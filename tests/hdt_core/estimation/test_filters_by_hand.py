@@ -285,9 +285,9 @@ def test_the_error_of_the_step_is_its_change_through_least_squares():
     change, slope = (seen[1] - seen[0]) / 0.2, -0.4 * 1.5 / 0.2
     expected = -change / slope * abs(slope)
     np.testing.assert_allclose(found.step_error, expected / (found.belief.sd * abs(slope)), rtol=1e-5)
-    assert (
-        f"    error of the step    = {abs(found.step_error[0]):.2g} standard deviations" in found.summary().splitlines()
-    )
+    lines = found.summary().splitlines()
+    error = f"    error of the step    = {abs(found.step_error[0]):.2g} standard deviations"
+    assert lines.index(error) == lines.index("[[Parameters]]") - 1
     assert replace(found, problem=replace(problem, refined=None)).step_error is None
     assert replace(found, problem=None).step_error is None
     assert replace(found, status="diverged").step_error is None

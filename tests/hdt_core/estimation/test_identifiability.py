@@ -7,7 +7,7 @@ import pytest
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, estimators, unknown
 from hdt_core.estimation.experiment import Candidate, profile, rank_sensors
-from hdt_core.estimation.identifiability import fisher
+from hdt_core.estimation.identifiability import Identifiability, fisher, invert_information
 
 SPEED_RAD_S = np.linspace(2000.0, 3800.0, 40)
 DENSITY_KG_M3 = np.linspace(0.4, 0.6, 40)
@@ -108,3 +108,13 @@ def test_every_estimator_reports_the_unidentifiable_product(estimator):
     if estimator.name == "particle":
         estimator = replace(estimator, n_particles=100)
     assert estimator.estimate(compressor()).status == "not_identifiable"
+
+
+@pytest.mark.parametrize(("gap", "is_observable"), [(2.1e-14, True), (1.9e-14, False)])
+def test_direction_is_observable_up_to_a_condition_of_1e14(gap, is_observable):
+    # eigenvalues of [[1, c], [c, 1]] are 1 + c and 1 - c: a condition of 2 / gap
+    information = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
+    cov, observable = invert_information(information)
+    assert observable is is_observable
+    assert np.isfinite(cov).all() == is_observable
+    assert Identifiability(("a", "b"), information).identifiable is is_observable

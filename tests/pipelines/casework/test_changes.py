@@ -77,9 +77,27 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, says):
 
 
 @pytest.mark.parametrize(
+    ("component", "finding", "code", "note"),
+    [
+        ("SENSOR", "wiring fault", "DAMAGED", "wiring fault; left connector"),
+        ("SENSOR", "reads correctly", "NO_FAULT_FOUND", "reads correctly; left connector"),
+        ("RAM_DOOR", "jammed", "DAMAGED", "jammed; left connector"),
+        ("CC", "eroded", "DAMAGED", "eroded; left connector"),
+        ("PUMP", "worn", "DAMAGED", "worn; left connector"),
+        ("SENSOR", "clean", "NO_FAULT_FOUND", "left connector"),
+    ],
+)
+def test_each_component_has_findings_of_its_own(home, component, finding, code, note):
+    case = find_case(home, "wear") | {"component": component}
+    change_case(home, case, "close", "Ada", finding=finding, note="left connector")
+    assert [(h["finding"], h["note"]) for h in history_of(home, "wear")] == [(code, note)]
+
+
+@pytest.mark.parametrize(
     ("kind", "asked", "says"),
     [
         ("close", {"finding": "rusty"}, "finding is clean, fouled"),
+        ("close", {"finding": "jammed"}, "finding is clean, fouled"),
         ("close", {"finding": "clean", "action": "polished"}, "action is inspected"),
         ("close", {"finding": "clean", "on": "2020-01-01"}, "when it was raised"),
         ("close", {"finding": "clean", "on": "2199-01-01"}, "to today"),
