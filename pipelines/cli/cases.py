@@ -100,9 +100,9 @@ def list_(
     from pipelines.casework.listing import OPEN, list_cases
     from pipelines.report import words
 
-    where, arguments = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
+    where, values = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
     folder = home_folder(home)
-    rows = _call(lambda: list_cases(folder, where, arguments))
+    rows = _call(lambda: list_cases(folder, where, **values))
     if as_json:
         out.print_json(json.dumps(rows, default=str))
         return
