@@ -67,7 +67,7 @@ def test_who_has_no_role_sees_and_changes_nothing(page, home):
 
 def test_an_engineer_takes_a_case_through_its_life(page, home):
     client = page("Eng")
-    assert "T-1 1" in client.get("/").text
+    assert "T-1 pack 1 (left)" in client.get("/").text
     assert "acknowledged" in say(client, "wear", "acknowledge").text
     assert "assigned to Bo" in say(client, "wear", "assign", 1, assignee="Bo").text
     done = say(client, "wear", "close", 2, finding="clean", on="2024-04-09", note="looked")
