@@ -21,7 +21,6 @@ from benchmarks.random_problems import drawn
 from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
 from hdt_core.estimation.fit import noise_variance
-from hdt_core.estimation.swarm import search_box
 
 NEAR = 1e-3  # standard deviations
 STARTS = 24
@@ -44,7 +43,7 @@ class Tally:
 
 def best_objective(problem: Problem, found: Sequence[Estimate], n_starts: int = STARTS) -> float:
     """Lowest objective that anyone knows."""
-    lower, upper = search_box(problem)
+    lower, upper = problem.search_box
     rng = np.random.default_rng(0)
     starts = [problem.origin, *(e.belief.mean for e in found)]
     starts += list(lower + (upper - lower) * rng.random((n_starts, lower.size)))

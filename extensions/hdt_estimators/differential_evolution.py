@@ -11,7 +11,6 @@ from scipy.optimize import differential_evolution
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
-from hdt_core.estimation.swarm import search_box
 
 NO_ANSWER = 1e150  # fitness of an individual the model has no answer for
 
@@ -44,7 +43,7 @@ class DifferentialEvolution:
 
     def estimate(self, problem: Problem) -> Estimate:
         """Fittest individual; covariance from the information at that point."""
-        lower, upper = search_box(problem)
+        lower, upper = problem.search_box
         free = upper > lower
         if not free.any():
             return settle(problem, problem.origin, 0, method=self.name)

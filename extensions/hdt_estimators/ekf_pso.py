@@ -11,7 +11,7 @@ from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman import recursive_estimate, trajectory
 from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.problem import Problem
-from hdt_core.estimation.swarm import swarm_search
+from hdt_core.estimation.pso import swarm_search
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
-from hdt_core.estimation.swarm import search_box
 from hdt_estimators.differential_evolution import NO_ANSWER, DifferentialEvolution, fitness
 
 CROWDING = 15.0  # of crossover and mutation: larger keeps children closer to their parents
@@ -60,7 +59,7 @@ class Genetic:
                 method, self.population, self.max_generations, self.agreement, self.polish, self.seed
             )
             return stand_in.estimate(problem)
-        lower, upper = search_box(problem)
+        lower, upper = problem.search_box
         free = upper > lower
         if not free.any():
             return settle(problem, problem.origin, 0, method=self.name)

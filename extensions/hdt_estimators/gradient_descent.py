@@ -53,7 +53,7 @@ class GradientDescent:
             lowest = at if at.objective <= lowest.objective else lowest
             history.append(objective)
         best = at if reached == "converged" else lowest
-        return conclude(problem, best.theta, reached, at.n_evals, at=best, method=self.name)
+        return conclude(problem, best.theta, reached, at.n_evals, point=best, method=self.name)
 
 
 def _descend(

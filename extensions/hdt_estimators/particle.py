@@ -12,7 +12,6 @@ from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman_step import is_moving
 from hdt_core.estimation.problem import Array, Belief, Problem
-from hdt_core.estimation.swarm import search_box
 from hdt_core.estimation.ukf import upper_root
 
 NO_ANSWER = 1e290  # misfit where the model has none
@@ -117,7 +116,7 @@ class ParticleFilter:
 def _drawn(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     """Particles (n, parameters) from the prior inside the bounds; evenly over the box where the prior knows
     nothing."""
-    lower, upper = search_box(problem)
+    lower, upper = problem.search_box
     cloud = lower + (upper - lower) * rng.random((n, lower.size))
     known = np.isfinite(problem.prior.sd)
     if known.any():

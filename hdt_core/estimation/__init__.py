@@ -39,8 +39,8 @@ def estimators() -> dict[str, Estimator]:
         A package adds a method of a name that is taken.
     """
     methods = {e.name: e for e in METHODS}
-    for label, loaded in load_entry_points("hdt.estimators", "estimator", ValueError):
-        method = loaded() if isinstance(loaded, type) else loaded
+    for label, entry in load_entry_points("hdt.estimators", "estimator", ValueError):
+        method = entry() if isinstance(entry, type) else entry
         if method.name in methods:
             raise ValueError(f"{label}: there is a method {method.name} already")
         methods[method.name] = method

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hdt_core.estimation.damped import assess_optimum
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum, quadratic_model
-from hdt_core.estimation.doubts import Profile, better_optimum, is_bent, profile_intervals
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.fit import noise_variance
 from hdt_core.estimation.identifiability import SAFE, Identifiability, covariance_of_free
+from hdt_core.estimation.optimum_checks import Profile, better_optimum, is_nonquadratic, profile_intervals
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises
@@ -33,18 +34,18 @@ def settle(
         return conclude(problem, theta, "diverged", n_evals, **fields)
     if not polish:
         return conclude(problem, theta, "approximate", n_evals, cov=cov, **fields)
-    at = descend(problem, np.clip(theta, *problem.bounds.T), n_evals=n_evals)
+    point = descend(problem, np.clip(theta, *problem.bounds.T), n_evals=n_evals)
     if cov is not None:
-        change, sd = np.abs(at.theta - theta), np.sqrt(np.maximum(np.diag(cov), 0.0))
+        change, sd = np.abs(point.theta - theta), np.sqrt(np.maximum(np.diag(cov), 0.0))
         cov = cov if (change <= sd).all() else None
-    return conclude_at(problem, at, cov=cov, **fields)
+    return conclude_at(problem, point, cov=cov, **fields)
 
 
-def conclude_at(problem: Problem, at: Point, **fields: Any) -> Estimate:
+def conclude_at(problem: Problem, point: Point, **fields: Any) -> Estimate:
     """Turn the end of a descent into an estimate."""
-    if not at.objective < np.inf:
-        return conclude(problem, at.theta * np.nan, "diverged", at.n_evals, **fields)
-    return conclude(problem, at.theta, "max_steps", at.n_evals, at=at, **fields)
+    if not point.objective < np.inf:
+        return conclude(problem, point.theta * np.nan, "diverged", point.n_evals, **fields)
+    return conclude(problem, point.theta, "max_steps", point.n_evals, point=point, **fields)
 
 
 def conclude(
@@ -53,7 +54,7 @@ def conclude(
     outcome: Status,
     n_evals: int,
     *,
-    at: Point | None = None,
+    point: Point | None = None,
     own_objective: bool = False,
     cov: Array | None = None,
     **fields: Any,
@@ -69,7 +70,7 @@ def conclude(
         Where the method stopped.
     outcome : Status
         Status that the method itself reports.
-    at : Point, optional
+    point : Point, optional
         Gradient and curvature at `theta`; computed when not given.
     own_objective : bool
         The method minimises another objective than the problem's, and has checked its gradient itself.
@@ -79,30 +80,31 @@ def conclude(
     fields
         Further fields of `Estimate`.
     """
-    if at is None and not np.isfinite(theta).all():
+    if point is None and not np.isfinite(theta).all():
         nothing = Identifiability(problem.names, np.zeros((theta.size, theta.size)))
         return Estimate(problem.prior, "diverged", n_evals, nothing, problem=problem, **fields)
-    at = quadratic_model(problem, theta) if at is None else at
+    point = quadratic_model(problem, theta) if point is None else point
     prior = problem.prior.information
-    data = Identifiability(problem.names, at.normal - prior)
-    local, determinant, distance, is_inside = assess_optimum(at.normal, at.gradient, theta, problem.bounds)
+    data = Identifiability(problem.names, point.normal - prior)
+    local, determinant, distance, is_inside = assess_optimum(point.normal, point.gradient, theta, problem.bounds)
     is_inside, is_finite, n_free = is_inside and determinant > SAFE, True, theta.size
     if not is_inside:
-        local, is_finite = covariance_of_free(problem.bounds, at.normal)
-        distance = distance_to_optimum(at, problem.bounds)
+        local, is_finite = covariance_of_free(problem.bounds, point.normal)
+        distance = distance_to_optimum(point, problem.bounds)
         n_free = int(np.count_nonzero(problem.bounds[:, 0] < problem.bounds[:, 1]))
-    variance = noise_variance(at.objective, problem.n_values, n_free)
+    variance = noise_variance(point.objective, problem.n_values, n_free)
     status: Status = outcome
     if not own_objective and outcome != "diverged":
         near = distance <= max(CLOSE * variance**0.5, ROUNDING_DISTANCE)
         status = "converged" if near else "max_steps" if outcome == "converged" else outcome
     if outcome != "diverged" and not is_finite:
         status = "not_identifiable"
-    doubt = NO_DOUBT
+    checks = PASSED
     is_plain = variance == 1.0 and determinant > SEPARATE and problem.n_values > VALUES_A_PARAMETER * theta.size
     if status == "converged" and not own_objective:
-        doubt = _check_ranges(problem, local, variance) if is_plain else _check_optimum(problem, at, local, variance)
-        status = doubt.status
+        check = _check_ranges if is_plain else partial(_check_optimum, point)
+        checks = check(problem, local, variance)
+        status = checks.status
     if status in ("converged", "approximate") and not is_inside:
         status = "at_bound" if _rests_on_bound(problem.bounds, theta, local) else status
     total = local if cov is None else cov
@@ -113,18 +115,18 @@ def conclude(
         status,
         n_evals,
         data,
-        n_checks=doubt.n_evals,
+        n_checks=checks.n_evals,
         distance=float("nan") if own_objective else distance,
-        profile=doubt.profile,
-        better=doubt.better,
-        weak=doubt.weak,
+        profile=checks.profile,
+        better=checks.better,
+        weak=checks.weak,
         problem=problem,
         **fields,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Doubt:
+class _Checks:
     """Result of the checks of an optimum, and the passes they took."""
 
     status: Status
@@ -134,28 +136,28 @@ class _Doubt:
     weak: tuple[str, ...] = ()
 
 
-NO_DOUBT = _Doubt("converged")
+PASSED = _Checks("converged")
 
 
-def _check_optimum(problem: Problem, at: Point, cov: Array, variance: float) -> _Doubt:
+def _check_optimum(point: Point, problem: Problem, cov: Array, variance: float) -> _Checks:
     """Search for a better optimum where noise does not explain the misfit, and profile the likelihood where curvature
     may not describe it."""
     passes = 0
     if variance > 1.0:
-        better, passes = better_optimum(problem, at, variance)
+        better, passes = better_optimum(problem, point, variance)
         if better is not None:
-            return _Doubt("local_optimum", passes, better=better.theta)
-    passes += 2 * at.theta.size
-    if not is_bent(problem, at, variance):
+            return _Checks("local_optimum", passes, better=better.theta)
+    passes += 2 * point.theta.size
+    if not is_nonquadratic(problem, point, variance):
         return _check_ranges(problem, cov, variance, passes)
-    profile = profile_intervals(problem, at, cov, variance)
-    status: Status = "weakly_identifiable" if profile.unlimited else "converged"
+    profile = profile_intervals(problem, point, cov, variance)
+    status: Status = "weakly_identifiable" if profile.without_limit else "converged"
     if profile.better is not None:
         status = "local_optimum"
-    return _Doubt(status, passes + profile.n_evals, profile, profile.better, profile.unlimited)
+    return _Checks(status, passes + profile.n_evals, profile, profile.better, profile.without_limit)
 
 
-def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0) -> _Doubt:
+def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0) -> _Checks:
     """Check for parameters without a prior that keep most of their declared range.
 
     In plain floats: every fit runs this, and NumPy on two numbers takes a tenth of the oscillator's time.
@@ -167,8 +169,8 @@ def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0
         if prior_v == float("inf") and low < high and WIDE**2 * v * variance > (high - low) ** 2
     )
     if weak:
-        return _Doubt("weakly_identifiable", passes, weak=weak)
-    return _Doubt("converged", passes) if passes else NO_DOUBT
+        return _Checks("weakly_identifiable", passes, weak=weak)
+    return _Checks("converged", passes) if passes else PASSED
 
 
 def _rests_on_bound(bounds: Array, theta: Array, cov: Array) -> bool:

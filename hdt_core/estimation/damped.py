@@ -9,8 +9,8 @@ from hdt_core.estimation.problem import Array
 
 FIRST_DAMPING = 1e-3
 MOST_DAMPING = 1e20
-SETTLED_SHARE = 1e-8  # of the residual variance: the last step taken moved 1e-4 standard deviations
-SETTLED = 1e-22  # the same for records without noise, in squared sigmas
+NEGLIGIBLE_SHARE = 1e-8  # of the residual variance: the last step taken moved 1e-4 standard deviations
+NEGLIGIBLE = 1e-22  # the same for records without noise, in squared sigmas
 
 
 @compiled
@@ -38,8 +38,8 @@ def damped_step(
     Returns
     -------
     step : array (n,)
-    promised : float
-        Reduction of r^T r that the linear model expects of the step as it was clipped; may be negative.
+    predicted_reduction : float
+        Reduction of r^T r by the step, inside the bounds, under the linear model; may be negative.
 
     References
     ----------
@@ -68,35 +68,35 @@ def damped_step(
         for k in range(i + 1, n):
             step[i] -= root[k, i] * step[k]
         step[i] /= root[i, i]
-    promised = 0.0
+    predicted_reduction = 0.0
     for i in range(n):
         step[i] = min(max(theta[i] + step[i] / size[i], lower[i]), upper[i]) - theta[i] if free[i] else 0.0
     for i in range(n):
-        promised -= 2.0 * gradient[i] * step[i]
+        predicted_reduction -= 2.0 * gradient[i] * step[i]
         for k in range(n):
-            promised -= step[i] * normal[i, k] * step[k]
-    return step, promised
+            predicted_reduction -= step[i] * normal[i, k] * step[k]
+    return step, predicted_reduction
 
 
 @compiled
-def next_damping(damping: float, growth: float, reduction: float, promised: float) -> tuple[float, float]:
-    """Update damping and its growth factor after a step with this `reduction`, of `promised` (Nielsen 1999)."""
-    if reduction > 0.0 and promised > 0.0:
-        gain = min(reduction / promised, 1.0)
+def next_damping(damping: float, growth: float, reduction: float, predicted_reduction: float) -> tuple[float, float]:
+    """Update damping and its growth factor after a step, by its `reduction` over the predicted one (Nielsen 1999)."""
+    if reduction > 0.0 and predicted_reduction > 0.0:
+        gain = min(reduction / predicted_reduction, 1.0)
         return max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
     return damping * growth, 2.0 * growth
 
 
 @compiled
-def is_settled(promised: float, cost: float, n_values: int) -> bool:
+def is_settled(predicted_reduction: float, cost: float, n_values: int) -> bool:
     """Check whether the step is the last and may be taken untried: its predicted reduction is negligible."""
-    return abs(promised) <= max(SETTLED_SHARE * cost / n_values, SETTLED)
+    return abs(predicted_reduction) <= max(NEGLIGIBLE_SHARE * cost / n_values, NEGLIGIBLE)
 
 
 @compiled
-def is_exhausted(promised: float, reduction: float, cost: float) -> bool:
-    """Check whether a step without reduction promised less than rounding resolves."""
-    return reduction <= 0.0 and abs(promised) <= 1e-12 * cost
+def is_exhausted(predicted_reduction: float, reduction: float, cost: float) -> bool:
+    """Check whether the predicted reduction is below rounding, after a step that reduced nothing."""
+    return reduction <= 0.0 and abs(predicted_reduction) <= 1e-12 * cost
 
 
 @compiled

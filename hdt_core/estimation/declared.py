@@ -57,7 +57,7 @@ def declared_problem(
         theta_by_name, signals, states = values(x, theta, i)
         return np.stack(np.broadcast_arrays(*model.advance(theta_by_name, signals, states, dt_s).values()))
 
-    def refined(x: Array, theta: Array, i: Sample) -> Array:
+    def half_steps(x: Array, theta: Array, i: Sample) -> Array:
         theta_by_name, signals, states = values(x, theta, i)
         halfway = model.advance(theta_by_name, signals, states, 0.5 * dt_s)
         return np.stack(np.broadcast_arrays(*model.advance(theta_by_name, signals, halfway, 0.5 * dt_s).values()))
@@ -71,7 +71,7 @@ def declared_problem(
         sigma=np.array([s.sigma for _, s in sensors], float),
         observe=observe,
         transition=transition if model.states else None,
-        refined=refined if model.states else None,
+        half_steps=half_steps if model.states else None,
         start=Belief(np.array([s.initial for s in model.states]), np.zeros((n_states, n_states))),
         drift=np.sqrt(flights_per_sample) * np.array([p.drift for p in params]),
         kernels=kernels,

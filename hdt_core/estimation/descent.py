@@ -7,14 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hdt_core.estimation.damped import (
-    FIRST_DAMPING,
-    MOST_DAMPING,
-    damped_step,
-    is_exhausted,
-    is_settled,
-    next_damping,
-)
+from hdt_core.estimation.damped import FIRST_DAMPING, MOST_DAMPING, damped_step, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.identifiability import SINGULAR
 from hdt_core.estimation.problem import Array, Problem
 
@@ -63,32 +56,32 @@ def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int 
     if not np.isfinite(cost):
         n = origin.size
         return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1)
-    at = quadratic_model(problem, origin, n_evals)
-    evals, size = at.n_evals, np.full(origin.size, np.finfo(float).tiny)
+    point = quadratic_model(problem, origin, n_evals)
+    evals, size = point.n_evals, np.full(origin.size, np.finfo(float).tiny)
     damping, growth = FIRST_DAMPING, 2.0
     for _ in range(max_steps):
-        size = np.maximum(size, np.sqrt(np.diag(at.normal)))
-        step, promised = damped_step(at.normal, at.gradient, size, damping, at.theta, lower, upper)
-        trial = at.theta + step
-        if is_settled(promised, at.objective, max(problem.n_values, 1)):
-            return Point(trial, at.objective, at.gradient, at.normal, evals)
-        reduction = at.objective - float(problem.objective(trial[None])[0])
+        size = np.maximum(size, np.sqrt(np.diag(point.normal)))
+        step, predicted_reduction = damped_step(point.normal, point.gradient, size, damping, point.theta, lower, upper)
+        trial = point.theta + step
+        if is_settled(predicted_reduction, point.objective, max(problem.n_values, 1)):
+            return Point(trial, point.objective, point.gradient, point.normal, evals)
+        reduction = point.objective - float(problem.objective(trial[None])[0])
         evals += 1
-        damping, growth = next_damping(damping, growth, reduction, promised)
+        damping, growth = next_damping(damping, growth, reduction, predicted_reduction)
         if reduction > 0.0:
-            at = quadratic_model(problem, trial, evals)
-            evals = at.n_evals
-        if is_exhausted(promised, reduction, at.objective) or damping > MOST_DAMPING:
+            point = quadratic_model(problem, trial, evals)
+            evals = point.n_evals
+        if is_exhausted(predicted_reduction, reduction, point.objective) or damping > MOST_DAMPING:
             break
-    return Point(at.theta, at.objective, at.gradient, at.normal, evals)
+    return Point(point.theta, point.objective, point.gradient, point.normal, evals)
 
 
-def distance_to_optimum(at: Point, bounds: Array) -> float:
+def distance_to_optimum(point: Point, bounds: Array) -> float:
     r"""Compute the distance to the quadratic model's optimum in standard deviations: Newton's decrement.
 
     .. math:: \sqrt{g^T (J^T J + P_0^{-1})^{-1} g}
 
-    over the parameters that are neither held nor pressed against a bound; with the bounds kept where the plain step
+    over the parameters that are neither fixed nor held by a bound; with the bounds kept where the plain step
     would leave them. No parameter is further from that optimum than this many of its standard deviations.
 
     References
@@ -96,11 +89,12 @@ def distance_to_optimum(at: Point, bounds: Array) -> float:
     .. [1] S. Boyd and L. Vandenberghe, Convex Optimization, 2004, section 9.5.
     """
     lower, upper = bounds.T
-    pressed = ((at.theta <= lower) & (at.gradient >= 0.0)) | ((at.theta >= upper) & (at.gradient <= 0.0))
-    free = (lower < upper) & ~pressed
+    at_lower, at_upper = point.theta <= lower, point.theta >= upper
+    is_held = (at_lower & (point.gradient >= 0.0)) | (at_upper & (point.gradient <= 0.0))
+    free = (lower < upper) & ~is_held
     if not free.any():
         return 0.0
-    gradient, normal = at.gradient[free], at.normal[np.ix_(free, free)]
+    gradient, normal = point.gradient[free], point.normal[np.ix_(free, free)]
     if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
         return float("inf")
     size = np.sqrt(np.maximum(normal.diagonal(), 0.0))
@@ -109,11 +103,12 @@ def distance_to_optimum(at: Point, bounds: Array) -> float:
     observable = values > values[-1] / SINGULAR
     along = vectors[:, observable].T @ (gradient / size) / np.sqrt(values[observable])
     step = -(vectors[:, observable] @ (along / np.sqrt(values[observable]))) / size
-    is_inside = (at.theta[free] + step >= lower[free]) & (at.theta[free] + step <= upper[free])
+    is_inside = (point.theta[free] + step >= lower[free]) & (point.theta[free] + step <= upper[free])
     if is_inside.all():
         return float(np.linalg.norm(along))
     root = np.sqrt(values[observable])[:, None] * vectors[:, observable].T
-    room = np.column_stack([lower, upper])[free] - at.theta[free, None]
-    scaled = lsq_linear(root, -along, bounds=(room * size[:, None]).T, method="bvls" if observable.all() else "trf").x
-    promised = -2.0 * float(gradient / size @ scaled) - float(np.sum((root @ scaled) ** 2))
-    return float(np.sqrt(max(promised, 0.0)))
+    room = np.column_stack([lower, upper])[free] - point.theta[free, None]
+    method = "bvls" if observable.all() else "trf"
+    scaled_step = lsq_linear(root, -along, bounds=(room * size[:, None]).T, method=method).x
+    predicted_reduction = -2.0 * float(gradient / size @ scaled_step) - float(np.sum((root @ scaled_step) ** 2))
+    return float(np.sqrt(max(predicted_reduction, 0.0)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.kalman import compiled_estimate, recursive_estimate
+from hdt_core.estimation.kalman import kernel_estimate, recursive_estimate
 from hdt_core.estimation.kalman_step import tangent
 from hdt_core.estimation.problem import Problem
 
@@ -31,8 +31,8 @@ class ExtendedKalman:
     smoother_passes: int = 20
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Belief about the parameters after the last sample; path of the first, causal pass."""
-        quick = compiled_estimate(problem, False, self.smoother_passes, method=self.name)
+        """Estimate the parameters after the last sample; path of the first, causal pass."""
+        quick = kernel_estimate(problem, False, self.smoother_passes, method=self.name)
         if quick is not None:
             return quick
         return recursive_estimate(problem, tangent, self.smoother_passes, method=self.name)

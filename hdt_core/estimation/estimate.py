@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from hdt_core.estimation.doubts import Profile
 from hdt_core.estimation.fit import Fit
 from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
+from hdt_core.estimation.optimum_checks import Profile
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Status = Literal[
-    "converged",
-    "at_bound",
-    "max_steps",
-    "approximate",
-    "local_optimum",
-    "weakly_identifiable",
-    "not_identifiable",
+    "converged", "at_bound", "max_steps", "approximate", "local_optimum", "weakly_identifiable", "not_identifiable",
     "diverged",
-]
+]  # fmt: skip
 
 LEAST_CORRELATION = 0.1  # correlations below this are not reported, as by lmfit
 MEANING = {
@@ -38,7 +32,7 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """A posterior and how it was reached. How a fit ended is a value, not an exception.
+    """A posterior and how it was reached. The status of a fit is a value, not an exception.
 
     Parameters
     ----------
@@ -109,17 +103,17 @@ class Estimate:
         """Shift of every parameter, in its standard deviations, with half the time step, (n,), to first
         order. None for a model without states, or one that is not declared with its rates."""
         problem = self.problem
-        if problem is None or problem.refined is None or self.status == "diverged":
+        if problem is None or problem.half_steps is None or self.status == "diverged":
             return None
         coarse, theta = replace(problem, kernels=None), self.belief.mean
-        change = replace(coarse, transition=problem.refined).residual(theta) - coarse.residual(theta)
+        change = replace(coarse, transition=problem.half_steps).residual(theta) - coarse.residual(theta)
         slope = problem.sensitivity(theta)
         cov, _ = covariance_of_free(problem.bounds, slope.T @ slope + problem.prior.information)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / self.belief.sd))
 
     def summary(self) -> str:
-        """Report in words and numbers, with the entries of lmfit's."""
+        """Format a report with the entries of lmfit's."""
         return _report(self)
 
     def plot(self, axes: Axes) -> None:
@@ -180,18 +174,19 @@ def _report(estimate: Estimate) -> str:
 
 
 def _parameters(estimate: Estimate, starts: np.ndarray) -> list[str]:
+    """Format each parameter with its standard deviations and profile interval."""
     is_filter = estimate.innovations is not None
     n = estimate.belief.mean.size
     fit, none = estimate.fit, np.full(n, np.nan)
-    scaled, sandwich = (none, none) if is_filter else (fit.scaled_sd, fit.sandwich_sd)
+    scaled_sd, sandwich_sd = (none, none) if is_filter else (fit.scaled_sd, fit.sandwich_sd)
     width = max((len(name) for name in estimate.identifiability.names), default=0)
     lines = []
     for i, name in enumerate(estimate.identifiability.names):
         mean, sd = float(estimate.belief.mean[i]), float(estimate.belief.sd[i])
         share = f" ({100.0 * sd / abs(mean):.2f} %)" if mean and np.isfinite(sd) else ""
         lines.append(
-            f"    {name:<{width}}  {mean:.8g} +/- {sd:.4g}{share}, scaled {scaled[i]:.4g}, sandwich {sandwich[i]:.4g}"
-            f" (init {starts[i]:.6g})"
+            f"    {name:<{width}}  {mean:.8g} +/- {sd:.4g}{share}, scaled {scaled_sd[i]:.4g}, "
+            f"sandwich {sandwich_sd[i]:.4g} (init {starts[i]:.6g})"
         )
         if estimate.profile is not None:
             low, high = estimate.profile.interval[i]

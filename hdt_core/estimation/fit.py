@@ -104,8 +104,8 @@ class Fit:
         than sigma allows; `untested`: no degrees of freedom; else `adequate`."""
         if not self.degrees:
             return "untested"
-        structured = self.serial_correlation > STRUCTURE and self.reduced_chi2 > ROUNDING
-        if self.p_value < CHANCE or not np.isfinite(self.chi2) or structured:
+        has_structure = self.serial_correlation > STRUCTURE and self.reduced_chi2 > ROUNDING
+        if self.p_value < CHANCE or not np.isfinite(self.chi2) or has_structure:
             return "lack_of_fit"
         return "sigma_too_large" if chdtr(self.degrees, self.chi2) < CHANCE else "adequate"
 

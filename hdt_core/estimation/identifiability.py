@@ -35,7 +35,7 @@ class Identifiability:
     information: Array
 
     @property
-    def scaled(self) -> Array:
+    def scaled_information(self) -> Array:
         """Information with unit diagonal: free of units, so that its condition compares directions and not scales."""
         size = np.sqrt(np.maximum(np.diag(self.information), 0.0))
         size = np.where(size > 0.0, size, 1.0)
@@ -44,7 +44,7 @@ class Identifiability:
     @property
     def condition(self) -> float:
         """Largest over smallest eigenvalue of the scaled information; infinite with an unobservable direction."""
-        values = np.linalg.eigvalsh(self.scaled)
+        values = np.linalg.eigvalsh(self.scaled_information)
         return float(values[-1] / values[0]) if values[0] > 0.0 else float("inf")
 
     @property
@@ -67,7 +67,7 @@ class Identifiability:
     @property
     def weakest(self) -> dict[str, float]:
         """The least observable direction, in units of each parameter's own precision."""
-        vector = np.linalg.eigh(self.scaled)[1][:, 0]
+        vector = np.linalg.eigh(self.scaled_information)[1][:, 0]
         return dict(zip(self.names, (float(v) for v in vector), strict=True))
 
 

@@ -46,11 +46,6 @@ class FilterPass:
     slopes: list[Array]
     corrections: list[Correction]
 
-    @property
-    def log_likelihood(self) -> float:
-        """Of the whole record."""
-        return sum(c.log_likelihood for c in self.corrections)
-
 
 def forward(
     problem: Problem, linearise: Linearise, about: list[Belief] | None = None, centre: Array | None = None
@@ -118,7 +113,7 @@ def recursive_estimate(
     try:
         with np.errstate(all="ignore"):  # an overflow ends as a lost track
             first = forward(problem, linearise, about)
-            last, status, n_passes = _iterated(problem, linearise, first, passes)
+            last, status, n_passes = _iterate(problem, linearise, first, passes)
     except (LostTrackError, np.linalg.LinAlgError):
         return diverged_estimate(problem, n_evals + passes_cost(problem), method)
     path_sd = np.sqrt(np.maximum(np.diagonal(first.covs, axis1=1, axis2=2)[:, s:], 0.0))
@@ -134,10 +129,10 @@ def passes_cost(problem: Problem) -> int:
     return 2 * (problem.start.mean.size + problem.prior.mean.size) + 1
 
 
-def _iterated(problem: Problem, linearise: Linearise, first: FilterPass, passes: int) -> tuple[FilterPass, Status, int]:
+def _iterate(problem: Problem, linearise: Linearise, first: FilterPass, passes: int) -> tuple[FilterPass, Status, int]:
     """Filter again until the estimate settles; return the last pass, its status and the number of passes."""
     if is_moving(problem):
-        return _iterated_moving(problem, linearise, first, passes)
+        return _iterate_moving(problem, linearise, first, passes)
     last, at = first, _point(problem, first)
     for n_passes in range(1, passes + 1):
         about = smooth(last) if linearise is not tangent else trajectory(problem, at)
@@ -150,16 +145,15 @@ def _iterated(problem: Problem, linearise: Linearise, first: FilterPass, passes:
     return _with_last_mean(problem, last, at), "approximate" if passes == 0 else "max_steps", passes
 
 
-def _iterated_moving(
+def _iterate_moving(
     problem: Problem, linearise: Linearise, first: FilterPass, passes: int
 ) -> tuple[FilterPass, Status, int]:
-    """Iterate for moving states or parameters, to the most likely trajectory. Without further passes one is made to
-    check for a change."""
+    """Iterate for moving states or parameters, to the most likely trajectory; at least once, to check for a change."""
     last = first
     for n_passes in range(1, max(passes, 1) + 1):
-        refiltered = forward(problem, linearise, smooth(last))
-        is_settled = _stands_still(refiltered.means[-1] - last.means[-1], refiltered.covs[-1])
-        last = refiltered if passes else last
+        next_pass = forward(problem, linearise, smooth(last))
+        is_settled = _stands_still(next_pass.means[-1] - last.means[-1], next_pass.covs[-1])
+        last = next_pass if passes else last
         if is_settled:
             return last, "converged", n_passes
     return last, "max_steps" if passes else "approximate", max(passes, 1)
@@ -181,6 +175,7 @@ def _line_search(problem: Problem, at: Array, target: Array) -> Array:
 
 
 def _stands_still(move: Array, cov: Array) -> bool:
+    """Check whether an estimate moved by less than `STILL_SD` of its standard deviations."""
     sd = np.sqrt(np.maximum(cov.diagonal()[-move.size :], 0.0)) if move.size else np.zeros(0)
     return bool((np.abs(move) <= STILL_SD * sd + 1e-15).all())
 
@@ -202,7 +197,7 @@ def standardise_innovations(problem: Problem, corrections: list[Correction]) -> 
     return rows
 
 
-def compiled_estimate(
+def kernel_estimate(
     problem: Problem, sigma_points: bool, smoother_passes: int, *, method: str, polish: bool = False
 ) -> Estimate | None:
     """Estimate by the problem's own kernel, which has sensor noise only; None where that does not apply."""
@@ -210,21 +205,13 @@ def compiled_estimate(
         return None
     s = problem.start.mean.size
     prior = joint_belief(problem).cov[s:, s:]
-    path, path_sd, mean, cov, n_passes = problem.kernels.kalman(
-        problem.origin,
-        prior,
-        np.isinf(problem.prior.sd),
-        problem.bounds[:, 0],
-        problem.bounds[:, 1],
-        sigma_points,
-        smoother_passes,
-        STILL_SD,
-    )
+    start = (problem.origin, prior, np.isinf(problem.prior.sd), *problem.bounds.T)
+    path, path_sd, mean, cov, n_passes = problem.kernels.kalman(*start, sigma_points, smoother_passes, STILL_SD)
     passes = (1 + n_passes) * (passes_cost(problem) if sigma_points else 2)
     fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method}
     estimate = report(problem, Belief(mean, cov), "approximate", passes, polish=polish, **fields)
-    unsettled = smoother_passes > 0 and estimate.status in ("approximate", "diverged")
-    return None if unsettled else estimate
+    is_inconclusive = smoother_passes > 0 and estimate.status in ("approximate", "diverged")
+    return None if is_inconclusive else estimate
 
 
 def report(
@@ -234,24 +221,19 @@ def report(
     n_evals: int,
     *,
     path: Array,
-    path_sd: Array,
-    method: str,
     polish: bool = False,
     own_objective: bool = False,
     innovations: Array | None = None,
+    **fields: Any,
 ) -> Estimate:
     """Finish a recursion: project on the bounds, compute information and status."""
-    lower, upper = problem.bounds.T
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
-        return diverged_estimate(problem, n_evals, method)
-    path = np.minimum(np.maximum(path, lower), upper)
-    fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": method, "innovations": innovations}
-    theta = project_on_bounds(belief, lower, upper)
-    if innovations is not None or own_objective:
-        return conclude(problem, theta, status, n_evals, own_objective=True, cov=belief.cov, **fields)
-    if polish:
-        return settle(problem, theta, n_evals, cov=belief.cov, **fields)
-    return conclude(problem, theta, status, n_evals, cov=belief.cov, **fields)
+        return diverged_estimate(problem, n_evals, fields["method"])
+    fields |= {"path": np.clip(path, *problem.bounds.T), "innovations": innovations, "cov": belief.cov}
+    theta, own_objective = project_on_bounds(belief, *problem.bounds.T), own_objective or innovations is not None
+    if polish and not own_objective:
+        return settle(problem, theta, n_evals, **fields)
+    return conclude(problem, theta, status, n_evals, own_objective=own_objective, **fields)
 
 
 def diverged_estimate(problem: Problem, n_evals: int, method: str) -> Estimate:

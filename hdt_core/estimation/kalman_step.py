@@ -4,8 +4,8 @@ The joint vector is z = (states, parameters). A method differs only in how it re
 
 .. math:: z_{i+1} \approx A z_i + b + w, \quad y_i \approx H z_i + c + v,
 
-by its tangent (extended) or by regression over sigma points (unscented). The belief itself is never forced: bounds
-are kept where the model is evaluated and where an estimate is reported, so the algebra of the smoother stays exact.
+by its tangent (extended) or by regression over sigma points (unscented). Bounds are kept where the model is evaluated
+and where an estimate is reported but not in the belief, so the algebra of the smoother stays exact.
 
 References
 ----------
@@ -51,17 +51,6 @@ class Correction:
     precision: Array
     innovation: Array
     noise: Array
-
-    @property
-    def nis(self) -> float:
-        """Normalised innovation squared: its expected value is the number of values."""
-        return float(self.innovation @ self.precision @ self.innovation)
-
-    @property
-    def log_likelihood(self) -> float:
-        """Of the sample given those before it."""
-        determinant = np.linalg.slogdet(self.precision)[1] if self.innovation.size else 0.0
-        return -0.5 * float(self.nis + self.innovation.size * np.log(2.0 * np.pi) - determinant)
 
 
 def is_moving(problem: Problem) -> bool:
@@ -170,13 +159,13 @@ def project_on_bounds(belief: Belief, lower: Array, upper: Array) -> Array:
     if ((lower <= mean) & (mean <= upper)).all():
         return mean
     for _ in range(mean.size):
-        broken = np.flatnonzero((mean < lower) | (mean > upper))
-        if broken.size == 0:
+        violations = np.flatnonzero((mean < lower) | (mean > upper))
+        if violations.size == 0:
             return mean
         limit = np.clip(mean, lower, upper)
-        across = belief.cov[np.ix_(broken, broken)]
-        mean = mean + belief.cov[:, broken] @ np.linalg.pinv(across, hermitian=True) @ (limit - mean)[broken]
-        mean[broken] = limit[broken]
+        across = belief.cov[np.ix_(violations, violations)]
+        mean = mean + belief.cov[:, violations] @ np.linalg.pinv(across, hermitian=True) @ (limit - mean)[violations]
+        mean[violations] = limit[violations]
     return np.clip(mean, lower, upper)
 
 

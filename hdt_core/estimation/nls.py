@@ -27,12 +27,7 @@ class NonlinearLeastSquares:
         """Minimise the sum of squares; covariance from the information at that point."""
         if problem.kernels is None or problem.kernels.least_squares is None:
             return conclude_at(problem, descend(problem, problem.origin, self.max_steps), method=self.name)
-        point = problem.kernels.least_squares(
-            problem.origin,
-            problem.bounds[:, 0],
-            problem.bounds[:, 1],
-            problem.prior.mean,
-            problem.prior.information,
-            self.max_steps,
-        )
-        return conclude_at(problem, Point(*point), method=self.name)
+        prior = problem.prior
+        start = (problem.origin, *problem.bounds.T, prior.mean, prior.information)
+        point = Point(*problem.kernels.least_squares(*start, self.max_steps))
+        return conclude_at(problem, point, method=self.name)

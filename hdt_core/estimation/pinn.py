@@ -1,5 +1,4 @@
-"""Physics-informed neural network: a small net for the trajectory, the equations as a penalty, parameters trained
-along."""
+"""Physics-informed neural network: a small net for the trajectory, trained with the parameters."""
 
 from __future__ import annotations
 
@@ -9,21 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.damped import FIRST_DAMPING
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
-FIRST_DAMPING = 1e-3
 STILL_SD = 3e-4  # of its standard deviation: a parameter that a step moves by less has settled
 STILL_STEPS = 3  # in a row; the net's own weights may still change, they are not reported
-
-
-class _Net(NamedTuple):
-    """One hidden layer of tanh: slopes and shifts (w,), weights (w, s), offsets (s,)."""
-
-    slope: Array
-    shift: Array
-    weight: Array
-    offset: Array
 
 
 class _Scale(NamedTuple):
@@ -85,7 +75,7 @@ class PhysicsInformedNet:
         """Train the net and the parameters; return the parameters."""
         if problem.transition is None:
             return settle(problem, problem.origin, 0, method=f"{self.name}: least squares, no dynamics")
-        guess = _simulated(problem)
+        guess = _simulate_states(problem)
         if not np.isfinite(guess).all():
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
         scale = _Scale(
@@ -105,7 +95,7 @@ class PhysicsInformedNet:
         return settle(problem, vector[-n:], passes, polish=self.polish, cov=cov, method=self.name)
 
 
-def _simulated(problem: Problem) -> Array:
+def _simulate_states(problem: Problem) -> Array:
     """Simulate states along the record at the guess, (k, s)."""
     assert problem.transition is not None
     states = np.empty((len(problem.measured), problem.start.mean.size))
@@ -119,9 +109,9 @@ def _first_weights(width: int, guess: Array, scale: _Scale, rng: np.random.Gener
     """Initialise units evenly over the record, each a few spacings wide, and fit them to the guess."""
     slope = width * rng.uniform(0.3, 1.0, width) * rng.choice([-1.0, 1.0], width)
     shift = -slope * np.linspace(-0.05, 1.05, width)
-    hidden = np.column_stack([np.tanh(np.outer(scale.time, slope) + shift), np.ones(len(guess))])
+    activation = np.column_stack([np.tanh(np.outer(scale.time, slope) + shift), np.ones(len(guess))])
     ridge = 1e-6 * len(guess) * np.eye(width + 1)
-    weights = np.linalg.solve(hidden.T @ hidden + ridge, hidden.T @ (guess / scale.size))
+    weights = np.linalg.solve(activation.T @ activation + ridge, activation.T @ (guess / scale.size))
     return np.concatenate([slope, shift, weights[:-1].ravel(), weights[-1]])
 
 
@@ -146,9 +136,9 @@ def _train(
             damping *= 4.0
         if new_cost >= cost:  # no step lowers the cost: the minimum, to rounding
             break
-        allowed = STILL_SD * np.sqrt(np.diag(_parameter_cov(normal, n)))
+        still_sd = STILL_SD * np.sqrt(np.diag(_parameter_cov(normal, n)))
         free = damping <= FIRST_DAMPING  # a step held back by damping is short for another reason
-        n_still = n_still + 1 if free and (np.abs(move[-n:]) <= allowed).all() else 0
+        n_still = n_still + 1 if free and (np.abs(move[-n:]) <= still_sd).all() else 0
         vector, residual, slope, cost, damping = trial, new_residual, new_slope, new_cost, damping * 0.2
         normal = slope.T @ slope
     return vector, normal, steps
@@ -157,8 +147,8 @@ def _train(
 def _parameter_cov(normal: Array, n: int) -> Array:
     """Compute the covariance (n, n) of the parameters, which come last, ignoring net directions without information."""
     size = np.sqrt(np.diag(normal) + 1e-12)
-    scaled = normal / np.outer(size, size) + 1e-12 * np.eye(size.size)
-    cov = np.linalg.solve(scaled, np.eye(size.size)[:, -n:])[-n:] / np.outer(size[-n:], size[-n:])
+    scaled_normal = normal / np.outer(size, size) + 1e-12 * np.eye(size.size)
+    cov = np.linalg.solve(scaled_normal, np.eye(size.size)[:, -n:])[-n:] / np.outer(size[-n:], size[-n:])
     return np.asarray(0.5 * (cov + cov.T))
 
 
@@ -169,12 +159,12 @@ def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int
     theta = vector[-n:]
     states, by_weights = _states(vector[:-n], time, size, width)
     index = np.arange(k)
-    predicted, predicted_x, predicted_theta = _with_slopes(problem.observe, states, theta, index)
+    modelled, modelled_x, modelled_theta = _with_slopes(problem.observe, states, theta, index)
     assert problem.transition is not None
     next_states, next_x, next_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
     change = rho * scale.change[:, None]
     is_recorded = ~np.isnan(problem.measured.T)
-    error = predicted - np.where(is_recorded, problem.measured.T, 0.0)
+    error = modelled - np.where(is_recorded, problem.measured.T, 0.0)
     data = np.where(is_recorded, error / problem.sigma[:, None], 0.0)
     weight = is_recorded / problem.sigma[:, None]
     start_sd = np.maximum(np.sqrt(np.diag(problem.start.cov)), 1e-3 * size)
@@ -182,8 +172,8 @@ def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int
     rows = [
         (
             data,
-            np.einsum("mk,msk,skw->mkw", weight, predicted_x, by_weights),
-            weight[..., None] * np.moveaxis(predicted_theta, 1, 2),
+            np.einsum("mk,msk,skw->mkw", weight, modelled_x, by_weights),
+            weight[..., None] * np.moveaxis(modelled_theta, 1, 2),
         ),
         (
             (states[:, 1:] - next_states) / change,
@@ -199,37 +189,39 @@ def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int
 
 
 def _states(weights: Array, time: Array, size: Array, width: int) -> tuple[Array, Array]:
-    """Compute states (s, k) of the net and their derivatives by its weights, (s, k, w)."""
+    """Compute states (s, k) of the net and their derivatives by its weights, (s, k, w).
+
+    One layer of tanh: slopes and shifts of the units, their weights (units, s), offsets (s,).
+    """
     s = size.size
-    net = _Net(weights[:width], weights[width : 2 * width], weights[2 * width : -s].reshape(width, s), weights[-s:])
-    hidden = np.tanh(np.outer(time, net.slope) + net.shift)
-    states = size[:, None] * (hidden @ net.weight + net.offset).T
-    bent = 1.0 - hidden**2
+    slope, shift, weight, offset = np.split(weights, (width, 2 * width, weights.size - s))
+    weight = weight.reshape(width, s)
+    activation = np.tanh(np.outer(time, slope) + shift)
+    states = size[:, None] * (activation @ weight + offset).T
+    activation_slope = 1.0 - activation**2
     by = np.zeros((s, time.size, weights.size))
     for j in range(s):
-        by[j, :, width : 2 * width] = size[j] * bent * net.weight[:, j]
+        by[j, :, width : 2 * width] = size[j] * activation_slope * weight[:, j]
         by[j, :, :width] = by[j, :, width : 2 * width] * time[:, None]
-        by[j, :, 2 * width + j : weights.size - s : s] = size[j] * hidden
+        by[j, :, 2 * width + j : weights.size - s : s] = size[j] * activation
         by[j, :, weights.size - s + j] = size[j]
     return states, by
 
 
 def _with_slopes(function: Observe, states: Array, theta: Array, index: Sample) -> tuple[Array, Array, Array]:
     """Evaluate a function (r, k) along the record, with derivatives by states (r, s, k) and parameters (r, n, k)."""
-    k = states.shape[1]
-    column = np.repeat(theta[:, None], k, axis=1)
-    value = np.asarray(function(states, column, index))
-    arguments = np.concatenate([states, column])
+    n_states = len(states)
+    arguments = np.concatenate([states, np.repeat(theta[:, None], states.shape[1], axis=1)])
+
+    def value(columns: Array) -> Array:
+        return np.asarray(function(columns[:n_states], columns[n_states:], index))
+
     slopes = []
-    for j in range(len(arguments)):
-        step = 6e-6 * max(float(np.abs(arguments[j]).max()), 1e-3)
+    for j, row in enumerate(arguments):
+        step = 6e-6 * max(float(np.abs(row).max()), 1e-3)
         above, below = arguments.copy(), arguments.copy()
         above[j] += step
         below[j] -= step
-        n_states = len(states)
-        difference = np.asarray(function(above[:n_states], above[n_states:], index)) - np.asarray(
-            function(below[:n_states], below[n_states:], index)
-        )
-        slopes.append(difference / (2.0 * step))
+        slopes.append((value(above) - value(below)) / (2.0 * step))
     slope = np.stack(slopes, axis=1)
-    return value, slope[:, : len(states)], slope[:, len(states) :]
+    return value(arguments), slope[:, :n_states], slope[:, n_states:]

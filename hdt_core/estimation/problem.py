@@ -25,7 +25,7 @@ class Belief:
     mean : array (n,)
         Expected values, each in the unit of its quantity.
     cov : array (n, n)
-        Covariance. An infinite variance on the diagonal (with zeros beside it) means "nothing known".
+        Covariance. An infinite variance on the diagonal (with zeros beside it) stands for no knowledge at all.
     """
 
     mean: Array
@@ -38,7 +38,7 @@ class Belief:
 
     @cached_property
     def information(self) -> Array:
-        """Inverse covariance, (n, n); nothing in the rows of an infinite variance."""
+        """Inverse covariance, (n, n); zero in the rows of an infinite variance."""
         variance = np.diag(self.cov)
         if np.count_nonzero(self.cov) == np.count_nonzero(variance):
             return np.diag(1.0 / variance)
@@ -82,20 +82,20 @@ class Kernels:
 
 @dataclass(frozen=True)
 class Problem:
-    r"""Estimate parameters, and hidden states where there are any, from samples in order.
+    r"""Parameters, and hidden states where there are any, to be estimated from samples in order.
 
     .. math:: x_{i+1} = f(x_i, \theta_i, i) + w_i, \quad y_i = h(x_i, \theta_i, i) + v_i,
               \quad \theta_{i+1} = \theta_i + d_i
 
     The two functions broadcast: the first axis of `x` and `theta` is the component, the axes behind it broadcast with
-    each other and with the sample index, which may be an integer or an array of integers. One function so serves a
-    single trajectory, a swarm, a cloud of sigma points and a whole record at once.
+    each other and with the sample index, which may be an integer or an array of integers. So one function serves a
+    single trajectory, a swarm, a cloud of sigma points and a whole record.
 
     Parameters
     ----------
     names : tuple of str, n of them
     bounds : array (n, 2)
-        Lower and upper limit of every parameter; infinite where there is none; equal where it is held.
+        Lower and upper limit of every parameter; infinite where there is none; equal where it is fixed.
     prior : Belief
         About the parameters before the samples. Its mean is the starting point of every method.
     measured : array (k, m)
@@ -111,7 +111,7 @@ class Problem:
         Standard deviation of w per sample; zero when not given.
     drift : array (n,), optional
         Standard deviation of d per sample, the parameters' random walk; zero when not given.
-    refined : function like `transition`, optional
+    half_steps : function like `transition`, optional
         The same in two half steps, for the error that the step leaves in an estimate.
     kernels : Kernels, optional
         Compiled equivalents of the above.
@@ -127,7 +127,7 @@ class Problem:
     start: Belief = field(default_factory=lambda: Belief(np.empty(0), np.empty((0, 0))))
     process_sd: Array | None = None
     drift: Array | None = None
-    refined: Transition | None = None
+    half_steps: Transition | None = None
     kernels: Kernels | None = None
 
     def __post_init__(self) -> None:
@@ -145,6 +145,18 @@ class Problem:
     def origin(self) -> Array:
         """Start of every method: the prior's mean, moved inside the bounds. (n,)"""
         return np.clip(self.prior.mean, self.bounds[:, 0], self.bounds[:, 1])
+
+    @property
+    def search_box(self) -> tuple[Array, Array]:
+        """Lower and upper corner (n,) of the box that global methods search.
+
+        The bounds; where there are none, four standard deviations of the prior; without a prior, ten times the
+        starting value or ten about zero.
+        """
+        sd, (lower, upper) = self.prior.sd, self.bounds.T
+        reach = np.where(np.isfinite(sd), 4.0 * sd, 10.0 * np.maximum(np.abs(self.origin), 1.0))
+        lower = np.where(np.isfinite(lower), lower, self.origin - reach)
+        return lower, np.where(np.isfinite(upper), upper, self.origin + reach)
 
     @cached_property
     def n_values(self) -> int:
@@ -164,12 +176,12 @@ class Problem:
             outputs = np.asarray(self.observe(nothing, thetas.T[:, :, None], np.arange(n_samples)))
             return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
         x = np.repeat(self.start.mean[:, None], len(thetas), axis=1)
-        collected = np.empty((len(thetas), n_samples, n_outputs))
+        outputs = np.empty((len(thetas), n_samples, n_outputs))
         for i in range(n_samples):
-            collected[:, i] = np.asarray(self.observe(x, thetas.T, i)).T
+            outputs[:, i] = np.asarray(self.observe(x, thetas.T, i)).T
             if i + 1 < n_samples:
                 x = np.asarray(self.transition(x, thetas.T, i))
-        return collected
+        return outputs
 
     def residual(self, theta: Array) -> Array:
         """Compute (simulated - measured) / sigma, 0 where missing, infinite where the model fails."""
@@ -218,12 +230,8 @@ class Problem:
 
 
 def _scale(problem: Problem) -> Array:
-    """Estimate a magnitude for every parameter: from the prior, else from the bounds, else its own size."""
-    width = problem.bounds[:, 1] - problem.bounds[:, 0]
-    for candidate in (problem.prior.sd, width):
-        usable = np.isfinite(candidate) & (candidate > 0.0)
-        width = np.where(usable, candidate, width)
-        if usable.all():
-            return 1e-3 * np.asarray(candidate)
-    fallback = np.maximum(np.abs(problem.prior.mean), np.finfo(float).tiny)
-    return 1e-3 * np.where(np.isfinite(width) & (width > 0.0), width, fallback)
+    """Estimate a magnitude for every parameter: from its prior, else from its bounds, else from its value."""
+    magnitude = np.maximum(np.abs(problem.prior.mean), np.finfo(float).tiny)
+    for candidate in (problem.bounds[:, 1] - problem.bounds[:, 0], problem.prior.sd):
+        magnitude = np.where(np.isfinite(candidate) & (candidate > 0.0), candidate, magnitude)
+    return 1e-3 * magnitude

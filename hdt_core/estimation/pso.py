@@ -8,8 +8,7 @@ import numpy as np
 
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.problem import Problem
-from hdt_core.estimation.swarm import swarm_search
+from hdt_core.estimation.problem import Array, Problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,3 +50,51 @@ class ParticleSwarm:
         if self.polish:
             return settle(problem, swarm.best, swarm.n_evals, method=self.name)
         return conclude(problem, swarm.best, "max_steps", swarm.n_evals, method=self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Swarm:
+    """Result of a search: best point (n,), its objective, passes over the record."""
+
+    best: Array
+    objective: float
+    n_evals: int
+
+
+def swarm_search(
+    problem: Problem,
+    rng: np.random.Generator,
+    *,
+    n_particles: int,
+    n_iterations: int,
+    inertia: float = 0.7298,
+    cognitive: float = 1.49618,
+    social: float = 1.49618,
+) -> Swarm:
+    """Minimise the problem's objective over its box; the starting point is one of the particles.
+
+    A particle that would leave the box stops at the wall and loses its speed towards it.
+
+    References
+    ----------
+    .. [1] M. Clerc and J. Kennedy, The particle swarm: explosion, stability and convergence, IEEE TEC 6(1), 2002:
+       the defaults of inertia and pull.
+    """
+    lower, upper = problem.search_box
+    shape = (n_particles, lower.size)
+    theta = lower + (upper - lower) * rng.random(shape)
+    theta[0] = problem.origin
+    velocity = 0.1 * (upper - lower) * (2.0 * rng.random(shape) - 1.0)
+    best_theta, best_objective = theta.copy(), problem.objective(theta)
+    for _ in range(n_iterations):
+        pull = rng.random((2, *shape))
+        leader = best_theta[best_objective.argmin()]
+        velocity = inertia * velocity + cognitive * pull[0] * (best_theta - theta) + social * pull[1] * (leader - theta)
+        target = theta + velocity
+        theta = np.minimum(np.maximum(target, lower), upper)
+        velocity[target != theta] = 0.0
+        objective = problem.objective(theta)
+        is_better = objective < best_objective
+        best_theta[is_better], best_objective[is_better] = theta[is_better], objective[is_better]
+    best = int(best_objective.argmin())
+    return Swarm(best_theta[best], float(best_objective[best]), n_particles * (n_iterations + 1))

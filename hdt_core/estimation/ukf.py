@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.kalman import compiled_estimate, recursive_estimate
+from hdt_core.estimation.kalman import kernel_estimate, recursive_estimate
 from hdt_core.estimation.kalman_step import Affine, Function, LostTrackError
 from hdt_core.estimation.problem import Array, Belief, Problem
 
@@ -45,7 +45,7 @@ class UnscentedKalman:
     def estimate(self, problem: Problem) -> Estimate:
         """Estimate the parameters after the last sample; path of the first, causal pass."""
         if (self.alpha, self.beta, self.kappa) == (1.0, 0.0, 0.0):
-            quick = compiled_estimate(problem, True, self.smoother_passes, method=self.name, polish=self.polish)
+            quick = kernel_estimate(problem, True, self.smoother_passes, method=self.name, polish=self.polish)
             if quick is not None:
                 return quick
         from filterpy.kalman import MerweScaledSigmaPoints  # noqa: PLC0415 (a second of imports that only this needs)

@@ -115,7 +115,7 @@ def test_what_data_tell_and_what_they_do_not():
     information = np.array([[4.0, 3.0], [3.0, 9.0]])
     seen = Identifiability(("a", "b"), information)
     cov = np.linalg.inv(information)
-    np.testing.assert_allclose(seen.scaled, [[1.0, 0.5], [0.5, 1.0]])
+    np.testing.assert_allclose(seen.scaled_information, [[1.0, 0.5], [0.5, 1.0]])
     assert seen.condition == pytest.approx(3.0)
     np.testing.assert_allclose(seen.bound_sd, np.sqrt(np.diag(cov)))
     assert seen.correlation[0, 1] == pytest.approx(-0.5)
@@ -188,7 +188,7 @@ def test_profile_intervals_of_a_logarithm():
     np.testing.assert_allclose(found.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
     assert found.status == "converged"
     left = NonlinearLeastSquares().estimate(curved(1.0, 0.6))
-    assert left.profile.unlimited == left.weak == ("x",)
+    assert left.profile.without_limit == left.weak == ("x",)
     assert left.profile.open.tolist() == [[True, False]]
     assert left.profile.interval[0, 1] == pytest.approx(np.log(1.0 + 1.96 * 0.6), rel=0.03)
     assert left.status == "weakly_identifiable"
@@ -219,8 +219,8 @@ def test_a_kalman_step_is_the_conditional_normal():
     after = update_belief(belief, correction)
     np.testing.assert_allclose(after.mean, belief.mean + cov @ h.T @ np.linalg.solve(s, error))
     np.testing.assert_allclose(after.cov, cov - cov @ h.T @ np.linalg.solve(s, h @ cov), atol=1e-12)
-    assert correction.nis == pytest.approx(error @ np.linalg.solve(s, error))
-    assert correction.log_likelihood == pytest.approx(stats.multivariate_normal.logpdf(error, cov=s))
+    np.testing.assert_allclose(correction.precision, np.linalg.inv(s))
+    np.testing.assert_allclose(correction.innovation, error)
     one = update_belief(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
     gain = cov @ h[1] / s[1, 1]
     np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])

@@ -10,7 +10,7 @@ from hdt_core.estimation.conclude import conclude_at
 from hdt_core.estimation.damped import assess_optimum, damped_step, inverse_spd, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
 from hdt_core.estimation.identifiability import Identifiability, invert_information
-from hdt_core.estimation.swarm import search_box, swarm_search
+from hdt_core.estimation.pso import swarm_search
 
 NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])
 SIZE = np.array([2.0, 3.5, 1.8])
@@ -161,9 +161,9 @@ BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-
 
 def test_the_box_of_a_search():
     """Bounds, else four deviations of the prior, else ten times the start or ten."""
-    np.testing.assert_allclose(search_box(BOX), [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
+    np.testing.assert_allclose(BOX.search_box, [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
     origin = replace(BOX, prior=unknown(np.array([0.0, 0.5, 0.0, 0.0])))
-    np.testing.assert_allclose(search_box(origin)[1], [3.0, 10.5, 5.0, 2.0])
+    np.testing.assert_allclose(origin.search_box[1], [3.0, 10.5, 5.0, 2.0])
 
 
 def test_a_swarm_flies_as_clerc_and_kennedy_say():

@@ -9,8 +9,14 @@ from scipy.stats import qmc
 from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.conclude import conclude
 from hdt_core.estimation.descent import Point, descend
-from hdt_core.estimation.doubts import RISE, _distinct_points, _refit_fixed, better_optimum, is_bent, profile_intervals
-from hdt_core.estimation.experiment import Candidate, rank_sensors
+from hdt_core.estimation.optimum_checks import (
+    RISE,
+    _distinct_points,
+    _refit_fixed,
+    better_optimum,
+    is_nonquadratic,
+    profile_intervals,
+)
 
 
 def bend(c, bounds=(-np.inf, np.inf), prior=None):
@@ -39,7 +45,7 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
 )  # fmt: skip
 def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, known, bent):
     problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if known else None)
-    assert is_bent(problem, at, variance) is bent
+    assert is_nonquadratic(problem, at, variance) is bent
 
 
 def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
@@ -52,8 +58,8 @@ def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
         lambda _x, t, i: np.where(np.asarray(i) == 0, t[0] + t[2] + 0.1 * t[2] ** 3, 2.0 * t[2])[None],
     )
     at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 5.0]]))
-    assert not is_bent(pair, at, 1.0)
-    assert is_bent(pair, replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]])), 1.0)
+    assert not is_nonquadratic(pair, at, 1.0)
+    assert is_nonquadratic(pair, replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]])), 1.0)
 
 
 def line(cloud=None, **more) -> Problem:
@@ -104,7 +110,7 @@ def test_an_interval_without_an_end_is_endless():
                       lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
     at = descend(problem, np.zeros(1))
     found = profile_intervals(problem, at, np.array([[0.36]]))
-    assert (found.interval[0, 0], found.open.tolist(), found.unlimited) == (-np.inf, [[True, False]], ("x",))
+    assert (found.interval[0, 0], found.open.tolist(), found.without_limit) == (-np.inf, [[True, False]], ("x",))
     # without a deviation the first stretch is the value's own size, at least 1
     blind = profile_intervals(problem, at, np.array([[np.inf]]))
     np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
@@ -227,17 +233,3 @@ def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(o
     kept = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
     np.testing.assert_allclose(kept.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
     assert np.isnan(kept.distance)
-
-
-def test_a_sensor_brings_half_the_growth_of_the_log_determinant():
-    """Without data or prior a parameter is known to its bounds' width, a held one exactly."""
-    bounds = np.array([[0.0, 4.0], [-1.0, 9.0], [2.0, 2.0]])
-    blank = Problem(("a", "b", "c"), bounds, Belief(np.zeros(3), np.diag([np.inf, 4.0, 0.5])), np.full((3, 1), np.nan),
-                    np.ones(1), lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    first = Candidate("first", 0.5, lambda _x, t, i: (2.0 * t[0] + 0.0 * i)[None])
-    second = Candidate("second", 2.0, lambda _x, t, i: (t[1] + 0.0 * i)[None])
-    gains = rank_sensors(blank, np.array([1.0, 1.0, 2.0]), [second, first])
-    assert [g.name for g in gains] == ["first", "second"]
-    assert gains[0].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 * 4.0 / 0.25 * 16.0))
-    assert gains[1].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 / 4.0 * 4.0))
-    np.testing.assert_allclose(gains[1].sd, [4.0, 1.0, 0.0], atol=1e-12)

@@ -6,7 +6,7 @@ import pytest
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import descend
-from hdt_core.estimation.doubts import RISE, profile_intervals
+from hdt_core.estimation.optimum_checks import RISE, profile_intervals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 
 TIME = np.linspace(0.0, 5.0, 60)

@@ -1,4 +1,4 @@
-"""Check an optimum: search for a better one, and profile a likelihood that is not Gaussian about it.
+"""Checks of an optimum: search for a better one, and profile of a likelihood that is not Gaussian about it.
 
 Both cost evaluations, so each runs only after a cheap test: a misfit that noise does not explain, a rise along the
 principal axes that the quadratic model does not predict.
@@ -13,12 +13,11 @@ from scipy.stats import qmc
 
 from hdt_core.estimation.descent import Point, descend
 from hdt_core.estimation.problem import Array, Problem
-from hdt_core.estimation.swarm import search_box
 
 LEADERS, MORE_STEPS = 4, 60  # of the search: descents, and steps of each
 BETTER = 1e-4  # of the noise's variance: an objective lower by less is the same optimum
 REACH = 2.0  # standard deviations at which the quadratic model is tested
-BENT = 2.0  # times more or less than predicted
+RATIO = 2.0  # of the rise to the predicted one, or its inverse, from which the model fails the test
 RISE = 3.841459  # of the objective at the ends of a 95 % interval of one parameter
 STRETCHES = 12  # at most, to the end of an interval
 
@@ -36,7 +35,7 @@ class Profile:
         Ends where the data set no limit.
     n_evals : int
     better : array (n,) or None
-        A point of a lower objective, if found.
+        A point of a lower objective, where there is one.
 
     References
     ----------
@@ -51,30 +50,30 @@ class Profile:
     better: Array | None = None
 
     @property
-    def unlimited(self) -> tuple[str, ...]:
+    def without_limit(self) -> tuple[str, ...]:
         """Parameters without a limit on one side or both."""
         return tuple(name for name, ends in zip(self.names, self.open, strict=True) if ends.any())
 
 
-def better_optimum(problem: Problem, at: Point, variance: float) -> tuple[Point | None, int]:
+def better_optimum(problem: Problem, optimum: Point, variance: float) -> tuple[Point | None, int]:
     """Search the box for an optimum below `at`; return it or None, and the passes.
 
     Half the points fill the box evenly, half lie about `at` at other orders of magnitude; the best few descend.
     """
     free = problem.bounds[:, 0] < problem.bounds[:, 1]
-    lower, upper = search_box(problem)
+    lower, upper = problem.search_box
     power = 6 + min(int(free.sum()).bit_length() - 1, 3)
     unit, n = qmc.Sobol(free.size, rng=np.random.default_rng(0)).random_base2(power), 2**power
     cloud = lower + (upper - lower) * unit
-    cloud[::2] = np.clip(at.theta * 10.0 ** (2.0 * unit[::2] - 1.0), *problem.bounds.T)
+    cloud[::2] = np.clip(optimum.theta * 10.0 ** (2.0 * unit[::2] - 1.0), *problem.bounds.T)
     cloud[:, ~free] = problem.origin[~free]
     objectives = problem.objective(cloud)
-    best, n_evals = at, n
+    best, n_evals = optimum, n
     for start in _distinct_points(cloud, objectives, upper - lower):
-        optimum = descend(problem, start, MORE_STEPS)
-        n_evals += optimum.n_evals
-        best = optimum if optimum.objective < best.objective else best
-    gain = at.objective - best.objective
+        end = descend(problem, start, MORE_STEPS)
+        n_evals += end.n_evals
+        best = end if end.objective < best.objective else best
+    gain = optimum.objective - best.objective
     return (best if gain > _worth(variance) else None), n_evals
 
 
@@ -95,33 +94,33 @@ def _distinct_points(cloud: Array, objectives: Array, width: Array) -> Array:
     return cloud[rows]
 
 
-def is_bent(problem: Problem, at: Point, variance: float) -> bool:
+def is_nonquadratic(problem: Problem, optimum: Point, variance: float) -> bool:
     """Check whether the objective at two standard deviations along the principal axes departs from its curvature's
     prediction, or a parameter without a prior may lie beyond its bound."""
     free = np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1])
-    normal = at.normal[np.ix_(free, free)]
+    normal = optimum.normal[np.ix_(free, free)]
     size = np.sqrt(np.maximum(normal.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     if not values[0] > 0.0:
         return True
     steps = REACH * np.sqrt(variance) * (vectors / np.sqrt(values)).T / size
-    ends = np.tile(at.theta, (2 * free.size, 1))
+    ends = np.tile(optimum.theta, (2 * free.size, 1))
     ends[:, free] += np.concatenate([steps, -steps])
     reach = REACH * np.sqrt(variance * np.sum((vectors / size[:, None]) ** 2 / values, axis=1))
     lower, upper = problem.bounds[free].T
-    beyond = (at.theta[free] - reach < lower) | (at.theta[free] + reach > upper)
-    if (beyond & np.isinf(problem.prior.sd[free])).any():
+    is_beyond = (optimum.theta[free] - reach < lower) | (optimum.theta[free] + reach > upper)
+    if (is_beyond & np.isinf(problem.prior.sd[free])).any():
         return True
     ends = np.clip(ends, *problem.bounds.T)
-    change = ends - at.theta
-    expected = 2.0 * change @ at.gradient + np.einsum("pi,ij,pj->p", change, at.normal, change)
-    rise = problem.objective(ends) - at.objective
-    is_testable = expected > 0.1 * REACH**2 * variance  # an end cut short by a bound is no test
-    ratio = rise[is_testable] / expected[is_testable]
-    return bool(((ratio < 1.0 / BENT) | (ratio > BENT)).any())
+    change = ends - optimum.theta
+    predicted_rise = 2.0 * change @ optimum.gradient + np.einsum("pi,ij,pj->p", change, optimum.normal, change)
+    rise = problem.objective(ends) - optimum.objective
+    is_testable = predicted_rise > 0.1 * REACH**2 * variance  # an end cut short by a bound is no test
+    ratio = rise[is_testable] / predicted_rise[is_testable]
+    return bool(((ratio < 1.0 / RATIO) | (ratio > RATIO)).any())
 
 
-def profile_intervals(problem: Problem, at: Point, cov: Array, variance: float = 1.0) -> Profile:
+def profile_intervals(problem: Problem, optimum: Point, cov: Array, variance: float = 1.0) -> Profile:
     """Compute profile intervals of every free parameter from the optimum `at` with covariance `cov` (n, n).
 
     Parameters
@@ -129,36 +128,36 @@ def profile_intervals(problem: Problem, at: Point, cov: Array, variance: float =
     variance : float
         Of the noise over the declared one: the target rise is 3.84 times this.
     """
-    n = at.theta.size
-    ends, unlimited, n_evals = np.tile(at.theta[:, None], (1, 2)), np.zeros((n, 2), bool), 0
-    lowest = at
+    n = optimum.theta.size
+    ends, without_limit, n_evals = np.tile(optimum.theta[:, None], (1, 2)), np.zeros((n, 2), bool), 0
+    lowest = optimum
     for i in np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1]):
         for side, sign in enumerate((-1.0, 1.0)):
-            ends[i, side], unlimited[i, side], passes, low = _end(problem, at, cov, int(i), sign, variance)
+            ends[i, side], without_limit[i, side], passes, low = _end(problem, optimum, cov, int(i), sign, variance)
             n_evals += passes
             lowest = low if low.objective < lowest.objective else lowest
-    better = lowest.theta if lowest.objective < at.objective - _worth(variance) else None
-    return Profile(problem.names, ends, unlimited, n_evals, better)
+    better = lowest.theta if lowest.objective < optimum.objective - _worth(variance) else None
+    return Profile(problem.names, ends, without_limit, n_evals, better)
 
 
 def _end(
-    problem: Problem, at: Point, cov: Array, i: int, sign: float, variance: float
+    problem: Problem, optimum: Point, cov: Array, i: int, sign: float, variance: float
 ) -> tuple[float, bool, int, Point]:
     """Find the end of parameter i's interval on one side, whether it is open, passes, and the lowest point found."""
     wall, target_rise = problem.bounds[i, int(sign > 0.0)], RISE * variance
     sd = float(np.sqrt(cov[i, i] * variance))
-    step = 1.96 * sd if np.isfinite(sd) and sd > 0.0 else max(abs(float(at.theta[i])), 1.0)
-    inner, low, passes, point = (0.0, 0.0), at, 0, at
+    step = 1.96 * sd if np.isfinite(sd) and sd > 0.0 else max(abs(float(optimum.theta[i])), 1.0)
+    inner, low, passes, point = (0.0, 0.0), optimum, 0, optimum
     for _ in range(STRETCHES):
-        beyond = (at.theta[i] + sign * step - wall) * sign >= 0.0
-        step = float(abs(wall - at.theta[i])) if beyond else step
-        point = _refit_fixed(problem, point, i, wall if beyond else at.theta[i] + sign * step)
+        is_beyond = (optimum.theta[i] + sign * step - wall) * sign >= 0.0
+        step = float(abs(wall - optimum.theta[i])) if is_beyond else step
+        point = _refit_fixed(problem, point, i, wall if is_beyond else optimum.theta[i] + sign * step)
         passes, low = passes + point.n_evals, point if point.objective < low.objective else low
-        rise = point.objective - at.objective
+        rise = point.objective - optimum.objective
         if rise >= target_rise:
-            length, extra = _crossing(problem, at, point, (i, sign), (inner, (step, rise)), target_rise)
-            return float(at.theta[i] + sign * length), False, passes + extra, low
-        if beyond:
+            length, extra = _crossing(problem, optimum, point, (i, sign), (inner, (step, rise)), target_rise)
+            return float(optimum.theta[i] + sign * length), False, passes + extra, low
+        if is_beyond:
             return float(wall), True, passes, low
         inner, step = (step, max(rise, 0.0)), 2.0 * step
     return sign * np.inf, True, passes, low
@@ -166,7 +165,7 @@ def _end(
 
 def _crossing(
     problem: Problem,
-    at: Point,
+    optimum: Point,
     near: Point,
     way: tuple[int, float],
     bracket: tuple[tuple[float, float], tuple[float, float]],
@@ -180,8 +179,9 @@ def _crossing(
     for _ in range(6):
         share = (np.sqrt(target_rise) - np.sqrt(low)) / (np.sqrt(high) - np.sqrt(low)) if np.isfinite(high) else 0.5
         middle = inner + (outer - inner) * float(np.clip(share, 0.05, 0.95))
-        near = _refit_fixed(problem, near if np.isfinite(near.objective) else at, i, float(at.theta[i] + sign * middle))
-        passes, rise = passes + near.n_evals, max(near.objective - at.objective, 0.0)
+        start = near if np.isfinite(near.objective) else optimum
+        near = _refit_fixed(problem, start, i, float(optimum.theta[i] + sign * middle))
+        passes, rise = passes + near.n_evals, max(near.objective - optimum.objective, 0.0)
         if abs(np.sqrt(rise / target_rise) - 1.0) < 0.02:
             return middle, passes
         inner, low, outer, high = (middle, rise, outer, high) if rise < target_rise else (inner, low, middle, rise)
@@ -196,8 +196,8 @@ def _refit_fixed(problem: Problem, near: Point, i: int, value: float) -> Point:
     guess = plain.copy()
     if np.isfinite(near.normal).all():
         size = np.sqrt(np.maximum(near.normal.diagonal(), np.finfo(float).tiny))
-        scaled = near.normal / np.outer(size, size)
-        pull = np.linalg.lstsq(scaled[np.ix_(is_free, is_free)], scaled[is_free, i], rcond=1e-9)[0]
+        scaled_normal = near.normal / np.outer(size, size)
+        pull = np.linalg.lstsq(scaled_normal[np.ix_(is_free, is_free)], scaled_normal[is_free, i], rcond=1e-9)[0]
         guess[is_free] -= pull * size[i] / size[is_free] * (value - near.theta[i])
     fixed_problem = replace(problem, bounds=bounds)
     starts = [np.clip(start, *bounds.T) for start in (guess, plain)]
