@@ -81,7 +81,7 @@ def simulated_rows(
 def _panel_of(lives: Episodes) -> Panel:
     age = np.where(lives.age_known[:, None], np.arange(lives.loss.shape[1], dtype=float), np.nan)
     return Panel(
-        lives.measured, lives.sd, age, lives.ratio,
+        lives.estimated_loss, lives.sd, age, lives.ratio,
         lives.overheat_k, lives.overheat_half_k, lives.full_open, lives.day,
     )  # fmt: skip
 

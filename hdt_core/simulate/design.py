@@ -1,4 +1,4 @@
-"""How a simulated fleet is built and flown: drawn once per seed, so that no two fleets share their constants."""
+"""Design and operation of a simulated fleet, drawn once per seed so that no two fleets share their constants."""
 
 import string
 from dataclasses import dataclass, field
@@ -68,7 +68,7 @@ class PackDesign:
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """Where and how an operator flies, and what its recorder leaves out."""
+    """Climate, network and habits of an operator, and columns that its recorder leaves out."""
 
     name: str
     tails: tuple[str, ...]
@@ -85,7 +85,7 @@ class Operator:
 
 
 def draw_design(rng: np.random.Generator) -> PackDesign:
-    """Constants of one type of pack, within what physics and drawings allow."""
+    """Draw the constants of one type of pack, within what physics and drawings allow."""
     u = rng.uniform
     return PackDesign(
         hx_ua_reference_w_k=float(1900.0 * np.exp(0.15 * rng.standard_normal())),
@@ -115,7 +115,7 @@ def draw_design(rng: np.random.Generator) -> PackDesign:
 
 
 def draw_operators(rng: np.random.Generator, settings: FleetSettings) -> tuple[Operator, ...]:
-    """Operators with their own climate, network, recorder and habits."""
+    """Draw operators with their own climate, network, recorder and habits."""
     return tuple(_draw_operator(rng, number, settings) for number in range(settings.operators))
 
 

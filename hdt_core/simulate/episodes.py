@@ -8,11 +8,11 @@ where its loss passes a limit that varies from unit to unit and day to day.
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hdt_core.margin.margin import MessageRule
+from hdt_core.robust import Array
 from hdt_core.simulate.margins import OutletExcess, critical_ratio, draw_demand, excess_at
-from hdt_core.simulate.wear import Array, WearSettings, draw_wear
+from hdt_core.simulate.wear import WearSettings, draw_wear
 
 LEAD = 150
 """Flights of the pack before the unit was installed, whose demand is known."""
@@ -69,7 +69,7 @@ class Episodes:
 
     Attributes
     ----------
-    loss, measured, sd : ndarray
+    loss, estimated_loss, sd : ndarray
         True loss, the twin's filtered loss and its stated standard deviation. [-]
     ratio : ndarray
         The twin's filtered ln conductance ratio. [-]
@@ -89,7 +89,7 @@ class Episodes:
     """
 
     loss: Array
-    measured: Array
+    estimated_loss: Array
     sd: Array
     ratio: Array
     demand: Array
@@ -97,11 +97,11 @@ class Episodes:
     overheat_half_k: Array
     full_open: Array
     day: Array
-    message: NDArray[np.int_]
-    age_known: NDArray[np.bool_]
-    first_message: NDArray[np.int_] | None = None
+    message: Array
+    age_known: Array
+    first_message: Array | None = None
 
-    def remaining(self) -> tuple[Array, NDArray[np.bool_]]:
+    def remaining(self) -> tuple[Array, Array]:
         """Compute flights to the next message or the record's end, and whether it is a message. (units, flights)"""
         k = np.arange(self.loss.shape[1])[None, :]
         end = np.broadcast_to(self.message[:, None], self.loss.shape)
@@ -130,13 +130,13 @@ def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
     excess_k = excess_at(flights.skip(LEAD), ln_ratio)
     message = _message(excess_k, settings.rule)
     age_known = ~is_worn & (rng.random(units) < 0.7)
-    observed = _observe(rng, loss, settings, is_worn, age_known)
+    estimates = _observe(rng, loss, settings, is_worn, age_known)
     hot = np.quantile(excess_k, [0.5, 0.8], axis=2)
     return Episodes(
         loss=loss,
-        measured=observed[0],
-        sd=observed[1],
-        ratio=unit_offset + observed[2],
+        estimated_loss=estimates[0],
+        sd=estimates[1],
+        ratio=unit_offset + estimates[2],
         demand=_estimate_demand(rng, flights, is_worn, settings),
         overheat_k=np.maximum(hot[1], 0.0),
         overheat_half_k=np.maximum(hot[0], 0.0),
@@ -164,17 +164,17 @@ def draw_limited(seed: int, settings: EpisodeSettings, limit: float, estimate: f
     unit_limit = limit + 0.03 * rng.standard_normal((units, 1))
     over = loss + 0.012 * rng.standard_normal(loss.shape) > unit_limit
     age_known = ~is_worn & (rng.random(units) < 0.7)
-    observed = _observe(rng, loss, settings, is_worn, age_known)
-    unknown = np.full(loss.shape, np.nan)
+    estimates = _observe(rng, loss, settings, is_worn, age_known)
+    nothing = np.full(loss.shape, np.nan)
     return Episodes(
-        loss=loss, measured=observed[0], sd=observed[1], ratio=np.log1p(-np.minimum(observed[0], 0.95)),
+        loss=loss, estimated_loss=estimates[0], sd=estimates[1], ratio=np.log1p(-np.minimum(estimates[0], 0.95)),
         demand=np.full((units, LEAD + settings.flights), np.log1p(-estimate)),
-        overheat_k=unknown, overheat_half_k=unknown, full_open=unknown, day=unknown,
+        overheat_k=nothing, overheat_half_k=nothing, full_open=nothing, day=nothing,
         message=np.asarray(np.where(over.any(axis=1), over.argmax(axis=1), settings.flights)), age_known=age_known,
     )  # fmt: skip
 
 
-def _losses(rng: np.random.Generator, is_worn: NDArray[np.bool_], settings: EpisodeSettings) -> Array:
+def _losses(rng: np.random.Generator, is_worn: Array, settings: EpisodeSettings) -> Array:
     age = np.where(is_worn, rng.uniform(0.0, 0.7, is_worn.size), 0.0)
     return np.minimum(_wash(rng, draw_wear(rng, age, settings.flights, settings.wear).loss, settings), 0.9)
 
@@ -182,8 +182,8 @@ def _losses(rng: np.random.Generator, is_worn: NDArray[np.bool_], settings: Epis
 def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> Array:
     """Apply scheduled washes: each removes a part of the deposit."""
     units, flights = loss.shape
-    washed = rng.random((units, 1)) < settings.wash_share
-    due = (rng.random(loss.shape) < 1.0 / settings.wash_every_flights) & washed
+    is_washed = rng.random((units, 1)) < settings.wash_share
+    due = (rng.random(loss.shape) < 1.0 / settings.wash_every_flights) & is_washed
     remaining_share = rng.uniform(0.1, 0.6, loss.shape)
     step = np.asarray(np.diff(loss, axis=1, prepend=np.zeros((units, 1))))
     out = np.empty_like(loss)
@@ -194,7 +194,7 @@ def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> A
     return out
 
 
-def _message(excess_k: Array, rule: MessageRule) -> NDArray[np.int_]:
+def _message(excess_k: Array, rule: MessageRule) -> Array:
     """Find the first flight on which the rule is met; `flights` where it never is."""
     hot = np.quantile(excess_k, 1.0 - rule.share, axis=2) > rule.excess_k
     is_repeat = np.zeros_like(hot)
@@ -205,23 +205,23 @@ def _message(excess_k: Array, rule: MessageRule) -> NDArray[np.int_]:
 
 
 def _estimate_demand(
-    rng: np.random.Generator, flights: OutletExcess, is_worn: NDArray[np.bool_], settings: EpisodeSettings
+    rng: np.random.Generator, flights: OutletExcess, is_worn: Array, settings: EpisodeSettings
 ) -> Array:
     """Simulate the estimate of each flight's demand: by an uncertain rule, through a model with errors."""
     critical = critical_ratio(flights, 0.2, settings.believed_excess_k)
     error = settings.map_error * rng.standard_normal() + settings.pack_error * rng.standard_normal((is_worn.size, 1))
     flight = 0.015 * rng.standard_normal(critical.shape)
     known_from = np.where(is_worn, LEAD, rng.integers(0, LEAD, is_worn.size))
-    unknown = np.arange(critical.shape[1])[None, :] < known_from[:, None]
-    return np.where(unknown, np.nan, critical + error + flight)
+    nothing = np.arange(critical.shape[1])[None, :] < known_from[:, None]
+    return np.where(nothing, np.nan, critical + error + flight)
 
 
 def _observe(
     rng: np.random.Generator,
     loss: Array,
     settings: EpisodeSettings,
-    is_worn: NDArray[np.bool_],
-    age_known: NDArray[np.bool_],
+    is_worn: Array,
+    age_known: Array,
 ) -> tuple[Array, Array, Array]:
     """Simulate a filter's loss, stated sd and ln ratio: noisy flights smoothed with a unit's own gain, slow errors; the
     loss with the offset of its zero as well.
@@ -239,8 +239,8 @@ def _observe(
         drift = 0.98 * drift + np.sqrt(1.0 - 0.98**2) * settings.drift_sd * rng.standard_normal(units)
         filtered[:, k] = level + drift
     # the unit was not recorded when new: its loss at entry can be missing from every estimate
-    rebased = is_worn & (rng.random(units) < settings.rebased_share)
-    missing = (rebased * rng.uniform(0.0, 0.9, units) * loss[:, 0])[:, None]
+    is_rebased = is_worn & (rng.random(units) < settings.rebased_share)
+    missing = (is_rebased * rng.uniform(0.0, 0.9, units) * loss[:, 0])[:, None]
     sd_unit = np.sqrt(settings.offset_sd**2 + settings.drift_sd**2 + (settings.noise_sd * 0.5) ** 2)
     sd = sd_unit * rng.uniform(0.7, 1.4, (units, 1)) * np.ones_like(loss)
     return filtered + offset[:, None] - missing, sd, np.log1p(-np.minimum(filtered, 0.95))

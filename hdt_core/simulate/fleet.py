@@ -1,23 +1,25 @@
-"""A fleet with known truth, one aircraft at a time: what its ground station drops, and what really was.
+"""Simulate a fleet with known truth, one aircraft at a time: the files of its ground station, and the truth.
 
 Any size, seeded: aircraft k of a fleet is the same whatever the others are, so a fleet can be made in parts.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 import polars as pl
 
+from hdt_core.physics.terms import TERMS, record_signals
+from hdt_core.robust import Array
 from hdt_core.simulate import flight_conditions, log_writer, unit_histories
 from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
-from hdt_core.simulate.missing_terms import recorded_air, recorded_pack
-from hdt_core.simulate.recorder import SUITES, Array, draw_biases, record
+from hdt_core.simulate.recorder import SUITES, draw_biases, record
 from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
 from hdt_core.simulate.truth import health_truth
 
 PACKS = (1, 2)
+PACK_SIGNALS = {"hx_in_k": "hot_in_k", "hx_out_k": "hot_out_k", "pack_flow_kg_s": "pack_flow_kg_s"}
 _Weather = tuple[flight_conditions.Conditions, dict[str, Array] | None]
 """Conditions of a flight and air data as recorded."""
 
@@ -29,7 +31,7 @@ class Aircraft:
     Attributes
     ----------
     operator, tail : str
-        Whose it is.
+        Operator and tail.
     fleet : DataFrame
         Its row of fleet.csv.
     snapshots : DataFrame
@@ -54,7 +56,7 @@ class Aircraft:
 
 
 def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator[Aircraft]:
-    """Aircraft of a simulated fleet, one after another.
+    """Simulate the aircraft of a fleet, one after another.
 
     Parameters
     ----------
@@ -78,7 +80,7 @@ def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator
 
 
 def design_truth(seed: int) -> pl.DataFrame:
-    """Design values of the fleet of that seed: operator, tail, parameter, value; null operator is the type's own."""
+    """Return the design values of the fleet of that seed: operator (null: the type's own), tail, parameter, value."""
     design = draw_design(np.random.default_rng(seed))
     values = {
         "eq6_intercept_m": design.diameter_intercept_m,
@@ -94,7 +96,7 @@ def design_truth(seed: int) -> pl.DataFrame:
 
 
 def by_month(snapshots: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """Snapshots by the month of their flight's departure date, `YYYY-MM`, as in history_*.parquet."""
+    """Split snapshots by the month of their flight's departure date, `YYYY-MM`, as in history_*.parquet."""
     month = pl.col("flight_id").str.extract(r"_(\d{8})_").str.slice(0, 6)
     parts = snapshots.with_columns(month.alias("month")).partition_by("month", as_dict=True, include_key=False)
     return {f"{key[0][:4]}-{key[0][4:]}": part for key, part in sorted(parts.items())}
@@ -105,10 +107,10 @@ def _aircraft(
 ) -> Aircraft:
     plan = _plan(rng, design, operator, tail, size)
     now = flight_conditions.conditions(rng, plan.schedule, *flight_conditions.snapshot_times(rng, plan.schedule))
-    probe = recorded_air(now, size.missing)
+    probe = _air_as_recorded(now, size.missing)
     air = record(rng, air_data(probe), plan.biases[0], operator.temperature_step_k, plan.suite)
-    arrived = rng.random(size.flights) > 0.01
-    logged = np.nonzero(arrived & (rng.random(size.flights) < size.cpl_share))[0]
+    has_arrived = rng.random(size.flights) > 0.01
+    log_flights = np.nonzero(has_arrived & (rng.random(size.flights) < size.cpl_share))[0]
     rows, truth, book = [], [], log_writer.LogWriter(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
     weather: dict[int, _Weather] = {}
@@ -116,15 +118,15 @@ def _aircraft(
         load = demand(rng, design, now)
         history = unit_histories.draw_history(rng, operator, design, *pick(now, load, size.flights))
         true = true_signals(rng, design, now, load=load, history=history)
-        signals = recorded_pack(true, probe, size.missing)
+        signals = _pack_as_recorded(true, probe, size.missing)
         rows.append(pack_rows(rng, plan, now, true=signals, history=history, pack=pack, air=air))
-        truth.append(health_truth(plan, now, true, history=history, pack=pack, arrived=arrived))
+        truth.append(health_truth(plan, now, true, history=history, pack=pack, has_arrived=has_arrived))
         book.write(rng, history, pack, truth[-1])
-        for index in logged:
+        for index in log_flights:
             cpl.setdefault(str(plan.ids[index]), []).append(
                 _log_1hz(rng, plan, int(index), history, pack, size.missing, weather)
             )
-    snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[arrived].tolist()))
+    snapshots = pl.concat(rows).filter(pl.col("flight_id").is_in(plan.ids[has_arrived].tolist()))
     return Aircraft(
         operator=operator.name,
         tail=tail,
@@ -163,12 +165,31 @@ def _log_1hz(
     after_s = np.arange(-plan.suite.taxi_s, end_s)
     # the log's weather is drawn again, as two recorders never agree exactly
     new_weather = flight_conditions.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
-    now, recorded = weather.get(index, (new_weather, None))
+    now, first_air = weather.get(index, (new_weather, None))
     true = true_signals(rng, plan.design, now, load=demand(rng, plan.design, now), history=history, dt_s=1.0)
-    probe = recorded_air(now, missing)
+    probe = _air_as_recorded(now, missing)
     air = record(rng, air_data(probe), plan.biases[0], plan.operator.temperature_step_k, plan.suite)
-    air = recorded or air | {"mach": np.maximum(air["mach"], plan.suite.least_mach)}
+    air = first_air or air | {"mach": np.maximum(air["mach"], plan.suite.least_mach)}
     weather[index] = now, air
     return pack_rows(
-        rng, plan, now, true=recorded_pack(true, probe, missing), history=history, pack=pack, air=air
+        rng, plan, now, true=_pack_as_recorded(true, probe, missing), history=history, pack=pack, air=air
     ).drop("phase_code")
+
+
+def _air_as_recorded(now: flight_conditions.Conditions, missing: Mapping[str, float]) -> flight_conditions.Conditions:
+    """Return outside conditions as the air data probes record them, without terms of the packs."""
+    terms = {name: value for name, value in missing.items() if TERMS[name].signal == "tat_k"}
+    return replace(now, tat_k=record_signals(_air(now), terms)["tat_k"])
+
+
+def _pack_as_recorded(
+    true: dict[str, Array], now: flight_conditions.Conditions, missing: Mapping[str, float]
+) -> dict[str, Array]:
+    """Return a pack's signals as recorded before the sensors' own errors; `now` as the probes record it."""
+    terms = {name: value for name, value in missing.items() if TERMS[name].signal != "tat_k"}
+    values = record_signals(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, terms)
+    return true | {of: values[name] for name, of in PACK_SIGNALS.items()}
+
+
+def _air(now: flight_conditions.Conditions) -> dict[str, Array]:
+    return {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}

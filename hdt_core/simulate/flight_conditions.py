@@ -1,9 +1,8 @@
-"""When and where an aircraft flies: schedules, profiles, weather and season, as conditions at each recorded instant."""
+"""Schedules, flight profiles, weather and season of an aircraft, as conditions at each recorded instant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hdt_core.physics.air import (
     standard_pressure_pa,
@@ -11,9 +10,8 @@ from hdt_core.physics.air import (
     total_to_static_pressure,
     total_to_static_temperature,
 )
+from hdt_core.robust import Array
 from hdt_core.simulate.design import Operator
-
-Array = NDArray[np.float64]
 
 CLIMB_S, DESCENT_S = 1320.0, 1380.0
 TAXI_MACH = 0.02
@@ -48,17 +46,21 @@ class Conditions:
     `ram_mach` is what the ram duct meets: the flight's Mach number, on the ground the fan's.
     """
 
-    flight: NDArray[np.int_]
+    flight: Array
     time_s: Array
-    phase: NDArray[np.str_]
+    phase: Array
     altitude_m: Array
     mach: Array
     ram_mach: Array
     tat_k: Array
     total_pressure_pa: Array
 
+    def at(self, index: Array) -> "Conditions":
+        """Return the conditions at some of the instants."""
+        return Conditions(*(getattr(self, f.name)[index] for f in fields(self)))
+
     @property
-    def cruise(self) -> NDArray[np.bool_]:
+    def cruise(self) -> Array:
         """Instants in level cruise."""
         return np.asarray(self.phase == "CR")
 
@@ -84,7 +86,7 @@ def draw_schedule(rng: np.random.Generator, operator: Operator, flights: int) ->
     )
 
 
-def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[NDArray[np.int_], Array]:
+def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[Array, Array]:
     """Draw flight and seconds after departure of each snapshot: dense in climb and descent."""
     flight, times = [], []
     for number, cruise_s in enumerate(schedule.cruise_s):
@@ -97,7 +99,7 @@ def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[NDArra
     return np.concatenate(flight), np.concatenate(times)
 
 
-def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.int_], after_s: Array) -> Conditions:
+def conditions(rng: np.random.Generator, schedule: Schedule, flight: Array, after_s: Array) -> Conditions:
     """Compute altitude, Mach number, temperature and pressure at instants of flights, each flight in order of time.
 
     Before 0 s the aircraft taxies.
@@ -126,6 +128,6 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: NDArray[np.
     )
 
 
-def _phase(climb: Array, descent: Array) -> NDArray[np.str_]:
+def _phase(climb: Array, descent: Array) -> Array:
     index = np.select([climb < 0.08, climb < 1.0, descent <= 0.0, descent < 0.85], [0, 1, 2, 3], 4)
     return np.asarray(_PHASES[index])

@@ -1,17 +1,15 @@
-"""What people and the aircraft write down: fleet list, messages, maintenance log; and the truth of lives and faults."""
+"""Write the fleet list, messages, the maintenance log, and the truth of lives and faults."""
 
 from datetime import date, datetime, timedelta
 from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from hdt_core.robust import Array
 from hdt_core.simulate.design import Operator
 from hdt_core.simulate.signals import Plan
 from hdt_core.simulate.unit_histories import PackHistory
-
-Array = NDArray[np.float64]
 
 ONSET_LOSS = 0.05
 _TEXTS = {"21-52-HXTEMP": "PACK TEMPERATURE HIGH", "21-51-CCFLOW": "CAC FLOW LOW", "21-61-TRIM": "TRIM AIR VALVE"}
@@ -32,25 +30,19 @@ EVENTS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def flight_ids(tail: str, start: datetime, departed_s: Array) -> NDArray[np.str_]:
-    """Flight ids: tail, date of departure, leg of that day."""
+def flight_ids(tail: str, start: datetime, departed_s: Array) -> Array:
+    """Return flight ids: tail, date of departure, leg of that day."""
     days = [(start + timedelta(seconds=float(s))).strftime("%Y%m%d") for s in departed_s]
     legs = pl.DataFrame({"day": days}).select(pl.int_range(1, pl.len() + 1).over("day")).to_series()
     return np.array([f"{tail}_{day}_{leg:02d}" for day, leg in zip(days, legs, strict=True)])
 
 
 def fleet_row(rng: np.random.Generator, operator: Operator, tail: str) -> pl.DataFrame:
-    """Row of fleet.csv."""
-    delivered = date(int(rng.integers(2012, 2023)), 6, 1)
-    return pl.DataFrame(
-        {
-            "operator": operator.name,
-            "tail": tail,
-            "msn": int(rng.integers(30000, 60000)),
-            "delivered_on": delivered,
-            "packs": 2,
-        }
-    )
+    """Draw the row of fleet.csv."""
+    delivered_on = date(int(rng.integers(2012, 2023)), 6, 1)
+    serial_number = int(rng.integers(30000, 60000))
+    row = {"operator": operator.name, "tail": tail, "msn": serial_number, "delivered_on": delivered_on, "packs": 2}
+    return pl.DataFrame(row)
 
 
 class LogWriter:
@@ -67,11 +59,11 @@ class LogWriter:
         loss = 1.0 - np.minimum(health["ua_ratio"].to_numpy(), health["apparent_ua_ratio"].to_numpy())
         for message in history.messages:
             after_s = rng.uniform(2400.0, 3600.0)
-            moment = self._departed(message["index"]) + timedelta(seconds=float(np.round(after_s)))
+            moment = self._departure(message["index"]) + timedelta(seconds=float(np.round(after_s)))
             row = {"message_time": moment, "flight_id": self._id(message["index"]), "pack": pack}
             self._messages.append(row | {"code": message["code"], "text": _TEXTS[message["code"]]})
         for entry in history.maintenance:
-            row = {"done_on": self._departed(entry["index"]).date(), "pack": pack} | entry
+            row = {"done_on": self._departure(entry["index"]).date(), "pack": pack} | entry
             self._maintenance.append(row | {"reference": f"WO{rng.integers(10**6, 10**7)}"})
         for event in history.events:
             self._events.append(self._event_row(event, pack, {"HX": loss, "CC": history.cc_loss}))
@@ -106,7 +98,7 @@ class LogWriter:
     def _id(self, index: int) -> str:
         return str(self._plan.ids[index])
 
-    def _departed(self, index: int) -> datetime:
+    def _departure(self, index: int) -> datetime:
         return self._plan.start + timedelta(seconds=float(self._plan.schedule.departed_s[index]))
 
 

@@ -7,15 +7,13 @@ and targets that differ from flight to flight. No wear is in it; a message comes
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, outlets_k
+from hdt_core.robust import Array
 from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.flight_conditions import CLIMB_S, Conditions, Schedule, conditions, draw_schedule
 from hdt_core.simulate.packs import FULL_OPEN, ram_flow_kg_s, sized_target_k
 from hdt_core.simulate.signals import hot_inlet_k
-
-Array = NDArray[np.float64]
 
 LN_RATIOS = np.array([-1.1, -0.7, -0.45, -0.25, -0.1, 0.1, 0.4])
 """Ln conductance ratios at which the outlet is computed. [-]"""
@@ -30,7 +28,7 @@ SOUND_HOT = 0.004
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """What differs from operator to operator beyond `Operator`: climate and how the packs are run.
+    """Climate of an operator and its use of the packs, beyond `Operator`.
 
     Attributes
     ----------
@@ -164,7 +162,7 @@ def _aircraft(
 
 
 def _weather(rng: np.random.Generator, schedule: Schedule, habits: Habits, first_day: float) -> Schedule:
-    """The schedule in the operator's climate: season, and weather that stays for some days."""
+    """Apply the operator's climate to a schedule: season, and weather that stays for some days."""
     day = first_day + schedule.departed_s / 86400.0
     season = habits.season_k * np.cos(2.0 * np.pi * (day - habits.warmest_day) / 365.0)
     lower = rng.random(day.size) < habits.low_share
@@ -175,12 +173,12 @@ def _weather(rng: np.random.Generator, schedule: Schedule, habits: Habits, first
 
 
 def heavy_tailed(rng: np.random.Generator, size: tuple[int, ...]) -> Array:
-    """Draws of unit variance with the tails of Student's t at five degrees of freedom."""
+    """Draw values of unit variance with the tails of Student's t at five degrees of freedom."""
     return np.asarray(rng.standard_t(5.0, size) / np.sqrt(5.0 / 3.0))
 
 
 def _excess_k(rng: np.random.Generator, design: PackDesign, habits: Habits, now: Conditions) -> Array:
-    """Outlet above its held level with the door full open, at each of `LN_RATIOS`. (samples, ratios)"""
+    """Compute the outlet above its held level with the door full open, at each of `LN_RATIOS`. (samples, ratios)"""
     # now and then a flight is unlike the others: a full cabin, a hot ramp, a failed recirculation fan
     mood = heavy_tailed(rng, (3, int(now.flight.max()) + 1))[:, now.flight]
     height = np.clip(now.altitude_m / 11000.0, 0.0, 1.1)

@@ -1,4 +1,4 @@
-"""What a pack does at given conditions: compressor, ram duct, worn exchanger and the controller that hides the wear.
+"""Simulate a pack at given conditions: compressor, ram duct, worn exchanger and the controller of the ram door.
 
 Richer than the estimators' model: wear is a film of fixed resistance, a blockage that starves the ram flow, or lost
 area; film coefficients follow temperature; ram air is warmed on its way; the controller moves the door to hold the
@@ -9,16 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hdt_core.physics.air import R_J_KG_K, total_to_static_pressure
 from hdt_core.physics.compressor import HEAD, exit_temperature_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
 from hdt_core.physics.ram_duct import ram_flow
+from hdt_core.robust import Array
 from hdt_core.simulate.design import PackDesign
 from hdt_core.simulate.flight_conditions import Conditions
-
-Array = NDArray[np.float64]
 
 FULL_OPEN = 1.0
 _FILM_K = 330.0
@@ -38,8 +36,8 @@ class ExchangerWear:
     area_loss: Array
     unit_ua: Array
 
-    def at(self, index: NDArray[np.int_]) -> "ExchangerWear":
-        """Wear of the flights given."""
+    def at(self, index: Array) -> "ExchangerWear":
+        """Return the wear of some of the flights."""
         return ExchangerWear(self.film_k_w[index], self.blockage[index], self.area_loss[index], self.unit_ua[index])
 
 
@@ -51,9 +49,13 @@ class Demand:
     hot_in_k: Array
     target_k: Array
 
+    def at(self, index: Array) -> "Demand":
+        """Return the demand at some of the instants."""
+        return Demand(self.flow_kg_s[index], self.hot_in_k[index], self.target_k[index])
+
 
 def clean(like: Array) -> ExchangerWear:
-    """A nominal new exchanger."""
+    """Return the state of a nominal new exchanger."""
     zero = np.zeros_like(like)
     return ExchangerWear(zero, zero, zero, zero + 1.0)
 
@@ -92,8 +94,8 @@ def conductance_w_k(
     )
     # k^0.67 mu^-0.27 of air is about T^0.3; the wall's share keeps it from acting in full
     warm = (0.25 * (demand.hot_in_k + demand.target_k + 2.0 * cold_in_k) / _FILM_K) ** 0.25
-    wetted = (1.0 - wear.area_loss) * (1.0 - 0.5 * wear.blockage)
-    return np.asarray(1.0 / (1.0 / (clean_w_k * warm * wetted) + wear.film_k_w))
+    area_share = (1.0 - wear.area_loss) * (1.0 - 0.5 * wear.blockage)
+    return np.asarray(1.0 / (1.0 / (clean_w_k * warm * area_share) + wear.film_k_w))
 
 
 def outlets(
@@ -108,12 +110,12 @@ def outlets(
 
 
 def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: ExchangerWear) -> Array:
-    """Find the door position that holds the outlet at its target, or the nearer stop where none does."""
+    """Return the door position that holds the outlet at its target, or the nearer stop where none does."""
     low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
     return bisect_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
 
 
-def bisect_door(too_hot: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, steps: int = _STEPS) -> Array:
+def bisect_door(too_hot: Callable[[Array], Array], low: Array, high: Array, steps: int = _STEPS) -> Array:
     """Bisect for the door position between two stops from which on the outlet is no longer too hot."""
     for _ in range(steps):
         door = 0.5 * (low + high)

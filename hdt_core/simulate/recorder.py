@@ -1,20 +1,19 @@
-"""What the recorder writes: biased, noisy, quantised, spiked, stuck and missing values in the recorder's own units."""
+"""Record true values: biased, noisy, quantised, spiked, stuck and missing, in the recorder's own units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hdt_core.robust import Array
 
 LB_PER_MIN, FOOT, PSI, RPM = 0.45359237 / 60.0, 0.3048, 6894.757293168, np.pi / 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Errors of one sensor in recorded units: spread of bias and noise, do they grow with the value, last digit."""
+    """Errors of one sensor in recorded units: spread of bias and noise, whether they are shares of the value, step."""
 
     bias_sd: float
     noise_sd: float
@@ -135,8 +134,8 @@ def break_sensor(
     rng: np.random.Generator,
     values: Array,
     *,
-    flight: NDArray[np.int_],
-    faulty: NDArray[np.bool_],
+    flight: Array,
+    faulty: Array,
     kind: str,
     noise: float,
 ) -> Array:
@@ -149,8 +148,8 @@ def with_sensor_fault(
     rng: np.random.Generator,
     values: Array,
     *,
-    flight: NDArray[np.int_],
-    faulty: NDArray[np.bool_],
+    flight: Array,
+    faulty: Array,
     kind: str,
     size: float,
 ) -> Array:

@@ -1,14 +1,14 @@
-"""From conditions and wear to the rows a recorder keeps of one pack."""
+"""Compute the rows that a recorder keeps of one pack, from conditions and wear."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.robust import Array
 from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flight_conditions import Conditions, Schedule
 from hdt_core.simulate.packs import (
@@ -25,8 +25,6 @@ from hdt_core.simulate.packs import (
 from hdt_core.simulate.recorder import CONTRACT, FOOT, LB_PER_MIN, PSI, RPM, SENSORS, Suite, break_sensor, frame, record
 from hdt_core.simulate.unit_histories import PackHistory
 
-Array = NDArray[np.float64]
-
 ZERO_C = 273.15
 WANDER_S = 60.0
 """Seconds in which diffusers move by their own scatter; within a second they hardly do, in one recording of a 787."""
@@ -38,13 +36,13 @@ _PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What both packs of one aircraft share."""
+    """Properties that both packs of one aircraft share."""
 
     operator: Operator
     design: PackDesign
     tail: str
     schedule: Schedule
-    ids: NDArray[np.str_]
+    ids: Array
     start: datetime
     biases: list[dict[str, float]]
     has_ram_out: bool
@@ -86,8 +84,7 @@ def pick(now: Conditions, load: Demand, flights: int) -> tuple[Conditions, Deman
     at = rows[np.searchsorted(now.flight[rows], np.arange(flights) + 0.5, side="left") // 1 - 1]
     first = rows[np.searchsorted(now.flight[rows], np.arange(flights), side="left")]
     middle = (at + first) // 2
-    cruise = Conditions(*(getattr(now, name)[middle] for name in Conditions.__dataclass_fields__))
-    return cruise, Demand(load.flow_kg_s[middle], load.hot_in_k[middle], load.target_k[middle])
+    return now.at(middle), load.at(middle)
 
 
 def true_signals(
@@ -104,14 +101,14 @@ def true_signals(
     wear = history.wear.at(now.flight)
     ice = history.icing[now.flight] & (now.altitude_m > 1200.0) & (now.altitude_m < 6500.0)
     wear = replace(wear, blockage=np.where(ice, 1.0 - 0.75 * (1.0 - wear.blockage), wear.blockage))
-    stuck, reach = history.door_stuck[now.flight], history.door_reach[now.flight]
+    jam_position, reach = history.door_stuck[now.flight], history.door_reach[now.flight]
     wobble = 0.004 * (rng.standard_normal(now.mach.size) if dt_s == 0.0 else np.sin(now.time_s / 37.0))
     command = np.clip(controlled_door(design, now, load, wear) + wobble, design.door_least, 1.0)
-    door = np.where(np.isnan(stuck), np.minimum(command, reach), stuck)
+    door = np.where(np.isnan(jam_position), np.minimum(command, reach), jam_position)
     hot_k, ram_k, flow, ua = outlets(design, _gusty(rng, now, dt_s), load, door, wear)
     if dt_s > 0.0:
         settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(load.hot_in_k) * (load.flow_kg_s + flow))
-        hot_k, ram_k = _lagged(hot_k, settling_s, dt_s), _lagged(ram_k, settling_s, dt_s)
+        hot_k, ram_k = _lag(hot_k, settling_s, dt_s), _lag(ram_k, settling_s, dt_s)
     is_off = history.pack_off[now.flight]
     diameter, vda = _diameter(rng, design, now, history, dt_s)
     air = _compressor(design, now, diameter, history.cc_loss[now.flight])
@@ -219,7 +216,7 @@ def _wandering(white: Array, dt_s: float) -> Array:
     return np.asarray(lfilter([gain], [1.0, -2.0 * pole, pole**2], white))
 
 
-def _lagged(steady: Array, settling_s: Array, dt_s: float) -> Array:
+def _lag(steady: Array, settling_s: Array, dt_s: float) -> Array:
     """Apply a first-order lag, exact for a piecewise constant input."""
     out = np.empty_like(steady)
     state, decay = float(steady[0]), np.exp(-dt_s / settling_s)

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from hdt_core.margin.margin import MessageRule
+from hdt_core.robust import Array
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes, draw_limited
-from hdt_core.simulate.wear import Array, WearSettings
+from hdt_core.simulate.wear import WearSettings
 
 __all__ = ["LEAD", "LN_RATIO_PER_K", "draw_fleets"]
 
@@ -48,10 +49,13 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
             excess_sd_k = rng.uniform(0.4, 3.0)
             excess_estimate_k = settings.rule.excess_k + excess_sd_k * float(rng.standard_normal())
             lives = draw_episodes(fleet_seed, replace(settings, believed_excess_k=excess_estimate_k))
-            yield unlogged(rng, lives) if rng.random() < UNLOGGED_SHARE else lives, LN_RATIO_PER_K * excess_sd_k
+            yield (
+                join_unlogged_lives(rng, lives) if rng.random() < UNLOGGED_SHARE else lives,
+                LN_RATIO_PER_K * excess_sd_k,
+            )
 
 
-def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
+def join_unlogged_lives(rng: np.random.Generator, lives: Episodes) -> Episodes:
     """Join lives of packs whose replacements are not logged: a unit's record continues with the next unit's.
 
     The unit that failed flies one to nine flights more; then the next pack's unit, with its flights, takes its place.
@@ -61,7 +65,7 @@ def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
     joint = np.minimum(lives.message + rng.integers(2, 10, units), flights)
     follower = np.roll(np.arange(units), -1)
 
-    def spliced(values: Array, lead: int = 0) -> Array:
+    def splice(values: Array, lead: int = 0) -> Array:
         out = values.copy()
         for unit, start in enumerate(joint + lead):
             length = values.shape[1] - start
@@ -69,13 +73,13 @@ def unlogged(rng: np.random.Generator, lives: Episodes) -> Episodes:
         return out
 
     second = np.minimum(joint + lives.message[follower], flights)
-    names = ("loss", "measured", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
-    series = {name: spliced(getattr(lives, name)) for name in names}
+    names = ("loss", "estimated_loss", "sd", "ratio", "overheat_k", "overheat_half_k", "full_open", "day")
+    series = {name: splice(getattr(lives, name)) for name in names}
     unsure = np.zeros(units, dtype=bool)
     return replace(
         lives,
         **series,
-        demand=spliced(lives.demand, LEAD),
+        demand=splice(lives.demand, LEAD),
         message=second,
         first_message=lives.message,
         age_known=unsure,

@@ -1,35 +1,33 @@
-"""What really was, per flight and pack: the table estimates are scored against."""
+"""Truth of each flight and pack, against which estimates are scored."""
 
 from datetime import timedelta
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from hdt_core.robust import Array
 from hdt_core.simulate.flight_conditions import Conditions
 from hdt_core.simulate.packs import loss_ratios
 from hdt_core.simulate.signals import Plan
 from hdt_core.simulate.unit_histories import PackHistory
 
-Array = NDArray[np.float64]
-
 UTC_US = pl.Datetime("us", "UTC")
 
 
 def health_truth(
-    plan: Plan, now: Conditions, true: dict[str, Array], *, history: PackHistory, pack: int, arrived: NDArray[np.bool_]
+    plan: Plan, now: Conditions, true: dict[str, Array], *, history: PackHistory, pack: int, has_arrived: Array
 ) -> pl.DataFrame:
-    """Truth of one pack, one row a flight.
+    """Return the truth of one pack, one row a flight.
 
     `ua_ratio`, `apparent_ua_ratio`, `ram_flow_ratio` at the reference cruise; the rest are medians of the cruise.
     `nominal`: level cruise, loss below 8 %, nothing wrong. `contaminant`: loss above 15 % or something wrong.
     """
-    flights = arrived.size
+    flights = has_arrived.size
     ratio, apparent, ram = loss_ratios(plan.design, history.wear)
     loss = 1.0 - np.minimum(ratio, apparent)
     door_fault = ~np.isnan(history.door_stuck) | (history.door_reach < 1.0)
     wrong = history.icing | history.pack_off | door_fault | (history.sensor != "")
-    departed = [plan.start + timedelta(seconds=float(s)) for s in plan.schedule.departed_s]
+    departed_at = [plan.start + timedelta(seconds=float(s)) for s in plan.schedule.departed_s]
     return pl.DataFrame(
         {
             "operator": plan.operator.name,
@@ -37,9 +35,9 @@ def health_truth(
             "flight_id": plan.ids,
             "pack": pack,
             "index": np.arange(flights),
-            "departed_at": departed,
-            "arrived": arrived,
-            "arrives_on": [d.date() for d in departed],
+            "departed_at": departed_at,
+            "arrived": has_arrived,
+            "arrives_on": [d.date() for d in departed_at],
             "ua_ratio": ratio,
             "apparent_ua_ratio": apparent,
             "ram_flow_ratio": ram,

@@ -1,17 +1,15 @@
-"""Lives of units on one pack: how they wear, when the message comes, what the shop does and when it notes it."""
+"""Lives of the units on one pack: wear, messages, the work of the shop and its entries in the log."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hdt_core.robust import Array
 from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flight_conditions import Conditions
 from hdt_core.simulate.packs import FULL_OPEN, Demand, ExchangerWear, behind_worn_compressor, outlets
 from hdt_core.simulate.wear import draw_wear
-
-Array = NDArray[np.float64]
 
 CC_MESSAGE_LOSS = 0.27
 SENSORS = ("hx_in_degc", "hx_out_degc", "pack_flow_lbpm", "cc_flow_lbpm", "cc_out_psia", "ram_door_pct")
@@ -46,14 +44,14 @@ class PackHistory:
     unit_ua: Array
     cc_loss: Array
     cc_scatter: Array
-    hx_unit: NDArray[np.int_]
-    cc_unit: NDArray[np.int_]
+    hx_unit: Array
+    cc_unit: Array
     door_stuck: Array
     door_reach: Array
-    sensor: NDArray[np.str_]
-    fault: NDArray[np.str_]
-    icing: NDArray[np.bool_]
-    pack_off: NDArray[np.bool_]
+    sensor: Array
+    fault: Array
+    icing: Array
+    pack_off: Array
     events: list[dict[str, Any]] = field(default_factory=list)
     messages: list[dict[str, Any]] = field(default_factory=list)
     maintenance: list[dict[str, Any]] = field(default_factory=list)
@@ -67,14 +65,14 @@ class PackHistory:
 def draw_history(
     rng: np.random.Generator, operator: Operator, design: PackDesign, cruise: Conditions, demand: Demand
 ) -> PackHistory:
-    """History of one pack.
+    """Draw the history of one pack.
 
     Parameters
     ----------
     rng : Generator
         Source of randomness.
     operator, design
-        Who flies what.
+        Operator of the aircraft, and design of its packs.
     cruise, demand
         Conditions, and demand behind a sound compressor, in the middle of each flight's cruise, shape (flights,).
     """
@@ -108,17 +106,19 @@ def _exchangers(
     cruise: Conditions,
     demand: Demand,
 ) -> None:
+    """Write the lives of the exchangers of one pack."""
     n, start, unit = h.blockage.size, 0, 0
     while start < n:
         kind = _install(rng, h, operator, design=design, start=start, unit=unit)
-        conditions = _from(cruise, demand, h.wear, start)
+        rest = np.arange(start, n)
+        conditions = (cruise.at(rest), demand.at(rest), h.wear.at(rest))
         is_over = unmet_k(design, *conditions, np.full(n - start, FULL_OPEN)) > design.unmet_limit_k
         messages = np.nonzero(is_over & np.roll(is_over, 1))[0]
         message = start + int(messages[messages > 0][0]) if (messages > 0).any() else None
-        planned = start + int(rng.integers(40, 400)) if rng.random() < 0.15 else 10**9
+        preventive_at = start + int(rng.integers(40, 400)) if rng.random() < 0.15 else 10**9
         removal = min(message + int(rng.integers(1, 10)) if message is not None else 10**9, 10**9)
-        preventive = planned < min(removal, n) and (message is None or planned <= message)
-        end = planned if preventive else removal
+        preventive = preventive_at < min(removal, n) and (message is None or preventive_at <= message)
+        end = preventive_at if preventive else removal
         event: dict[str, Any] = {"component": "HX", "kind": kind, "installed_index": start, "message_index": None}
         if preventive:
             event |= {"removal_kind": "PREVENTIVE", "censored": True, "removal_index": end, "finding": ""}
@@ -146,7 +146,7 @@ def _install(
     age = rng.uniform(0.0, 0.5) if unit == 0 and rng.random() < 0.4 else 0.0
     wear = draw_wear(rng, np.array([age]), n, operator.wear)
     clog = wear.clog[0]
-    gradual = _washed(rng, h, operator, start, 1.0 - (1.0 - wear.loss[0]) / (1.0 - clog))
+    gradual = _wash(rng, h, operator, start, 1.0 - (1.0 - wear.loss[0]) / (1.0 - clog))
     share = rng.dirichlet([1.2, 1.0, 0.25])
     reference_ua = design.hx_ua_reference_w_k
     film = share[0] * gradual
@@ -158,7 +158,7 @@ def _install(
     return str(wear.shape[0]) + ("+sudden_clog" if clog.max() > 0.0 else "")
 
 
-def _washed(rng: np.random.Generator, h: PackHistory, operator: Operator, start: int, gradual: Array) -> Array:
+def _wash(rng: np.random.Generator, h: PackHistory, operator: Operator, start: int, gradual: Array) -> Array:
     """Apply scheduled washes, which remove half to nine tenths of the deposit."""
     out = gradual.copy()
     if not operator.wash_every:
@@ -171,6 +171,7 @@ def _washed(rng: np.random.Generator, h: PackHistory, operator: Operator, start:
 
 
 def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -> None:
+    """Write the lives of the compressors of one pack."""
     n, start, unit = h.cc_loss.size, 0, 0
     while start < n:
         is_worn = rng.random() < 0.3
@@ -183,17 +184,11 @@ def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -
         h.cc_loss[start:] = np.minimum(loss, 0.6)
         h.cc_scatter[start:] = 0.3 * design.diameter_scatter_m * rng.standard_normal()
         h.cc_unit[start:] = unit
-        event: dict[str, Any] = {
-            "component": "CC",
-            "kind": "efficiency_wear" if is_worn else "healthy",
-            "installed_index": start,
-        }
-        event |= {"message_index": message, "censored": message is None, "removal_index": end if end < n else None}
-        event |= {
-            "removal_kind": "END" if message is None else "FAILURE",
-            "finding": "" if message is None else "DAMAGED",
-        }
-        h.events.append(event)
+        kind = "efficiency_wear" if is_worn else "healthy"
+        event: dict[str, Any] = {"component": "CC", "kind": kind, "installed_index": start, "message_index": message}
+        end_of_life = ("END", "") if message is None else ("FAILURE", "DAMAGED")
+        event |= dict(zip(("removal_kind", "finding"), end_of_life, strict=True))
+        h.events.append(event | {"censored": message is None, "removal_index": end if end < n else None})
         if message is not None:
             _add_message(h, message, "21-51-CCFLOW")
             if end < n:
@@ -204,6 +199,7 @@ def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -
 def _door_faults(
     rng: np.random.Generator, h: PackHistory, design: PackDesign, cruise: Conditions, demand: Demand
 ) -> None:
+    """Write the faults of the ram door of one pack."""
     n = h.blockage.size
     for onset in np.nonzero(rng.random(n) < 1.0 / 1500.0)[0]:
         end = min(int(onset + rng.integers(8, 35)), n)
@@ -217,11 +213,8 @@ def _door_faults(
         messages = [int(i) for i in np.nonzero(is_over[onset:end])[0] + onset]
         for index in messages:
             _add_message(h, index, "21-52-HXTEMP")
-        event: dict[str, Any] = {
-            "component": "RAM_DOOR",
-            "kind": "door_jam" if jam else "door_lost_travel",
-            "finding": "DAMAGED",
-        }
+        kind = "door_jam" if jam else "door_lost_travel"
+        event: dict[str, Any] = {"component": "RAM_DOOR", "kind": kind, "finding": "DAMAGED"}
         event |= {"removal_kind": "REPAIR", "censored": end >= n, "installed_index": None, "onset_index": int(onset)}
         event |= {"message_index": messages[0] if messages else None, "removal_index": end if end < n else None}
         h.events.append(event)
@@ -232,28 +225,17 @@ def _door_faults(
 
 
 def _sensor_faults(rng: np.random.Generator, h: PackHistory) -> None:
+    """Write the faults of the sensors of one pack."""
     n = h.blockage.size
     for onset in np.nonzero(rng.random(n) < 1.0 / 800.0)[0]:
         end = min(int(onset + rng.integers(6, 80)), n)
         h.sensor[onset:end], h.fault[onset:end] = rng.choice(SENSORS), rng.choice(FAULTS)
-        event: dict[str, Any] = {
-            "component": "SENSOR",
-            "kind": f"{h.sensor[onset]}_{h.fault[onset]}",
-            "removal_kind": "REPAIR",
-        }
+        kind = f"{h.sensor[onset]}_{h.fault[onset]}"
+        event: dict[str, Any] = {"component": "SENSOR", "kind": kind, "removal_kind": "REPAIR"}
         event |= {"censored": end >= n, "installed_index": None, "onset_index": int(onset), "message_index": None}
         h.events.append(event | {"removal_index": end if end < n else None, "finding": "DAMAGED"})
         if end < n:
             _log(rng, h, end, "SENSOR", "REPLACED", "DAMAGED")
-
-
-def _from(
-    cruise: Conditions, demand: Demand, wear: ExchangerWear, start: int
-) -> tuple[Conditions, Demand, ExchangerWear]:
-    flights = np.arange(start, wear.blockage.size)
-    now = Conditions(*(getattr(cruise, name)[flights] for name in Conditions.__dataclass_fields__))
-    part = Demand(demand.flow_kg_s[flights], demand.hot_in_k[flights], demand.target_k[flights])
-    return now, part, wear.at(flights)
 
 
 def _add_message(h: PackHistory, index: int, code: str) -> None:

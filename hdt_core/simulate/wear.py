@@ -8,9 +8,8 @@ No public per-flight series exists, so magnitudes are assumptions and spread wid
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hdt_core.robust import Array
 
 SHAPES = ("linear", "asymptotic", "falling_rate", "accelerating", "dusty_jumps")
 
@@ -56,7 +55,7 @@ class UnitWear:
     """
 
     loss: Array
-    shape: NDArray[np.str_]
+    shape: Array
     clog: Array
 
 
@@ -97,7 +96,7 @@ def _operating_age(rng: np.random.Generator, units: int, flights: int, log_sd: f
     return np.cumsum(rate * rng.gamma(2.0, 0.5, (units, flights)), axis=1)
 
 
-def _gradual(rng: np.random.Generator, kind: NDArray[np.int_], age: Array, life: Array, end: float) -> Array:
+def _gradual(rng: np.random.Generator, kind: Array, age: Array, life: Array, end: float) -> Array:
     """Loss by the unit's own shape; every shape is scaled so that it nears `end` at the nominal life."""
     share = age / life[:, None]
     units = kind.size
@@ -135,6 +134,6 @@ def _clogs(rng: np.random.Generator, size: tuple[int, int], rate: float) -> Arra
 
 
 def _delay(values: Array, flights: int) -> Array:
-    shifted = np.zeros_like(values)
-    shifted[:, flights:] = values[:, :-flights]
-    return shifted
+    out = np.zeros_like(values)
+    out[:, flights:] = values[:, :-flights]
+    return out

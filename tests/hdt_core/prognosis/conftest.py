@@ -61,7 +61,7 @@ def _columns(lives: Episodes) -> list[np.ndarray]:
     per_k = LN_RATIO_PER_K * np.linspace(0.7, 1.3, asked.shape[1])
     curves = [asked - 0.05 * i - per_k * (e - 7.0) for i in range(len(SHARES)) for e in EXCESS_K]
     seen = (lives.overheat_k, lives.overheat_half_k, lives.full_open)
-    return [lives.measured, np.full(lives.measured.shape, 0.015), lives.ratio, *seen, *curves]
+    return [lives.estimated_loss, np.full(lives.estimated_loss.shape, 0.015), lives.ratio, *seen, *curves]
 
 
 def _messages(rows: list[tuple[object, ...]]) -> pl.DataFrame:

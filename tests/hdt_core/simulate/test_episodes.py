@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hdt_core.simulate.episodes import LEAD, EpisodeSettings, draw_episodes
-from hdt_core.simulate.training import unlogged
+from hdt_core.simulate.training import join_unlogged_lives
 
 SMALL = EpisodeSettings(aircraft=40, flights=400)
 
@@ -43,7 +43,7 @@ def test_hazard_rises_with_loss():
 def test_noise_is_what_was_asked_for():
     quiet = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, offset_sd=0.02, wash_share=0.0)
     lives = draw_episodes(3, quiet)
-    offset = (lives.measured - lives.loss)[lives.age_known, 0]
+    offset = (lives.estimated_loss - lives.loss)[lives.age_known, 0]
     assert offset.std() == pytest.approx(0.01, rel=0.25)
 
 
@@ -55,7 +55,7 @@ def test_washed_units_wear_less():
 
 def test_an_unlogged_record_goes_on_with_the_next_unit_and_its_message():
     lives = draw_episodes(5, SMALL)
-    joined = unlogged(np.random.default_rng(0), lives)
+    joined = join_unlogged_lives(np.random.default_rng(0), lives)
     left, failed = joined.remaining()
     unit = int(np.argmin(lives.message))
     assert left[unit, 0] == lives.message[unit]
