@@ -58,8 +58,8 @@ def mean_specific_heat_j_kg_k(from_k: Array, to_k: Array) -> Array:
     1008.45
     """
     one_k, other_k = from_k - 300.0, to_k - 300.0
-    curved = one_k**2 + one_k * other_k + other_k**2
-    return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * curved
+    square_terms = one_k**2 + one_k * other_k + other_k**2
+    return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * square_terms
 
 
 def warmed_k(from_k: Array, heat_j_kg: Array) -> Array:
@@ -76,36 +76,6 @@ def warmed_k(from_k: Array, heat_j_kg: Array) -> Array:
     for _ in range(WARMING_ROUNDS):
         to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, to_k)
     return to_k
-
-
-def viscosity_pa_s(temperature_k: Array) -> Array:
-    """Dynamic viscosity by Sutherland's law. [Pa s]
-
-    References
-    ----------
-    .. [1] U.S. Standard Atmosphere, 1976, equation 51 (beta = 1.458e-6, S = 110.4 K).
-
-    Examples
-    --------
-    >>> round(1e5 * float(viscosity_pa_s(np.float64(288.15))), 4)
-    1.7894
-    """
-    return 1.458e-6 * temperature_k**1.5 / (temperature_k + 110.4)
-
-
-def conductivity_w_m_k(temperature_k: Array) -> Array:
-    """Thermal conductivity. [W/m/K]
-
-    References
-    ----------
-    .. [1] U.S. Standard Atmosphere, 1976, equation 53.
-
-    Examples
-    --------
-    >>> round(float(conductivity_w_m_k(np.float64(288.15))), 6)
-    0.025326
-    """
-    return 2.64638e-3 * temperature_k**1.5 / (temperature_k + 245.4 * 10.0 ** (-12.0 / temperature_k))
 
 
 def density_kg_m3(pressure_pa: Array, temperature_k: Array) -> Array:

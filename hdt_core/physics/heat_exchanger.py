@@ -98,19 +98,6 @@ def film_gains(hot_in_k: Array, cold_in_k: Array) -> tuple[Array, Array]:
     return hot_gain, cold_gain
 
 
-def fouling_resistance_k_w(hx_fouling: Array, clean_ua_w_k: Array) -> Array:
-    """Return the thermal resistance that takes this share of the clean conductance away. [K/W]
-
-    A film of fixed resistance takes a larger share where the flows are large: ``loss = R UA / (1 + R UA)``.
-
-    Examples
-    --------
-    >>> round(1.0 / (1.0 / 1500.0 + fouling_resistance_k_w(0.2, 1500.0)), 6)
-    1200.0
-    """
-    return hx_fouling / ((1.0 - hx_fouling) * clean_ua_w_k)
-
-
 def capacity_rates(
     hot_flow_kg_s: Array, ram_flow_kg_s: Array, hot_in_k: Array, hot_out_k: Array, cold_in_k: Array
 ) -> tuple[Array, Array]:

@@ -48,17 +48,17 @@ def advance_states(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array
 
 def _adaptive(rates: Rates, x: Array, dt_s: float) -> Array:
     """Take steps of Dormand and Prince, the same for all columns; stiff columns go to an implicit method."""
-    start, done, step = x, 0.0, dt_s
+    start, elapsed_s, step = x, 0.0, dt_s
     with np.errstate(all="ignore"):
         slope = rates(x)
         for _ in range(MANY_STEPS):
             later, slope_later, ratios = _trial_step(rates, x, slope, step)
             worst = float(ratios.max())
             if worst <= 1.0:
-                x, slope, done = later, slope_later, done + step
-                if done >= dt_s * (1.0 - 1e-12):
+                x, slope, elapsed_s = later, slope_later, elapsed_s + step
+                if elapsed_s >= dt_s * (1.0 - 1e-12):
                     return x
-            step = min(step * float(np.clip(0.9 * max(worst, 1e-10) ** -0.2, 0.1, 5.0)), dt_s - done)
+            step = min(step * float(np.clip(0.9 * max(worst, 1e-10) ** -0.2, 0.1, 5.0)), dt_s - elapsed_s)
         hard = ratios > 0.1 * worst
         stiff = _stiff(rates, start, dt_s, hard)
         if hard.all() or not np.isfinite(np.where(hard, np.nan, start)).any():
@@ -80,9 +80,9 @@ def _trial_step(rates: Rates, x: Array, slope: Array, step: float) -> tuple[Arra
     finite = np.isfinite(error).all(axis=0) & np.isfinite(size).all(axis=0)
     finite_size = np.where(finite, size, 0.0)
     floor = finite_size.reshape(len(x), -1).max(axis=1).reshape(-1, *(1,) * (x.ndim - 1))
-    allowed = RTOL * np.maximum(finite_size, 1e-3 * floor) + 1e-14
+    tolerance = RTOL * np.maximum(finite_size, 1e-3 * floor) + 1e-14
     # 1e30, too long a step, where the step left the finite
-    ratio = np.where(finite, error / allowed, np.where(start_finite, 1e30, 0.0)).max(axis=0)
+    ratio = np.where(finite, error / tolerance, np.where(start_finite, 1e30, 0.0)).max(axis=0)
     return later, stages[-1], ratio
 
 
@@ -107,10 +107,10 @@ def _stiff(rates: Rates, x: Array, dt_s: float, hard: NDArray[np.bool_]) -> Arra
         return rates(whole)[:, hard].ravel()
 
     blocks = kron(np.ones((len(x), len(x))), eye_array(first.shape[1]))
-    allowed = RTOL * np.maximum(np.abs(first).ravel(), 1e-6)
+    tolerance = RTOL * np.maximum(np.abs(first).ravel(), 1e-6)
     try:
         solution = solve_ivp(
-            flat, (0.0, dt_s), first.ravel(), method="Radau", rtol=RTOL, atol=allowed, jac_sparsity=blocks
+            flat, (0.0, dt_s), first.ravel(), method="Radau", rtol=RTOL, atol=tolerance, jac_sparsity=blocks
         )
     except (ValueError, ArithmeticError, RuntimeError):  # rates not finite on the way
         return states

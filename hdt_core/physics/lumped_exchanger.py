@@ -24,9 +24,8 @@ def exact_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factor
     half_spread = np.sqrt(0.25 * (p - s) ** 2 + q * r)
     slow, fast = np.exp((0.5 * (p + s) + half_spread) * dt_s), np.exp((0.5 * (p + s) - half_spread) * dt_s)
     mean = 0.5 * (slow + fast)
-    lean = np.where(
-        half_spread == 0.0, dt_s * mean, 0.5 * (slow - fast) / np.where(half_spread == 0.0, 1.0, half_spread)
-    )
+    divisor = np.where(half_spread == 0.0, 1.0, half_spread)
+    lean = np.where(half_spread == 0.0, dt_s * mean, 0.5 * (slow - fast) / divisor)
     return mean + 0.5 * (p - s) * lean, q * lean, r * lean, mean - 0.5 * (p - s) * lean
 
 
@@ -160,10 +159,8 @@ def _matrix_per_s(
 
 
 _FACTORS: dict[str, Callable[..., Factors]] = {
-    "exact": exact_factors,
-    "euler": euler_factors,
-    "tustin": tustin_factors,
-}
+    "exact": exact_factors, "euler": euler_factors, "tustin": tustin_factors,
+}  # fmt: skip
 
 
 def lumped_exchanger(form: Form = "exact") -> PhysicsModel:
@@ -213,15 +210,15 @@ def _step(
 def _with_loss(names: tuple[str, ...], equation: Equation) -> Equation:
     """Return the equation with both coefficients reduced by the loss, the health parameter."""
 
-    def reduced(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
+    def with_reduced_coefficients(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
         share = 1.0 - hx_h_loss
         return equation(hx_h_hot_w_k=share * hx_h_hot_w_k, hx_h_cold_w_k=share * hx_h_cold_w_k, **others)
 
-    return with_signature(names, reduced)
+    return with_signature(names, with_reduced_coefficients)
 
 
 def _read_volumes(*, hot_volume_k: Array, cold_volume_k: Array, **_: Any) -> tuple[Array, Array]:
-    """A stirred volume leaves at its own temperature."""
+    """Return the outlets: air leaves a stirred volume at the volume's temperature."""
     return hot_volume_k, cold_volume_k
 
 

@@ -114,9 +114,9 @@ class PhysicsModel:
 
     def __post_init__(self) -> None:
         names = self.names
-        doubled = sorted({n for n in names if names.count(n) > 1})
-        if doubled:
-            raise ValueError(f"{self.name}: declared twice: {', '.join(doubled)}")
+        duplicates = sorted({n for n in names if names.count(n) > 1})
+        if duplicates:
+            raise ValueError(f"{self.name}: declared twice: {', '.join(duplicates)}")
         for function, more in ((self.equations, set()), (self.rates, set()), (self.step, {"dt_s"})):
             if function is not None and set(inspect.signature(function).parameters) != set(names) | more:
                 off = set(inspect.signature(function).parameters) ^ (set(names) | more)
@@ -132,11 +132,6 @@ class PhysicsModel:
     def signal(self, name: str) -> Signal:
         """Return the declared input or output of this name."""
         return next(s for s in (*self.inputs, *self.outputs) if s.name == name)
-
-    @property
-    def sigmas(self) -> Array:
-        """Sensor standard deviation of each output; infinite where no sensor is declared. (n_outputs,)"""
-        return np.array([np.inf if s.sigma is None else s.sigma for s in self.outputs])
 
     @property
     def nominal(self) -> dict[str, float]:
@@ -158,9 +153,9 @@ class PhysicsModel:
 
     def calibrated(self, values: Mapping[str, float]) -> "PhysicsModel":
         """Return the model with these nominal values, as after a calibration."""
-        unknown = sorted(set(values) - set(self.nominal))
-        if unknown:
-            raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}")
+        extra = sorted(set(values) - set(self.nominal))
+        if extra:
+            raise KeyError(f"{self.name} has no parameter {', '.join(extra)}")
         return replace(self, params=tuple(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.params))
 
     def predict(
@@ -173,13 +168,8 @@ class PhysicsModel:
 
         Missing parameters take their nominal value; missing states their initial value.
         """
-        return dict(
-            zip(
-                (s.name for s in self.outputs),
-                as_tuple(self.equations(**self._values(params, inputs, states))),
-                strict=True,
-            )
-        )
+        outputs = as_tuple(self.equations(**self._values(params, inputs, states)))
+        return dict(zip((s.name for s in self.outputs), outputs, strict=True))
 
     def advance(
         self,

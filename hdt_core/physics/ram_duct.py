@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hdt_core.physics.air import GAMMA, R_J_KG_K, density_kg_m3, standard_pressure_pa, total_to_static_pressure
+from hdt_core.physics.air import GAMMA, R_J_KG_K, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 
 
@@ -57,20 +57,6 @@ def series_area_m2(*areas_m2: Array) -> Array:
     """
     inverse = sum(1.0 / a**2 for a in areas_m2)
     return 1.0 / np.sqrt(inverse)
-
-
-def incompressible_flow_kg_s(area_m2: Array, total_pa: Array, exit_pa: Array, total_k: Array) -> Array:
-    """Flow through an effective area from its pressure difference, at the density upstream. [kg/s]
-
-    Reads 0.5 % high at Mach 0.12 in the restriction, 3 % at Mach 0.3. No flow where the exit pressure is the higher.
-
-    Examples
-    --------
-    >>> round(float(incompressible_flow_kg_s(*(np.float64(v) for v in (0.016, 30e3, 18.1e3, 250.0)))), 3)
-    1.596
-    """
-    difference_pa = np.maximum(total_pa - exit_pa, 0.0)
-    return area_m2 * np.sqrt(2.0 * density_kg_m3(total_pa, total_k) * difference_pa)
 
 
 def compressible_flow_kg_s(area_m2: Array, total_pa: Array, exit_pa: Array, total_k: Array) -> Array:

@@ -72,40 +72,16 @@ def _leak_kg_s(s: Mapping[str, Array]) -> Array:
 TERMS = {
     term.name: term
     for term in (
-        Term(
-            "water_spray",
-            "tat_k",
-            _room_for_water_k,
-            (-0.5, 1.0),
-            "-",
-            "share of saturation that water sprayed at the ram inlet reaches",
-        ),
-        Term(
-            "flow_leak",
-            "pack_flow_kg_s",
-            _leak_kg_s,
-            (-0.5, 0.5),
-            "-",
-            "share of the flow lost between its sensor and the exchanger, at full cabin pressure",
-        ),
-        Term(
-            "inlet_gain",
-            "hx_in_k",
-            lambda s: s["hx_in_k"] - HOT_K,
-            (-0.5, 0.5),
-            "K/K",
-            "gain error of the hot inlet's sensor",
-        ),
-        Term(
-            "outlet_conduction",
-            "hx_out_k",
-            lambda s: s["tat_k"] - s["hx_out_k"],
-            (-0.5, 0.5),
-            "K/K",
-            "share by which the hot outlet's probe follows the bay's temperature",
-        ),
+        Term("water_spray", "tat_k", _room_for_water_k, (-0.5, 1.0), "-",
+             "share of saturation that water sprayed at the ram inlet reaches"),
+        Term("flow_leak", "pack_flow_kg_s", _leak_kg_s, (-0.5, 0.5), "-",
+             "share of the flow lost between its sensor and the exchanger, at full cabin pressure"),
+        Term("inlet_gain", "hx_in_k", lambda s: s["hx_in_k"] - HOT_K, (-0.5, 0.5), "K/K",
+             "gain error of the hot inlet's sensor"),
+        Term("outlet_conduction", "hx_out_k", lambda s: s["tat_k"] - s["hx_out_k"], (-0.5, 0.5), "K/K",
+             "share by which the hot outlet's probe follows the bay's temperature"),
     )
-}
+}  # fmt: skip
 """The library, by name. Constant errors and powers of a flow are not among them: the calibration has sensor biases and
 film exponents."""
 
@@ -118,11 +94,11 @@ def correct_signals(signals: Mapping[str, Array], coefficients: Mapping[str, flo
     KeyError
         Unknown term.
     """
-    corrected = dict(signals)
+    actual = dict(signals)
     for name, coefficient in coefficients.items():
         term = TERMS[name]
-        corrected[term.signal] = corrected[term.signal] - coefficient * term.shape(signals)
-    return corrected
+        actual[term.signal] = actual[term.signal] - coefficient * term.shape(signals)
+    return actual
 
 
 def record_signals(actual: Mapping[str, Array], coefficients: Mapping[str, float]) -> dict[str, Array]:

@@ -8,18 +8,10 @@ from CoolProp import CoolProp
 from hdt_core.physics import air
 
 
-@pytest.mark.parametrize(
-    ("key", "function", "rtol"),
-    [
-        ("Cp0mass", air.specific_heat_j_kg_k, 4e-4),
-        ("V", air.viscosity_pa_s, 0.02),
-        ("L", air.conductivity_w_m_k, 0.03),
-    ],
-)
-def test_properties_agree_with_coolprop(key, function, rtol):
+def test_specific_heat_agrees_with_coolprop():
     temperature_k = np.linspace(215.0, 500.0, 20)
-    expected = [CoolProp.PropsSI(key, "T", t, "P", 1e5, "Air") for t in temperature_k]
-    np.testing.assert_allclose(function(temperature_k), expected, rtol=rtol)
+    expected = [CoolProp.PropsSI("Cp0mass", "T", t, "P", 1e5, "Air") for t in temperature_k]
+    np.testing.assert_allclose(air.specific_heat_j_kg_k(temperature_k), expected, rtol=4e-4)
 
 
 def test_density_agrees_with_coolprop():
@@ -37,7 +29,6 @@ def test_atmosphere_agrees_with_ambiance():
     np.testing.assert_allclose(air.standard_temperature_k(pressure_altitude_m), standard.temperature, rtol=1e-7)
     density = air.density_kg_m3(standard.pressure, standard.temperature)
     np.testing.assert_allclose(density, standard.density, rtol=2e-6)
-    np.testing.assert_allclose(air.viscosity_pa_s(standard.temperature), standard.dynamic_viscosity, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -62,16 +53,6 @@ def test_mach_comes_back_from_its_pressures():
     mach = np.linspace(0.05, 0.95, 19)
     np.testing.assert_allclose(air.mach_from_pressures(air.total_to_static_pressure(mach), 1.0), mach, rtol=1e-12)
     assert air.mach_from_pressures(0.99, 1.0) == 0.0
-
-
-@pytest.mark.parametrize("temperature_k", [220.0, 300.0, 450.0])
-def test_transport_properties_are_those_of_the_us_standard_atmosphere(temperature_k):
-    """Equations 51 and 53 of the edition of 1976; 0.025326 W/m/K at sea level by its table."""
-    t = temperature_k
-    conductivity = 2.64638e-3 * t**1.5 / (t + 245.4 * 10.0 ** (-12.0 / t))
-    assert air.conductivity_w_m_k(t) == pytest.approx(conductivity, rel=1e-9)
-    assert air.viscosity_pa_s(t) == pytest.approx(1.458e-6 * t**1.5 / (t + 110.4), rel=1e-9)
-    assert air.conductivity_w_m_k(288.15) == pytest.approx(0.025326, abs=5e-7)
 
 
 def test_warmed_air_holds_its_heat_to_a_tenth_of_a_billionth_of_a_kelvin():

@@ -14,7 +14,6 @@ from hdt_core.physics.effectiveness import (
     counterflow_effectiveness,
     crossflow_effectiveness,
     crossflow_effectiveness_and_slope,
-    crossflow_effectiveness_approximate,
     crossflow_ntu,
 )
 
@@ -92,15 +91,6 @@ def test_inverse_takes_few_looks_at_the_exchanger(monkeypatch, fewest, most, loo
     monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: asked.append(1) or seen(*a))
     np.testing.assert_allclose(crossflow_ntu(eps, ratio), ntu, rtol=1e-9)
     assert len(asked) <= looks
-
-
-def test_handbook_formula_and_how_far_it_is_off():
-    ntu, ratio = (x.ravel() for x in np.meshgrid(np.linspace(0.02, 10.0, 300), np.linspace(0.02, 1.0, 50)))
-    theirs = ht.effectiveness_from_NTU(1.5, 0.7, subtype="crossflow approximate")
-    assert crossflow_effectiveness_approximate(1.5, 0.7) == pytest.approx(theirs, rel=1e-12)
-    error = crossflow_effectiveness_approximate(ntu, ratio) - crossflow_effectiveness(ntu, ntu * ratio)
-    assert 0.019 < np.abs(error).max() < 0.020
-    assert np.abs(error[ntu <= 3.0]).max() < 0.012
 
 
 def test_counterflow_is_ht_s():

@@ -8,7 +8,6 @@ from hdt_core.physics.core_exchanger import CORE_EXCHANGER
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.lumped_exchanger import lumped_exchanger
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
-from hdt_core.physics.pack import PACK
 from hdt_core.physics.ram_duct import RAM_DUCT
 from hdt_core.physics.unmetered_exchanger import SPRAYED
 
@@ -16,7 +15,6 @@ MODELS = [
     COMPRESSOR,
     CORE_EXCHANGER,
     HEAT_EXCHANGER,
-    PACK,
     RAM_DUCT,
     lumped_exchanger("quasi_steady"),
     lumped_exchanger("exact"),
@@ -136,12 +134,12 @@ def test_sensors_and_ranges_are_those_on_paper():
 
 
 def test_roles_divide_the_parameters():
-    health = {p.name for p in PACK.free("health")}
-    design = {p.name for p in PACK.free("design")}
-    assert health == {"hx_fouling", "ram_flow_loss", "cc_diameter_loss", "cc_efficiency_loss"}
+    health = {p.name for p in COMPRESSOR.free("health")}
+    design = {p.name for p in COMPRESSOR.free("design")}
+    assert health == {"cc_diameter_loss", "cc_efficiency_loss"}
     assert not health & design
-    assert health | design == set(PACK.nominal)
-    assert PACK.bounds("health").shape == (4, 2)
+    assert health | design == set(COMPRESSOR.nominal)
+    assert COMPRESSOR.bounds("health").shape == (2, 2)
 
 
 def test_calibrated_model_differs_in_nothing_but_the_value():

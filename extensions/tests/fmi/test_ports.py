@@ -7,9 +7,8 @@ from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.core_exchanger import CORE_EXCHANGER
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.model import Signal
-from hdt_core.physics.pack import PACK
-from hdt_core.physics.ports import compose
 from hdt_core.physics.ram_duct import RAM_DUCT
+from hdt_fmi.ports import PACK, compose
 
 FLIGHT = {
     "cc_speed_rad_s": 3194.0,

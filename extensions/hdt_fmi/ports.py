@@ -3,7 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from hdt_core.physics.compressor import COMPRESSOR
+from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.model import PhysicsModel, Signal, as_tuple, with_signature
+from hdt_core.physics.ram_duct import RAM_DUCT
 
 Kind = Literal["equations", "rates", "step"]
 
@@ -37,7 +40,7 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
     states = tuple(s for part in parts for s in part.states)
     order = (*inputs, *(p.name for part in parts for p in part.params), *(s.name for s in states))
 
-    def run(kind: Kind, values: dict[str, Any]) -> tuple[Any, ...]:
+    def evaluate(kind: Kind, values: dict[str, Any]) -> tuple[Any, ...]:
         signals = dict(values)  # the whole's inputs by bare name, outputs by `part.signal`
         results: list[Any] = []
         for part in parts:
@@ -52,16 +55,16 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
         inputs=tuple(inputs.values()),
         outputs=tuple(s for part in parts for s in part.outputs),
         params=tuple(p for part in parts for p in part.params),
-        equations=with_signature(order, lambda **values: run("equations", values)),
+        equations=with_signature(order, lambda **values: evaluate("equations", values)),
         states=states,
-        rates=with_signature(order, lambda **values: run("rates", values)) if states else None,
-        step=with_signature((*order, "dt_s"), lambda **values: run("step", values)) if states else None,
+        rates=with_signature(order, lambda **values: evaluate("rates", values)) if states else None,
+        step=with_signature((*order, "dt_s"), lambda **values: evaluate("step", values)) if states else None,
     )
 
 
 def _check(parts: Sequence[PhysicsModel], connections: Mapping[str, str], inputs: Mapping[str, Signal]) -> None:
     available = set(inputs)
-    unknown = set(connections)
+    unused = set(connections)
     outputs = [s.name for part in parts for s in part.outputs]
     duplicates = sorted({n for n in outputs if outputs.count(n) > 1})
     if duplicates:
@@ -70,10 +73,10 @@ def _check(parts: Sequence[PhysicsModel], connections: Mapping[str, str], inputs
         for port in (f"{part.name}.{s.name}" for s in part.inputs):
             if port in connections and connections[port] not in available:
                 raise ValueError(f"{port} is fed by {connections[port]}, which no earlier part puts out")
-            unknown.discard(port)
+            unused.discard(port)
         available |= {f"{part.name}.{s.name}" for s in part.outputs}
-    if unknown:
-        raise ValueError(f"no such input port: {', '.join(sorted(unknown))}")
+    if unused:
+        raise ValueError(f"no such input port: {', '.join(sorted(unused))}")
 
 
 def _states_of(
@@ -85,3 +88,16 @@ def _states_of(
     if kind == "rates":
         return as_tuple(part.rates(**arguments))
     return tuple(part.advance(arguments, {}, {s.name: arguments[s.name] for s in part.states}, values["dt_s"]).values())
+
+
+PACK = compose(
+    "pack",
+    (COMPRESSOR, RAM_DUCT, HEAT_EXCHANGER),
+    {
+        "heat_exchanger.hot_in_k": "compressor.cc_out_k",
+        "heat_exchanger.hot_flow_kg_s": "compressor.cc_flow_kg_s",
+        "heat_exchanger.ram_flow_kg_s": "ram_duct.ram_flow_kg_s",
+        "heat_exchanger.cold_in_k": "tat_k",
+    },
+)
+"""Equations (2)-(5), the ram duct and the exchanger in one declaration."""
