@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from compressor_problem import AREA_M2, BETA_RAD, DIAMETER_M, compressor
 
-from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, estimators, unknown
+from hdt_core.estimation import Belief, NonlinearLeastSquares, estimators
 from hdt_core.estimation.identifiability import Identifiability, fisher, invert_information
 
 
