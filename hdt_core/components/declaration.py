@@ -137,6 +137,8 @@ class Component:
         What to do about a worn one.
     message_code : str, optional
         The aircraft's own message when it fails.
+    estimator : str
+        Method that estimates its design, and its health flight by flight: a name of `hdt_core.estimation.estimators()`.
     new_share : float
         Chance that a unit is as built when its record begins.
     warn_loss : float
@@ -168,6 +170,7 @@ class Component:
     life_flights: float
     action: str
     message_code: str | None = None
+    estimator: str = "nls"
     new_share: float = 0.5
     warn_loss: float = 0.15
     ended_by: tuple[str, ...] = (REPLACED, CLEANED)

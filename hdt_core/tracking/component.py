@@ -9,8 +9,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.initial_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
 from hdt_core.components import Component
 from hdt_core.components.exchanger import HX
-from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.nls import NonlinearLeastSquares
+from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
 from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import Param, PhysicsModel
 from hdt_core.records.keys import IN_ORDER, PACK
@@ -31,13 +30,31 @@ WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 """Statuses of a flight whose values are no estimate."""
 
 
-def calibrate_component(model: PhysicsModel, samples: pl.DataFrame) -> tuple[PhysicsModel, Estimate]:
+def declared_estimator(component: Component) -> Estimator:
+    """Return the method that the component declares.
+
+    Raises
+    ------
+    ValueError
+        No installed package has a method of this name.
+    """
+    methods = estimators()
+    if component.estimator not in methods:
+        raise ValueError(f"component {component.code}: estimator is {', '.join(methods)}, not {component.estimator}")
+    return methods[component.estimator]
+
+
+def calibrate_component(
+    model: PhysicsModel, samples: pl.DataFrame, estimator: Estimator | None = None
+) -> tuple[PhysicsModel, Estimate]:
     """Estimate the `design` parameters from nominal samples, health at its nominal value; a declared prior counts.
 
     Parameters
     ----------
     samples : DataFrame
         Columns named as the model's inputs and outputs.
+    estimator : Estimator, optional
+        Nonlinear least squares where not given.
 
     Returns
     -------
@@ -53,7 +70,7 @@ def calibrate_component(model: PhysicsModel, samples: pl.DataFrame) -> tuple[Phy
     """
     free = [p.name for p in model.free("design")]
     problem = samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
-    estimate = NonlinearLeastSquares().estimate(problem)
+    estimate = (estimator or NonlinearLeastSquares()).estimate(problem)
     if estimate.status in WITHOUT_ESTIMATE:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
     return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate

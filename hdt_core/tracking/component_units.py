@@ -22,6 +22,7 @@ from hdt_core.tracking.component import (
     WITHOUT_ESTIMATE,
     DesignOffset,
     calibrate_component,
+    declared_estimator,
     design_prior,
     track_component,
     wear_of,
@@ -108,11 +109,12 @@ def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.Dat
     nothing: tuple[pl.DataFrame, list[tuple[object, ...]]] = samples.select(LEG).clear(), []
     if samples.select(pl.struct(LEG).n_unique()).item() < FEWEST:
         return nothing
+    method = declared_estimator(component)
     try:
-        first, _ = calibrate_component(component.model, samples)
-        stray = _strays(flight_by_flight(samples, first, _health_names(component)), component.loss)
+        first, _ = calibrate_component(component.model, samples, method)
+        stray = _strays(flight_by_flight(samples, first, _health_names(component), estimator=method), component.loss)
         regular = samples.filter(~is_among(stray))
-        dsm, estimate = calibrate_component(component.model, regular)
+        dsm, estimate = calibrate_component(component.model, regular, method)
     except ValueError:  # the flights do not determine the design: NOT_COMMISSIONED
         return nothing
     n_flights = regular.select(pl.struct(LEG).n_unique()).item()
@@ -159,10 +161,12 @@ def unit_health(
         Of `track_component`: filtered along each life, long form.
     """
     steady = samples.filter("nominal").join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
-    flights = [flight_by_flight(samples.clear(), component.model, _health_names(component))]
+    health_names, method = _health_names(component), declared_estimator(component)
+    flights = [flight_by_flight(samples.clear(), component.model, health_names)]
     health: list[pl.DataFrame] = [TwinHealth.create_empty()]
     for model, rests_on_prior, own in pack_models(steady, design, component):
-        estimates = _reject_beyond_range(flight_by_flight(own, model, _health_names(component)), own, component)
+        estimates = flight_by_flight(own, model, health_names, estimator=method)
+        estimates = _reject_beyond_range(estimates, own, component)
         flights.append(estimates)
         if estimates.height:
             offset = _design_offset(own, model, component)

@@ -1,5 +1,6 @@
 """A declared component's flights: which calibrate it, which stand apart, the prior moved; where a night goes on."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
+from hdt_core.tracking.component import declared_estimator
 from hdt_core.tracking.component_units import (
     _as_built,
     _calibrate_pack,
@@ -22,6 +24,7 @@ from hdt_core.tracking.component_units import (
     _strays,
     health_by_prior,
     pack_models,
+    unit_health,
 )
 from hdt_core.tracking.sequential import MIN_SAMPLES, flight_by_flight, recorded_outputs
 from hdt_core.tracking.wear_model import Settings
@@ -111,6 +114,26 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, k
         stray, found = _calibrate_pack(odd, PART)
         assert (stray["flight_id"].to_list(), found[0][4]) == (["T-1_004"], 9)
         assert found[0][1] == pytest.approx(1.9, abs=0.01)
+
+
+def test_the_declared_method_estimates_design_and_health():
+    rows = samples([1.9 + 0.01 * (-1) ** k for k in range(12)])
+    legs = rows.select(LEG).unique(maintain_order=True).with_columns(reason=pl.lit(""))
+    none = log()
+    losses, n_evals = {}, {}
+    for method in ("nls", "pso"):
+        part = replace(PART, estimator=method)
+        design = rows.select(PACK).head(1).with_columns(component=pl.lit("PMP")).join(
+            pl.DataFrame([r[:6] for r in _calibrate_pack(rows, part)[1]], orient="row",
+                         schema=["parameter", "value", "sd", "unit", "n_flights", "identifiable"]), how="cross",
+        )  # fmt: skip
+        assert design["value"].to_list() == pytest.approx([1.9], abs=1e-3)
+        flown, health = unit_health(rows.with_columns(nominal=True), legs, design, none, part)
+        losses[method], n_evals[method] = health["value"], flown["n_evals"].median()
+    np.testing.assert_allclose(losses["pso"], losses["nls"], atol=1e-4)
+    assert n_evals["pso"] > 5 * n_evals["nls"]
+    with pytest.raises(ValueError, match=r"component PMP: estimator is nls, pso, ekf, ukf, pinn.*, not guess"):
+        declared_estimator(replace(PART, estimator="guess"))
 
 
 def test_reasons_of_the_second_level():
