@@ -13,7 +13,7 @@ from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, tota
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import correct_signals
 from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, PACK
-from hdt_core.tables.raw import SIGNALS as RECORDER_SIGNALS
+from hdt_core.tables.signals import SIGNALS as RECORDER_SIGNALS
 
 Array = NDArray[Any]
 """Of numbers, counts or flags."""

@@ -104,10 +104,10 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     )
     rows = _locate(values, "ratio", "ln_ua_ratio").rename({"n": "n_samples"})
     rows = rows.join(ram_ratios, on=FLIGHT_PACK, how="left", validate="m:1")
-    expected = pl.col("ln_expected").exp()
+    clean_ua = pl.col("ln_expected").exp()
     return (
         rows.join(_sensitivities(medians, dsm), on=FLIGHT_PACK, validate="m:1")
-        .with_columns(expected.alias("ua_expected_w_k"), (expected * pl.col("ln_ua_ratio").exp()).alias("ua_w_k"))
+        .with_columns(clean_ua.alias("ua_expected_w_k"), (clean_ua * pl.col("ln_ua_ratio").exp()).alias("ua_w_k"))
         .drop("ln_expected")
     )
 

@@ -10,7 +10,7 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
-from hdt_core.records.renewals import REPLACED, log_flags
+from hdt_core.records.renewals import REPLACEMENT, log_flags
 from hdt_core.robust import spread
 
 FIRST_FLIGHTS = 10
@@ -109,7 +109,7 @@ def first_levels(flights: pl.DataFrame, unit: Sequence[str] = PACK) -> pl.DataFr
 
 def _levels_after_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
     """Compute first levels of units whose installation is logged, and which are therefore new."""
-    life = pl.Series("life", log_flags(flights, maintenance, "HX")[1] == REPLACED).cast(pl.Int32)
+    life = pl.Series("life", log_flags(flights, maintenance, "HX")[1] == REPLACEMENT).cast(pl.Int32)
     lives = flights.with_columns(life).with_columns(pl.col("life").cum_sum().over(PACK))
     return first_levels(lives.filter(pl.col("life") > 0), [*PACK, "life"])
 

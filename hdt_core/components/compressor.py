@@ -25,4 +25,4 @@ CC = Component(
         "cc_efficiency_loss": ("cc_in_degc", "cc_in_psia", "cc_out_degc", "cc_out_psia"),
     },
 )
-"""Its record is the default one, its road the pack's own: see `calibration.compressor` and `health`."""
+"""Its record is the default one; see `calibration.compressor` and `health`."""

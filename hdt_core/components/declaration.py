@@ -1,7 +1,6 @@
-"""How a component is declared: physics, record, codes, what failing means, what to do about it.
+"""Declaration of a component: physics, record, codes, failure limit, action.
 
-One declaration makes it a part of the whole chain: intake, legs, calibration, twin, residuals, features, alerts,
-remaining life, catalog and report.
+Intake, legs, calibration, twin, residuals, features, alerts, remaining life, catalog and report follow from it.
 """
 
 import hashlib
@@ -17,7 +16,7 @@ import polars as pl
 from hdt_core.physics.model import PhysicsModel
 
 CODE = r"[A-Z]{2,8}"
-"""What the code of a component looks like."""
+"""Pattern of a component's code."""
 REPLACED, CLEANED, INSPECTED, ADJUSTED = ACTIONS = ("REPLACED", "CLEANED", "INSPECTED", "ADJUSTED")
 """Actions of the maintenance log."""
 
@@ -52,11 +51,11 @@ class Channel:
     unit, meaning : str
         Of the signal.
     low, high : float
-        Span of what the quantity can physically be; a value outside becomes null and is told. [signal's unit]
+        Physical range of the quantity; a value outside becomes null and is reported. [signal's unit]
     harmful_per_s : float, optional
-        Drift from which a flight counts as unsteady; none is looked for where not given. [signal's unit / s]
+        Drift from which a flight counts as unsteady; not checked where absent. [signal's unit / s]
     needed : bool
-        Without it the component can't be judged.
+        Whether health can't be estimated without it.
     """
 
     column: str
@@ -73,7 +72,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What the component's own files hold: `<OPERATOR>/<TAIL>/<code>/*.csv` or `.parquet`.
+    """Contents of the component's own files, `<OPERATOR>/<TAIL>/<code>/*.csv` or `.parquet`.
 
     Attributes
     ----------
@@ -83,7 +82,7 @@ class Record:
         Given samples with the channels as columns, and `operator, tail, flight_id, pack, time_utc`, adds those of the
         model's signals that follow from them.
     nominal : Expr, optional
-        Samples that the model speaks of; all where not given.
+        Samples to which the model applies; all where absent.
     """
 
     channels: tuple[Channel, ...]
@@ -93,18 +92,18 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A quantity that follows from a sample without a model, told of every flight as a mean.
+    """A quantity that follows from a sample without a model, reported as a mean of every flight.
 
     Attributes
     ----------
     name, unit, meaning : str
         The name begins with the component's code in small letters.
     value : Expr
-        Over the channels and what `derive` adds; null where it can't be told.
+        Over the channels and the columns that `derive` adds; null where unknown.
     where : Expr, optional
-        Samples it is told of; of a flight that has none it is `off_nominal`.
+        Samples that count; a flight without any is `off_nominal`.
     below : float
-        What it is called it can only be below this. [unit]
+        Upper bound of the quantity; samples beyond it contradict its definition. [unit]
     """
 
     name: str
@@ -117,24 +116,24 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """A part that wears, from its physics to the words of its alert.
+    """A part that wears: its physics, failure, record and alert.
 
     Attributes
     ----------
     code : str
-        As in the maintenance log; small, the name of its folder and the beginning of its parameters' names.
+        As in the maintenance log; in small letters the name of its folder and the prefix of its parameters.
     name, lost : str
-        What the night shift calls it; what it loses when it wears ("UA lost").
+        Name in reports and alerts; the quantity that wear reduces ("UA lost").
     model : PhysicsModel
         Its equations, design and health parameters.
     loss : str
         The health parameter whose growth ends a unit's life.
     limit : Limit
-        Loss at which it fails, before any failure was seen.
+        Loss at which it fails, before any failure on record.
     life_flights : float
-        Flights from new to `limit`, by experience: the prior of the wear rate, one standard deviation as large.
+        Flights from new to `limit`, by experience: the prior of the wear rate, whose standard deviation is as large.
     action : str
-        What to do about a worn one.
+        Recommended action for a worn one.
     message_code : str, optional
         The aircraft's own message when it fails.
     estimator : str
@@ -142,21 +141,21 @@ class Component:
     new_share : float
         Chance that a unit is as built when its record begins.
     warn_loss : float
-        Loss that raises an alert once it is exceeded with a probability of 0.7.
+        Loss that raises an alert once exceeded with a probability of 0.7.
     ended_by : tuple of str
         Actions after which it is as built.
     around_work : tuple of int
         Flights of the tail before and after an entry of the log that calibration leaves out.
     otherwise, waiting : str
-        What else could explain the loss; what waiting costs.
+        Another explanation of the loss; the cost of waiting.
     record : Record, optional
-        Where its signals come from; none for the pack's parts, which the default record holds.
+        Source of its signals; none for the pack's parts, which the default record holds.
     readings : tuple of Reading
-        What its record shows without a model.
+        Quantities that its record shows without a model.
     terms : mapping of str to PhysicsModel
-        The model with a physical term of `hdt_core.physics.terms` in it, in service once an engineer accepts the term.
+        The model with a physical term of `hdt_core.physics.terms`, in service once an engineer accepts the term.
     bleed_air : bool
-        Engine bleed air feeds it: flights with a bleed off or the cross-feed open are none of its normal ones.
+        Whether engine bleed air feeds it: then flights with a bleed off or the cross-feed open are not normal.
     needs : mapping of str to tuple of str
         Columns of the default record without which a parameter can't be estimated; for the pack's parts.
     """
@@ -194,7 +193,7 @@ class Component:
 
     @property
     def diagnosis(self) -> str:
-        """Code of the alert that calls it worn."""
+        """Code of its wear alert."""
         return f"{self.code}_DEGRADED"
 
     @property
@@ -204,12 +203,12 @@ class Component:
 
     @property
     def version(self) -> str:
-        """Digest of the declaration, the source of its functions included: what a change of it makes stale."""
+        """Digest of the declaration, the source of its functions included; results of another one are stale."""
         return hashlib.blake2b(_canonical_text(self).encode(), digest_size=6).hexdigest()
 
-    def with_terms(self, accepted: Collection[str]) -> "Component":
-        """The component with the model that accepted terms ask for."""
-        models = [model for name, model in self.terms.items() if name in accepted]
+    def with_terms(self, names: Collection[str]) -> "Component":
+        """Return the component with the model of the accepted terms."""
+        models = [model for name, model in self.terms.items() if name in names]
         return replace(self, model=models[0]) if models else self
 
     def _faults(self) -> list[str]:
@@ -233,7 +232,7 @@ class Component:
 
 
 def _canonical_text(value: Any) -> str:
-    """A value as text that is the same in every process: functions by their source, expressions by their form."""
+    """Format a value equally in every process: functions by their source, expressions by their form."""
     if is_dataclass(value) and not isinstance(value, type):
         return f"{type(value).__name__}({', '.join(_canonical_text(getattr(value, f.name)) for f in fields(value))})"
     if isinstance(value, dict):

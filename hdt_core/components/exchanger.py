@@ -21,4 +21,4 @@ HX = Component(
     around_work=(10, 1),
     needs={"hx_fouling": _UA, "hx_h_hot_w_k": (*_UA, "ram_out_degc"), "hx_h_cold_w_k": (*_UA, "ram_out_degc")},
 )
-"""Its record is the default one, its road the pack's own: see `calibration.exchanger` and `health`."""
+"""Its record is the default one; see `calibration.exchanger` and `health`."""

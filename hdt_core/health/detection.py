@@ -128,16 +128,16 @@ class _Walk:
 
     def take(self, y: Array, s: Cusum) -> Array:
         """Process one flight and return its innovation in standard deviations."""
-        observed = np.isfinite(y)
-        self.offset = np.where(observed & np.isnan(self.offset), y, self.offset)
-        innovation = np.where(observed, y - self.offset, 0.0)
+        valid = np.isfinite(y)
+        self.offset = np.where(valid & np.isnan(self.offset), y, self.offset)
+        innovation = np.where(valid, y - self.offset, 0.0)
         sd = np.sqrt(self.variance() * (1.0 + 1.0 / np.maximum(self.n, 1.0)))
         z = innovation / sd
-        larger_sum = self._sum(np.clip(z, -s.clip, s.clip), observed & (self.n >= s.learn_flights), s)
+        larger_sum = self._sum(np.clip(z, -s.clip, s.clip), valid & (self.n >= s.learn_flights), s)
         self.alarm = np.where(self.alarm, larger_sum > s.clear, larger_sum > s.decide)
-        smoothed = np.where(larger_sum > 0.0, 0.8 * self.departure + 0.2 * innovation, 0.0)
-        self.departure = np.where(observed, smoothed, self.departure)
-        self._learn(observed & ~self.alarm & (larger_sum < 0.5 * s.decide), np.clip(innovation, -3.0 * sd, 3.0 * sd), s)
+        departure = np.where(larger_sum > 0.0, 0.8 * self.departure + 0.2 * innovation, 0.0)
+        self.departure = np.where(valid, departure, self.departure)
+        self._learn(valid & ~self.alarm & (larger_sum < 0.5 * s.decide), np.clip(innovation, -3.0 * sd, 3.0 * sd), s)
         return np.asarray(z)
 
     def variance(self) -> Array:
@@ -190,9 +190,9 @@ def persistent(
     count = np.pad(np.cumsum(flags, axis=1), ((0, 0), (1, 0)))
     # flights outside the window or before a restart do not count
     before = np.maximum(np.maximum(flight + 1 - n, _last(restart)), 0)
-    reached = count[:, 1:] - np.take_along_axis(count, before, axis=1) >= k
+    is_enough = count[:, 1:] - np.take_along_axis(count, before, axis=1) >= k
     release = restart | (flight - _last(keep) >= hold)
-    return np.asarray(_last(reached) >= np.maximum(_last(release), 0))
+    return np.asarray(_last(is_enough) >= np.maximum(_last(release), 0))
 
 
 def _last(events: Array) -> Array:

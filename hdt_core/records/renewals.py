@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import AIRCRAFT, PACK
 from hdt_core.records.unit_index import date_entries, first_flights, select_entries
 
 Flags = npt.NDArray[Any]
 LOG_WINDOW = pl.duration(days=1)
-NOTHING, WASHED, REPLACED = range(3)
+NOTHING, WASH, REPLACEMENT = range(3)
 RENEWALS = ("REPLACED", "CLEANED")
 
 
@@ -22,7 +22,7 @@ def log_flags(
     """Flag a component's log entries: on flights within a day of an entry's moment (open), and on the first flight that
     counts as flown after it (due); the moment is that of `records.unit_index`.
 
-    `REPLACED`, `WASHED` after another of `actions`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An
+    `REPLACEMENT`, `WASH` after another of `actions`, else `NOTHING`; `flights` stand in order (`keys.IN_ORDER`). An
     entry may be days late: the filter models that. An entry before a pack's first flight is ignored, for the part's age
     when the record begins is unknown.
     """
@@ -36,22 +36,21 @@ def log_flags(
 
 
 def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
-    """Flag flights after the first log entry of the aircraft's record, of whatever part: before it the lack of an entry
-    means nothing, for some operators send no log. (n,) bool"""
-    tail = ["operator", "tail"]
-    begins = flights.group_by(tail).agg(pl.col("departed_at").min().alias("begins"))
-    entries = (
-        date_entries(maintenance)
-        .join(begins, on=tail, validate="m:1")
-        .filter(pl.col("counts_from") >= pl.col("begins"))
+    """Flag flights after the first log entry within the aircraft's record, for any part: before it the lack of an entry
+    means nothing, since some operators send no log. (n,) bool"""
+    begins = flights.group_by(AIRCRAFT).agg(pl.col("departed_at").min().alias("begins"))
+    entries = date_entries(maintenance).join(begins, on=AIRCRAFT, validate="m:1")
+    first = (
+        entries.filter(pl.col("counts_from") >= pl.col("begins")).group_by(AIRCRAFT).agg(pl.col("counts_from").min())
     )
-    spoke = entries.group_by(tail).agg(pl.col("counts_from").min().alias("spoke"))
-    rows = flights.select(*tail, "departed_at").join(spoke, on=tail, how="left", maintain_order="left", validate="m:1")
-    return rows.select((pl.col("departed_at") >= pl.col("spoke")).fill_null(False))[:, 0].to_numpy()
+    rows = flights.select(*AIRCRAFT, "departed_at").join(
+        first, on=AIRCRAFT, how="left", maintain_order="left", validate="m:1"
+    )
+    return rows.select((pl.col("departed_at") >= pl.col("counts_from")).fill_null(False))[:, 0].to_numpy()
 
 
 def _flags(entries: pl.DataFrame, n: int) -> Flags:
     flags: Flags = np.full(n, NOTHING)
-    kind = np.where(entries["action"].to_numpy() == "REPLACED", REPLACED, WASHED)
+    kind = np.where(entries["action"].to_numpy() == "REPLACED", REPLACEMENT, WASH)
     np.maximum.at(flags, entries["row"].to_numpy(), kind)
     return flags

@@ -1,6 +1,6 @@
 """Number the units of each position by the maintenance log, for every component.
 
-The rule. A flight flies with a new (or repaired) part if it departs at or after the moment from which the entry of the
+A flight flies with a new (or repaired) part if it departs at or after the moment from which the entry of the
 maintenance log counts. An entry with a time of day counts from that time. An entry with a day alone counts from the end
 of that day (24:00 UTC), so that the flights of the day itself still belong to the part that came off.
 
@@ -13,11 +13,11 @@ from collections.abc import Sequence
 
 import polars as pl
 
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import AIRCRAFT, PACK
+from hdt_core.tables.base import UTC
 
 NEW_UNIT = ("REPLACED",)
 """Actions after which another unit flies; a wash keeps the unit."""
-UTC = pl.Datetime("us", "UTC")
 
 
 def date_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
@@ -29,16 +29,16 @@ def date_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
         `done_on` (Date) and, where the log gives a time of day, `done_at` (UTC, null where it gives none).
     """
     day_ends = (pl.col("done_on") + pl.duration(days=1)).cast(UTC)
-    timed = [pl.col(c).cast(UTC) for c in ("counts_from", "done_at") if c in maintenance.columns]
-    return maintenance.with_columns(pl.coalesce(*timed, day_ends).alias("counts_from"))
+    times = [pl.col(c).cast(UTC) for c in ("counts_from", "done_at") if c in maintenance.columns]
+    return maintenance.with_columns(pl.coalesce(*times, day_ends).alias("counts_from"))
 
 
 def select_entries(maintenance: pl.DataFrame, components: Sequence[str], actions: Sequence[str]) -> pl.DataFrame:
     """Select work of a kind, each pack, moment and action once: `PACK`, `action`, `counts_from`; by moment."""
     is_selected = pl.col("component").is_in(components) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
     entries = date_entries(maintenance).filter(is_selected & pl.col("counts_from").is_not_null())
-    columns = ("operator", "tail", pl.col("pack").cast(pl.Int32), "action", "counts_from")
-    return entries.select(columns).unique().sort("counts_from", *PACK, "action")
+    entries = entries.select(*AIRCRAFT, pl.col("pack").cast(pl.Int32), "action", "counts_from")
+    return entries.unique().sort("counts_from", *PACK, "action")
 
 
 def number_units(
@@ -57,8 +57,8 @@ def number_units(
     maintenance : DataFrame
         `PACK`, `component`, `action`, and what `date_entries` reads.
     """
-    renewed = select_entries(maintenance, (component,), actions).rename({"counts_from": "departed_at"})
-    numbers = renewed.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
+    entries = select_entries(maintenance, (component,), actions).rename({"counts_from": "departed_at"})
+    numbers = entries.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
     rows = flights.sort("departed_at", maintain_order=True).join_asof(
         numbers, on="departed_at", by=PACK, check_sortedness=False
     )
@@ -76,7 +76,7 @@ def first_flights(
         `PACK`, `action`, `counts_from`, and the other columns of `flights`.
     """
     entries = select_entries(maintenance, components, actions)
-    ordered = flights.sort("departed_at", maintain_order=True)
+    flights = flights.sort("departed_at", maintain_order=True)
     return entries.join_asof(
-        ordered, left_on="counts_from", right_on="departed_at", by=PACK, strategy="forward", check_sortedness=False
+        flights, left_on="counts_from", right_on="departed_at", by=PACK, strategy="forward", check_sortedness=False
     ).drop_nulls("departed_at")

@@ -17,7 +17,7 @@ _SHARDS = {"month": _MONTH, "flight": pl.col("flight_id"), "all": pl.lit("all")}
 
 @dataclass(frozen=True, slots=True)
 class StoredTable:
-    """How a table is kept.
+    """Declaration of a table's storage.
 
     Parameters
     ----------
@@ -48,11 +48,12 @@ class StoredTable:
         """Return `frame` in the declared columns, order and types."""
         return self.schema.conform(frame)
 
-    def doubled(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Find primary keys that occur more than once in `frame`, which is sorted by `key`."""
+    def repeated_keys(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return primary keys that occur more than once in `frame`, which is sorted by `key`."""
         unique = self.schema.primary_key()
         repeats = pl.all_horizontal(pl.col(c).eq_missing(pl.col(c).shift()) for c in self.key)
-        is_unique = set(self.key) <= set(unique) and not frame.select(repeats.any()).item()  # else they were neighbours
+        # rows that share the sorting key are neighbours
+        is_unique = set(self.key) <= set(unique) and not frame.select(repeats.any()).item()
         if not unique or is_unique:
             return frame.select(unique).clear()
         return frame.select(unique).filter(pl.struct(unique).is_duplicated()).unique()
@@ -107,7 +108,7 @@ TABLES: dict[str, StoredTable] = {
     "prognosis_lives": StoredTable(
         prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")
     ),
-    "components": StoredTable(components.ComponentsDeclared, "fleet", ("component",)),
+    "components": StoredTable(components.ComponentList, "fleet", ("component",)),
     "raw_components": StoredTable(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
     "raw_components_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_components_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),

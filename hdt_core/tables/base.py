@@ -24,6 +24,11 @@ def count(meaning: str, unit: str = "-", **kw: Any) -> dy.Int64:
     return dy.Int64(nullable=kw.pop("nullable", False), min=0, metadata={"unit": unit, "meaning": meaning}, **kw)
 
 
+def column(dtype: type[dy.Column], meaning: str, unit: str = "", **kw: Any) -> dy.Column:
+    """A column of another type: an index, a day, bytes."""
+    return dtype(nullable=kw.pop("nullable", False), metadata={"unit": unit, "meaning": meaning}, **kw)
+
+
 def text(meaning: str, **kw: Any) -> dy.String:
     """A code or a sentence."""
     return dy.String(nullable=kw.pop("nullable", True), metadata={"unit": "", "meaning": meaning}, **kw)
@@ -69,7 +74,7 @@ def pack_key(**kw: Any) -> dy.Int32:
     return dy.Int32(nullable=False, primary_key=True, min=1, max=4, metadata=meaning, **kw)
 
 
-_BROKEN = {
+_RULES = {
     "nullability": "is empty",
     "nan": "is NaN",
     "inf": "is infinite",
@@ -98,9 +103,9 @@ class Table(dy.Schema):
         return [f"{cls._in_words(rule)} in {n} of {frame.height} rows" for rule, n in failure.counts().items()]
 
     @staticmethod
-    def count_faults(broken: pl.DataFrame, n_rows: int) -> list[str]:
-        """Describe each rule broken in `n_rows`, with the number of `broken` rows."""
-        rules = broken["faults"].str.split("; ").explode(empty_as_null=False).value_counts(sort=True)
+    def count_faults(invalid: pl.DataFrame, n_rows: int) -> list[str]:
+        """Describe each broken rule of `split_valid`'s invalid rows, with their number of `n_rows`."""
+        rules = invalid["faults"].str.split("; ").explode(empty_as_null=False).value_counts(sort=True)
         return [f"{rule} in {n} of {n_rows} rows" for rule, n in rules.iter_rows()]
 
     @classmethod
@@ -115,9 +120,9 @@ class Table(dy.Schema):
         rules = list(failure.counts())
         messages = (pl.when(pl.col(r).cast(pl.String) == "invalid").then(pl.lit(cls._in_words(r))) for r in rules)
         faults = pl.concat_list(messages).list.drop_nulls().list.join("; ").alias("faults")
-        broken = failure.details().select(*cls.columns(), faults)
+        invalid = failure.details().select(*cls.columns(), faults)
         on = cls.primary_key() or list(cls.columns())
-        return frame.join(broken, on=on, how="anti", nulls_equal=True, maintain_order="left"), broken
+        return frame.join(invalid, on=on, how="anti", nulls_equal=True, maintain_order="left"), invalid
 
     @classmethod
     def _in_words(cls, rule: str) -> str:
@@ -126,7 +131,7 @@ class Table(dy.Schema):
         if name == "primary_key":
             return f"the key ({', '.join(cls.primary_key())}) stands more than once"
         column = cls.columns().get(name)
-        relation = _BROKEN.get(kind, kind.replace("_", " "))
+        relation = _RULES.get(kind, kind.replace("_", " "))
         return f"{name} {relation} {getattr(column, kind, '')}".rstrip()
 
     @classmethod
@@ -141,12 +146,29 @@ class Table(dy.Schema):
         ).head(frame.height)  # of a frame without columns, nulls alone would be a row
 
 
-class LegTable(Table):
-    """A table of legs: an aircraft's flight and a pack name a row, or begin its name."""
+class AircraftTable(Table):
+    """A table of aircraft: operator and tail begin the key."""
 
     operator = operator_key()
     tail = tail_key()
+
+
+class AircraftRows(Table):
+    """A table with operator and tail outside the key."""
+
+    operator = operator_key(primary_key=False)
+    tail = tail_key(primary_key=False)
+
+
+class FlightTable(AircraftTable):
+    """A table of flights: an aircraft's flight begins the key."""
+
     flight_id = flight_key()
+
+
+class LegTable(FlightTable):
+    """A table of legs: an aircraft's flight and a pack are the key, or begin it."""
+
     pack = pack_key()
 
 

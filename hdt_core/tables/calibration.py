@@ -2,7 +2,7 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, count, flag, moment, number, operator_key, tail_key, text
+from hdt_core.tables.base import AircraftTable, Table, column, count, flag, moment, number, text
 
 
 class CalibrationDsm(Table):
@@ -14,19 +14,15 @@ class CalibrationDsm(Table):
 
 
 class CalibrationSchedules(Table):
-    """What the fleet's aircraft hold to, learned from the commissioning window: one set of laws."""
+    """One set of the fleet's laws, learned from the commissioning window."""
 
-    name = text(
-        "legs: what legs are admitted by; controllers: what the witnesses lean on", nullable=False, primary_key=True
-    )
+    name = text("legs: of the leg filter; controllers: of the cross checks", nullable=False, primary_key=True)
     laws = text("the laws as JSON", nullable=False)
 
 
-class CalibrationWindow(Table):
-    """The commissioning window of an aircraft: the flights that the models rest on."""
+class CalibrationWindow(AircraftTable):
+    """The commissioning window of an aircraft: the flights that calibrate its models."""
 
-    operator = operator_key()
-    tail = tail_key()
     n_flights = count("flights in it", "flights")
     from_at = moment("departure of its first flight")
     until_at = moment("departure of its last flight")
@@ -38,7 +34,7 @@ class CalibrationDesign(Table):
     scope = text("fleet, operator or tail", nullable=False)
     operator = text("operator, null above one")
     tail = text("aircraft, null above tail")
-    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack, null above a pack"})
+    pack = column(dy.Int32, "pack, null above a pack", nullable=True)
     component = text("HX or CC", nullable=False)
     parameter = text("name", nullable=False)
     value = number("estimate, in `unit`")

@@ -1,10 +1,10 @@
-"""What is stored of declared components: the tables of every stage, with the component as part of the key."""
+"""Tables of declared components, of every stage, with the component as part of the key."""
 
 from typing import Any
 
 import dataframely as dy
 
-from hdt_core.tables.base import Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import AircraftTable, Table, column, count, flag, moment, number, pack_key, text
 from hdt_core.tables.calibration import CalibrationDesign
 from hdt_core.tables.features import FeaturesAlerts
 from hdt_core.tables.prognosis import Prognoses, PrognosisLives
@@ -26,21 +26,19 @@ def _component(**kw: Any) -> dy.String:
     return text("code of the component", nullable=False, primary_key=kw.pop("primary_key", True), **kw)
 
 
-class _Leg(Table):
+class _Leg(AircraftTable):
     """A flight and pack of a component."""
 
-    operator = operator_key()
-    tail = tail_key()
     flight_id = _flight()
     pack = pack_key()
     component = _component()
 
 
-class ComponentsDeclared(Table):
+class ComponentList(Table):
     """One component of the chain."""
 
     component = _component()
-    name = text("what the night shift calls it", nullable=False)
+    name = text("name in reports and alerts", nullable=False)
     loss = text("health parameter whose growth ends its life", nullable=False)
     lost = text("what it loses", nullable=False)
     message_code = text("the aircraft's own message when it fails")
@@ -66,7 +64,7 @@ class LegsComponents(_Leg):
     admitted = flag("fit to calibrate from")
     reason = text("reason code, empty when admitted", nullable=False)
     n_samples = count("samples on record")
-    n_nominal = count("of these, samples that the model speaks of")
+    n_nominal = count("of these, samples to which the model applies")
 
 
 class CalibrationComponents(CalibrationDesign):
@@ -88,11 +86,11 @@ class ResidualsComponents(Residuals):
 
 
 class FeaturesComponents(_Leg):
-    """What the loss of a declared component shows after a flight: flight, pack, component."""
+    """Loss of a declared component after a flight, with its trends: flight, pack, component."""
 
     departed_at = moment("first recorded time")
-    flight_index = dy.Int64(nullable=False, metadata={"unit": "", "meaning": "the tail's flights, from 0"})
-    flights_seen_of_unit = dy.Int64(nullable=True, metadata={"unit": "", "meaning": "flights of the unit before this"})
+    flight_index = column(dy.Int64, "the tail's flights, from 0")
+    flights_seen_of_unit = column(dy.Int64, "flights of the unit before this", nullable=True)
     loss = number("loss after this flight, from no later one; 0 as built, larger is worse")
     loss_sd = number("standard deviation of it", low=0)
     loss_status = text("how that estimate ended")

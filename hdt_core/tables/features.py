@@ -5,8 +5,8 @@ from typing import Any, cast
 
 import dataframely as dy
 
-from hdt_core.tables.base import DatedLegTable, Table, count, flag, moment, number, operator_key, pack_key, text
-from hdt_core.tables.raw import Signals
+from hdt_core.tables.base import DatedLegTable, Table, column, count, flag, moment, number, operator_key, pack_key, text
+from hdt_core.tables.signals import Signals
 
 HEALTH = {
     "hx_fouling": ("-", "conductance lost by the heat exchanger"),
@@ -34,7 +34,7 @@ _VIRTUAL = {
     "hx_fouling_flight": "conductance lost by this flight alone, its unit's offset still in it",
     "cc_diameter_deficit": "share of the diameter expected by equation (6) that is missing in this flight alone",
 }
-_MODELLED = {
+_MODEL_CHECKS = {
     "hx_in_over_discharge_k": "exchanger inlet above the value by compressor discharge and ram outlet",
     "hx_in_over_pressure_k": "the same where the discharge temperature is not recorded, from the pressure ratio",
     "conductance_off_cruise_ln": "ln of the conductance ratio of climb and descent over that of the cruise",
@@ -137,7 +137,7 @@ def _columns() -> Iterator[tuple[str, dy.Column]]:
     for name, what in _VIRTUAL.items():
         yield _number(name, what)
         yield f"{name}_sd", _col(dy.Float64, _unit(name), "standard deviation of it")
-    yield from (_number(f"w_{name}", what) for name, what in _MODELLED.items())
+    yield from (_number(f"w_{name}", what) for name, what in _MODEL_CHECKS.items())
     yield from _of_sensors()
     yield from _of_cross_checks()
     yield from _of_margin()
@@ -291,21 +291,20 @@ class FeaturesAlerts(Table):
         nullable=True,
     )
     severity = text("low, medium or high, after now_flight_id", nullable=False)
-    evidence = text("when raised: what moved, by how much, since when, and which witnesses spoke", nullable=False)
+    evidence = text("when raised: what moved, by how much, since when, and what corroborates it", nullable=False)
     recommended_action = text("what to do", nullable=False)
     raised_severity = text("low, medium or high when raised", nullable=False)
     now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
     evidence_now = text("the same as evidence, after now_flight_id", nullable=False)
     closed_reason = text(
-        "renewed (another or a repaired part flies), found_clean (an inspection found nothing) or recovered (what was "
-        "believed is no longer seen); null while open"
+        "renewed (another or a repaired part flies), found_clean (an inspection found nothing) or recovered (the "
+        "loss or fault is no longer estimated); null while open"
     )
     follows = text("alert that was found clean, of one that came back because the loss grew on")
-    units_in_90_days = dy.Int64(
+    units_in_90_days = column(
+        dy.Int64,
+        "units of the component on this position in the 90 days before it was raised, its own included; null for "
+        "sensors and doors",
+        "-",
         nullable=True,
-        metadata={
-            "unit": "-",
-            "meaning": "units of the component on this position in the 90 days before it was raised, its own included; "
-            "null for sensors and doors",
-        },
     )

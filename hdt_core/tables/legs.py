@@ -1,28 +1,12 @@
 """Stage legs: which flights and samples are nominal, and why the others are not."""
 
-from hdt_core.tables.base import (
-    DatedLegTable,
-    LegTable,
-    count,
-    flag,
-    flight_key,
-    moment,
-    number,
-    operator_key,
-    pack_key,
-    tail_key,
-    text,
-)
-from hdt_core.tables.raw import Signals
+from hdt_core.tables.base import DatedLegTable, LegTable, count, flag, moment, number, text
+from hdt_core.tables.signals import SampleTable
 
 
-class LegsSamples(Signals):
+class LegsSamples(SampleTable):
     """One usable sample, without values outside a sensor's range: flight, pack, time."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
     time_utc = moment("time of the sample, the middle of an averaged window", primary_key=True)
     source = text("acms or cpl", nullable=False, primary_key=True)
     departed_at = moment("first recorded time of the flight")

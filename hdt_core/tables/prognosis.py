@@ -1,12 +1,12 @@
-"""Stage prognosis: which part, how long, how sure."""
+"""Tables of stage prognosis: models, predictions and lives."""
 
 import dataframely as dy
 
-from hdt_core.tables.base import LegTable, Table, count, flag, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import AircraftTable, LegTable, Table, column, count, flag, moment, number, pack_key, text
 
 
 class PrognosisBase(Table):
-    """What simulated lives teach, before any fleet was seen."""
+    """Prognostic model learned from simulated lives, before any fleet's."""
 
     model_version = text("digest of the base", nullable=False, primary_key=True)
     card = text("model card as JSON", nullable=False)
@@ -14,17 +14,13 @@ class PrognosisBase(Table):
 
 
 class PrognosisModel(Table):
-    """The prognostic model of a month: the base, and what was on record when the month began taught it."""
+    """The prognostic model of a month: the base, corrected by the record as the month began."""
 
-    month = dy.Date(
-        nullable=False,
-        primary_key=True,
-        metadata={"unit": "", "meaning": "first day of the month whose flights it scores"},
-    )
-    model_version = text("digest of the base and of what it was taught", nullable=False)
+    month = column(dy.Date, "first day of the month whose flights it scores", primary_key=True)
+    model_version = text("digest of the base and of what it learned from", nullable=False)
     card = text("model card as JSON; of the newest month with the scores of all flights before it", nullable=False)
     service = text("why it learned, and why its base serves, as JSON", nullable=False)
-    fits = text("what the fleet's lives taught, by component and fold, as JSON", nullable=False)
+    fits = text("corrections learned from the fleet's lives, by component and fold, as JSON", nullable=False)
     training_digest = text(
         "what it learned from, as JSON: base, models of the aircraft, tails, ended lives, flights of each pack",
         nullable=False,
@@ -53,22 +49,16 @@ class Prognoses(LegTable):
     p_event_200 = number("probability of a failure event within the next 200 flights", "-", 0, 1)
     p_event_300 = number("probability of a failure event within the next 300 flights", "-", 0, 1)
     beyond_horizon = flag("rul_flights lies beyond the horizon of 300 flights", nullable=True)
-    model_version = text("model that says so", nullable=False)
+    model_version = text("model of the prediction", nullable=False)
     split = text("out_of_fold or live", nullable=False)
 
 
-class PrognosisLives(Table):
+class PrognosisLives(AircraftTable):
     """One life of a unit, from its first flight on record to the event that ended it, or to the last flight."""
 
-    operator = operator_key()
-    tail = tail_key()
     pack = pack_key()
     component = text("code of the component", nullable=False, primary_key=True)
-    life = dy.Int64(
-        nullable=False,
-        primary_key=True,
-        metadata={"unit": "", "meaning": "number of the unit in that place, 0 where the record begins with it"},
-    )
+    life = column(dy.Int64, "number of the unit in that place, 0 where the record begins with it", primary_key=True)
     ended_by = text(
         "message (one that a replacement answered: a failure), replaced (without one), unheard (replaced, of an "
         "operator that delivers no messages); null while the unit flies"

@@ -3,43 +3,26 @@
 import dataframely as dy
 import polars as pl
 
-from hdt_core.tables.base import Table, count, flag, flight_key, moment, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import (
+    AircraftRows,
+    AircraftTable,
+    FlightTable,
+    Table,
+    column,
+    count,
+    flag,
+    moment,
+    number,
+    operator_key,
+    tail_key,
+    text,
+)
+from hdt_core.tables.signals import SampleTable
 
 
-class Signals(Table):
-    """The recorder's signals in SI, shared by snapshots, logs and samples.
-
-    A spike is a recorded value: no spans here.
-    """
-
-    altitude_m = number("pressure altitude", "m")
-    mach = number("Mach number", "-")
-    tat_k = number("total air temperature (paper Table 3, no. 1)", "K")
-    total_pressure_pa = number("total air pressure (no. 2)", "Pa")
-    hx_in_k = number("heat exchanger hot-side inlet (no. 3)", "K")
-    hx_out_k = number("heat exchanger hot-side exit (no. 4)", "K")
-    ram_door_open = number("ram air inlet door, share open (no. 7)", "-")
-    pack_flow_kg_s = number("pack mass flow (no. 8)", "kg/s")
-    ram_out_k = number("ram air leaving the heat exchanger, where the sensor is fitted", "K")
-    cc_speed_rad_s = number("centrifugal compressor shaft speed", "rad/s")
-    cc_in_k = number("compressor inlet temperature", "K")
-    cc_in_pa = number("compressor inlet pressure", "Pa")
-    cc_out_k = number("compressor exit temperature", "K")
-    cc_out_pa = number("compressor exit pressure", "Pa")
-    cc_flow_kg_s = number("compressor inlet mass flow", "kg/s")
-    vda_counts = number("variable diffuser actuator position", "counts")
-
-
-SIGNALS = list(Signals.columns())
-
-
-class RawSnapshots(Signals):
+class RawSnapshots(SampleTable):
     """One ACMS snapshot: flight, pack, time."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
-    pack = pack_key()
     time_utc = moment("time of the report", primary_key=True)
     source = text("acms or cpl", nullable=False)
     phase_code = text("the recorder's own flight phase, may be wrong")
@@ -52,12 +35,9 @@ class RawLogs(RawSnapshots):
     """One second of a continuous log: flight, pack, time."""
 
 
-class RawFlights(Table):
-    """One flight: what arrived of it."""
+class RawFlights(FlightTable):
+    """One flight on record."""
 
-    operator = operator_key()
-    tail = tail_key()
-    flight_id = flight_key()
     departed_at = moment("first recorded time")
     landed_at = moment("last recorded time")
     source = text("acms, cpl or both", nullable=False)
@@ -68,7 +48,7 @@ class RawFlights(Table):
 
 
 class RawDeliveries(Table):
-    """Where the delivered rows of a file went: file, flight."""
+    """Counts of a file's delivered rows by what became of them: file, flight."""
 
     operator = text("operator of the folder")
     tail = text("tail of the folder")
@@ -77,7 +57,7 @@ class RawDeliveries(Table):
     delivered = count("rows in the file")
     loaded = count("rows stored")
     quarantined = count("rows kept aside with a reason")
-    duplicate = count("rows that another row had said already")
+    duplicate = count("repeats of another row")
 
     @dy.rule()
     def balances(cls) -> pl.Expr:  # noqa: N805, dataframely makes a class method of it
@@ -89,13 +69,10 @@ class RawQuarantine(Table):
     """One rejected file, row or value."""
 
     file = text("file below the landing zone", nullable=False)
-    row = dy.Int64(
-        nullable=True,
-        metadata={"unit": "", "meaning": "line of the file, counted from 1 for the header; null for the whole file"},
-    )
+    row = column(dy.Int64, "line of the file, counted from 1 for the header; null for the whole file", nullable=True)
     column_name = text("column at fault, null where the row or file as a whole is")
     reason = text("reason code", nullable=False)
-    detail = text("what was found, in words")
+    detail = text("description of the fault")
     scope = text(
         "file, row, value (stored as null, its row goes on), result (a computed row) or note (nothing kept out)",
         nullable=False,
@@ -108,23 +85,19 @@ class RawQuarantine(Table):
     content = text("the rejected row as it came, cut short")
 
 
-class RawMessages(Table):
+class RawMessages(AircraftRows):
     """One maintenance message the aircraft raised."""
 
-    operator = operator_key(primary_key=False)
-    tail = tail_key(primary_key=False)
     message_time = moment("time raised")
     flight_id = text("flight it was raised on")
-    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack it names"})
+    pack = column(dy.Int32, "pack it names", nullable=True)
     code = text("message code", nullable=False)
     text = text("message text")
 
 
-class RawReports(Table):
+class RawReports(AircraftRows):
     """Bleed and pack states in the head of one printed ACMS report."""
 
-    operator = operator_key(primary_key=False)
-    tail = tail_key(primary_key=False)
     reported_at = moment("time printed in the head")
     report = text("number of the report", nullable=False)
     altitude_m = number("pressure altitude", "m")
@@ -138,13 +111,11 @@ class RawReports(Table):
     file_version = text("digest of the file and of the layouts it was read by", nullable=False)
 
 
-class RawMaintenance(Table):
+class RawMaintenance(AircraftRows):
     """One piece of work that was done."""
 
-    operator = operator_key(primary_key=False)
-    tail = tail_key(primary_key=False)
-    done_on = dy.Date(nullable=False, metadata={"unit": "UTC", "meaning": "day the log gives, up to some flights late"})
-    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "pack worked on"})
+    done_on = column(dy.Date, "day the log gives, up to some flights late", "UTC")
+    pack = column(dy.Int32, "pack worked on", nullable=True)
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
     action = text("REPLACED, CLEANED, INSPECTED or ADJUSTED", nullable=False)
     finding = text("FOULED, CLOGGED, CORRODED, DAMAGED, NO_FAULT_FOUND or nothing")
@@ -157,24 +128,22 @@ class RawMaintenance(Table):
     closes_alert_id = text("alert that an engineer closed with this finding")
 
 
-class RawChecks(Table):
+class RawChecks(AircraftTable):
     """One check that is planned for an aircraft."""
 
-    operator = operator_key()
-    tail = tail_key()
-    planned_on = dy.Date(nullable=False, primary_key=True, metadata={"unit": "UTC", "meaning": "day of the check"})
+    planned_on = column(dy.Date, "day of the check", "UTC", primary_key=True)
     name = text("what it is called", nullable=False, primary_key=True)
 
 
 class RawCosts(Table):
-    """What one thing costs for a component: component, item."""
+    """Cost of one item for a component: component, item."""
 
     component = text("code of the component", nullable=False, primary_key=True)
     item = text(
         "wash, replace, at_check (either, when it waits for a check) or message", nullable=False, primary_key=True
     )
     cost = number("what it costs, in `currency`", "currency", 0, nullable=False)
-    currency = text("word that costs are told with", nullable=False)
+    currency = text("currency of the costs", nullable=False)
     horizon_days = count("how far ahead is looked where no check is planned", "days")
     source = text("costs.toml of the home, or default: a round figure of ours", nullable=False)
 
@@ -182,12 +151,12 @@ class RawCosts(Table):
 class RawCases(Table):
     """One action of a person on an alert; entries are never changed or removed."""
 
-    line = dy.Int64(nullable=False, primary_key=True, metadata={"unit": "", "meaning": "line of the log, from 1"})
+    line = column(dy.Int64, "line of the log, from 1", primary_key=True)
     at = moment("when")
     alert_id = text("stable name of the case", nullable=False)
     operator = operator_key(primary_key=False)
     tail = tail_key(primary_key=False)
-    pack = dy.Int32(nullable=True, metadata={"unit": "", "meaning": "air-conditioning pack, 1 left, 2 right"})
+    pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right", nullable=True)
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
     diagnosis = text("what the alert says", nullable=False)
     kind = text("acknowledge, assign, mute, watch, unwatch, close or reopen", nullable=False)
@@ -198,18 +167,16 @@ class RawCases(Table):
     finding = text("close: FOULED, CLOGGED, CORRODED, DAMAGED or NO_FAULT_FOUND")
     action = text("close: REPLACED, CLEANED, INSPECTED or ADJUSTED")
     reference = text("close: work order")
-    done_on = dy.Date(nullable=True, metadata={"unit": "UTC", "meaning": "close: day of the work"})
+    done_on = column(dy.Date, "close: day of the work", "UTC", nullable=True)
     done_at = moment("close: its time of day, where it was given", nullable=True)
     severity_then = text("severity of the alert at that moment")
     loss_then = number("loss of its component at that moment")
-    p_event_50_then = number("chance of an event within 50 flights, as told at that moment", "-", 0, 1)
+    p_event_50_then = number("chance of an event within 50 flights at that moment", "-", 0, 1)
 
 
-class RawCoverage(Table):
-    """What can be estimated of one aircraft that has a type: aircraft, parameter."""
+class RawCoverage(AircraftTable):
+    """Whether a parameter can be estimated for an aircraft that has a type: aircraft, parameter."""
 
-    operator = operator_key()
-    tail = tail_key()
     type = text("type of the aircraft, as in fleet.csv", nullable=False)
     component = text("code of the component", nullable=False, primary_key=True)
     parameter = text("health parameter", nullable=False, primary_key=True)
@@ -218,12 +185,10 @@ class RawCoverage(Table):
     why = text("why they are missing, by the type's description")
 
 
-class RawFleet(Table):
+class RawFleet(AircraftTable):
     """One aircraft of the fleet list."""
 
-    operator = operator_key()
-    tail = tail_key()
     msn = text("manufacturer's serial number")
-    delivered_on = dy.Date(nullable=True, metadata={"unit": "UTC", "meaning": "day of delivery"})
-    packs = dy.Int32(nullable=True, metadata={"unit": "-", "meaning": "air-conditioning packs"})
+    delivered_on = column(dy.Date, "day of delivery", "UTC", nullable=True)
+    packs = column(dy.Int32, "air-conditioning packs", "-", nullable=True)
     type = text("type whose description its recordings follow; null where its files are the default record")

@@ -1,18 +1,12 @@
-"""Stage twin: how each pack is now, flight by flight."""
-
-from typing import Any
+"""Tables of stage twin: each pack's health, flight by flight."""
 
 import dataframely as dy
 
-from hdt_core.tables.base import DatedLegTable, Table, flag, number, operator_key, pack_key, tail_key, text
+from hdt_core.tables.base import AircraftTable, DatedLegTable, column, flag, number, pack_key, text
 
 
-def _samples(meaning: str) -> dy.Int32:
-    return dy.Int32(nullable=False, min=0, metadata={"unit": "-", "meaning": meaning})
-
-
-def _key(meaning: str, **kw: Any) -> dy.Int64:
-    return dy.Int64(nullable=False, primary_key=kw.pop("primary_key", True), metadata={"unit": "-", "meaning": meaning})
+def _samples(meaning: str) -> dy.Column:
+    return column(dy.Int32, meaning, "-", min=0)
 
 
 def _numbers(meaning: str) -> dy.List:
@@ -50,7 +44,7 @@ class TwinFlights(DatedLegTable):
     flows_apart_ln = number("ln of pack flow over compressor flow, as recorded")
     tat_apart_k = number("TAT above the compressor's inlet temperature, as recorded", "K")
     exit_apart_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
-    inlet_apart_k = number("exchanger inlet above what compressor discharge and both flows ask for", "K")
+    inlet_apart_k = number("exchanger inlet above that by compressor discharge and both flows", "K")
     door_apart_ln = number("ln_ua_ratio of climb and descent above that of the cruise")
     cc_n_samples = _samples("cruise samples behind the compressor's estimates")
     diameter_m = number("effective diameter, equation (5)", "m", low=0)
@@ -82,19 +76,19 @@ class TwinHealth(DatedLegTable):
     estimator = text("method", nullable=False)
 
 
-class TwinCheckpoints(Table):
+class TwinCheckpoints(AircraftTable):
     """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
-    operator = operator_key()
-    tail = tail_key()
     pack = pack_key()
-    chapter = _key("chapter of the pack's flights, from 1; the first needs no checkpoint")
-    seen = text("hash of the flights before the chapter and of all else the checkpoint rests on", nullable=False)
-    history = _key("number of the hypothesis within the checkpoint")
+    chapter = column(
+        dy.Int64, "chapter of the pack's flights, from 1; the first needs no checkpoint", "-", primary_key=True
+    )
+    seen = text("hash of the flights before the chapter and of the checkpoint's other inputs", nullable=False)
+    history = column(dy.Int64, "number of the hypothesis within the checkpoint", "-", primary_key=True)
     log_weight = number("ln of its probability", nullable=False)
     mean = _numbers("wear [-], its rate [1/flight], offsets of sensors and unit [-], what is not the core's [-]")
     cov = _numbers("covariance of these five, row by row")
-    pace = _key("way to wear, an index of `PACES`", primary_key=False)
-    since = _key("flights since the core was renewed or washed", primary_key=False)
-    unlogged = flag("no entry of the log has spoken of that renewal yet")
-    faulty = flag("something else than the core is wrong")
+    pace = column(dy.Int64, "class of wear, an index of `PACES`", "-")
+    since = column(dy.Int64, "flights since the core was renewed or washed", "-")
+    unlogged = flag("no entry of the log has named that renewal yet")
+    faulty = flag("a fault that is not the core's")

@@ -22,7 +22,7 @@ from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settin
 
 LEAST_STEPS = 8
 """Steps between flights from which their scatter is estimated."""
-SUDDEN, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
+SUDDEN_LOSS, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
 """Sudden losses are of any size, and with no second sensor a step is rather the part's than a fault's."""
 UNKNOWN_SD = 0.3
 """Of a design without a declared prior, about the calibrated one. [ln loss]"""
@@ -155,7 +155,7 @@ def wear_settings(component: Component, param: Param, offset: DesignOffset) -> t
     unit_sd = (UNIT_SD if param.unit_sd is None else param.unit_sd) / size
     walk, entries = param.drift / size or WEAR_STEP, _entries(component.new_share)
     return size, Settings(
-        0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN, FAULT_CHANCE, OFFSET_BIN, entries
+        0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN_LOSS, FAULT_CHANCE, OFFSET_BIN, entries
     )
 
 

@@ -188,7 +188,7 @@ def pack_models(
         yield model, bool((rows["n_flights"] == 0).all()), own
 
 
-def _design_offset(samples: pl.DataFrame, calibrated: PhysicsModel, component: Component) -> DesignOffset:
+def _design_offset(samples: pl.DataFrame, model: PhysicsModel, component: Component) -> DesignOffset:
     """Estimate the declared design's offset from a pack's calibrated one by the wear of the first flights with each."""
     if design_prior(component.model) is None:
         return DesignOffset()
@@ -197,13 +197,13 @@ def _design_offset(samples: pl.DataFrame, calibrated: PhysicsModel, component: C
     first_samples = samples.join(first, on=LEG, how="semi")
 
     def wear(design: Mapping[str, float]) -> Array:
-        params = tuple(wide if p.name == loss.name else p for p in calibrated.calibrated(design).params)
-        losses = flight_by_flight(first_samples, replace(calibrated, params=params), [loss.name])[loss.name].to_numpy()
+        params = tuple(wide if p.name == loss.name else p for p in model.calibrated(design).params)
+        losses = flight_by_flight(first_samples, replace(model, params=params), [loss.name])[loss.name].to_numpy()
         return wear_of(losses, losses, loss)[0]
 
-    design, calibrated_wear = calibrated.free("design"), wear({})
-    shifts = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - calibrated_wear) for p in design]
-    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - calibrated_wear)
+    design, usual_wear = model.free("design"), wear({})
+    shifts = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - usual_wear) for p in design]
+    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - usual_wear)
     return DesignOffset(float(shift), float(np.linalg.norm(shifts)))
 
 

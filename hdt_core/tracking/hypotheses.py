@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.records.renewals import NOTHING, REPLACED, WASHED
+from hdt_core.records.renewals import NOTHING, REPLACEMENT, WASH
 from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, SENSORS, UNIT, WEAR, Observation, Settings
 
 LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01
@@ -139,8 +139,8 @@ def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypothe
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():
         return b
-    washes = _wash(b.at(acts & (flight.log_due == WASHED)), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    return join([b.at(~acts), washes, *_renew(b.at(acts & (flight.log_due == REPLACED)), settings)])
+    washes = _wash(b.at(acts & (flight.log_due == WASH)), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    return join([b.at(~acts), washes, *_renew(b.at(acts & (flight.log_due == REPLACEMENT)), settings)])
 
 
 def branch_on_surprise(
@@ -149,10 +149,10 @@ def branch_on_surprise(
     """Branch for a surprising flight, or for one on whose day the log names a wash or a new core."""
     is_below, is_above = is_surprising & (residual < 0.0), is_surprising & (residual > 0.0)
     is_without_entry = is_above & (log_entry == NOTHING)
-    wash = _wash(b.at(log_entry == WASHED), WASH_LEAVES, WASH_LEAVES_SD, settings)
+    wash = _wash(b.at(log_entry == WASH), WASH_LEAVES, WASH_LEAVES_SD, settings)
     unlogged_units = (u._replace(unlogged=u.pack >= 0) for u in _renew(b.at(is_without_entry), settings))
     return [
-        *(_chance(unit, RENEWAL_LOGGED * LOG_LATE) for unit in _renew(b.at(log_entry == REPLACED), settings)),
+        *(_chance(unit, RENEWAL_LOGGED * LOG_LATE) for unit in _renew(b.at(log_entry == REPLACEMENT), settings)),
         _chance(wash, RENEWAL_LOGGED * LOG_LATE),
         *(_chance(unit, RENEWAL_UNLOGGED) for unit in unlogged_units),
         _chance(_wash(b.at(is_without_entry), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),

@@ -128,6 +128,6 @@ def _follow_difference(
     return shift
 
 
-def _explains(expected: float, change: float) -> bool:
-    """Whether a sensor's error explains a change: of the conductance, or of the confirming difference."""
-    return bool(isfinite(change) and expected != 0.0 and SHARE_LOW < change / expected < SHARE_HIGH)
+def _explains(effect: float, change: float) -> bool:
+    """Whether a sensor error's effect explains a change, of the conductance or of the confirming difference."""
+    return bool(isfinite(change) and effect != 0.0 and SHARE_LOW < change / effect < SHARE_HIGH)

@@ -4,7 +4,7 @@ For any declared model. The fleet uses the closed form of `calibration.flight_es
 which gives the same estimates.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
@@ -40,8 +40,8 @@ def flight_by_flight(
     estimator : Estimator, optional
         Nonlinear least squares, the paper's, where not given.
     warm : bool
-        Start each flight from the estimate of the pack's flight before; the first, and without it every one, from the
-        middle of the declared bounds. It is a start and no prior.
+        Start each flight from the pack's last estimate that converged; otherwise from the middle of the declared
+        bounds. It is a start and no prior.
 
     Returns
     -------
@@ -51,15 +51,22 @@ def flight_by_flight(
     """
     outputs = recorded_outputs(model, samples) if outputs is None else outputs
     order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
-    recorded = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
-    recorded = recorded.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
+    complete = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
+    complete = complete.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
     solve = NonlinearLeastSquares() if estimator is None else estimator
-    rows = [
-        row
-        for _, pack in recorded.group_by(PACK, maintain_order=True)
-        for row in _one_pack(pack, model, free, outputs=outputs, estimator=solve, warm=warm)
-    ]
-    schema = {c: recorded.schema[c] for c in (*FLIGHT_PACK, "departed_at")}
+    rows = []
+    for _, pack in complete.group_by(PACK, maintain_order=True):
+        start = np.array([model.param(name).bounds for name in free]).mean(axis=1)
+        for _, flight in pack.group_by("flight_id", maintain_order=True):
+            if flight.height < MIN_SAMPLES:
+                continue
+            estimate = solve.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
+            if warm and estimate.status == "converged":
+                start = estimate.belief.mean
+            posterior = (*estimate.belief.mean.tolist(), *estimate.belief.sd.tolist())
+            key = flight.select(*FLIGHT_PACK, "departed_at").row(0)
+            rows.append((*key, *posterior, estimate.status, estimate.n_evals))
+    schema = {c: complete.schema[c] for c in (*FLIGHT_PACK, "departed_at")}
     schema |= dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
     return pl.DataFrame(rows, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")
 
@@ -73,12 +80,12 @@ def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
         There is none.
     """
     sensors = [s.name for s in model.outputs if s.sigma is not None]
-    recorded = [name for name in sensors if name in samples.columns]
-    if not recorded:
+    outputs = [name for name in sensors if name in samples.columns]
+    if not outputs:
         raise ValueError(
             f"{model.name}: the samples hold no column of {', '.join(sensors) or 'an output with a sigma'}"
         )
-    return recorded
+    return outputs
 
 
 def samples_problem(
@@ -89,28 +96,5 @@ def samples_problem(
     prior: Belief | None = None,
 ) -> Problem:
     """Build the estimation problem of `samples`."""
-    inputs, measured = (
-        {c: samples[c].to_numpy() for c in names} for names in ([s.name for s in model.inputs], outputs)
-    )
-    return declared_problem(model, free, inputs, measured, prior=prior)
-
-
-def _one_pack(
-    pack: pl.DataFrame,
-    model: PhysicsModel,
-    free: Sequence[str],
-    *,
-    outputs: Sequence[str],
-    estimator: Estimator,
-    warm: bool,
-) -> Iterator[tuple[object, ...]]:
-    bounds = {p.name: p.bounds for p in model.params}
-    first = start = np.array([bounds[name] for name in free]).mean(axis=1)
-    for _, flight in pack.group_by("flight_id", maintain_order=True):
-        if flight.height < MIN_SAMPLES:
-            continue
-        estimate = estimator.estimate(samples_problem(flight, model, free, outputs, unknown(start)))
-        # a flight without convergence gives no start
-        start = estimate.belief.mean if warm and estimate.status == "converged" else first if not warm else start
-        posterior = (*estimate.belief.mean.tolist(), *estimate.belief.sd.tolist())
-        yield *flight.select(*FLIGHT_PACK, "departed_at").row(0), *posterior, estimate.status, estimate.n_evals
+    inputs = {s.name: samples[s.name].to_numpy() for s in model.inputs}
+    return declared_problem(model, free, inputs, {name: samples[name].to_numpy() for name in outputs}, prior=prior)

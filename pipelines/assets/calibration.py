@@ -15,7 +15,7 @@ from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.margin.control_schedules import learn_schedules
 from hdt_core.records.keys import LEG
 from hdt_core.records.packs import of_each_aircraft
-from hdt_core.tables.raw import SIGNALS
+from hdt_core.tables.signals import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.plots import calibration_metadata

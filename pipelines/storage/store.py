@@ -100,7 +100,7 @@ class Store:
 
         def with_unique_keys(shards: StoredShards) -> Iterator[tuple[str, pl.DataFrame | None]]:
             for shard, frame in change(shards):
-                if frame is not None and (twice := TABLES[table].doubled(frame)).height:
+                if frame is not None and (twice := TABLES[table].repeated_keys(frame)).height:
                     first = ", ".join(f"{value}" for value in twice.row(0))
                     raise StoreError(f"{table}: {shard} would hold {twice.height} keys more than once, such as {first}")
                 yield shard, frame

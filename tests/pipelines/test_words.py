@@ -11,7 +11,7 @@ from babel.messages.pofile import read_po
 
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.alerts.signatures import CHANNELS
-from hdt_core.tables.raw import Signals
+from hdt_core.tables.signals import Signals
 from pipelines import translations, words
 from pipelines.report.explain import explain
 from pipelines.storage.catalog import connect

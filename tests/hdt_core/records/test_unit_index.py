@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.features import since_maintenance
 from hdt_core.prognosis.unit_lives import episodes, installations
-from hdt_core.records.renewals import REPLACED, log_flags
+from hdt_core.records.renewals import REPLACEMENT, log_flags
 from hdt_core.records.unit_index import date_entries, first_flights, number_units
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
@@ -80,7 +80,7 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     return {
         "records": numbered.filter(pl.col("unit").diff() > 0)["flight_id"].to_list(),
         "features": life.filter(pl.col("hx_life").diff() > 0)["flight_id"].to_list(),
-        "twin": ids.filter(pl.Series(due == REPLACED))[0 if due[0] == 0 else 1 :].to_list(),
+        "twin": ids.filter(pl.Series(due == REPLACEMENT))[0 if due[0] == 0 else 1 :].to_list(),
         "alerts": ids.filter(pl.Series(ends))[0 if not ends[0] else 1 :].to_list(),
         "prognosis": [i for k, i in enumerate(ids) if k > 0 and k in installed],
     }
