@@ -114,7 +114,7 @@ def _posterior(
     total = 1.0 / (operator_var + tau_operator**2)
     fleet_var = 1.0 / total.sum()
     fleet = fleet_var * (total * operator_mean).sum()
-    share = np.where(weight > 0.0, tau_operator**2 * total, 0.0)
+    share = tau_operator**2 * total
     operators = fleet + share * (operator_mean - fleet)
     operators_var = (1.0 - share) * tau_operator**2 + (1.0 - share) ** 2 * fleet_var
     gain = np.where(is_known, tau_pack**2 / (np.where(is_known, error_sd, 1.0) ** 2 + tau_pack**2), 0.0)

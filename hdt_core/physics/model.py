@@ -65,6 +65,11 @@ class Param:
         if self.role == "health" and (self.nominal < 0.0 or low >= 0.0):
             raise ValueError(f"{self.name}: a loss is 0 or more as declared, and its lower bound lies below 0")
 
+    @property
+    def is_share(self) -> bool:
+        """Whether it is a share that can't reach 1, so that its wear, -ln(1 - loss), is finite."""
+        return self.bounds[1] < 1.0
+
     def with_sd(self, *, sd: float) -> "Param":
         """Return the parameter with a prior standard deviation."""
         return replace(self, sd=sd)

@@ -140,7 +140,7 @@ def _track(
     begin = np.zeros(panel.row.shape[1], dtype=np.int64)
     level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).tracks[:2]
     value, value_sd = size * level, size * level_sd
-    if param.bounds[1] < 1.0:
+    if param.is_share:
         value, value_sd = loss_of(value, value_sd)
     status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     return health_rows(flights, (component.code, param.name, param.unit, FILTERED), value, value_sd, status)
@@ -171,7 +171,7 @@ def _wear_at_failure(component: Component, param: Param) -> float:
 
 def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
     """Convert a loss and its sd to wear, -ln(1 - loss), and its sd; a loss that can exceed 1 stays as it is."""
-    return (-np.log1p(-loss), sd / (1.0 - loss)) if param.bounds[1] < 1.0 else (loss, sd)
+    return (-np.log1p(-loss), sd / (1.0 - loss)) if param.is_share else (loss, sd)
 
 
 def _scatter(flights: pl.DataFrame, wear: Array, sd: Array) -> Array:
@@ -181,4 +181,4 @@ def _scatter(flights: pl.DataFrame, wear: Array, sd: Array) -> Array:
     own_var = pl.col("var").filter(pl.col("wear").is_not_null()).mean()
     excess_var = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - own_var
     pack_var = pl.when(steps.len() > LEAST_STEPS).then(excess_var)
-    return frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt())[:, 0].to_numpy()
+    return frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt()).to_series().to_numpy()

@@ -231,7 +231,7 @@ def health_by_prior(flights: pl.DataFrame, design_sd: float, component: Componen
     rows = []
     for param in component.model.free("health"):
         loss, sd = flights.select(param.name, f"{param.name}_sd").to_numpy().astype(float).T
-        shared_sd = (1.0 - loss) * np.expm1(-design_sd) if param.bounds[1] < 1.0 else design_sd
+        shared_sd = (1.0 - loss) * np.expm1(-design_sd) if param.is_share else design_sd
         weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + shared_sd**2)
         weight = np.nan_to_num(np.where(flights["status"].is_in(WITHOUT_ESTIMATE), 0.0, weight))
         value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)

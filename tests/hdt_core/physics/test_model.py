@@ -142,6 +142,11 @@ def test_roles_divide_the_parameters():
     assert COMPRESSOR.bounds("health").shape == (2, 2)
 
 
+@pytest.mark.parametrize(("upper", "is_share"), [(0.999, True), (1.0, False), (1.1, False)])
+def test_a_share_can_not_reach_one(upper, is_share):
+    assert Param("loss", "-", 0.0, (-0.1, upper), "health").is_share is is_share
+
+
 def test_calibrated_model_differs_in_nothing_but_the_value():
     sold = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1800.0})
     assert sold.nominal == {**HEAT_EXCHANGER.nominal, "hx_ua_reference_w_k": 1800.0}
