@@ -111,13 +111,13 @@ def _posterior(
     with np.errstate(divide="ignore", invalid="ignore"):
         operator_mean = np.where(weight > 0.0, np.bincount(group, y / variance, n) / weight, 0.0)
         operator_var = np.where(weight > 0.0, 1.0 / weight, np.inf)
+        gain = np.where(is_known, tau_pack**2 / (error_sd**2 + tau_pack**2), 0.0)
     total = 1.0 / (operator_var + tau_operator**2)
     fleet_var = 1.0 / total.sum()
     fleet = fleet_var * (total * operator_mean).sum()
     share = tau_operator**2 * total
     operators = fleet + share * (operator_mean - fleet)
     operators_var = (1.0 - share) * tau_operator**2 + (1.0 - share) ** 2 * fleet_var
-    gain = np.where(is_known, tau_pack**2 / (np.where(is_known, error_sd, 1.0) ** 2 + tau_pack**2), 0.0)
     packs = operators[operator] + gain * (np.where(is_known, value, 0.0) - operators[operator])
     packs_var = (1.0 - gain) * tau_pack**2 + (1.0 - gain) ** 2 * operators_var[operator]
     within_groups = (np.log(variance) + (y - operator_mean[group]) ** 2 / variance).sum()
