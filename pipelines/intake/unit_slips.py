@@ -7,7 +7,7 @@ its values are stored, and assessed by flight later. A Mach number in knots is o
 values are rejected and the rows stored.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -32,9 +32,9 @@ KNOT_M_S = 1852 / 3600
 SEA_LEVEL_PA, SEA_LEVEL_SOUND_M_S = 101_325.0, 340.294
 
 Columns = Mapping[str, Array]
+"""Recorded name: values in the recorded unit, NaN where missing."""
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-"""Recorded name: values in the recorded unit, NaN where missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,26 @@ class Change:
             return {**columns, **{name: correct(columns) for name, correct in self.corrections.items()}}
 
 
-def _unit(unit: str, names: tuple[str, ...], scale: float, offset: float = 0.0, reason: str = "wrong_unit") -> Change:
-    def to_agreed_unit(name: str) -> Callable[[Columns], Array]:
-        return lambda c: c[name] * scale + offset
+class Unit(NamedTuple):
+    """A unit that a column may be in: scale and offset to the agreed one."""
 
-    shifts = offset != 0.0 and scale != 1.0
-    return Change(reason, f"It fits {unit}.", {name: to_agreed_unit(name) for name in names}, shifts)
+    name: str
+    scale: float
+    offset: float = 0.0
+    reason: str = "wrong_unit"
+
+
+def _unit(unit: Unit, names: Iterable[str], lows: Mapping[str, float] | None = None) -> Change:
+    """Make the change from another unit; with `lows` only of columns that read as that unit, from there on."""
+
+    def to_agreed_unit(name: str) -> Callable[[Columns], Array]:
+        low = lows[name] if lows else -np.inf
+        return lambda c: np.where(c[name] >= low, c[name] * unit.scale + unit.offset, c[name])
+
+    corrections = {name: to_agreed_unit(name) for name in names}
+    if lows:
+        return Change(unit.reason, "", corrections, lows=lows)
+    return Change(unit.reason, f"It fits {unit.name}.", corrections, unit.offset != 0.0 and unit.scale != 1.0)
 
 
 def _swap(one: str, other: str) -> Change:
@@ -72,24 +86,20 @@ def _column(name: str) -> Callable[[Columns], Array]:
 
 
 _CELSIUS, _PSI, _POUNDS = (tuple(n for n in SIGNAL_NAMES if n.endswith(e)) for e in ("_degc", "_psia", "_lbpm"))
-_UNITS: dict[tuple[str, ...], tuple[tuple[str, float, float, str], ...]] = {
-    _CELSIUS: (("°F", 1 / 1.8, -32 / 1.8, "wrong_unit"), ("K", 1.0, -ZERO_CELSIUS_K, "unit_kelvin")),
+_UNITS: dict[tuple[str, ...], tuple[Unit, ...]] = {
+    _CELSIUS: (Unit("°F", 1 / 1.8, -32 / 1.8), Unit("K", 1.0, -ZERO_CELSIUS_K, "unit_kelvin")),
     _PSI: (
-        ("kPa", 1e3 / PSI_PA, 0.0, "unit_kpa"),
-        ("hPa", 1e2 / PSI_PA, 0.0, "wrong_unit"),
-        ("bar", 1e5 / PSI_PA, 0.0, "wrong_unit"),
-        ("inHg", 3386.389 / PSI_PA, 0.0, "wrong_unit"),
+        Unit("kPa", 1e3 / PSI_PA, reason="unit_kpa"),
+        Unit("hPa", 1e2 / PSI_PA),
+        Unit("bar", 1e5 / PSI_PA),
+        Unit("inHg", 3386.389 / PSI_PA),
     ),
-    _POUNDS: (
-        ("kg/min", 1 / POUND_KG, 0.0, "wrong_unit"),
-        ("kg/s", 60 / POUND_KG, 0.0, "unit_kg_s"),
-        ("lb/s", 60.0, 0.0, "wrong_unit"),
-    ),
-    ("cc_speed_rpm",): (("rad/s", 30 / np.pi, 0.0, "wrong_unit"), ("Hz", 60.0, 0.0, "wrong_unit")),
-    ("altitude_ft",): (("m", 1 / 0.3048, 0.0, "wrong_unit"), ("flight levels", 100.0, 0.0, "wrong_unit")),
-    ("ram_door_pct",): (("a fraction of 1", 100.0, 0.0, "wrong_unit"),),
+    _POUNDS: (Unit("kg/min", 1 / POUND_KG), Unit("kg/s", 60 / POUND_KG, reason="unit_kg_s"), Unit("lb/s", 60.0)),
+    ("cc_speed_rpm",): (Unit("rad/s", 30 / np.pi), Unit("Hz", 60.0)),
+    ("altitude_ft",): (Unit("m", 1 / 0.3048), Unit("flight levels", 100.0)),
+    ("ram_door_pct",): (Unit("a fraction of 1", 100.0),),
 }
-"""Columns of one unit, and for each other unit its name, and scale and offset to the agreed unit."""
+"""Other units of the columns that share one."""
 _WITH_PARTNER = frozenset(("tat_degc", "cc_in_degc", "cc_out_degc"))
 _SWAPS = (
     ("hx_in_degc", "hx_out_degc"),
@@ -124,32 +134,21 @@ _KNOTS = tuple(
     Change(OUTSIDE, "It fits knots.", {"mach": to_mach})
     for to_mach in (_mach_of_true_airspeed, _mach_of_calibrated_airspeed, _mach_of_sea_level)
 )
-_HIGH_UNITS = {"unit_kelvin": (1.0, -ZERO_CELSIUS_K), "unit_kpa": (1e3 / PSI_PA, 0.0)}
-"""Scale and offset of units in which a column reads higher than any air in a pack."""
-
-
-def _partial_change(reason: str) -> Change:
-    """Make the change of only those columns that read as the unit."""
-    scale, offset = _HIGH_UNITS[reason]
-    highest = {c.name: (HIGHEST[c.si_name] - c.offset) / c.scale for c in SIGNAL_COLUMNS if c.si_name in HIGHEST}
-    lows = {name: low for name, low in highest.items() if name in (_CELSIUS if offset else _PSI)}
-
-    def to_agreed_unit(name: str) -> Callable[[Columns], Array]:
-        return lambda c: np.where(c[name] >= lows[name], c[name] * scale + offset, c[name])
-
-    return Change(reason, "", {name: to_agreed_unit(name) for name in lows}, lows=lows)
+_LOWS = {c.name: (HIGHEST[c.si_name] - c.offset) / c.scale for c in SIGNAL_COLUMNS if c.si_name in HIGHEST}
+"""Values that no air in a pack reaches in the agreed unit, and any does in kelvin and kPa."""
 
 
 def _changes() -> Iterator[Change]:
     """Yield all changes to try, those of few columns first."""
+    pairs = [(unit, names) for names, units in _UNITS.items() for unit in units]
     yield from _KNOTS
-    for names, units in _UNITS.items():
-        for unit in units:
-            yield from (_unit(unit[0], (name,), *unit[1:]) for name in names)
+    yield from (_unit(unit, (name,)) for unit, names in pairs for name in names)
     yield from (_swap(*pair) for pair in _SWAPS)
-    for names, units in _UNITS.items():
-        yield from (_unit(unit[0], names, *unit[1:]) for unit in units if len(names) > 1)
-    yield from map(_partial_change, _HIGH_UNITS)
+    yield from (_unit(unit, names) for unit, names in pairs if len(names) > 1)
+    for unit, names in pairs:
+        if unit.reason in ("unit_kelvin", "unit_kpa"):
+            lows = {name: low for name, low in _LOWS.items() if name in names}
+            yield _unit(unit, lows, lows)
 
 
 CHANGES = tuple(_changes())
