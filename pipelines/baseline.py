@@ -10,9 +10,9 @@ from pipelines.storage.store import Store
 
 def baseline_cells(ledger: Ledger) -> pl.DataFrame:
     """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
-    done = ledger.cells("legs_samples")
-    chosen = baseline_flights(done.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
-    return done.filter(pl.col("flight_id").is_in(chosen))
+    cells = ledger.cells("legs_samples")
+    flights = baseline_flights(cells.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
+    return cells.filter(pl.col("flight_id").is_in(flights))
 
 
 def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:

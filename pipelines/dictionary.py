@@ -32,15 +32,15 @@ _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', t
 
 def dictionary() -> str:
     """Build the page."""
-    explained: dict[str, set[tuple[str, str]]] = {}
+    sections: dict[str, set[tuple[str, str]]] = {}
     parts = [
         _TITLE,
         "## Views\n",
-        *_views(explained),
+        *_views(sections),
         "## Tables\n",
-        *_tables(explained),
+        *_tables(sections),
         "## What a later night may change\n",
-        *_revised(),
+        *_revisions(),
     ]
     return "\n".join(parts).rstrip() + "\n"
 
@@ -50,15 +50,15 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     with tempfile.TemporaryDirectory() as home:
         publish(Path(home))
         with connect(Path(home)) as con:
-            described = {v: con.sql(f"describe {v}").fetchall() for v, _ in order_views(views())}
+            descriptions = {v: con.sql(f"describe {v}").fetchall() for v, _ in order_views(views())}
     headers = {name: read_header(sql) for name, sql in views().items()}
     return {
         view: [(str(row[0]), str(row[1]).lower(), find_meaning(view, str(row[0]), headers)) for row in rows]
-        for view, rows in described.items()
+        for view, rows in descriptions.items()
     }
 
 
-def _views(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
+def _views(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
     columns = view_columns()
     parts = []
     for name, sql in sorted(views().items()):
@@ -66,11 +66,11 @@ def _views(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
         notes = f" {header.notes}" if header.notes else ""
         parts.append(f"### {name}\n\n{header.question}{notes}\n")
         parts.append(f"Grain: {header.grain}.\n")
-        parts.append(_columns(name, columns[name], explained))
+        parts.append(_columns(name, columns[name], sections))
     return parts
 
 
-def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
+def _tables(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
     parts = []
     for name, entry in TABLES.items():
         parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()}\n")
@@ -82,28 +82,28 @@ def _tables(explained: dict[str, set[tuple[str, str]]]) -> list[str]:
             )
             for column, c in entry.schema.columns().items()
         ]
-        parts.append(_columns(f"tables.{name}", rows, explained))
+        parts.append(_columns(f"tables.{name}", rows, sections))
     return parts
 
 
-def _columns(section: str, rows: Sequence[tuple[str, str, str]], explained: dict[str, set[tuple[str, str]]]) -> str:
+def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[str, set[tuple[str, str]]]) -> str:
     """Write a line for each column that no section above explains in the same words, and the names of the others.
 
     Neighbouring columns that differ by a number share a line, with the words of the first.
     """
     present = {(name, meaning) for name, _, meaning in rows}
-    explained_before = set().union(*explained.values())
-    included = max((s for s in explained if explained[s] <= present), key=lambda s: len(explained[s]), default="")
-    new_rows = [row for row in rows if (row[0], row[2]) not in explained_before]
+    columns_above = set().union(*sections.values())
+    subset = max((s for s in sections if sections[s] <= present), key=lambda s: len(sections[s]), default="")
+    new_rows = [row for row in rows if (row[0], row[2]) not in columns_above]
     families = [list(group) for _, group in groupby(new_rows, key=_family)]
     lines = [
         f"- {', '.join(f'`{name}`' for name, _, _ in group)} ({_type(group[0][1])}): {group[0][2].removesuffix(' [-]')}"
         for group in families
     ]
-    by_name = explained_before - explained.get(included, set())
-    names = [f"all of `{included}`"] * bool(included)
+    by_name = columns_above - sections.get(subset, set())
+    names = [f"all of `{subset}`"] * bool(subset)
     names += [f"`{name}`" for name, _, meaning in rows if (name, meaning) in by_name]
-    explained[section] = present
+    sections[section] = present
     return "\n".join([*lines, *([f"- As above: {', '.join(names)}"] if names else [])]) + "\n"
 
 
@@ -118,7 +118,7 @@ def _type(kind: str) -> str:
     return _TYPES.get(kind.lower(), kind.lower())
 
 
-def _revised() -> list[str]:
+def _revisions() -> list[str]:
     """List what later nights may change."""
     rows = [(", ".join(f"`{t}`" for t in r.tables), ", ".join(f"`{n}`" for n in r.names), r.why) for r in REVISIONS]
     return [f"{hindsight.__doc__}\n{DESIGN}\n", _table(("table or view", "column or parameter", "why"), rows)]

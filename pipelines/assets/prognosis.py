@@ -14,7 +14,7 @@ from hdt_core.prognosis.training_digest import read_digest
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
-from pipelines.learned import loaded, shipped_base, shipped_bytes
+from pipelines.learned import load_base, shipped_base, shipped_bytes
 from pipelines.lineage import LINEAGE, UPSTREAM
 from pipelines.report.pictures import PICTURE_FEATURES, night_pictures
 from pipelines.resources import Home
@@ -47,7 +47,7 @@ def prognosis(
     # margins have a table of their own, for they would be a fifth of the features
     features = health.join(margins, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
     stored = home.store.read_table("prognosis_model").sort("month")
-    candidate, in_service = loaded(prognosis_base["model"][0]), _model_in_service(stored, home.store)
+    candidate, in_service = load_base(prognosis_base["model"][0]), _model_in_service(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
     pictures = night_pictures(features, update.prognoses, raw_maintenance)
@@ -71,7 +71,7 @@ def _model_in_service(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
     """Read the model in service; None without one, or with one that has no months."""
     if not stored.height or stored["month"].has_nulls():
         return None
-    base = loaded(stored["model"][-1])
+    base = load_base(stored["model"][-1])
     months = {
         row["month"]: MonthModel(
             with_fits(base, json.loads(row["fits"])),

@@ -70,15 +70,15 @@ def compare(before: State, now: State) -> Digest:
     changes = {
         "new": [row for name, row in now["alerts"].items() if name not in before["alerts"]],
         "worse": [row | {"was": was} for was, row in pairs if _weight(row) > _weight(was)],
-        "closed": [_closed(was, now) for name, was in before["alerts"].items() if name not in now["alerts"]],
+        "closed": [_closing(was, now) for name, was in before["alerts"].items() if name not in now["alerts"]],
         "moved": list(_moved_outlooks(before["outlook"], now["outlook"])),
         "eased": [row | {"was": was} for was, row in pairs if _weight(row) < _weight(was)],
         "silent": [row for name, row in now["silent"].items() if name not in before["silent"]],
         "gap": [row for name, row in now["gaps"].items() if name not in before["gaps"]],
         "refused": [row for name, row in now["files"].items() if before["files"].get(name) != row],
     }
-    ordered = {kind: sorted(rows, key=_order) for kind in KINDS if (rows := changes[kind])}
-    return Digest(before["until"], now["until"], ordered)
+    in_order = {kind: sorted(rows, key=_order) for kind in KINDS if (rows := changes[kind])}
+    return Digest(before["until"], now["until"], in_order)
 
 
 def _weight(alert: Row) -> tuple[int, int]:
@@ -93,7 +93,7 @@ def _order(row: Row) -> tuple[Any, ...]:
     )
 
 
-def _closed(was: Row, now: State) -> Row:
+def _closing(was: Row, now: State) -> Row:
     """Return a closed alert's row; an alert that is no longer stored was withdrawn."""
     row = now["closed"].get(was["alert_id"], was | {"closed_on": None, "outcome": "withdrawn"})
     return dict(row) | {"was": was}
@@ -105,7 +105,7 @@ def _moved_outlooks(before: dict[str, Row], now: dict[str, Row]) -> Iterable[Row
         was = before.get(name)
         if was is None or was["life"] != row["life"]:
             continue
-        flown = max(row["n_flights"] - was["n_flights"], 0)
-        middle = min(row["rul_flights"] + flown, HORIZON)
+        n_flown = max(row["n_flights"] - was["n_flights"], 0)
+        middle = min(row["rul_flights"] + n_flown, HORIZON)
         if middle < was["rul_low"] or (middle > was["rul_high"] and was["rul_high"] < HORIZON):
-            yield row | {"was": was, "flown": flown}
+            yield row | {"was": was, "flown": n_flown}

@@ -43,14 +43,14 @@ class Receiver:
         return value
 
 
-NEEDED = object()
+NO_DEFAULT = object()
 KINDS: dict[str, dict[str, Any]] = {
     "mail": {
-        "host": NEEDED, "port": 587, "security": "starttls", "from": NEEDED, "to": [], "user_env": "",
+        "host": NO_DEFAULT, "port": 587, "security": "starttls", "from": NO_DEFAULT, "to": [], "user_env": "",
         "password_env": "", "ca_file": "",
     },
     "webhook": {"url": "", "url_env": ""},
-    "file": {"folder": NEEDED},
+    "file": {"folder": NO_DEFAULT},
 }  # fmt: skip
 _SECURITY = ("starttls", "tls", "none")
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -101,10 +101,10 @@ def _receiver(entry: dict[str, Any], where: str) -> Receiver:
 
 def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
     if key not in entry:
-        if default is NEEDED:
+        if default is NO_DEFAULT:
             raise NotifyError(f"{where}: {key} is missing")
         return default
-    value, kind = entry[key], str if default is NEEDED else type(default)
+    value, kind = entry[key], str if default is NO_DEFAULT else type(default)
     if not isinstance(value, kind) or isinstance(value, bool) or (kind is str and not value.isprintable()):
         raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_TYPES[kind]}")
     return value
@@ -117,7 +117,7 @@ def _check_webhook(settings: dict[str, Any], where: str) -> None:
     if bool(settings["url"]) == bool(settings["url_env"]):
         raise NotifyError(f"{where}: give either url or url_env, the variable that holds it")
     if settings["url"]:
-        checked_url(settings["url"], where)
+        check_url(settings["url"], where)
 
 
 def _check_mail(settings: dict[str, Any], where: str) -> None:
@@ -133,7 +133,7 @@ def _check_mail(settings: dict[str, Any], where: str) -> None:
         raise NotifyError(f"{where}: a password needs an encrypted connection; set security to starttls or tls")
 
 
-def checked_url(url: str, where: str) -> str:
+def check_url(url: str, where: str) -> str:
     """Return `url` if a digest may go there. It may hold a secret, so an error does not quote it."""
     try:
         parts = urlsplit(url)

@@ -115,7 +115,7 @@ def _write_state(home: Path, now: State) -> str:
 
 
 def _remove_unused_states(home: Path, record: dict[str, Any]) -> None:
-    used = {entry.get("told") for entry in record.values()}
+    state_names = {entry.get("told") for entry in record.values()}
     for file in (home / _FOLDER).glob("state-*.json"):
-        if file.name not in used:
+        if file.name not in state_names:
             file.unlink(missing_ok=True)

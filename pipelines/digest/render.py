@@ -61,12 +61,12 @@ def span(digest: Digest) -> str:
 
 def as_text(digest: Digest) -> str:
     """Render as plain text."""
-    return _rendered("digest.txt", digest)
+    return _render("digest.txt", digest)
 
 
 def as_html(digest: Digest) -> str:
     """Render as a page that needs no network."""
-    return _rendered("digest.html", digest)
+    return _render("digest.html", digest)
 
 
 def as_json(digest: Digest) -> str:
@@ -86,7 +86,7 @@ def as_webhook(digest: Digest) -> dict[str, Any]:
     return dict(json.loads(as_json(digest)), text=as_text(digest))
 
 
-def _rendered(template: str, digest: Digest) -> str:
+def _render(template: str, digest: Digest) -> str:
     return PAGES.get_template(template).render(title=subject(digest), span=span(digest), groups=lines(digest))
 
 
@@ -110,7 +110,7 @@ def _alert_change(row: Row) -> str:
     return f"{', '.join(steps)}. {_alert(row)}"
 
 
-def _closed_alert(row: Row) -> str:
+def _closing(row: Row) -> str:
     when = f" on {row['closed_on']}" if row["closed_on"] else ""
     work = f", {row['work_orders']}" if row.get("work_orders") else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
@@ -127,9 +127,9 @@ def _gap(row: Row) -> str:
     return _GAPS[row["gap"]].format(**row, flights=several("{n} flight", "{n} flights", row["n_flights"] or 0)) + "."
 
 
-def _refused(row: Row) -> str:
+def _file_refusal(row: Row) -> str:
     return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
 
 
-_SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closed_alert, "moved": _outlook, "eased": _alert_change,
-             "silent": describe_silence, "gap": _gap, "refused": _refused}  # fmt: skip
+_SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closing, "moved": _outlook, "eased": _alert_change,
+             "silent": describe_silence, "gap": _gap, "refused": _file_refusal}  # fmt: skip

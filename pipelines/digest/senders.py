@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.digest.changes import Digest
-from pipelines.digest.declaration import NotifyError, Receiver, checked_url
+from pipelines.digest.declaration import NotifyError, Receiver, check_url
 from pipelines.digest.render import as_html, as_json, as_text, as_webhook, subject, write_digest
 
 TIMEOUT_S = 20.0
@@ -43,7 +43,7 @@ def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
         message = _message(receiver, digest, name)
         _attempt(lambda: _mail(receiver.settings, message, user, password), user, password)
     else:
-        url = receiver.settings["url"] or checked_url(receiver.secret("url_env"), receiver.settings["url_env"])
+        url = receiver.settings["url"] or check_url(receiver.secret("url_env"), receiver.settings["url_env"])
         body = json.dumps(as_webhook(digest)).encode()
         _attempt(lambda: _post(url, body, name), url)
 

@@ -108,7 +108,7 @@ class StoredRows:
         """Return the quarantine rows of removed files."""
         return self._stored_quarantine().filter(~pl.col("file").is_in(self.present))
 
-    def deliveries(self, merged: MergeResult, with_rows: pl.DataFrame) -> pl.DataFrame:
+    def deliveries(self, merge_result: MergeResult, with_rows: pl.DataFrame) -> pl.DataFrame:
         """Return the account of removed files; rows that a later file has replaced count as duplicates."""
         absent = ~pl.col("file").is_in(self.present)
         accounts = self._read("raw_deliveries").filter(absent).select(*ACCOUNT, "delivered", "quarantined")
@@ -117,8 +117,8 @@ class StoredRows:
         new_accounts = without_account.select(*ACCOUNT, delivered="n", quarantined=pl.lit(0, pl.Int64))
         counts = (
             pl.concat([accounts, new_accounts])
-            .join(count_rows(merged.rows, None).rename({"n": "loaded"}), on=ACCOUNT, how="left", validate="m:1")
-            .join(count_rows(None, merged.quarantine), on=ACCOUNT, how="left", validate="m:1")
+            .join(count_rows(merge_result.rows, None).rename({"n": "loaded"}), on=ACCOUNT, how="left", validate="m:1")
+            .join(count_rows(None, merge_result.quarantine), on=ACCOUNT, how="left", validate="m:1")
             .with_columns(pl.col("loaded", "n").fill_null(0))
             .with_columns(pl.col("quarantined") + pl.col("n"))
         )

@@ -17,7 +17,7 @@ MAX_NAMES = 3
 """Names that share a line."""
 Row = Mapping[str, Any]
 _SILENT = "select * from silent_columns order by n_refused desc, operator, tail, folder, column_name"
-_QUARANTINED = """
+_QUARANTINE_ROWS = """
 select file, reason, sum(n_rows)::bigint as n_rows from quarantine
 where n_rows > 0 group by file, reason order by n_rows desc, file, reason
 """
@@ -36,7 +36,7 @@ def ignored_entries(entries: pl.DataFrame) -> list[str]:
 
 def quarantine_line(con: "duckdb.DuckDBPyConnection", new_files: Collection[str]) -> str:
     """Report in one line the quarantined rows of the new files, with the worst file; empty where there are none."""
-    own = [row for row in con.execute(_QUARANTINED).fetchall() if row[0] in new_files]
+    own = [row for row in con.execute(_QUARANTINE_ROWS).fetchall() if row[0] in new_files]
     if not own:
         return ""
     file, reason, worst = own[0]

@@ -28,11 +28,6 @@ class Intake:
     delivered: pl.DataFrame
     """`file, n_delivered`"""
 
-    @property
-    def n_delivered(self) -> int:
-        """Rows delivered by all files together."""
-        return int(self.delivered["n_delivered"].sum())
-
 
 def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
     """Read `acms`, `history` and `cpl` files into rows in SI, and a quarantine row for each fault.

@@ -15,8 +15,8 @@ from hdt_core.prognosis.model import Prognosis
 from hdt_core.prognosis.model_card import from_parts
 
 FILE, RECIPE = "base.skops", "recipe.json"
-# types that a model file may hold beyond those skops trusts; any other refuses the file
-TRUSTED = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
+TRUSTED_TYPES = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]
+"""Types that a model file may hold beyond those skops trusts; any other refuses the file."""
 
 
 class StaleBaseError(Exception):
@@ -25,7 +25,7 @@ class StaleBaseError(Exception):
 
 def shipped_base() -> Prognosis:
     """Load the base of this installation. Raises `StaleBaseError`."""
-    return loaded(shipped_bytes())
+    return load_base(shipped_bytes())
 
 
 def shipped_bytes() -> bytes:
@@ -47,8 +47,8 @@ def shipped_recipe() -> dict[str, Any]:
 
 
 @lru_cache(maxsize=2)
-def loaded(stored: bytes) -> Prognosis:
-    """Load a base from skops bytes, once a process; a type beyond `TRUSTED` is refused."""
+def load_base(content: bytes) -> Prognosis:
+    """Load a base from skops bytes, once a process; a type beyond `TRUSTED_TYPES` is refused."""
     import skops.io  # takes a second, and most processes of a night read no model
 
-    return from_parts(skops.io.loads(stored, trusted=TRUSTED))
+    return from_parts(skops.io.loads(content, trusted=TRUSTED_TYPES))

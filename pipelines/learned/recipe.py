@@ -23,8 +23,8 @@ MEAN, FAR = 0.002, 0.03
 def sources() -> str:
     """Digest the code that learns a base, without comments and docstrings, and the libraries it uses."""
     graph = grimp.build_graph("hdt_core", cache_dir=None)
-    used = sorted({model.__name__} | graph.find_upstream_modules(model.__name__))
-    lines = [f"{name} {code_of(_text(name))}" for name in used] + [f"{name} {version(name)}" for name in LIBRARIES]
+    modules = sorted({model.__name__} | graph.find_upstream_modules(model.__name__))
+    lines = [f"{name} {code_of(_text(name))}" for name in modules] + [f"{name} {version(name)}" for name in LIBRARIES]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
@@ -50,8 +50,8 @@ def differences() -> tuple[float, float]:
     """Learn a third of the base again; return its differences in probability, mean and 99th percentile."""
     rows = simulated_rows(SEED, FLEETS)
     members = shipped_base().hazard[0], model.fit_member(0)
-    shipped, relearned = (event_by(hazards([m], rows.features)) for m in members)
-    difference = np.abs(shipped - relearned)
+    shipped_p, new_p = (event_by(hazards([m], rows.features)) for m in members)
+    difference = np.abs(shipped_p - new_p)
     return float(difference.mean()), float(np.quantile(difference, 0.99))
 
 

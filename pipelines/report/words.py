@@ -13,7 +13,7 @@ from hdt_core.flight.admission import SECOND_LEVEL
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
-from pipelines.words import _, grouped, number, several
+from pipelines.words import _, format_count, number, several
 from pipelines.words.evidence import translate_evidence
 
 Row = Mapping[str, Any]
@@ -243,7 +243,7 @@ def figures(value: float | None, digits: int = 4) -> str:
 
 def count(n: int) -> str:
     """Format a count with thousands separators."""
-    return grouped(n)
+    return format_count(n)
 
 
 def visible(text: str) -> str:

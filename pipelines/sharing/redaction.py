@@ -69,9 +69,9 @@ class AccessScope:
         if self.key is not None:
             frame = frame.with_columns(pl.lit(None, frame.schema[c]).alias(c) for c in _VERBATIM if c in frame.columns)
             for columns, rename in ((_TAILS, self.pseudonym), (_FLIGHTS, self._flight), (_IDENTITIES, self._identity)):
-                frame = frame.with_columns(_renamed(frame[c], rename) for c in columns if c in frame.columns)
-        hashed = _IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")
-        exempt = {*_TAILS, *_FLIGHTS, *_CODES, *hashed}
+                frame = frame.with_columns(_rename_distinct(frame[c], rename) for c in columns if c in frame.columns)
+        identities = _IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")
+        exempt = {*_TAILS, *_FLIGHTS, *_CODES, *identities}
         texts = [c for c, t in frame.schema.items() if t == pl.String and c not in exempt and not c.endswith("_status")]
         return frame.with_columns(self._redact_text(pl.col(c)) for c in texts) if texts else frame
 
@@ -89,12 +89,12 @@ class AccessScope:
         )
         to_text |= {t.replace("-", ""): name for t, name in to_text.items()}
         tails = sorted(to_text, key=lambda t: (-len(t), t))
-        redacted = text.str.replace_many(tails, [to_text[t] for t in tails], ascii_case_insensitive=True, leftmost=True)
+        text = text.str.replace_many(tails, [to_text[t] for t in tails], ascii_case_insensitive=True, leftmost=True)
         others = rf"\b({'|'.join(sorted(self.others))})\b"
-        return redacted.str.replace_all(others, WITHHELD) if self.others else redacted
+        return text.str.replace_all(others, WITHHELD) if self.others else text
 
 
-def _renamed(column: pl.Series, rename: Callable[[str], str]) -> pl.Series:
+def _rename_distinct(column: pl.Series, rename: Callable[[str], str]) -> pl.Series:
     """Rename each distinct name once; null stays null."""
     names = column.drop_nulls().unique()
     return column.replace_strict(names, pl.Series([rename(n) for n in names], dtype=pl.String), default=None)

@@ -89,7 +89,7 @@ class ProxyHeader:
         names = request.headers.getlist(self.header)
         if len(names) != 1 or not names[0].strip():
             return _message_page(401, "The site's proxy sent no name.")
-        name = _decoded(names[0].strip())
+        name = _decode_name(names[0].strip())
         try:
             person = read_people(self.home).get(name)
         except RolesError as error:
@@ -111,7 +111,7 @@ def _cookie_name(request: HTTPConnection) -> str:
     return f"hdt_session_{port[1]}" if port else "hdt_session"
 
 
-def _decoded(name: str) -> str:
+def _decode_name(name: str) -> str:
     """Decode a header's latin-1 text as UTF-8 where that is possible."""
     try:
         return name.encode("latin-1").decode("utf-8")

@@ -79,7 +79,7 @@ def several(one: str, many: str, n: int, **values: Any) -> str:
     '1 pack'
     """
     text = catalog_of(language()).ngettext(one, many, n)
-    return text.format(n=grouped(n), **values)
+    return text.format(n=format_count(n), **values)
 
 
 def number(value: float, digits: int = 0) -> str:
@@ -94,13 +94,13 @@ def number(value: float, digits: int = 0) -> str:
     return in_figures(figures if figures.strip("-0.") else figures.removeprefix("-"))
 
 
-def grouped(n: int) -> str:
-    """A count, thousands apart."""
+def format_count(n: int) -> str:
+    """Format a count as the language writes it."""
     return in_figures(f"{n:,}")
 
 
 def in_figures(figures: str) -> str:
-    """Digits with a point, and commas between thousands, as the language writes them."""
+    """Convert digits with a point, and commas between thousands, to the writing of the language."""
     true_minus = figures.replace("-", "\N{MINUS SIGN}")
     if language() == ENGLISH:
         return true_minus

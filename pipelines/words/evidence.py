@@ -26,10 +26,10 @@ _ENDS = r"(?=$|[;,.:)](?:\s|$)|;| \()"
 
 def phrases() -> list[str]:
     """List every phrase of evidence and actions, those of installed components included."""
-    declared = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
+    texts = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
     names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     roles = [f"{role}:" for role in (*ROLES, "Else")]
-    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *declared, *roles]))
+    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *texts, *roles]))
 
 
 def translate_evidence(sentence: str) -> str:
@@ -41,8 +41,8 @@ def translate_evidence(sentence: str) -> str:
 def _translate(sentence: str, code: str) -> str:
     parts, start = [], 0
     while start < len(sentence):
-        hits = (_match(pattern, text, sentence, start) for pattern, text in _patterns(code))
-        part, start = next((hit for hit in hits if hit), (sentence[start], start + 1))
+        matches = (_match(pattern, text, sentence, start) for pattern, text in _patterns(code))
+        part, start = next((match for match in matches if match), (sentence[start], start + 1))
         parts.append(part)
     return "".join(parts)
 

@@ -13,7 +13,7 @@ from hostile import CANARY, FILES, LINKS, PIPE, SCRIPT, Bomb
 from skops.io.exceptions import UntrustedTypesFoundException
 
 from pipelines import cli
-from pipelines.learned import TRUSTED
+from pipelines.learned import TRUSTED_TYPES
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect, run_select
 from pipelines.storage.store import shard_of
@@ -189,14 +189,14 @@ def test_an_honest_question_is_answered(watched):
 def test_a_pickle_is_not_a_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(Exception, match="not a zip file"):
-        skops.io.loads(pickle.dumps(Bomb()), trusted=TRUSTED)
+        skops.io.loads(pickle.dumps(Bomb()), trusted=TRUSTED_TYPES)
     assert not (tmp_path / "pwned").exists()
 
 
 def test_a_model_that_names_another_type_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UntrustedTypesFoundException):
-        skops.io.loads(skops.io.dumps({"model": Bomb()}), trusted=TRUSTED)
+        skops.io.loads(skops.io.dumps({"model": Bomb()}), trusted=TRUSTED_TYPES)
     assert not (tmp_path / "pwned").exists()
 
 

@@ -23,7 +23,7 @@ def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, del
     for intake, reason in ((lines, "wrong_field_count"), (rows, "bad_pack")):
         assert set(intake.quarantine["reason"]) == {reason}
         assert intake.quarantine.height == 10_001
-        assert intake.quarantine["n_rows"].sum() == 30_000 == intake.n_delivered
+        assert intake.quarantine["n_rows"].sum() == 30_000 == intake.delivered["n_delivered"].sum()
 
 
 def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
@@ -51,7 +51,7 @@ def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, r
     intake = read(files)
     assert time.process_time() - began < 25.0 * hashed  # some three times; it was six hundred
     assert intake.quarantine["reason"].to_list() == [reason]
-    assert intake.n_delivered == (0 if line == b"a," else n)
+    assert intake.delivered["n_delivered"].sum() == (0 if line == b"a," else n)
 
 
 @pytest.mark.parametrize("error", [RuntimeError, pl.exceptions.PanicException])
