@@ -16,6 +16,7 @@ from hdt_core.margin.control_schedules import (
     SpeedLimit,
     has_authority,
     learn_schedules,
+    speed_limit,
 )
 
 
@@ -113,6 +114,13 @@ def test_a_limit_is_met_where_pressure_falls_short_of_the_schedule_at_its_altitu
         cc_out_pa=pl.col("cc_out_pa") * pl.when(fast).then(np.exp(-0.05)).otherwise(1.0),
     )
     assert learn_schedules(samples).speed == SpeedLimit(4300.0, at_limit=True)
+
+
+def test_samples_within_half_a_percent_of_the_highest_speed_are_at_the_limit():
+    counts, shares = (11, 20, 80, 400), (1.0, 1.0 - 0.0048, 1.0 - 0.0052, 0.9)
+    speed = 4300.0 * np.repeat(shares, counts)
+    short = np.where(speed > 4000.0, -0.05, 0.001 * np.sin(np.arange(speed.size)))
+    assert speed_limit(speed, short) == SpeedLimit(4300.0 * (1.0 - 0.0048), at_limit=True)
 
 
 def test_an_aircraft_has_its_own_law_from_300_samples_on_and_else_that_of_all():
