@@ -22,7 +22,7 @@ PARTS = {
     "estimation of all flights at once": [("pipelines.assets.twin", "estimate_flights")],
     "the exchanger's equations over arrays, whoever asks": [("hdt_core.calibration.exchanger", "ln_conductance_ratio")],
     "the Digital System Model": [("pipelines.assets.calibration", "calibrate")],
-    "tracks of the twins, flight after flight": [("pipelines.assets.twin", "track_on")],
+    "tracks of the twins, flight after flight": [("pipelines.assets.twin", "track")],
     "boosting on simulated lives, once a code version": [("pipelines.assets.prognosis", "fit_base")],
 }
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from benchmarks.chain import admit_fleet
 from benchmarks.harness import arguments, show
 from benchmarks.known_design import SIZE, one_fleet
 from benchmarks.legs import fleet_of
@@ -25,7 +26,6 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.robust import Z_90
@@ -54,7 +54,7 @@ def grown(frame: pl.DataFrame, times: tuple[str, ...], tails: int, turns: int) -
 def speed(tails: int = 50, flights: int = 2000) -> str:
     """Calibration of a large fleet; its estimates of all flights; Figure 10's recursion against the closed form."""
     fleet = fleet_of(1, replace(SIZE, flights=200))
-    legs = admit(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
+    legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     turns = flights // 200
     samples, judged = grown(fleet.samples, ("time_utc",), tails, turns), grown(legs, ("departed_at",), tails, turns)
     wall, cpu = time.perf_counter(), time.process_time()
@@ -73,7 +73,7 @@ def speed(tails: int = 50, flights: int = 2000) -> str:
 def recursion(seed: int = 1) -> str:
     """Figure 10: warm against cold, and how far the answers are apart."""
     fleet = fleet_of(seed, replace(SIZE, tails=1))
-    legs = admit(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
+    legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     kept = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
     warm, cold = (flight_by_flight(kept, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))

@@ -12,7 +12,7 @@ import polars as pl
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.calibrate import calibrate as fit
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit_by, learn_baseline
+from hdt_core.flight import admission
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.flight.windows import baseline_flights
@@ -39,13 +39,25 @@ def legs(snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFr
     return {"verdicts": verdicts, "samples": samples}
 
 
+def admit_fleet(
+    verdicts: pl.DataFrame,
+    samples: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    messages: pl.DataFrame,
+    health: pl.DataFrame | None = None,
+) -> pl.DataFrame:
+    """Legs with the reasons of the second level, by the baseline of the same fleet."""
+    norm = admission.learn_baseline(verdicts, samples, maintenance, messages)
+    return admission.admit(norm, verdicts, leg_indicators(samples, norm), maintenance, messages, health)
+
+
 def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Made:
     """From the commissioning window of each tail, and what the logs said until it ended."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
     logs = [records_until(log, verdicts) for log in (maintenance, messages)]
-    norm = learn_baseline(verdicts, samples, *logs)
-    admitted = admit_by(norm, verdicts, leg_indicators(samples, norm), *logs)
+    norm = admission.learn_baseline(verdicts, samples, *logs)
+    admitted = admission.admit(norm, verdicts, leg_indicators(samples, norm), *logs)
     return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_schedules(samples)}
 
 
@@ -54,7 +66,7 @@ def estimate(samples: pl.DataFrame, dsm: Any) -> Made:
 
 
 def follow(alone: pl.DataFrame, maintenance: pl.DataFrame, dsm: Any) -> Made:
-    return {"health": track(alone, maintenance, dsm)}
+    return {"health": track(alone, maintenance, dsm).health}
 
 
 def admit(
@@ -67,7 +79,7 @@ def admit(
     alone: pl.DataFrame,
 ) -> Made:
     signs = leg_indicators(samples, norm)
-    return {"admitted": admit_by(norm, verdicts, signs, maintenance, messages, health, alone)}
+    return {"admitted": admission.admit(norm, verdicts, signs, maintenance, messages, health, alone)}
 
 
 def margin(samples: pl.DataFrame, dsm: Any, laws: Any) -> Made:

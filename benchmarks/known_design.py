@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from benchmarks.chain import admit_fleet
 from benchmarks.legs import fleet_of
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import exchanger_fit
@@ -15,7 +16,6 @@ from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.design_table import elasticities, flow_elasticities
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
@@ -144,7 +144,12 @@ def health_errors(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.Da
     sound = ~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == "")
     found = {}
     for name, log in (("logged", maintenance), ("silent", maintenance.clear())):
-        health = track(alone, log, dsm).filter(parameter="hx_fouling").join(true, on=KEY).sort("tail", "pack", "index")
+        health = (
+            track(alone, log, dsm)
+            .health.filter(parameter="hx_fouling")
+            .join(true, on=KEY)
+            .sort("tail", "pack", "index")
+        )
         off = (pl.col("value") - pl.col("loss")).abs()
         if name == "logged":
             found["health_cover"] = health.filter(sound).select((off < Z_90 * pl.col("sd")).mean()).item()
@@ -166,7 +171,7 @@ def health_errors(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.Da
 def one_fleet(seed: int) -> dict[str, float]:
     """Every measure of one fleet."""
     fleet = fleet_of(seed, SIZE)
-    legs = admit(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
+    legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     dsm = calibrate(fleet.samples, legs, fleet.maintenance)
     design, at = envelope_of(seed)
     out: dict[str, float] = {"ram_seen": float(dsm.ram_balance_seen)} | law_errors(dsm, at)

@@ -21,8 +21,8 @@ import numpy as np
 import polars as pl
 from scipy.stats import chi2
 
+from benchmarks.chain import admit_fleet
 from benchmarks.fleets import recorded_in_si
-from hdt_core.flight.admission import admit
 from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
@@ -112,7 +112,7 @@ def scored(legs: pl.DataFrame, truth: pl.DataFrame) -> tuple[float, float]:
 def contamination_curve() -> None:
     fleets = {seed: fleet_of(seed) for seed in SEEDS}
     filters = {
-        "two levels": lambda f: admit(f.legs, f.samples, f.maintenance, f.messages),
+        "two levels": lambda f: admit_fleet(f.legs, f.samples, f.maintenance, f.messages),
         "classical": classical,
         "rules alone": lambda f: f.legs,
     }

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from benchmarks.chain import admit_fleet
 from benchmarks.fleets import recorded_in_si
 from benchmarks.harness import put
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.records.keys import IN_ORDER
@@ -71,11 +71,11 @@ def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
         )
         legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
         within = pl.col("flight_id").is_in(baseline_flights(legs))
-        admitted = admit(legs.filter(within), samples.filter(within), maintenance.clear(), messages.clear())
+        admitted = admit_fleet(legs.filter(within), samples.filter(within), maintenance.clear(), messages.clear())
         model = calibrate(samples, admitted, maintenance)
         start = time.process_time()
         alone = estimate_flights(samples, model)
-        health = track(alone, maintenance, model)
+        health = track(alone, maintenance, model).health
         seconds = time.process_time() - start
         truth = pl.concat(a.health for a in aircraft).with_columns(
             pl.col("pack").cast(pl.Int32), a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio")

@@ -95,16 +95,8 @@ def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
-    """Convert a frame of points or samples to arrays; `packs` (rows of `PACK`) numbers the packs.
-
-    Raises
-    ------
-    ValueError
-        A row belongs to a pack that `packs` does not hold.
-    """
+    """Convert a frame of points or samples to arrays; `packs` (rows of `PACK`) numbers the packs."""
     rows = frame.join(packs.with_row_index("pack_index"), on=PACK, how="left", maintain_order="left", validate="m:1")
-    if rows["pack_index"].null_count():
-        raise ValueError("points of a pack that the list of packs does not hold")
     signals = {name: rows[name].to_numpy().astype(float) for name in (*SIGNALS, "ram_out_k")}
     return Points(
         with_static_pressure(signals),

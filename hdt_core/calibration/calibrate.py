@@ -156,9 +156,5 @@ def _inputs(window: pl.DataFrame) -> pl.DataFrame:
 
 
 def _select_admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
-    """Select admitted legs, or all of `base` without verdicts."""
-    if "admitted" not in legs.columns or not legs.height:
-        return base
-    verdicts = legs.select(*FLIGHT_PACK, "admitted").unique(FLIGHT_PACK)
-    rows = base.join(verdicts, on=FLIGHT_PACK, how="left", validate="m:1")
-    return rows.filter(pl.col("admitted").fill_null(True))
+    """Select flights without a leg that is rejected; those without a verdict count."""
+    return base.join(legs.filter(~pl.col("admitted")), on=FLIGHT_PACK, how="anti")

@@ -38,7 +38,7 @@ SECOND_LEVEL = {
 def learn_baseline(
     legs: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
 ) -> NominalBaseline:
-    """Learn the nominal baseline of a fleet that may contain sick legs; parameters as for `admit`."""
+    """Learn the nominal baseline of a fleet that may contain sick legs, from its whole history and logs."""
     flights = number_flights(legs.drop("flight_number", strict=False))
     baseline = NominalBaseline(learn_manifold(samples, flights), learn_outlet_law(samples))
     indicators = leg_indicators(samples, baseline)
@@ -50,34 +50,6 @@ def learn_baseline(
 
 
 def admit(
-    legs: pl.DataFrame,
-    samples: pl.DataFrame,
-    maintenance: pl.DataFrame,
-    messages: pl.DataFrame,
-    health_parameters: pl.DataFrame | None = None,
-) -> pl.DataFrame:
-    """Reject further legs by log, fleet and twin, with a baseline learned from the same fleet.
-
-    Parameters
-    ----------
-    legs, samples : DataFrame
-        Of `judge_legs`, whole histories of a fleet.
-    maintenance, messages : DataFrame
-        The logs, as `judge_legs` takes them.
-    health_parameters : DataFrame, optional
-        The twin's losses with their standard deviations. Without it, before a first calibration, wear is detected
-        from the recorded signals alone.
-
-    Returns
-    -------
-    DataFrame
-        `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) updated; no leg is dropped.
-    """
-    baseline = learn_baseline(legs, samples, maintenance, messages)
-    return admit_by(baseline, legs, leg_indicators(samples, baseline), maintenance, messages, health_parameters)
-
-
-def admit_by(
     baseline: NominalBaseline,
     legs: pl.DataFrame,
     indicators: pl.DataFrame,
@@ -86,9 +58,28 @@ def admit_by(
     health_parameters: pl.DataFrame | None = None,
     twin_flights: pl.DataFrame | None = None,
 ) -> pl.DataFrame:
-    """Do as `admit`, with a baseline learned before; tails are independent of each other.
+    """Reject further legs by log, fleet and twin; tails are independent of each other.
 
-    `indicators` are of `leg_indicators`, all flights of each tail; `twin_flights` of the twin with its `TWIN_CHECKS`.
+    Parameters
+    ----------
+    baseline : NominalBaseline
+        Of `learn_baseline`.
+    legs : DataFrame
+        Of `judge_legs`.
+    indicators : DataFrame
+        Of `leg_indicators`, all flights of each tail.
+    maintenance, messages : DataFrame
+        The logs, as `judge_legs` takes them.
+    health_parameters : DataFrame, optional
+        The twin's losses with their standard deviations. Without it, before a first calibration, wear is detected
+        from the recorded signals alone.
+    twin_flights : DataFrame, optional
+        Of the twin, with its `TWIN_CHECKS`.
+
+    Returns
+    -------
+    DataFrame
+        `legs` with `admitted`, `reason` and `n_nominal` (zero where not admitted) updated; no leg is dropped.
     """
     flights = number_flights(legs.drop("flight_number", strict=False))
     if twin_flights is not None:

@@ -21,13 +21,15 @@ LOSS, LOSS_SMOOTHED = "hx_fouling", "hx_fouling_smoothed"
 
 
 class TrackResult(NamedTuple):
-    """Health parameters in long form, and the checkpoints from which the next night goes on."""
+    """Health parameters, table `twin_health`, and the checkpoints from which the next night goes on."""
 
     health: pl.DataFrame
     checkpoints: pl.DataFrame
 
 
-def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+def track(
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None = None, seal: str = ""
+) -> TrackResult:
     """Track the health parameters of every flight and pack; only those called smoothed use later flights.
 
     Parameters
@@ -38,24 +40,9 @@ def track(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl
         `operator, tail, pack, component, action, done_on`; entries count from the day they name.
     dsm : Dsm
         The model of the flight estimates.
-
-    Returns
-    -------
-    DataFrame
-        Table `twin_health`.
-    """
-    return track_on(twin_flights, maintenance, dsm).health
-
-
-def track_on(
-    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None = None, seal: str = ""
-) -> TrackResult:
-    """Do as `track`, continued from `previous` results of packs whose earlier flights are unchanged.
-
-    Parameters
-    ----------
     previous : TrackResult, optional
-        Result of an earlier call for the same packs, or for some of them.
+        Result of an earlier call for the same packs, or for some of them: packs whose earlier flights are unchanged
+        continue from it.
     seal : str
         Further inputs of the track, the version of the code; results under another are not used.
     """

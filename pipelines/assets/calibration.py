@@ -9,7 +9,7 @@ import polars as pl
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit_by, learn_baseline
+from hdt_core.flight.admission import admit, learn_baseline
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.margin.control_schedules import learn_schedules
@@ -35,7 +35,7 @@ def calibration(home: Home) -> StageResult:
     )
     verdicts = reject_odd_bleed(verdicts, reports)
     baseline = learn_baseline(verdicts, samples, maintenance, messages)
-    admitted = admit_by(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
+    admitted = admit(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
     model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
     estimates = of_each_aircraft(samples, lambda pack_samples: estimate_flights(pack_samples, dsm))

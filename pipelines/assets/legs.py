@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.flight.admission import admit_by
+from hdt_core.flight.admission import admit
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.nominal_baseline import NominalBaseline
@@ -37,4 +37,4 @@ def legs_admitted(
     """Admit legs by logs, printed reports, cross checks and the twin, with hindsight."""
     baseline = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     verdicts = reject_odd_bleed(legs_verdicts, raw_reports)
-    return admit_by(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)
+    return admit(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)

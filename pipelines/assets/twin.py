@@ -6,7 +6,7 @@ import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.tracking.track import TrackResult, track_on
+from hdt_core.tracking.track import TrackResult, track
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
@@ -37,4 +37,4 @@ def twin_health(
     It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    return track_on(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, LINEAGE["twin_health"].code)
+    return track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, LINEAGE["twin_health"].code)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit_by
+from hdt_core.flight.admission import admit
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features
@@ -18,7 +18,7 @@ from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import SIGNALS, RawMaintenance, RawMessages
-from hdt_core.tracking.track import track_on
+from hdt_core.tracking.track import track
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.twin import model_of
 from pipelines.storage.store import Store
@@ -57,7 +57,7 @@ def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     signs, seen = leg_indicators(samples, norm), cross_checks(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
-    health, chapters = track_on(flights, NO_WORK, dsm)
+    health, chapters = track(flights, NO_WORK, dsm)
     told = features(health, apart, verdicts, NO_WORK, twin_flights=flights, cross_checks=seen)
     return {
         "legs_samples": samples,
@@ -68,7 +68,7 @@ def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
         "residuals": apart,
         "twin_health": health,
         "twin_checkpoints": chapters,
-        "legs_admitted": admit_by(norm, verdicts, signs, NO_WORK, NO_MESSAGES, health),
+        "legs_admitted": admit(norm, verdicts, signs, NO_WORK, NO_MESSAGES, health),
         "features": told,
         "features_alerts": raise_alerts(told, health, NO_WORK),
     }

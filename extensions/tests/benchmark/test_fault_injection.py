@@ -128,7 +128,7 @@ def test_the_health_track_rises_by_it(page):
     log = pl.concat([page["no_work"], pl.DataFrame([looked | {"done_on": day}])], how="diagonal_relaxed")
     made = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
     after = estimate_flights(page["admitted_legs"](made.rows, tail)[1], page["dsm"])
-    both = [track(f, log, page["dsm"]) for f in (after, flown)]
+    both = [track(f, log, page["dsm"]).health for f in (after, flown)]
     late, before = (
         t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
         for t in both

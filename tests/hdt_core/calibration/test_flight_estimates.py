@@ -29,7 +29,7 @@ def test_declared_tables_are_honoured(flights, model, fleet):
     rows = flights.filter(TwinFlights.flight_id.col.str.len_chars() > 0)
     named = rows.with_columns(operator=pl.lit("TST"))
     assert TwinFlights.faults(named) == []
-    assert TwinHealth.faults(track(flights, fleet.maintenance, model)) == []
+    assert TwinHealth.faults(track(flights, fleet.maintenance, model).health) == []
 
 
 def test_each_flight_stands_alone(fleet, model, flights):
@@ -61,7 +61,7 @@ def test_a_pack_without_a_signal_has_rows_and_no_estimate(fleet, model, column):
     silent = seen.filter(deaf)
     assert silent.height == 120
     assert silent["status"].unique().to_list() == ["no_cruise"]
-    rows = track(seen, fleet.maintenance, model).filter(deaf & (pl.col("parameter") == "hx_fouling"))
+    rows = track(seen, fleet.maintenance, model).health.filter(deaf & (pl.col("parameter") == "hx_fouling"))
     assert rows["status"].unique().to_list() == ["predicted"]
     assert (rows["sd"] > 0.04).all()
 
@@ -70,7 +70,7 @@ def test_no_cruise_at_all(fleet, model):
     climbing = fleet.only("T-00").samples.with_columns(phase=pl.lit("climb"))
     seen = estimate_flights(climbing, model)
     assert seen["status"].unique().to_list() == ["no_cruise"]
-    rows = track(seen, fleet.maintenance, model)
+    rows = track(seen, fleet.maintenance, model).health
     assert set(rows["status"]) == {"predicted", "not_recorded", "not_identifiable"}
 
 
@@ -78,7 +78,7 @@ def test_no_cruise_at_all(fleet, model):
 def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
     fleet = made_fleet(tails, n_flights, seed=5)
     seen, model = followed(fleet)
-    rows = track(seen, fleet.maintenance, model).filter(pl.col("parameter") == "hx_fouling")
+    rows = track(seen, fleet.maintenance, model).health.filter(pl.col("parameter") == "hx_fouling")
     assert rows.height == 2 * tails * n_flights
     assert rows["sd"].min() > 0.015
     off = (rows.join(fleet.truth, on=["tail", "flight_id", "pack"])["value"] - 0.0).abs()
@@ -90,7 +90,7 @@ def test_without_ram_outlet_the_scale_is_a_prior_and_the_doubt_is_larger(flights
     seen, guess = followed(blind)
     assert seen["ln_ram_ratio"].null_count() == seen.height
     rows, known = (
-        track(f, blind.maintenance, m).filter(pl.col("parameter") == "hx_fouling")
+        track(f, blind.maintenance, m).health.filter(pl.col("parameter") == "hx_fouling")
         for f, m in ((seen, guess), (flights, model))
     )
     assert rows["sd"].mean() > known["sd"].mean()

@@ -4,7 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import SECOND_LEVEL, admit, admit_by, learn_baseline
+from benchmarks.chain import admit_fleet
+from hdt_core.flight.admission import SECOND_LEVEL, admit, learn_baseline
 from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_checks
 from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
@@ -24,7 +25,7 @@ def level_one(fleet):
 
 @pytest.fixture(scope="module")
 def admitted(fleet, level_one):
-    return admit(*level_one, fleet.maintenance, fleet.messages)
+    return admit_fleet(*level_one, fleet.maintenance, fleet.messages)
 
 
 def test_no_leg_is_lost_and_every_reason_is_declared(level_one, admitted):
@@ -48,7 +49,7 @@ def test_nominal_flights_are_admitted_and_sick_ones_are_not(fleet, admitted):
 def test_twin_that_reports_wear_turns_the_leg_away(fleet, level_one, admitted):
     worn = admitted.filter("admitted").head(3)
     said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
-    again = admit(*level_one, fleet.maintenance, fleet.messages, said)
+    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, said)
     assert again.join(worn.select(LEG), on=LEG, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
 
 
@@ -79,7 +80,7 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
 def test_twin_that_finds_the_exchanger_sound_is_believed_over_the_index(fleet, level_one, admitted):
     worn = admitted.filter(pl.col("reason") == "HX_WORN")
     said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
-    again = admit(*level_one, fleet.maintenance, fleet.messages, said)
+    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, said)
     assert worn.height > 20
     assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
 
@@ -101,7 +102,7 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
     signs = leg_indicators(samples, norm)
     known = fleet.maintenance, fleet.messages
     before, after = (
-        admit_by(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
+        admit(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
     )
     sound = before.with_columns(legs["flight_number"]).filter("admitted")
     hit = after.join(sound.select(*LEG, "flight_number"), on=LEG)
@@ -163,7 +164,7 @@ def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, adm
     assert NominalBaseline.from_json(NominalBaseline().to_json()) == NominalBaseline()
     for (tail,), own in legs.group_by("tail"):
         signs = leg_indicators(samples.filter(tail=tail), norm)
-        alone = admit_by(norm, own, signs, fleet.maintenance, fleet.messages)
+        alone = admit(norm, own, signs, fleet.maintenance, fleet.messages)
         assert alone.equals(admitted.filter(tail=tail).select(alone.columns))
 
 

@@ -3,7 +3,7 @@
 import polars as pl
 import pytest
 
-from hdt_core.flight.admission import admit_by
+from hdt_core.flight.admission import admit
 from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline
 from hdt_core.records.keys import LEG
@@ -26,7 +26,7 @@ def verdicts(
     own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | signs
     shown = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
     baseline = NominalBaseline(level=IndexLevel(clean=0.0, stray=0.0), scatter=scatter)
-    return admit_by(baseline, legs, shown, NO_WORK, NO_MESSAGE, health).sort("flight_id")
+    return admit(baseline, legs, shown, NO_WORK, NO_MESSAGE, health).sort("flight_id")
 
 
 def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:

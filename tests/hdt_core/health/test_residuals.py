@@ -28,7 +28,7 @@ LOSS = 0.2
 def model(fly, nothing_done) -> Dsm:
     """A model that rests on its priors: no flight is admitted."""
     empty = fly(2).clear().with_columns(pl.lit(True).alias("monitored"))
-    return calibrate(empty, pl.DataFrame(), nothing_done)
+    return calibrate(empty, empty.select(*KEY, admitted=pl.lit(True)), nothing_done)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from by_hand import DSM, flights, log
 
 from hdt_core.tracking.flight_panel import FILTERED, build_panel, fingerprints
 from hdt_core.tracking.sensor_shifts import Corrections
-from hdt_core.tracking.track import LOSS, _null_invalid, _rows, track_on
+from hdt_core.tracking.track import LOSS, _null_invalid, _rows, track
 
 
 @pytest.fixture
@@ -80,9 +80,9 @@ def test_the_track_takes_level_and_doubt_from_the_model(seen):
     cc = {c: pl.lit(None, pl.Float64) for c in (*others, "diameter_m", "expected_diameter_m")}
     same = flights(30, ln_ua_ratio=0.07, ln_ua_ratio_sd=0.004, ua_expected_w_k=2000.0, ln_ua_ratio_map_sd=0.0)
     same = same.with_columns(cc_n_samples=pl.lit(0), **cc)
-    sure = track_on(same, log(), DSM).health.filter(parameter=LOSS)
+    sure = track(same, log(), DSM).health.filter(parameter=LOSS)
     assert sure["value"].max() < 0.02
-    higher = track_on(same, log(), replace(DSM, clean_level=0.12)).health.filter(parameter=LOSS)
+    higher = track(same, log(), replace(DSM, clean_level=0.12)).health.filter(parameter=LOSS)
     assert higher["value"].min() > sure["value"].max()
 
 

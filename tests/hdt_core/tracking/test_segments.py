@@ -10,7 +10,7 @@ from seen import NO_LOG, entry, seen_flights
 
 from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
-from hdt_core.tracking.track import TrackResult, track_on
+from hdt_core.tracking.track import TrackResult, track
 
 N = 430
 WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(140, 0.3)]
@@ -30,7 +30,7 @@ def log(three) -> pl.DataFrame:
 
 @pytest.fixture(scope="module")
 def whole(three, log, model) -> TrackResult:
-    return track_on(three, log, model)
+    return track(three, log, model)
 
 
 def same(one: TrackResult, other: TrackResult) -> bool:
@@ -40,25 +40,25 @@ def same(one: TrackResult, other: TrackResult) -> bool:
 @pytest.mark.parametrize("days", [1, 20, 36, 80, 200])
 def test_nights_add_up_to_one_pass(three, log, model, whole, days):
     end = three["departed_at"].max()
-    early = track_on(three.filter(pl.col("departed_at") < end - timedelta(days=days)), log, model)
-    assert same(track_on(three, log, model, early), whole)
+    early = track(three.filter(pl.col("departed_at") < end - timedelta(days=days)), log, model)
+    assert same(track(three, log, model, early), whole)
 
 
 def test_a_flight_that_came_late_changes_what_follows_it(three, log, model, whole):
     without = three.filter(~((pl.col("tail") == "S-0") & pl.col("flight_id").is_in([three["flight_id"][222]])))
     assert without.height == three.height - 1
-    assert same(track_on(three, log, model, track_on(without, log, model)), whole)
+    assert same(track(three, log, model, track(without, log, model)), whole)
 
 
 def test_an_entry_that_came_late_counts(three, log, model, whole):
-    before = track_on(three, NO_LOG, model)
+    before = track(three, NO_LOG, model)
     assert not same(before, whole)
-    assert same(track_on(three, log, model, before), whole)
+    assert same(track(three, log, model, before), whole)
 
 
 def test_who_flies_beside_does_not_matter(three, log, model, whole):
     for (tail,), own in three.group_by("tail"):
-        alone = track_on(own, log, model)
+        alone = track(own, log, model)
         assert alone.health.equals(whole.health.filter(tail=tail))
         assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
 
@@ -71,13 +71,13 @@ def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model
 def test_only_the_last_segments_are_filtered_again(three, log, model, whole, monkeypatch):
     flown, step = [], segments.mmf.step
     monkeypatch.setattr(segments.mmf, "step", lambda b, seen, s: flown.append(len(seen.ratio)) or step(b, seen, s))
-    assert same(track_on(three, log, model, whole), whole)
+    assert same(track(three, log, model, whole), whole)
     assert sum(flown) == (430 - 350) + (330 - 250) + (150 - 50)
 
 
 def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, model, whole):
     end = three.filter(tail="S-0")["departed_at"][3 * segments.SEGMENT_FLIGHTS - 1]
-    early = track_on(three.filter(pl.col("departed_at") <= end), log, model)
+    early = track(three.filter(pl.col("departed_at") <= end), log, model)
     settled = three.filter(tail="S-0").head(2 * segments.SEGMENT_FLIGHTS)["flight_id"].implode()
     then, now = (
         t.health.filter(pl.col("flight_id").is_in(settled), parameter="hx_fouling_smoothed") for t in (early, whole)
@@ -88,9 +88,9 @@ def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, mo
 
 def test_nothing_is_gone_on_from_that_is_not_as_it_was(three, log, model, whole):
     """Another code, rows lost, checkpoints lost: the filter begins where it must."""
-    other = track_on(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
+    other = track(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
     assert other.health.equals(whole.health)
     lost = whole._replace(health=whole.health.filter(pl.col("flight_id") != whole.health["flight_id"][40]))
-    assert same(track_on(three, log, model, lost), whole)
+    assert same(track(three, log, model, lost), whole)
     torn = whole._replace(checkpoints=whole.checkpoints.filter(pl.col("chapter") != 2))
-    assert track_on(three, log, model, torn).health.equals(whole.health)
+    assert track(three, log, model, torn).health.equals(whole.health)

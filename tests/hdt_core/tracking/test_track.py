@@ -41,7 +41,7 @@ def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
     before = flights.filter(pl.col("departed_at") < cut)
     later_log = replaced(fleet, "T-00", 90)
     causal = ~pl.col("parameter").str.ends_with("_smoothed")
-    early, whole = (track(f, log, model).filter(causal) for f, log in ((before, NO_LOG), (flights, later_log)))
+    early, whole = (track(f, log, model).health.filter(causal) for f, log in ((before, NO_LOG), (flights, later_log)))
     same = whole.filter(pl.col("departed_at") < cut)
     assert early.select(*IN_ORDER, "parameter").equals(same.select(*IN_ORDER, "parameter"))
     for column in ("value", "sd"):
@@ -52,11 +52,11 @@ def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
 def test_work_before_the_first_flight_on_record_changes_nothing(flights, model, fleet):
     first = flights["departed_at"].min()
     long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
-    assert track(flights, long_ago, model).equals(track(flights, NO_LOG, model))
+    assert track(flights, long_ago, model).health.equals(track(flights, NO_LOG, model).health)
 
 
 def test_recovers_the_truth_within_its_own_word(flights, model, fleet):
-    rows = track(flights, NO_LOG, model).filter(pl.col("parameter") == "hx_fouling")
+    rows = track(flights, NO_LOG, model).health.filter(pl.col("parameter") == "hx_fouling")
     joined = rows.join(fleet.truth, on=["tail", "flight_id", "pack"])
     off = joined["value"].to_numpy() - joined["loss"].to_numpy()
     assert np.abs(off).mean() < 0.03
@@ -190,7 +190,7 @@ def test_a_pack_never_seen_is_predicted_from_the_prior(model):
 
 
 def test_every_flight_has_every_parameter_once(flights, model):
-    rows = track(flights, NO_LOG, model)
+    rows = track(flights, NO_LOG, model).health
     assert rows.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
     assert rows.height == flights.height * rows["parameter"].n_unique()
     hidden = rows.filter(pl.col("status") == "not_identifiable")
@@ -201,7 +201,7 @@ def test_every_flight_has_every_parameter_once(flights, model):
 
 
 def test_no_flights_no_rows(flights, model):
-    assert track(flights.clear(), NO_LOG, model).height == 0
+    assert track(flights.clear(), NO_LOG, model).health.height == 0
 
 
 def test_a_worn_unit_with_a_wide_model_says_so(flights, model):
