@@ -15,12 +15,12 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks.fleets import Frames
+from hdt_core.prognosis.base import simulated_rows
 from hdt_core.prognosis.feature_rows import (
     INPUTS,
     PRIOR_RULES,
     Tracks,
     fleet_rows,
-    simulated_rows,
     tracks,
     tracks_as_of,
 )

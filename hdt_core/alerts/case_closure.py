@@ -79,8 +79,8 @@ def _moments_after_last_flight(
 ) -> dict[int, datetime]:
     """Return, by unit with such work since its last flight, the time from which the first entry counts."""
     last = grid.rows.group_by(PACK).agg(last_at=pl.col("departed_at").max())
+    last = last.join(grid.units.with_row_index("unit"), on=PACK, validate="1:1")
     later = select_entries(entries, (component,), actions).join(last, on=PACK, validate="m:1")
-    later = grid.units.with_row_index("unit").join(later, on=PACK, validate="m:m")
     later = later.filter(pl.col("counts_from") > pl.col("last_at"))
     return dict(later.group_by("unit").agg(pl.col("counts_from").min()).rows())
 

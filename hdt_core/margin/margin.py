@@ -18,6 +18,8 @@ LEVEL_SD_K = {"flight": 0.5, "pack": 2.0}
 RATIO_SD = 0.025
 """Standard deviation of the ln conductance at full door: scatter of a flight, and the map where samples are rare.
 [-]"""
+LN_RATIO_PER_K = 0.026
+"""Ln conductance that a kelvin of the outlet is worth at full door, in the middle of the simulated designs. [1/K]"""
 UNIT_FLIGHTS = 30
 """Flights of the running median of a unit's offset."""
 MARGIN_COLUMNS = (*EXCHANGER_MARGIN, "hx_margin_status")

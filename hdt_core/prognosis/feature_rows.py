@@ -1,6 +1,6 @@
 """Build the model's input arrays from frames: one row a flight and pack."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -10,14 +10,12 @@ from hdt_core.components import Limit
 from hdt_core.components.compressor import CC
 from hdt_core.margin.conditions import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
-from hdt_core.margin.margin import PRIOR_RULE, MessageRule, at_excess
+from hdt_core.margin.margin import LN_RATIO_PER_K, PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
 from hdt_core.prognosis.message_rule import learn_rules, rule_onsets
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
-from hdt_core.simulate.episodes import Episodes
-from hdt_core.simulate.training import LEAD, LN_RATIO_PER_K, draw_fleets
 
 INPUTS = (*FEATURES, "rule_sd")
 LOSSES = (
@@ -57,33 +55,6 @@ class FeatureRows:
     def take(self, mask: Array) -> "FeatureRows":
         """Select the rows of `mask`."""
         return FeatureRows(self.features[mask], self.remaining[mask], self.failed[mask], self.life[mask])
-
-
-def simulated_rows(
-    seed: int, fleets: int = 50, aircraft: int = 20, flights: int = 600, stride: int = 20
-) -> FeatureRows:
-    """Simulate rows of lives, with demand as uncertain as in a fleet with few messages."""
-    rng = np.random.default_rng(seed + 1)
-    parts = []
-    for number, (lives, rule_sd) in enumerate(draw_fleets(seed, fleets, aircraft, flights)):
-        remaining, failed = lives.remaining()
-        offset = rng.integers(0, stride, (remaining.shape[0], 1))
-        is_sampled = (remaining >= 1) & ((np.arange(flights)[None, :] + offset) % stride == 0)
-        unit, flight = np.nonzero(is_sampled)
-        record = record_rows(_panel_of(lives), (unit, flight))
-        features = feature_rows(record, repeated_demand(lives.demand), (unit, LEAD + flight))
-        table = np.column_stack([features, np.full(unit.size, rule_sd)])
-        life = number * remaining.shape[0] + unit
-        parts.append(FeatureRows(table, remaining[is_sampled], failed[is_sampled], life))
-    return FeatureRows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FeatureRows)))
-
-
-def _panel_of(lives: Episodes) -> Panel:
-    age = np.where(lives.age_known[:, None], np.arange(lives.loss.shape[1], dtype=float), np.nan)
-    return Panel(
-        lives.estimated_loss, lives.sd, age, lives.ratio,
-        lives.overheat_k, lives.overheat_half_k, lives.full_open, lives.day,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

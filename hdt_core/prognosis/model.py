@@ -21,10 +21,9 @@ from hdt_core.prognosis.feature_rows import (
     Tracks,
     fleet_rows,
     learn_rule,
-    simulated_rows,
 )
-from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, fit_hazard, hazards, passage_hazards, quantile
-from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD, RISES
+from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, hazards, passage_hazards, quantile
+from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.robust import Array
@@ -32,8 +31,6 @@ from hdt_core.robust import Array
 HORIZON = float(EDGES[-1])
 _RESERVE = INPUTS.index("reserve_95")
 _PASSAGE = [INPUTS.index(name) for name in PASSAGE[:-1]]
-MEMBERS = 3
-"""Models in the base."""
 LEARN_EVERY, LEARN_ROWS = 4, 1_000
 """Every so many flights of a life correct the base, for neighbours are nearly equal; at most about so many rows in all,
 which determine the few parameters."""
@@ -194,20 +191,6 @@ def predict_by_fold(model: Prognosis, component: str, track: Tracks, is_selected
         is_of_fold = is_selected & track.keys["tail"].is_in(fold.tails).to_numpy()
         parts.append(_predict(model, track, fold.fits[component], component, is_of_fold))
     return pl.concat(parts)
-
-
-def fit_base() -> Prognosis:
-    """Fit the base to simulated lives alone; it is the same for every fleet."""
-    members = tuple(fit_member(seed) for seed in range(MEMBERS))
-    check = simulated_rows(MEMBERS, fleets=20)
-    by = event_by(hazards(members, check.features))
-    return Prognosis(members, learn_levels(by, check.remaining, check.failed, check.life, prior_lives=0.0))
-
-
-def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
-    """Fit one model of a base to its own simulated fleets."""
-    rows = simulated_rows(seed, fleets)
-    return fit_hazard(rows.features, rows.remaining, rows.failed, seed, (*RISES, 0))
 
 
 def _learn(base: Prognosis, track: Tracks, component: str, use: Array) -> ComponentFit:

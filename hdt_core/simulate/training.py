@@ -5,15 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hdt_core.margin.margin import MessageRule
+from hdt_core.margin.margin import LN_RATIO_PER_K, MessageRule
 from hdt_core.robust import Array
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes, draw_limited
 from hdt_core.simulate.wear import WearSettings
 
-__all__ = ["LEAD", "LN_RATIO_PER_K", "draw_fleets"]
-
-LN_RATIO_PER_K = 0.026
-"""Ln conductance that a kelvin of the outlet is worth at full door, in the middle of the designs drawn. [1/K]"""
 LIMITED_SHARE = 0.15
 """Share of the fleets whose lives end at a limit of their own, as a compressor's do."""
 UNLOGGED_SHARE = 0.2
@@ -49,10 +45,8 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
             excess_sd_k = rng.uniform(0.4, 3.0)
             excess_estimate_k = settings.rule.excess_k + excess_sd_k * float(rng.standard_normal())
             lives = draw_episodes(fleet_seed, replace(settings, believed_excess_k=excess_estimate_k))
-            yield (
-                join_unlogged_lives(rng, lives) if rng.random() < UNLOGGED_SHARE else lives,
-                LN_RATIO_PER_K * excess_sd_k,
-            )
+            is_logged = rng.random() >= UNLOGGED_SHARE
+            yield lives if is_logged else join_unlogged_lives(rng, lives), LN_RATIO_PER_K * excess_sd_k
 
 
 def join_unlogged_lives(rng: np.random.Generator, lives: Episodes) -> Episodes:

@@ -9,8 +9,7 @@ from pathlib import Path
 import grimp
 import numpy as np
 
-from hdt_core.prognosis import model
-from hdt_core.prognosis.feature_rows import simulated_rows
+from hdt_core.prognosis import base
 from hdt_core.prognosis.hazard import event_by, hazards
 from pipelines.learned import shipped_base
 
@@ -23,7 +22,7 @@ MEAN, FAR = 0.002, 0.03
 def sources() -> str:
     """Digest the code that learns a base, without comments and docstrings, and the libraries it uses."""
     graph = grimp.build_graph("hdt_core", cache_dir=None)
-    modules = sorted({model.__name__} | graph.find_upstream_modules(model.__name__))
+    modules = sorted({base.__name__} | graph.find_upstream_modules(base.__name__))
     lines = [f"{name} {code_of(_text(name))}" for name in modules] + [f"{name} {version(name)}" for name in LIBRARIES]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
@@ -48,8 +47,8 @@ def _is_text(statement: ast.stmt) -> bool:
 
 def differences() -> tuple[float, float]:
     """Learn a third of the base again; return its differences in probability, mean and 99th percentile."""
-    rows = simulated_rows(SEED, FLEETS)
-    members = shipped_base().hazard[0], model.fit_member(0)
+    rows = base.simulated_rows(SEED, FLEETS)
+    members = shipped_base().hazard[0], base.fit_member(0)
     shipped_p, new_p = (event_by(hazards([m], rows.features)) for m in members)
     difference = np.abs(shipped_p - new_p)
     return float(difference.mean()), float(np.quantile(difference, 0.99))

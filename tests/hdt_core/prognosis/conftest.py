@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
+from hdt_core.margin.margin import LN_RATIO_PER_K
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes
-from hdt_core.simulate.training import LN_RATIO_PER_K
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
 

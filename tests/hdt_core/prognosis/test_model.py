@@ -11,6 +11,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.rolling import predict_prognosis
 from hdt_core.margin.margin import PRIOR_RULE
+from hdt_core.prognosis.base import fit_member
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, fleet_rows, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.hazard import EDGES, event_by, fit_hazard, hazards
@@ -23,7 +24,6 @@ from hdt_core.prognosis.model import (
     _lesson_scores,
     assemble,
     fit_component,
-    fit_member,
     predict_by_fold,
     split_tails,
 )

@@ -10,9 +10,11 @@ import pytest
 
 from hdt_core.components import components
 from hdt_core.margin.first_passage import wear_rate
+from hdt_core.margin.margin import LN_RATIO_PER_K
+from hdt_core.prognosis import base as base_module
 from hdt_core.prognosis import hazard, model
 from hdt_core.prognosis.component_life import _event_by, first_passage
-from hdt_core.prognosis.feature_rows import PRIOR_RULES, _trailing_median, simulated_rows, tracks
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, _trailing_median, tracks
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, score_months, start_of
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, events_ahead, hazards, passage_hazards, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
@@ -36,7 +38,6 @@ from hdt_core.prognosis.training_digest import (
     training_digests,
 )
 from hdt_core.prognosis.unit_lives import episodes
-from hdt_core.simulate.training import LN_RATIO_PER_K
 
 DIGEST = TrainingDigest(
     "base", "design", ["A", "B"], ["O"], [f"life {k}" for k in range(100)], {"O|A|1": 900, "O|B|1": 100}
@@ -165,9 +166,9 @@ def test_a_model_that_is_worse_by_more_than_two_per_cent_does_not_serve(candidat
 
 def test_the_learning_is_as_declared():
     """Members, folds, rows and failures: chosen on simulated fleets (docs/prognosis.md)."""
-    assert (model.MEMBERS, model.FOLDS, model.LEARN_FROM, model.HORIZON) == (3, 5, 12, 300.0)
+    assert (base_module.MEMBERS, model.FOLDS, model.LEARN_FROM, model.HORIZON) == (3, 5, 12, 300.0)
     # a member learns from every twentieth flight of fifty fleets of twenty aircraft that fly six hundred times
-    assert (simulated_rows.__defaults__, model.fit_member.__defaults__) == ((50, 20, 600, 20), (50,))
+    assert (base_module.simulated_rows.__defaults__, base_module.fit_member.__defaults__) == ((50, 20, 600, 20), (50,))
     for rows, stride in ((1, 4), (4000, 4), (4001, 5), (8000, 8), (8001, 9)):
         assert model._stride(np.ones(rows, bool)) == stride
     assert split_tails(list("gfedcba")) == [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]

@@ -11,8 +11,9 @@ from benchmarks.prognosis import calibration
 from hdt_core.components import Limit, components
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.margin.margin import MessageRule
+from hdt_core.prognosis.base import simulated_rows
 from hdt_core.prognosis.component_life import component_prognoses, first_passage, learn_limit
-from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, simulated_rows, tracks
+from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, tracks
 from hdt_core.prognosis.hazard import quantile
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.unit_lives import episodes, flight_rows, life_table, with_lives
