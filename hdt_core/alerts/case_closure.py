@@ -91,12 +91,12 @@ def apply_inspections(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], 
     After an inspection without a finding, growth of the loss by `LOSS_GROWTH` raises a sensor case; wear is called
     again only for a growth that would raise a case on a new part.
     """
-    cleared = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
-    for case in cleared:
+    cleared_cases = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
+    for case in cleared_cases:
         start, end, level = _span(grid, maintenance, case)
         loss = grid.track(LOSS[case.diagnosis], case.unit)
         cases = [c for c in cases if not _same_loss(c, case, (start, end), loss - level, limits)]
-    contradictions = [c for case in cleared for c in _contradictions(grid, maintenance, case, limits)]
+    contradictions = [c for case in cleared_cases for c in _contradictions(grid, maintenance, case, limits)]
     return cases + close_after_work(grid, maintenance, contradictions)
 
 

@@ -217,8 +217,8 @@ def _span_sum(values: Array, start: Index) -> Array:
 
 
 def _rolling_max(values: Array, flights: int) -> Array:
-    extended = np.concatenate([np.repeat(values[:, :1], flights - 1, axis=1), values], axis=1)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(extended, flights, axis=1).max(axis=-1))
+    with_lead = np.concatenate([np.repeat(values[:, :1], flights - 1, axis=1), values], axis=1)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(with_lead, flights, axis=1).max(axis=-1))
 
 
 def _roughness(level: Array) -> Array:

@@ -159,7 +159,7 @@ def _credible_messages(
     inspections = maintenance.filter(
         (pl.col("component") == failure.component) & (pl.col("finding") == "NO_FAULT_FOUND")
     ).select(*PACK, "done_on")
-    # inspected the same day or within three days after: the message had another cause
+    # inspected on one of the three days after: the message had another cause (the same day's entry may precede it)
     false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(
         (pl.col("done_on") - pl.col("day")).is_between(pl.duration(days=1), pl.duration(days=3))
     )
