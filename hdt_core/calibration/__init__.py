@@ -1,1 +1,1 @@
-"""The Digital System Model: how each aircraft was built, found on its nominal flights."""
+"""The Digital System Model: the design of each aircraft, calibrated on its nominal flights."""

@@ -19,7 +19,8 @@ SAMPLE_SD = 0.025
 """Noise of one sample's ln conductance, for flights too short to show their own."""
 ROBUST_STEPS = 6
 ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
-"""Height from which climb and descent count (below are ice, slow flight and transients), fewest samples, least flow."""
+"""Height from which climb and descent count (below are ice, slow flight and transients), fewest samples, and the flow
+below which a pack is off."""
 SLOPES = (
     ("ratio_per_exit_k", "hx_out_k", 0.01),
     ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4),

@@ -11,7 +11,7 @@ from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 PSI_PA = 6894.757293168361
 RUNNING_RAD_S = 500.0
 LEAST_INLET_PA = 65e3
-"""Where inlet pressure is recorded in whole psi, a digit is a tenth below."""
+"""Below it, inlet pressure recorded in whole psi is too coarse: a digit is a tenth."""
 LEAST_RATIO, MOST_RETURNED = 1.2, 0.1
 """With little work, or recirculated air, the compressor's inlet temperature is unknown."""
 

@@ -1,1 +1,1 @@
-"""What was flown: phases, sample quality, steady state, and which legs are nominal."""
+"""Flights on record: phases, sample quality, steady state, and nominal legs."""

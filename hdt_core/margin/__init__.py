@@ -1,1 +1,1 @@
-"""The margin that is left: what flights demand of exchanger and compressor, against what they can still give."""
+"""Margins: the demand of flights on exchanger and compressor, against the capacity that is left."""

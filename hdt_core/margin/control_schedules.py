@@ -14,14 +14,13 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.flight_estimates import RUNNING_KG_S
 from hdt_core.json_values import with_tuples
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK
 from hdt_core.robust import huber_weights, spread
 
 DOOR_FREE = (0.08, 0.95)
 """Between these openings the door has authority: outside, the outlet may leave its target."""
-RUNNING_KG_S = 0.2
-"""Below this flow a pack is off."""
 LEARNING_FLIGHTS = 60
 """First flights of each aircraft, from which the schedules are learned (the declared baseline window)."""
 ROUGHNESS = 10.0

@@ -18,7 +18,7 @@ HOT_DAY_K = 15.0
 
 
 def reference_air(n: int, level_m: float = REFERENCE_M) -> dict[str, Array]:
-    """`altitude_m, mach, tat_k, total_pressure_pa` of the reference cruise, or of another level, (n,) each."""
+    """Return `altitude_m, mach, tat_k, total_pressure_pa` of the reference cruise, or of another level, (n,) each."""
     altitude_m, mach = np.full(n, level_m), np.full(n, REFERENCE_MACH)
     return {
         "altitude_m": altitude_m,
@@ -29,5 +29,5 @@ def reference_air(n: int, level_m: float = REFERENCE_M) -> dict[str, Array]:
 
 
 def hot_day_tat_k(altitude_m: Array, mach: Array) -> Array:
-    """Total air temperature of the hot day. [K]"""
+    """Compute total air temperature of the hot day. [K]"""
     return np.asarray((standard_temperature_k(altitude_m) + HOT_DAY_K) * total_to_static_temperature(mach))

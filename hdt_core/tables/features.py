@@ -249,7 +249,7 @@ def _critical(where: str) -> dict[str, dy.Column]:
 
 def _delivery(where: str) -> dict[str, dy.Float64]:
     words = {"p20": "a fifth of the cruise", "middle": "its middle", "hot_high": "its middle, were it hot and high"}
-    flow = f"of the flow asked for in {words[where]}, at the highest speed"
+    flow = f"of the flow asked in {words[where]}, at the highest speed"
     ratio = "ln of the least diameter over equation (6)'s that delivers"
     critical = {
         f"critical_ln_diameter_{where}_{n}pct": number(f"{ratio} {n} % {flow}") for n in (60, 80, 100, 120, 150)

@@ -1,4 +1,4 @@
-"""Stage legs: which flights and samples are nominal, and why the others are not."""
+"""Tables of stage legs: nominal flights and samples, and reasons for the others."""
 
 from hdt_core.tables.base import DatedLegTable, LegTable, count, flag, moment, number, text
 from hdt_core.tables.signals import SampleTable
@@ -39,7 +39,7 @@ class LegsVerdicts(DatedLegTable):
 
 
 class LegsIndicators(LegTable):
-    """What a leg shows by itself, held against the fleet's laws: flight, pack."""
+    """Indicators of a leg by its own samples, against the fleet's laws: flight, pack."""
 
     index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")
     index_n = count("samples behind it", nullable=True)

@@ -158,7 +158,7 @@ class RawCases(Table):
     tail = tail_key(primary_key=False)
     pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right", nullable=True)
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
-    diagnosis = text("what the alert says", nullable=False)
+    diagnosis = text("diagnosis of the alert", nullable=False)
     kind = text("acknowledge, assign, mute, watch, unwatch, close or reopen", nullable=False)
     person = text("who", nullable=False)
     assignee = text("assign: to whom")

@@ -2,6 +2,7 @@
 flights and by entries of the log, each with its chance.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +21,13 @@ FAULT_SD = 0.2
 CHANCE = {"deposit": 1 / 200, "clog": 1 / 2000, "fault_over": 1 / 30, "recovery": 1 / 2000}
 """Of each event on a flight, as such things go; a fault lasts some thirty flights."""
 RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
-"""Chance of a new core on a flight of which the log says nothing yet, units living some 400 flights
+"""Chance of a new core on a flight without an entry in the log yet, units living some 400 flights
 (`margin.first_passage`), and on one it names."""
 LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
 """Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
 that an entry never comes where a log is kept."""
+NOT_NEW_FLIGHTS = 10**6
+"""Flights since the renewal of a core that was not new at entry."""
 
 
 class Hypotheses(NamedTuple):
@@ -48,22 +51,22 @@ class Hypotheses(NamedTuple):
     retention: Array
 
     def at(self, rows: Array) -> "Hypotheses":
-        """Hypotheses at `rows`, copied."""
+        """Copy the hypotheses at `rows`."""
         return Hypotheses(*(values[rows] for values in self))
 
     def of(self, pack: int) -> "Hypotheses":
-        """Hypotheses of one pack."""
+        """Copy the hypotheses of one pack."""
         first, last = np.searchsorted(self.pack, [pack, pack + 1])
         return self.at(np.arange(first, last))
 
     def of_first(self, n: int) -> "Hypotheses":
-        """Hypotheses of the first n packs, not copied."""
+        """Return the hypotheses of the first n packs, not copied."""
         rows = int(np.searchsorted(self.pack, n))
         return self if rows == len(self.pack) else Hypotheses(*(values[:rows] for values in self))
 
     @property
     def n_packs(self) -> int:
-        """How many packs there are, numbered without gaps."""
+        """Number of packs, which are numbered without gaps."""
         return int(self.pack[-1]) + 1
 
 
@@ -77,6 +80,26 @@ class Branching(NamedTuple):
     prior: Hypotheses
     new_row: Array
     weight: Array
+
+
+def start(settings: Settings) -> Hypotheses:
+    """Build hypotheses about a pack before any flight: every pace with every wear at entry."""
+    pairs = list(product(enumerate(settings.paces), settings.entries))
+    n = len(pairs)
+    mean, cov = np.zeros((n, 5)), np.zeros((n, 5, 5))
+    weight, since = np.zeros(n), np.zeros(n, dtype=np.int64)
+    for row, ((_, pace), entry) in enumerate(pairs):
+        weight[row] = np.log(pace.share * entry.share)
+        mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
+        mean[row, RATE], cov[row, RATE, RATE] = pace.rate, pace.rate_sd**2
+        since[row] = 0 if entry.is_new else NOT_NEW_FLIGHTS
+    for i, sd in ((SENSORS, settings.sensors_sd), (UNIT, settings.unit_sd), (OTHER, MAP_SD)):
+        cov[:, i, i] = sd**2
+    return Hypotheses(
+        pack=np.zeros(n, dtype=np.int64), log_weight=weight, mean=mean, cov=cov, since=since,
+        pace=np.array([i for (i, _), _ in pairs]), unlogged=np.zeros(n, dtype=bool), faulty=np.zeros(n, dtype=bool),
+        parent=np.arange(n), retention=np.ones((n, 5)),
+    )  # fmt: skip
 
 
 def join(parts: list[Hypotheses]) -> Hypotheses:

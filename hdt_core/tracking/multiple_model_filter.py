@@ -28,54 +28,10 @@ from hdt_core.tracking.hypotheses import (
     normalise,
     prune,
 )
-from hdt_core.tracking.wear_model import (
-    MAP_SD,
-    OTHER,
-    RATE,
-    SENSORS,
-    UNIT,
-    WEAR,
-    Observation,
-    Settings,
-    at_reference,
-    innovation,
-    predict,
-    update,
-)
+from hdt_core.tracking.wear_model import WEAR, Observation, Settings, at_reference, innovation, predict, update
 
 SURPRISE = 2.0
 """Standard deviations at which a flight branches the hypotheses."""
-ASLEEP = 10**6
-"""Flights since the renewal of a core that was not new when first seen."""
-
-
-def start(n: int, settings: Settings) -> Hypotheses:
-    """Build hypotheses about n packs before any flight: every pace with every wear at entry."""
-    kinds = [(i, j) for i in range(len(settings.paces)) for j in range(len(settings.entries))]
-    k = len(kinds)
-    mean, cov = np.zeros((k, 5)), np.zeros((k, 5, 5))
-    weight, since = np.zeros(k), np.zeros(k, dtype=np.int64)
-    for row, (i, j) in enumerate(kinds):
-        pace, entry = settings.paces[i], settings.entries[j]
-        weight[row] = np.log(pace.share * entry.share)
-        mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
-        mean[row, RATE], cov[row, RATE, RATE] = pace.rate, pace.rate_sd**2
-        since[row] = 0 if entry.is_new else ASLEEP
-    for i, sd in ((SENSORS, settings.sensors_sd), (UNIT, settings.unit_sd), (OTHER, MAP_SD)):
-        cov[:, i, i] = sd**2
-    none = np.zeros(k * n, dtype=bool)
-    return Hypotheses(
-        np.repeat(np.arange(n), k),
-        np.tile(weight, n),
-        np.tile(mean, (n, 1)),
-        np.tile(cov, (n, 1, 1)),
-        np.tile(np.array([i for i, _ in kinds]), n),
-        np.tile(since, n),
-        none,
-        none.copy(),
-        np.arange(k * n),
-        np.ones((k * n, 5)),
-    )
 
 
 def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tuple[Hypotheses, Branching]:

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.flight_panel import FlightPanel
-from hdt_core.tracking.hypotheses import Branching, Hypotheses, join
-from hdt_core.tracking.multiple_model_filter import wear_summary
+from hdt_core.tracking.hypotheses import Branching, Hypotheses, join, start
+from hdt_core.tracking.multiple_model_filter import step, wear_summary
 from hdt_core.tracking.wear_model import WEAR, Settings, transition
 
 SEGMENT_FLIGHTS = 50
@@ -119,7 +118,7 @@ def _filter_packs(
             segment = begin[packs] + k // SEGMENT_FLIGHTS
             result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(n_packs)})
         cell = (first[:n_packs] + k, packs[:n_packs])
-        hypotheses, branching = mmf.step(hypotheses, panel.observations.of(cell), settings)
+        hypotheses, branching = step(hypotheses, panel.observations.of(cell), settings)
         steps += [(hypotheses, branching)] if smoothed else []
         result.tracks[:2, panel.row[cell]] = wear_summary(hypotheses, n_packs)
         if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == remaining[0]):
@@ -131,5 +130,5 @@ def _filter_packs(
 
 def _first_hypotheses(packs: Array, begin: Array, checkpoints: Checkpoints, settings: Settings) -> Hypotheses:
     """Collect the hypotheses with which packs begin, numbered side by side."""
-    parts = [checkpoints[int(p), int(begin[p])] if begin[p] else mmf.start(1, settings) for p in packs]
+    parts = [checkpoints[int(p), int(begin[p])] if begin[p] else start(settings) for p in packs]
     return join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])

@@ -6,6 +6,7 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.flight_panel import FILTERED, build_panel
+from hdt_core.tracking.hypotheses import start
 from hdt_core.tracking.sensor_shifts import corrections
 from hdt_core.tracking.track import LOSS, _exchanger, _rows
 from hdt_core.tracking.wear_model import Settings
@@ -20,7 +21,7 @@ def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, liter
     panel = build_panel(flights, faults, maintenance, dsm)
     level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
     for pack in range(panel.row.shape[1]):
-        hypotheses = mmf.start(1, settings)
+        hypotheses = start(settings)
         for k, row in enumerate(panel.row[:, pack]):
             if row >= 0:
                 hypotheses, _ = mmf.step(hypotheses, panel.observations.of((np.array([k]), np.array([pack]))), settings)

@@ -11,7 +11,6 @@ from by_hand import flights, log
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.records.keys import LEG, PACK
-from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
 from hdt_core.tracking.component import declared_estimator
 from hdt_core.tracking.component_units import (
@@ -26,6 +25,7 @@ from hdt_core.tracking.component_units import (
     pack_models,
     unit_health,
 )
+from hdt_core.tracking.hypotheses import start
 from hdt_core.tracking.sequential import MIN_SAMPLES, flight_by_flight, recorded_outputs
 from hdt_core.tracking.wear_model import Settings
 
@@ -203,7 +203,7 @@ SEEN = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
     ],
 )  # fmt: skip
 def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, begin):
-    state = mmf.start(1, Settings(0.0, 0.01, 0.05))
+    state = start(Settings(0.0, 0.01, 0.05))
     stored = checkpoint_rows(PACKS, SEEN, from_first_flight(2), {(0, c): state for c in [0, *segments]})
     assert stored["chapter"].unique().sort().to_list() == segments
     found = read_checkpoints(stored, PACKS, now)

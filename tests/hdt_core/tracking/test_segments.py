@@ -69,8 +69,8 @@ def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model
 
 
 def test_only_the_last_segments_are_filtered_again(three, log, model, whole, monkeypatch):
-    flown, step = [], segments.mmf.step
-    monkeypatch.setattr(segments.mmf, "step", lambda b, seen, s: flown.append(len(seen.ratio)) or step(b, seen, s))
+    flown, step = [], segments.step
+    monkeypatch.setattr(segments, "step", lambda b, seen, s: flown.append(len(seen.ratio)) or step(b, seen, s))
     assert same(track(three, log, model, whole), whole)
     assert sum(flown) == (430 - 350) + (330 - 250) + (150 - 50)
 

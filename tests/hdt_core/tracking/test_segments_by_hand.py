@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hdt_core.tracking import multiple_model_filter as mmf
 from hdt_core.tracking.flight_panel import FlightPanel
+from hdt_core.tracking.hypotheses import start
 from hdt_core.tracking.segments import _merge_branches, filter_segments
 from hdt_core.tracking.wear_model import Observation, Settings
 
@@ -54,7 +54,7 @@ def test_a_night_goes_on_from_a_checkpoint(flown):
 
 
 def test_branches_of_one_parent_are_merged_by_their_moments():
-    before = mmf.start(1, SETTINGS)
+    before = start(SETTINGS)
     parent, weight = np.array([3, 3, 5]), np.array([0.2, 0.6, 0.1])
     mean, cov = np.zeros((3, 5)), np.tile(1e-9 * np.eye(5), (3, 1, 1))
     mean[:, 0] = 0.1, 0.2, 0.3

@@ -8,7 +8,7 @@ from scipy.stats import norm, truncnorm
 
 from hdt_core.tracking import hypotheses as hy
 from hdt_core.tracking import multiple_model_filter as mmf
-from hdt_core.tracking.hypotheses import Hypotheses, join, normalise, prune
+from hdt_core.tracking.hypotheses import Hypotheses, join, normalise, prune, start
 from hdt_core.tracking.segments import smooth
 from hdt_core.tracking.wear_model import Observation, Settings
 
@@ -217,21 +217,21 @@ def test_the_smoother_is_rauch_tung_striebel_along_every_path(flown):
 
 
 def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
-    states = mmf.start(2, SETTINGS)
-    assert states.pack.tolist() == [0] * 12 + [1] * 12
+    states = start(SETTINGS)
+    assert states.pack.tolist() == [0] * 12
     shares = [p[0] * e[0] for p in PACES for e in ENTRY]
-    np.testing.assert_allclose(np.exp(states.log_weight), shares * 2)
-    np.testing.assert_allclose(states.mean[:12, :2], [(e[1], p[1]) for p in PACES for e in ENTRY])
+    np.testing.assert_allclose(np.exp(states.log_weight), shares)
+    np.testing.assert_allclose(states.mean[:, :2], [(e[1], p[1]) for p in PACES for e in ENTRY])
     assert not states.mean[:, 2:].any()
     # of the offset 0.05 the unit has 0.04, the sensors the rest, 0.03; the level's own error lies on the sensors too
     rest = (0.03**2 + 0.01**2, 0.04**2, 0.005**2)
-    for k, cov in enumerate(states.cov[:12]):
+    for k, cov in enumerate(states.cov):
         p, e = PACES[k // 4], ENTRY[k % 4]
         np.testing.assert_allclose(cov, np.diag([e[2] ** 2, p[2] ** 2, *rest]))
-    assert states.pace[:12].tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert states.pace.tolist() == [0] * 4 + [1] * 4 + [2] * 4
     assert (states.since[:4] == [0, 10**6, 10**6, 10**6]).all()
     assert not (states.faulty | states.unlogged).any()
-    assert {len(column) for column in states} == {24}
+    assert {len(column) for column in states} == {12}
 
 
 def test_wear_is_never_negative():
