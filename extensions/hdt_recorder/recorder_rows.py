@@ -17,7 +17,6 @@ from hdt_recorder.recordings import MOST_BYTES, open_recording, unpacked_bytes
 from hdt_recorder.types_of_zone import types_of
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.names import flight_of_file
 
 Floats = npt.NDArray[np.float64]
 MAP_UNITS = {"deg c": "degc", "degree c": "degc", "deg f": "degf", "mbar": "mbar", "hpa": "hpa", "psi": "psia",
@@ -43,7 +42,7 @@ def recorder_rows(file: LandingFile, table: str) -> tuple[pl.DataFrame, int, lis
     """
     types = types_of(Path(file.landing))
     kind, why = types.of(file.operator, file.tail), types.fault_of(file.operator, file.tail)
-    flight = flight_of_file(file.name, file.tail)
+    flight = file.flight
     if kind is None or why or flight is None or unpacked_bytes(Path(file.full_path)) > MOST_BYTES:
         return pl.DataFrame(), 0, [_refused(why, flight)]
     try:

@@ -9,6 +9,7 @@ import polars as pl
 
 from pipelines.intake.faults import Fault, quarantine
 from pipelines.intake.fleet_list import PACKS
+from pipelines.intake.names import flight_of_file
 
 Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
@@ -69,6 +70,11 @@ class LandingFile:
     def name(self) -> str:
         """Last part of the path."""
         return self.path.rpartition("/")[2]
+
+    @property
+    def flight(self) -> str | None:
+        """Flight that it is named after; None where its name is no flight_id of its tail."""
+        return flight_of_file(self.name, self.tail)
 
     @property
     def is_text(self) -> bool:

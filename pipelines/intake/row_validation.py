@@ -11,7 +11,7 @@ from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAM
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.laws import pressure_over_atmosphere
-from pipelines.intake.names import EARLIEST, flight_day, flight_of_file, flight_tail, is_history
+from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_history
 from pipelines.intake.unit_slips import OUTSIDE, find_unit_slips
 
 EARLY, LATE = timedelta(hours=3), timedelta(hours=48)
@@ -38,41 +38,15 @@ class ValidatedRows:
     faults: list[tuple[int, Fault]]
 
 
-def describe_files(files: Sequence[LandingFile]) -> pl.DataFrame:
-    """Describe each file by path and fleet list: operator, tail, source, the flight in its name, packs."""
-    rows = []
-    for f in files:
-        flight, place = flight_of_file(f.name, f.tail), (f.path, f.operator, f.tail, f.source)
-        odd_name = flight is None and not is_history(f.name)
-        rows.append((*place, f.is_text, flight, odd_name, _unlisted_aircraft(f), f.packs, _fewer_packs(f)))
-    schema = {"file": pl.String, "operator": pl.String, "tail": pl.String, "source": pl.String, "is_text": pl.Boolean,
-              "named": pl.String, "odd_name": pl.Boolean, "unknown": pl.String, "packs": pl.Int64,
-              "fewer": pl.String}  # fmt: skip
-    return pl.DataFrame(rows, schema=schema, orient="row")
-
-
-def _unlisted_aircraft(file: LandingFile) -> str:
-    """Name an aircraft that is not on the fleet list, and the operators that have its tail; else empty."""
-    if file.other_operators is None:
-        return ""
-    others = ", ".join(file.other_operators.split(","))
-    return f"{file.operator} {file.tail}" + (f"; the list has this tail under {others}." if others else ".")
-
-
-def _fewer_packs(file: LandingFile) -> str:
-    """Give the packs of the fleet list where more are stored of the file; else empty."""
-    return f"{file.packs_listed} for {file.packs_stored}." if file.packs_listed < file.packs_stored else ""
-
-
-def validate_rows(raw: pl.DataFrame, files: pl.DataFrame, now: datetime) -> ValidatedRows:
+def validate_rows(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime) -> ValidatedRows:
     """Validate rows of several files.
 
     Parameters
     ----------
     raw : DataFrame
         `file_index, row, flight_id, report_time` (UTC), `pack`, phase code and all signals in recorded units.
-    files : DataFrame
-        From `describe_files`, one row a file.
+    files : sequence of LandingFile
+        By `file_index`.
     now : datetime
         Times after it lie in the future.
     """
@@ -93,7 +67,7 @@ def _fitting_units(raw: pl.DataFrame, slips: pl.DataFrame) -> dict[tuple[int, st
     return {(file, flight, column): sentence for file, flight, column, sentence in keys}
 
 
-def _row_reasons(raw: pl.DataFrame, files: pl.DataFrame, now: datetime, slips: pl.DataFrame) -> pl.DataFrame:
+def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime, slips: pl.DataFrame) -> pl.DataFrame:
     """Give the reason why each row is rejected, null where it is not, and the columns at fault."""
     unit = ("file_index", "flight_id")
     flights = _flights(raw.select(unit).unique(), files)
@@ -129,29 +103,26 @@ def is_pack(packs: pl.Expr) -> pl.Expr:
     return (pack.is_between(1, packs) & (pack == pack.floor())).fill_null(False)
 
 
-def _flights(pairs: pl.DataFrame, files: pl.DataFrame) -> pl.DataFrame:
+def _flights(pairs: pl.DataFrame, files: Sequence[LandingFile]) -> pl.DataFrame:
     """Give for each file and flight_id the fault of the id (or null), its UTC day, and the aircraft's packs."""
-    tails, flights_of_names, packs = (files.get_column(c).to_list() for c in ("tail", "named", "packs"))
     rows = []
     for i, flight in pairs.iter_rows():
         day = flight_day(flight) if flight else None
         wrong = None
         if day is None:
             wrong = "repeated_header" if flight == "flight_id" else "bad_flight_id"
-        elif flight_tail(flight) != tails[i] or flights_of_names[i] not in (None, flight):
+        elif flight_tail(flight) != files[i].tail or files[i].flight not in (None, flight):
             wrong = "flight_id_contradicts_path"
         elif day < EARLIEST:
             wrong = "too_early"
-        rows.append((i, flight, wrong, day and datetime.combine(day, time(), UTC), packs[i]))
+        rows.append((i, flight, wrong, day and datetime.combine(day, time(), UTC), files[i].packs))
     types = {"wrong_id": pl.String(), "day": pl.Datetime("us", "UTC"), "packs": pl.Int64()}
-    schema = pl.Schema({**pairs.schema, **types})
-    return pl.DataFrame(rows, schema=schema, orient="row")
+    return pl.DataFrame(rows, schema=pl.Schema({**pairs.schema, **types}), orient="row")
 
 
 def _row_faults(
-    raw: pl.DataFrame, reasons: pl.DataFrame, bad: pl.Series, files: pl.DataFrame
+    raw: pl.DataFrame, reasons: pl.DataFrame, bad: pl.Series, files: Sequence[LandingFile]
 ) -> list[tuple[int, Fault]]:
-    is_text = files.get_column("is_text").to_list()  # then the caller adds the delivered line
     bad_rows = raw.filter(bad).hstack(reasons.filter(bad).select(pl.all().name.prefix("_")))
     bad_rows, rest = first_and_rest(bad_rows, ["file_index", "_reason"], MAX_ROWS_LISTED)
     faults = []
@@ -162,7 +133,7 @@ def _row_faults(
         value = row.get(column) if column else None
         detail = sentence or (f"Found {str(value)[:60]!r}." if value is not None else "")
         flight = None if reason in NO_FLIGHT else row["flight_id"]
-        content = None if is_text[i] else _as_text(row)
+        content = None if files[i].is_text else _as_text(row)  # of text the caller adds the delivered line
         faults.append((i, Fault(reason, row["row"], column, detail, 1, flight, content)))
     more = [(i, Fault(reason, detail=f"And {n} more rows.", n_rows=n)) for i, reason, n in rest.iter_rows()]
     return faults + more
@@ -202,15 +173,19 @@ def _value_fault(name: str, row: int, flight: str, value: float | str, fits: str
     return Fault(reason, row, name, f"Found {value:g}. {fits}".rstrip(), flight_id=flight)
 
 
-def _notes(rows: pl.DataFrame, files: pl.DataFrame) -> list[tuple[int, Fault]]:
+def _notes(rows: pl.DataFrame, files: Sequence[LandingFile]) -> list[tuple[int, Fault]]:
     """Make notes on files with stored rows."""
     notes = []
     for i in rows.get_column("file_index").unique().sort().to_list():
-        if files.item(i, "unknown"):
-            notes.append((i, Fault("unknown_tail", detail=files.item(i, "unknown"))))
-        if files.item(i, "fewer"):
-            notes.append((i, Fault("fewer_packs", None, "pack", files.item(i, "fewer"))))
-        if files.item(i, "odd_name"):
+        file = files[i]
+        if file.other_operators is not None:
+            others = ", ".join(file.other_operators.split(","))
+            more = f"; the list has this tail under {others}." if others else "."
+            notes.append((i, Fault("unknown_tail", detail=f"{file.operator} {file.tail}{more}")))
+        if file.packs_listed < file.packs_stored:
+            detail = f"{file.packs_listed} for {file.packs_stored}."
+            notes.append((i, Fault("fewer_packs", None, "pack", detail)))
+        if file.flight is None and not is_history(file.name):
             notes.append((i, Fault("flight_id_from_column")))
     return notes + _clock_jumps(rows) + _implausible_pressure(rows)
 

@@ -10,9 +10,9 @@ from hdt_core.tables.raw import RawSnapshots
 from pipelines.intake.columns import PACK_FILES, SIGNAL_COLUMNS, WORDS
 from pipelines.intake.faults import NO_FAULTS, Fault
 from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.names import flight_day, flight_of_file, flight_tail
+from pipelines.intake.names import flight_day, flight_tail
 from pipelines.intake.opening import add_faults, open_files
-from pipelines.intake.row_validation import describe_files, validate_rows
+from pipelines.intake.row_validation import validate_rows
 from pipelines.storage.panics import first_line, panics_as_errors
 
 NO_ROWS = RawSnapshots.create_empty().with_columns(row_in_file=pl.lit(0, pl.Int64))
@@ -64,9 +64,8 @@ def _read_together(files: Sequence[LandingFile], now: datetime) -> Intake:
     if raw.height:
         types = dict.fromkeys(PACK_FILES.words, pl.String) | dict.fromkeys(PACK_FILES.numbers, pl.Float64)
         raw = raw.with_columns(pl.lit(None, t).alias(c) for c, t in types.items() if c not in raw.columns)
-        files_table = describe_files(files)
-        result = validate_rows(raw, files_table, now)
-        rows = _to_si(result.rows, files_table)
+        result = validate_rows(raw, files, now)
+        rows = _to_si(result.rows, files)
         add_faults(opened_files, result.faults)
     frames = [f.quarantine(o.faults) for f, o in zip(files, opened_files, strict=True) if o.faults]
     return Intake(
@@ -85,9 +84,8 @@ def flights_in(file: LandingFile) -> list[str]:
 
     Only well-formed ids of the file's own tail; none where it cannot be read, which `read_snapshots` reports.
     """
-    flight_of_name = flight_of_file(file.name, file.tail)
-    if flight_of_name is not None or file.is_recording:
-        return [flight_of_name] if flight_of_name else []
+    if file.flight is not None or file.is_recording:
+        return [file.flight] if file.flight else []
     try:
         with panics_as_errors():
             _, raw = open_files([file], PACK_FILES, only=("flight_id",))
@@ -97,11 +95,11 @@ def flights_in(file: LandingFile) -> list[str]:
     return sorted(f for f in flights if flight_day(f) is not None and flight_tail(f) == file.tail)
 
 
-def _to_si(rows: pl.DataFrame, files_table: pl.DataFrame) -> pl.DataFrame:
+def _to_si(rows: pl.DataFrame, files: Sequence[LandingFile]) -> pl.DataFrame:
     """Convert validated rows to SI, in the order of `ROW_COLUMNS`."""
     si = [(pl.col(c.name) * c.scale + c.offset).alias(c.si_name) for c in SIGNAL_COLUMNS]
-    place = ["operator", "tail", "source", "file"]
-    of_file = files_table.select(pl.col(place).gather(rows["file_index"]))
+    names = dict.fromkeys(("operator", "tail", "source", "file"), pl.String)
+    of_files = pl.DataFrame([(f.operator, f.tail, f.source, f.path) for f in files], schema=names, orient="row")
     pack = pl.col("pack").cast(pl.Int32)
     values = rows.select("flight_id", pack, *WORDS, *si, time_utc="report_time", row_in_file="row")
-    return values.hstack(of_file).select(ROW_COLUMNS)
+    return values.hstack(of_files[rows["file_index"]]).select(ROW_COLUMNS)

@@ -292,3 +292,18 @@ def test_every_reason_is_met_by_a_test():
     folders = Path(__file__).parents[1], Path(__file__).parents[3] / "extensions/tests"
     source = "".join(p.read_text() for folder in folders for p in folder.glob("**/test_*.py"))
     assert [r for r in REASONS if f'"{r}"' not in source] == []
+
+
+def test_the_page_on_bad_input_holds_the_table_of_reasons():
+    page = (Path(__file__).parents[3] / "docs" / "bad-input.md").read_text()
+    rows = [f"| `{code}` | {r.scope} | {r.sentence} | {r.remedy} |" for code, r in REASONS.items()]
+    assert [line for line in page.splitlines() if line.startswith("| `")] == rows
+
+
+def test_an_empty_flight_id_has_one_message_whatever_else_the_file_holds(good_flight, deliver, read):
+    empty = field(7, "flight_id", b"")(good_flight)
+    details = [
+        read(deliver({CSV: content})).quarantine.filter(reason="bad_flight_id")["detail"].to_list()
+        for content in (empty, line_as(3, b"x")(empty), field(7, "flight_id", b'""')(good_flight))
+    ]
+    assert details == [[REASONS["bad_flight_id"].sentence]] * 3
