@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -160,9 +160,9 @@ def to_columns(texts: Sequence[Text], numbers: Collection[str]) -> pl.DataFrame:
     for i, text in enumerate(texts):
         if text.lines:
             by_header.setdefault(text.header.names, []).append(i)
-    frames = [_split_lines(names, members, texts) for names, members in by_header.items()]
+    frames = [_split_lines(names, members, texts, numbers) for names, members in by_header.items()]
     for k, frame in enumerate(frames):
-        for name in (n for n in numbers if n in frame.columns):
+        for name in (n for n in numbers if frame.schema.get(n) == pl.String):
             frames[k], bad = parse_numbers(frames[k], name)
             for i, fault in bad:
                 texts[i].faults.append(fault)
@@ -183,7 +183,9 @@ def parse_numbers(frame: pl.DataFrame, name: str) -> tuple[pl.DataFrame, list[tu
     return frame.with_columns(number), faults
 
 
-def _split_lines(names: tuple[str | None, ...], members: Sequence[int], texts: Sequence[Text]) -> pl.DataFrame:
+def _split_lines(
+    names: tuple[str | None, ...], members: Sequence[int], texts: Sequence[Text], numbers: Collection[str]
+) -> pl.DataFrame:
     """Split the lines of texts with one header into columns; a line that does not fit goes to its text's faults."""
     indices, rows, csv_lines = list[int](), list[int](), list[bytes]()
     for i in members:
@@ -198,9 +200,16 @@ def _split_lines(names: tuple[str | None, ...], members: Sequence[int], texts: S
                 faults.append(replace(result, row=row, n_rows=1, content=_printable(line)))
         texts[i].faults += _limit_rows(faults)
     place = pl.DataFrame({TEXT_INDEX: indices, "row": rows}, schema={TEXT_INDEX: pl.Int32, "row": pl.Int64})
-    columns = dict.fromkeys((name or f"_unknown_{k}" for k, name in enumerate(names)), pl.String)
-    frame = pl.read_csv(io.BytesIO(b"\n".join(csv_lines)), has_header=False, schema=columns, raise_if_empty=False)
+    columns, content = [name or f"_unknown_{k}" for k, name in enumerate(names)], b"\n".join(csv_lines)
+    try:
+        frame = _read_csv(content, {c: pl.Float64() if c in numbers else pl.String() for c in columns})
+    except pl.exceptions.PolarsError:  # not every number is one
+        frame = _read_csv(content, dict.fromkeys(columns, pl.String()))
     return frame.select(name for name in names if name).hstack(place)
+
+
+def _read_csv(content: bytes, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    return pl.read_csv(io.BytesIO(content), has_header=False, schema=schema, raise_if_empty=False)
 
 
 def _as_csv(line: bytes, n_names: int) -> bytes | Fault:
