@@ -15,7 +15,8 @@ from typer.core import TyperGroup
 
 ORDER = (
     "nightly", "backfill", "status", "explain", "close", "case", "serve", "report", "digest", "orders", "query",
-    "terms", "export", "trial", "dossier", "recorder", "ui", "simulate", "doctor", "docs", "tidy", "benchmark",
+    "terms", "export", "trial", "dossier", "recorder", "ui", "simulate", "doctor", "metrics", "docs", "tidy",
+    "benchmark",
 )  # fmt: skip
 
 

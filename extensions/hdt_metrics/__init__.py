@@ -1,0 +1,1 @@
+"""Figures of the last night for a monitoring system: the command `hdt metrics`."""
