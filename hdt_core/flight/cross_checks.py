@@ -152,7 +152,7 @@ def _score(check: str) -> pl.Expr:
     is_of_other = pl.when(side != 0.0).then(other.sort_by(shift).last().over(period)).otherwise(other)
     alone = pl.col(f"{check}_alone") * FAULT_SD
     single = pl.col(check).abs() / pl.max_horizontal(alone, pl.lit(SINGLE_FLIGHT * TOLERANCE[check]))
-    return pl.max_horizontal(pl.when(~is_of_other).then(lasting), pl.when(~other).then(single)).fill_null(0.0)
+    return pl.max_horizontal(pl.when(~is_of_other).then(lasting), pl.when(~other).then(single))
 
 
 def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.flight import manifold
 from hdt_core.flight.manifold import TERMS, Manifold, add_conductance_index, learn_manifold, leg_conductance
 from hdt_core.records.keys import LEG
 
@@ -105,3 +106,12 @@ def test_unrest_is_the_furthest_mean_of_some_in_a_row_in_standard_errors():
         means = [abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)]
         assert (row["index_level"], row["index_n"]) == (pytest.approx(np.median(own)), EACH)
         assert row["index_unrest"] == pytest.approx(max(means) / 0.02)
+
+
+def test_runs_of_up_to_nine_samples_are_looked_at(monkeypatch):
+    index = np.zeros(40)
+    index[20:29] = 0.1
+    rows = pl.DataFrame({"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "conductance_index": index})
+    monkeypatch.setattr(manifold, "add_conductance_index", lambda samples, _: samples)
+    law = Manifold((), (), 0.02)
+    assert leg_conductance(rows, law)["index_unrest"].to_list() == pytest.approx([0.1 * 3.0 / 0.02])  # sqrt(9) = 3

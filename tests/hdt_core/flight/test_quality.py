@@ -88,6 +88,8 @@ def test_a_spike_leaves_both_neighbours_by_more_than_a_sound_sensor_can(signal, 
         assert read(signal, around)["n_spikes"][60] == spike
     steps = dict.fromkeys(range(55, 60), level) | dict.fromkeys(range(60, 66), level + sign * 1.5 * jump)
     assert read(signal, steps)["n_spikes"][60] == 0
+    pair = dict.fromkeys(range(55, 66), level) | dict.fromkeys((60, 61), level + sign * 1.5 * jump)
+    assert read(signal, pair)["n_spikes"][60:62].to_list() == [0, 0]  # two samples agree
 
 
 @pytest.mark.parametrize("signal", NOISY)
