@@ -21,7 +21,7 @@ def design_parameters(dsm: Dsm) -> pl.DataFrame:
     """Build the table of design parameters: one row a scope, component and parameter."""
     rows = [*_exchanger_rows(dsm), *_compressor_rows(dsm), *_inlet_rows(dsm)]
     rows += [*_level_rows(dsm), *_pack_rows(dsm)]
-    schema = CalibrationDesign.create_empty().drop("dsm_version").schema
+    schema = CalibrationDesign.types("dsm_version")
     return pl.DataFrame(rows, schema=schema, orient="row").with_columns(dsm_version=pl.lit(dsm.dsm_version))
 
 

@@ -94,6 +94,15 @@ class Table(dy.Schema):
     """A declared table; its first docstring line defines a row."""
 
     @classmethod
+    def types(cls, *without: str) -> dict[str, pl.DataType]:
+        """Return the types by column, but for some.
+
+        A module builds its empty frames of them: an expression or `create_empty` would start Polars' threads, which a
+        forked worker does not have, so that it would wait for them forever.
+        """
+        return {name: column.dtype for name, column in cls.columns().items() if name not in without}
+
+    @classmethod
     def faults(cls, frame: pl.DataFrame) -> list[str]:
         """Describe each broken rule of `frame` in a sentence; empty for a valid frame."""
         missing = [f"column {c} is missing" for c in cls.columns() if c not in frame.columns]

@@ -16,7 +16,7 @@ LABELS = ("log_weight", "pace", "since", "unlogged", "faulty")
 PLACE = [*PACK, "chapter"]
 CHECKPOINT_KEY = [*PLACE, "seen"]
 """Of a segment; and with the digest of the flights before it. The table calls a segment a chapter."""
-_EMPTY = TwinCheckpoints.create_empty()
+_EMPTY = pl.DataFrame(schema=TwinCheckpoints.types())
 
 
 class Restart(NamedTuple):

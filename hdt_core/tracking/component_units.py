@@ -82,7 +82,7 @@ def commission(
 def _design(packs: Mapping[tuple[object, ...], list[tuple[object, ...]]], component: Component) -> pl.DataFrame:
     """Tabulate each pack's rows, which hold the columns from `parameter` on."""
     rows = [(*pack, component.code, *row) for pack, own in packs.items() for row in own]
-    return pl.DataFrame(rows, schema=CalibrationComponents.create_empty().drop("scope").schema, orient="row")
+    return pl.DataFrame(rows, schema=CalibrationComponents.types("scope"), orient="row")
 
 
 def _prior(component: Component) -> list[tuple[object, ...]]:

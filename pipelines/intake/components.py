@@ -48,7 +48,9 @@ def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[L
     return results
 
 
-_NO_ROWS = RawComponents.create_empty().select(*KEY, row=pl.lit(0, pl.Int64), index=pl.lit(0, pl.Int64))
+_NO_ROWS = pl.DataFrame(
+    schema={name: RawComponents.types()[name] for name in KEY} | {"row": pl.Int64, "index": pl.Int64}
+)
 
 
 def _components_in(file: LandingFile) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import polars as pl
 
 from hdt_core.tables.raw import RawQuarantine
 
-NO_FAULTS = RawQuarantine.create_empty().drop("operator", "tail")
+NO_FAULTS = pl.DataFrame(schema=RawQuarantine.types("operator", "tail"))
 """`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
 `n_rows` is how many delivered rows the entry keeps out of the store: all of a file, 1 for a row, else 0.
 `content` is the rejected row as delivered, cut at 500 characters."""

@@ -69,7 +69,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials)  # fmt: skip
 
-    no_work = RawMaintenance.create_empty().drop("counts_from", "source", "closes_alert_id")
+    no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "closes_alert_id"))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=SERIALS)
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     if not early:

@@ -15,7 +15,7 @@ from pipelines.intake.opening import add_faults, open_files
 from pipelines.intake.row_validation import validate_rows
 from pipelines.storage.panics import first_line, panics_as_errors
 
-NO_ROWS = RawSnapshots.create_empty().with_columns(row_in_file=pl.lit(0, pl.Int64))
+NO_ROWS = pl.DataFrame(schema=RawSnapshots.types() | {"row_in_file": pl.Int64})
 ROW_COLUMNS = NO_ROWS.columns
 
 

@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -29,6 +31,17 @@ def small_blocks(monkeypatch) -> None:
     monkeypatch.setattr(batches, "CELLS_A_RUN", 12)
     monkeypatch.setattr(local_executor, "FLIGHTS_TO_SHARE", 1)
     monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
+
+
+def test_what_workers_are_forked_from_has_no_threads_of_polars():
+    """A fork has the locks of the engine's threads and none of the threads: its first query would never end."""
+    code = """
+import os
+import pipelines.orchestration.worker
+print(*sorted({open(f"/proc/self/task/{t}/comm").read().strip() for t in os.listdir("/proc/self/task")}), sep=",")
+"""
+    names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert not [name for name in names.split(",") if name.startswith(("polars-0", "polars-1", "async-exec"))], names
 
 
 def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_path, small_blocks, monkeypatch):
