@@ -24,6 +24,7 @@ SIZE = np.array([2.0, 3.5, 1.8])
         ([-1.0, -2.0, 0.5], [-9, -9, -9], [0, 9, 9], [1, 2], {}),  # one against its upper
         ([1.0, -2.0, 0.5], [-9, -9, -9], [0, 0.01, 9], [0, 1, 2], {1: 0.01}),  # a step ends on the bound
         ([1.0, -2.0, 0.5], [-0.01, -9, 0], [9, 9, 0], [0, 1], {0: -0.01}),  # and one is held
+        ([-0.5, -2.0, 0.5], [0, -9, -9], [9, 9, 0], [0, 1, 2], {}),  # two leave their bounds
     ],
 )
 def test_a_damped_step_solves_its_equations_within_the_bounds(gradient, lower, upper, free, ends):
@@ -149,6 +150,10 @@ def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
     found, seen = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
     np.testing.assert_allclose(found, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
     assert not seen
+    for share, finite in ((0.95e-6, True), (1.05e-6, False)):  # of the open direction, from which it opens a parameter
+        open_way = np.array([np.sqrt(0.5), -np.sqrt(0.5), share / np.sqrt(2.0)])
+        cov = invert_information(np.eye(3) - np.outer(open_way, open_way) / (open_way @ open_way))[0]
+        assert np.isfinite(np.diag(cov)).tolist() == [False, False, finite]
     for gap, told in ((2.1e-14, True), (1.9e-14, False)):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
         pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
         assert (invert_information(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (told, told)

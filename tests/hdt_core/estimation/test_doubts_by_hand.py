@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, optimum_checks, unknown
 from hdt_core.estimation.conclude import conclude
 from hdt_core.estimation.descent import Point, descend
 from hdt_core.estimation.optimum_checks import (
     RISE,
+    _crossing,
     _distinct_points,
     _refit_fixed,
     better_optimum,
@@ -104,6 +105,57 @@ def test_with_one_parameter_held_the_others_follow_along_the_line():
     assert found.n_evals == 2 + 5
 
 
+def crossing_by_hand(rise, near, far, target):
+    """False position on the root of the rise: six at most, never in the last twentieth of the bracket, to 2 %."""
+    low, high, trials = rise(near), rise(far), []
+    for _ in range(6):
+        share = (target**0.5 - low**0.5) / (high**0.5 - low**0.5) if high < np.inf else 0.5
+        trials.append(near + (far - near) * min(max(share, 0.05), 0.95))
+        now = rise(trials[-1])
+        if abs((now / target) ** 0.5 - 1.0) < 0.02:
+            return trials[-1], trials
+        near, low, far, high = (trials[-1], now, far, high) if now < target else (near, low, trials[-1], now)
+    return far, trials
+
+
+@pytest.mark.parametrize(
+    "rise",
+    [
+        lambda x: x**2, lambda x: x**4, lambda x: x**1.5, lambda x: 3.84 * (1.0 + 0.9 * (x - 1.9)) if x > 1.9 else 0.01,
+        lambda x: 99.0 if x > 1.1 else 1e-4, lambda x: np.inf if x > 2.0 else x**2, lambda x: 40.0 * x**8,
+        lambda x: np.inf if x > 1.2 else 0.0,
+        *(lambda x, off=off: 3.84 * (1.0 + off) ** 2 * (x / 1.96) ** 2 if 1.5 < x < 2.9 else x**2
+          for off in (0.018, 0.022, -0.018, -0.022)),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_end_of_an_interval_is_met_by_false_position(monkeypatch, rise, sign):
+    trials: list = []
+
+    def refit(_problem, near, i, value):
+        trials.append(sign * (value - 0.5))
+        return Point(near.theta, 7.0 + rise(trials[-1]), np.zeros(1), np.eye(1), 10)
+
+    monkeypatch.setattr(optimum_checks, "_refit_fixed", refit)
+    at = Point(np.array([0.5]), 7.0, np.zeros(1), np.eye(1))
+    bracket = ((1.0, rise(1.0)), (3.0, rise(3.0)))
+    end, passes = _crossing(bend(0.0)[0], at, at, (0, sign), bracket, 3.84)
+    want, visits = crossing_by_hand(rise, 1.0, 3.0, 3.84)
+    np.testing.assert_allclose(trials, visits, rtol=1e-9)
+    assert (end, passes) == (pytest.approx(want), 10 * len(visits))
+
+
+def test_descents_of_the_checks_have_sixty_steps_and_refits_twenty_five(monkeypatch):
+    most: list = []
+    problem, at = line(), descend(line(), np.zeros(2))
+    monkeypatch.setattr(
+        optimum_checks, "descend", lambda p, start, steps, *spent: (most.append((steps, *spent)), at)[1]
+    )
+    _refit_fixed(problem, at, 1, 0.7)
+    better_optimum(problem, at, 1.0)
+    assert most == [(25, 2)] + [(60,)] * 4
+
+
 def test_an_interval_without_an_end_is_endless():
     """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far."""
     problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
@@ -151,7 +203,7 @@ def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
     np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(drawn, *bounds.T), rtol=1e-12)
     assert better is None
     assert spent > 128 + 4 * 5
-    for gap, found in ((0.9e-4, False), (1.1e-4, True)):
+    for gap, found in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
         assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is found
     for gap, found in ((0.9e-6, False), (1.1e-6, True)):
         assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is found

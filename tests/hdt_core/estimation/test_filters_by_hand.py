@@ -158,6 +158,8 @@ def test_a_smoothed_covariance_is_that_of_all_samples():
     np.testing.assert_allclose([b.cov[0, 0] for b in beliefs], np.diag(cov), rtol=1e-9)
     right = walk.measured[:, 0] / 0.25 + np.array([0.3 / 2.0, 0, 0])
     np.testing.assert_allclose([b.mean[0] for b in beliefs], cov @ right, rtol=1e-9)
+    (alone,) = smooth(forward(replace(walk, measured=walk.measured[:1]), tangent))  # 1 / (1 / 2 + 1 / 0.25)
+    np.testing.assert_allclose((alone.cov[0, 0], alone.mean[0]), (1 / 4.5, (4.0 + 0.15) / 4.5))
 
 
 @pytest.mark.parametrize(("points", "passes"), [(False, 2), (True, 5)])
@@ -185,6 +187,7 @@ def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, m
         assert (found.path == 50.0).all()  # kept inside the bounds
     without = replace(estimator, smoother_passes=0).estimate(replace(problem, kernels=kernels))
     assert without.status == ("converged" if serves else "approximate")
+    assert without.n_evals == (1 + made) * passes  # not put aside: one pass is what was asked for
     moving = estimator.estimate(replace(problem, kernels=kernels, drift=np.array([0.1, 0.1])))
     assert moving.innovations is not None
 
@@ -208,6 +211,10 @@ def test_regression_over_sigma_points_of_a_square():
         regression(points, lambda z: np.inf * z[:1], belief, -free, free)
     np.testing.assert_allclose(upper_root(np.diag([0.0, 4.0])), np.diag([2e-6, 2.0]), rtol=1e-9)
     np.testing.assert_allclose(upper_root(np.zeros((1, 1))), [[1e-12]])
+    for lift in (1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2):  # a correlation above 1 by less has this root
+        root = upper_root(np.array([[4.0, 2.0 * (1.0 + 0.93 * lift)], [2.0 * (1.0 + 0.93 * lift), 1.0]]))
+        assert root[0, 0] ** 2 / 4.0 - 1.0 == pytest.approx(lift, rel=0.05, abs=6e-16)
+    np.testing.assert_array_equal(upper_root(np.array([[4.0, 4.0], [4.0, 1.0]])), np.diag([2.0, 1.0]))
 
 
 def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
@@ -217,6 +224,13 @@ def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
     np.testing.assert_allclose(found.slope @ [1.0, 0.5] + found.offset, [0.5, 1.0], rtol=1e-9)
     assert not found.spread.any()
     assert found.spread.shape == (2, 2)
+    # steps are the cube root of the rounding, of the value or of the deviation, which counts from 1e-6 to 1000
+    ends: list = []
+    at = Belief(np.array([0.0, 0.0, -7.0, 0.0]), np.diag([0.0, 5000.0**2, 1.0, 0.25]))
+    tangent(lambda z: (ends.append(z), z)[1], at, np.full(4, -9e9), np.full(4, 9e9))
+    size = np.cbrt(2.0**-52) * np.array([1e-6, 1e3 + 1e-6, 7.0, 0.5 + 1e-6])
+    np.testing.assert_allclose(ends[0][:, :4] - ends[0][:, 8:], np.diag(size), rtol=1e-8, atol=1e-15)
+    np.testing.assert_allclose(ends[0][:, 8:] - ends[0][:, 4:8], np.diag(size), rtol=1e-8, atol=1e-15)
 
 
 def test_a_trajectory_is_known_exactly():
@@ -321,6 +335,9 @@ def test_a_summary_says_it_all():
     assert row.endswith("(init 3)")
     assert f"    C(offset, slope) = {cov[0, 1] / sd[0] / sd[1]:+.4f}" in lines
     assert lines[lines.index("[[Left open by the data]]") + 1] == "    slope"
+    wide = replace(found, belief=Belief(np.array([0.0, 2.0]), np.diag([4.0, np.inf]))).summary().splitlines()
+    rows = [text.partition(", ")[0] for text in wide if text.startswith(("    offset ", "    slope  "))]
+    assert rows == ["    offset  0 +/- 2", "    slope   2 +/- inf"]  # no share of nothing, nor of no end
     assert lines[lines.index("[[A better optimum]]") + 1] == "    near offset 2, slope 0.25"
     rho = np.eye(3)
     rho[0, 1] = rho[1, 0] = -0.101
