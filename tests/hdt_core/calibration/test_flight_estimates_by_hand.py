@@ -1,5 +1,6 @@
 """One flight by hand: Huber's location, its witnesses, its slopes against finite differences, what makes it odd."""
 
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -70,8 +71,15 @@ def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flow
     assert row["tat_apart_k"] == pytest.approx((own["tat_k"] - own["cc_in_k"]).median())
     assert row["expected_diameter_m"] == pytest.approx(0.18 - 2e-5 * row["vda_counts"])
     assert row["n_samples"] == 8
-    # a sensor that reads one unit more, the flow's by its logarithm
+    # a sensor that reads one unit more, the flow's by its logarithm: forward differences
     at = {n: np.array([np.median(v)]) for n, v in signals.items()}
+    here = hx.ln_conductance_ratio(at, DSM.design, bias)
+    for name, signal, size in (("ratio_per_exit_k", "hx_out_k", 0.01), ("ratio_per_tat_k", "tat_k", 0.01),
+                               ("ratio_per_inlet_k", "hx_in_k", 0.01), ("ratio_per_door", "ram_door_open", 1e-4),
+                               ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4)):  # fmt: skip
+        less = bias - size * (np.array(hx.BIASES) == signal)[:, None]
+        slope = (hx.ln_conductance_ratio(at, DSM.design, less) - here)[0] / size
+        assert row[name] == pytest.approx(slope, rel=1e-8)
     for name, signal, size in (("ratio_per_exit_k", "hx_out_k", 1e-3), ("ratio_per_tat_k", "tat_k", 1e-3),
                                ("ratio_per_inlet_k", "hx_in_k", 1e-3), ("ratio_per_door", "ram_door_open", 1e-4),
                                ):  # fmt: skip
@@ -85,7 +93,9 @@ def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flow
         for e in 1e-5 * np.eye(len(hx.NAMES))
     ]) / 2e-5  # fmt: skip
     assert row["ln_ua_ratio_map_sd"] == pytest.approx(0.1 * np.linalg.norm(gradient), rel=1e-3)
-    here = hx.ln_conductance_ratio(at, DSM.design, bias)
+    anchored = replace(BIASED, gradient=tuple(0.5 * gradient))  # half of it is the model's own level's
+    half_sd = estimate_flights(flown, anchored)["ln_ua_ratio_map_sd"][0]
+    assert half_sd == pytest.approx(0.05 * np.linalg.norm(gradient), rel=1e-3)
     np.testing.assert_allclose(hx.design_gradient(at, DSM.design, bias, here)[0], gradient, rtol=1e-2, atol=1e-4)
 
 
@@ -169,6 +179,9 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     found = compressor_samples(rows, none)
     np.testing.assert_allclose(found["inlet_k"], np.array([253, 253.5, 254, 255, 255.5, 256, 258]) - 1.0)
     np.testing.assert_allclose(found["inlet_pa"], 2.7e4 * np.exp(-0.01))
+    plain = compressor_samples(rows, none.clear())  # a pack without corrections
+    np.testing.assert_allclose(plain["inlet_k"], found["inlet_k"] + 1.0)
+    np.testing.assert_allclose(plain["inlet_pa"], 2.7e4)
     raw = rows["cc_out_pa"].to_numpy()
     means = np.array(
         [raw[:3].mean(), raw[:4].mean(), raw[:5].mean(), raw[1:6].mean(), raw[2:6].mean(), raw[3:6].mean()]
@@ -176,6 +189,8 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     out_pa, in_pa, in_k = means * np.exp(-0.02), 2.7e4 * np.exp(-0.01), found["inlet_k"].to_numpy()[:6]
     rise = in_k * ((out_pa / in_pa) ** (0.4 / 1.4) - 1.0)
     np.testing.assert_allclose(found["efficiency"][:6], rise / (400.0 - in_k), rtol=2e-3)
+    plain_rise = plain["inlet_k"].to_numpy()[:6] * ((means / 2.7e4) ** (0.4 / 1.4) - 1.0)
+    np.testing.assert_allclose(plain["efficiency"][:6], plain_rise / (401.0 - in_k - 2.0), rtol=2e-3)
     assert found["diameter_m"].null_count() == found["group_m3"].null_count() == 1
     flight = compressor_flights(found.with_columns(vda_counts=pl.lit(400.0))).row(0, named=True)
     d = found["diameter_m"].drop_nulls().to_numpy()

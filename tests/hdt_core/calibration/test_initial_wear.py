@@ -26,6 +26,15 @@ def test_what_is_below_the_level_is_split_between_wear_and_offset(seen):
     assert found.wear_var[0] == pytest.approx(weight @ (wear - mean) ** 2 / weight.sum(), rel=1e-4)
 
 
+@pytest.mark.parametrize("seen", [-9.0, 9.0])
+def test_far_from_every_class_the_widest_one_is_left(seen):
+    """A mean of 0.2 and a deviation of 0.08, against an offset of 0.05 and an error of 0.02."""
+    share = 0.08**2 / (0.08**2 + 0.05**2 + 0.02**2)
+    found = entry_posterior(np.array([seen]), np.array([0.02**2]), 0.03, 0.05)
+    assert found.wear[0] == pytest.approx(0.2 + share * (0.03 - 0.2 - seen))
+    assert found.wear_var[0] == pytest.approx(0.08**2 * (1.0 - share))
+
+
 def clean_units(seen, error, new) -> tuple[float, float, float]:
     """Level with its sd and spread of clean units, on the grids of both."""
     levels = np.median(seen) + np.linspace(-0.15, 0.25, 81)

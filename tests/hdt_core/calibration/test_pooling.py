@@ -55,6 +55,15 @@ def test_pooling_is_the_normal_posterior(n_operators, size):
     np.testing.assert_allclose(np.r_[found.fleet_sd, found.operator_sd, found.pack_sd], sd, rtol=3e-3)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_a_unit_of_measurement_changes_nothing(unit):
+    """Two hundred packs, whose evidence alone would be beyond the range of numbers."""
+    rng = np.random.default_rng(1)
+    value, error, operator = rng.standard_normal(200), np.full(200, 0.3), np.arange(200) % 2
+    for plain, other in zip(pool(value, error, operator), pool(unit * value, unit * error, operator), strict=True):
+        np.testing.assert_allclose(other, unit * np.asarray(plain), rtol=1e-6)
+
+
 def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
     """A pack of its own has the spread of operators on top of the fleet's doubt, and that of packs on top of it."""
     value, error, operator = drawn(3)
