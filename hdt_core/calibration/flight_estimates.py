@@ -77,7 +77,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
             pl.Series("expected_diameter_m", expected_m).fill_nan(None),
             pl.col("n_samples", "cc_n_samples").fill_null(0).cast(pl.Int32),
             status.alias("status"),
-            *(pl.when(~odd.fill_null(False)).then(c).alias(c) for c in EXCHANGER),
+            *(pl.when(~odd).then(c).alias(c) for c in EXCHANGER),
         )
         .drop("order")
         .sort(IN_ORDER)

@@ -126,6 +126,7 @@ def test_what_makes_a_flight_silent(flown, change, status):
     found = estimate_flights(odd, DSM)
     assert found["status"].unique().to_list() == [status]
     assert found.height == 4
+    assert (found["n_samples"] == 0).all() == (status == "no_cruise")
     assert (found["cc_n_samples"] > 0).all() == ("phase" not in change)
 
 
@@ -192,6 +193,9 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     plain_rise = plain["inlet_k"].to_numpy()[:6] * ((means / 2.7e4) ** (0.4 / 1.4) - 1.0)
     np.testing.assert_allclose(plain["efficiency"][:6], plain_rise / (401.0 - in_k - 2.0), rtol=2e-3)
     assert found["diameter_m"].null_count() == found["group_m3"].null_count() == 1
+    # a machine without flow has no group, one that cools no efficiency
+    idle = compressor_samples(rows.with_columns(cc_flow_kg_s=pl.lit(0.0), cc_out_k=pl.lit(240.0)), none)
+    assert idle["group_m3"].null_count() == idle["efficiency"].null_count() == n
     flight = compressor_flights(found.with_columns(vda_counts=pl.lit(400.0))).row(0, named=True)
     d = found["diameter_m"].drop_nulls().to_numpy()
     assert flight["diameter_m"] == pytest.approx(np.median(d))
