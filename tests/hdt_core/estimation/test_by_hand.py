@@ -59,6 +59,9 @@ def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
     assert not problem.sensitivity(mean)[3].any()
     np.testing.assert_allclose(found.identifiability.information, A[there].T @ A[there], rtol=1e-6)
     np.testing.assert_allclose(fisher(problem, mean).information, A[there].T @ A[there], rtol=1e-6)
+    silent = NonlinearLeastSquares().estimate(line(measured=np.full((12, 1), np.nan), prior=prior)).belief
+    np.testing.assert_allclose(silent.mean, prior.mean)  # a record without a value leaves the prior
+    np.testing.assert_allclose(silent.cov, prior.cov)
 
 
 def test_a_fits_figures_are_those_of_its_residuals():

@@ -23,6 +23,7 @@ from hdt_core.estimation.identifiability import Identifiability
 from hdt_core.estimation.kalman import (
     _line_search,
     _stands_still,
+    _with_last_mean,
     forward,
     report,
     smooth,
@@ -115,6 +116,12 @@ def test_a_pass_is_shortened_by_halves_until_it_pays(later, taken):
     assert _line_search(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
     lost = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
     assert _line_search(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
+
+
+def test_a_line_search_moves_the_last_belief_alone():
+    filtered = forward(square(), tangent)
+    np.testing.assert_array_equal(_with_last_mean(square(), filtered, np.array([7.0])).means,
+                                  [*filtered.means[:2], [7.0]])  # fmt: skip
 
 
 def test_an_estimate_stands_still_below_a_ten_thousandth_of_its_deviation():
