@@ -167,6 +167,10 @@ def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
     scatter = np.array([np.std([m] * 20 + [0.5] * 10, ddof=1) for m in middle]) * 1.2533 / np.sqrt(30.0)
     by_hand = pool(middle, np.hypot(scatter, 0.02 * middle), np.zeros(3, dtype=int))
     assert _pool(rows, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(by_hand[:2])
+    # of one flight a pack 5 % are taken for its scatter
+    lone = pool(middle, middle * np.hypot(0.05 * 1.2533, 0.02), np.zeros(3, dtype=int))
+    first = rows.filter(pl.col("flight_id") == "F000")
+    assert _pool(first, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(lone[:2])
     assert _pool(rows.clear(), "efficiency", "cc_efficiency", 0.02, wear=True) == (0.75, 0.05, ())
 
 

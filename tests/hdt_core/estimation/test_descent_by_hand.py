@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, unknown
+from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, descent, unknown
 from hdt_core.estimation.conclude import conclude_at
 from hdt_core.estimation.damped import assess_optimum, damped_step, inverse_spd, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
@@ -120,6 +120,14 @@ def test_a_descent_step_by_step(start, most):
     np.testing.assert_allclose(found.theta, theta, rtol=1e-6)
     assert found.n_evals == evals
     assert descend(decay(start), np.array(start), most, 7).n_evals == evals + 7
+
+
+def test_a_descent_ends_after_two_hundred_steps(monkeypatch):
+    monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e6))
+    one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
+                  lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    found = descend(one, np.array([1000.0]))
+    assert (found.theta.tolist(), found.n_evals) == ([800.0], 3 + 200 * 4)
 
 
 def test_a_descent_from_where_there_is_no_answer_stays():
