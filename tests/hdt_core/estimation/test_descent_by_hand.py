@@ -123,7 +123,7 @@ def test_a_descent_step_by_step(start, most):
 
 
 def test_a_descent_ends_after_two_hundred_steps(monkeypatch):
-    monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e6))
+    monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e3))
     one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
     found = descend(one, np.array([1000.0]))
