@@ -24,7 +24,7 @@ from hdt_recorder.decoding.decode import Series
 from hdt_recorder.decoding.fit import decode
 from hdt_recorder.recordings import open_recording
 from hdt_recorder.simulated_recordings import FULL_COUNTS
-from hdt_recorder.types_of_zone import shipped
+from hdt_recorder.types_of_zone import packaged_files
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
@@ -45,7 +45,7 @@ SPAN = {"787": slice(60, 228), "A330": slice(300, 592)}
 
 
 def kind_of(name: str) -> AircraftType:
-    (file,) = (f for f in shipped() if f.stem == FILES[name][1])
+    (file,) = (f for f in packaged_files() if f.stem == FILES[name][1])
     return replace(found := read_type(file), map_file=REFERENCE / found.map_file.name)
 
 

@@ -1,6 +1,6 @@
-"""A type description: which parameter of the recorder is which column of the pack's or a component's record.
+"""Type descriptions: which parameter of the recorder is which column of the pack's or a component's record.
 
-Read from TOML, and held against the columns that there are: an error names the file, the line and the key.
+Read from TOML and checked against the columns that exist; an error names the file, the line and the key.
 """
 
 import difflib
@@ -33,12 +33,12 @@ UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 
 class AircraftTypeError(ValueError):
-    """A type description that can't be used; says file, line, key and what is wrong."""
+    """Raised for a type description that can't be used; names file, line, key and fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """One column: the parameter of each unit, and how it becomes the column's unit.
+    """One column: the parameter of each unit and the conversion to the column's unit.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class AircraftType:
-    """What recorders of one type hold.
+    """Describe what recorders of one type record.
 
     Attributes
     ----------
@@ -100,17 +100,17 @@ class AircraftType:
 
     @property
     def has_packs(self) -> bool:
-        """Whether its recordings become rows of the default record."""
+        """Return whether its recordings become rows of the default record."""
         return PACK in self.stations
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Codes of the components that its recordings hold."""
+        """Return the codes of the components in its recordings."""
         return tuple(code for code in self.stations if code != PACK)
 
 
 def columns_of(table: str) -> tuple[str, ...]:
-    """Columns that `pack` or a component's record may have."""
+    """Return the columns that `pack` or a component's record may have."""
     if table == PACK:
         return tuple(c.name for c in SIGNAL_COLUMNS)
     record = recorded_components()[table.lower()].record
@@ -118,7 +118,7 @@ def columns_of(table: str) -> tuple[str, ...]:
 
 
 def read_type(file: Path, map_folder: Path | None = None) -> AircraftType:
-    """The type that a file describes; its map lies beside it, or else in `map_folder`.
+    """Read the type that a file describes; its map lies beside it, or else in `map_folder`.
 
     Raises
     ------
@@ -127,25 +127,25 @@ def read_type(file: Path, map_folder: Path | None = None) -> AircraftType:
     """
     try:
         text = file.read_text("utf-8")
-        said = parse_toml(text)
+        entries = parse_toml(text)
     except (OSError, UnicodeDecodeError) as error:
         raise AircraftTypeError(f"{file.name}: {getattr(error, 'strerror', None) or 'no text in UTF-8'}") from None
     except ValueError as error:
         raise AircraftTypeError(f"{file.name}: {error}") from None
-    return _Description(file, text, said).read(map_folder or file.parent)
+    return _Description(file, text, entries).read(map_folder or file.parent)
 
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """One file on the way to a type."""
+    """Parse and check one description file."""
 
     file: Path
     text: str
-    said: dict[str, Any]
+    document: dict[str, Any]
 
     def read(self, map_folder: Path) -> AircraftType:
-        self._known(self.said, HEAD, "")
-        name, packs = self._text("type"), self._count(self.said, "packs", "", 2, MAX_PACKS)
+        self._check_keys(self.document, HEAD, "")
+        name, packs = self._text("type"), self._count(self.document, "packs", "", 2, MAX_PACKS)
         parts = {PACK: self._table(PACK)} | self._table("component")
         units = {PACK: packs} | {c: self._count(t, "units", c, packs, MAX_PACKS) for c, t in parts.items() if c != PACK}
         every_s = {c: self._count(t, "every_s", c, 0, 3600, 0) for c, t in parts.items() if c != PACK}
@@ -153,36 +153,36 @@ class _Description:
         if not stations:
             raise self._wrong("", "component", "neither [pack] nor a [component.CODE]: nothing is described")
         return AircraftType(
-            name, str(self.said.get("title", "")), self.file,
-            self._file("map", map_folder), self._file("reports", map_folder) if "reports" in self.said else None,
+            name, str(self.document.get("title", "")), self.file,
+            self._file("map", map_folder), self._file("reports", map_folder) if "reports" in self.document else None,
             self._clock(), stations, units, {PACK: 1} | every_s, dict(self._absent(stations)),
         )  # fmt: skip
 
     def _file(self, key: str, map_folder: Path) -> Path:
-        """Where the map or the layouts lie, or should; never outside the folders that may hold them."""
-        named = self._text(key)
-        found = next((f for f in (self.file.parent / named, map_folder / named) if f.is_file()), map_folder / named)
-        if not any(found.resolve().is_relative_to(folder.resolve()) for folder in (self.file.parent, map_folder)):
-            raise self._wrong("", key, f"{named} leads out of the folder")
-        return found
+        """Return the path of the map or the layouts; never outside the folders that may hold them."""
+        name = self._text(key)
+        path = next((f for f in (self.file.parent / name, map_folder / name) if f.is_file()), map_folder / name)
+        if not any(path.resolve().is_relative_to(folder.resolve()) for folder in (self.file.parent, map_folder)):
+            raise self._wrong("", key, f"{name} leads out of the folder")
+        return path
 
     def _stations(self, table: str, entries: dict[str, Any], units: int) -> Iterator[Station]:
         if table != PACK and table.lower() not in recorded_components():
-            known = ", ".join(c.upper() for c in recorded_components())
-            raise self._wrong("component", table, f"no component {table} has a record of its own; there are {known}")
-        wanted = columns_of(table)
+            codes = ", ".join(c.upper() for c in recorded_components())
+            raise self._wrong("component", table, f"no component {table} has a record of its own; there are {codes}")
+        columns = columns_of(table)
         for key, value in entries.items():
             if table != PACK and key in ("units", "every_s"):
                 continue
-            if key not in wanted:
-                near = difflib.get_close_matches(key, wanted, 1)
-                raise self._wrong(table, key, f"no such column; {f'{near[0]} is near' if near else _among(wanted)}")
+            if key not in columns:
+                near = difflib.get_close_matches(key, columns, 1)
+                raise self._wrong(table, key, f"no such column; {f'{near[0]} is near' if near else _among(columns)}")
             yield self._station(table, key, value if isinstance(value, dict) else {"parameter": value}, units)
 
     def _station(self, table: str, key: str, entry: dict[str, Any], units: int) -> Station:
-        self._known(entry, ENTRY, table, key)
-        named = entry.get("parameter", "")
-        names = [named] * units if isinstance(named, str) else named
+        self._check_keys(entry, ENTRY, table, key)
+        value = entry.get("parameter", "")
+        names = [value] * units if isinstance(value, str) else value
         if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not any(names):
             raise self._wrong(table, key, "a parameter's name, or a list of them, one a unit")
         if len(names) != units:
@@ -195,13 +195,13 @@ class _Description:
         return Station(key, tuple(names), scale, offset, unit, low, high, rate_hz, place)
 
     def _conversion(self, table: str, key: str, unit: Any) -> tuple[float, float]:
-        known = UNITS.get(key.rpartition("_")[2], {})
+        units = UNITS.get(key.rpartition("_")[2], {})
         if not unit:
             return 1.0, 0.0
-        if str(unit).lower() not in known:
-            said = f"there are {', '.join(known)}" if known else "its column has none"
-            raise self._wrong(table, key, f"unit {unit!r}; {said}")
-        return known[str(unit).lower()]
+        if str(unit).lower() not in units:
+            choices = f"there are {', '.join(units)}" if units else "its column has none"
+            raise self._wrong(table, key, f"unit {unit!r}; {choices}")
+        return units[str(unit).lower()]
 
     def _number(self, table: str, key: str, entry: dict[str, Any], name: str) -> float | None:
         value = entry.get(name)
@@ -211,11 +211,11 @@ class _Description:
         return None if value is None else float(value)
 
     def _clock(self) -> dict[str, str]:
-        said = self._table("clock")
-        self._known(said, set(CLOCK), "clock")
-        if said and set(said) != set(CLOCK):
+        entries = self._table("clock")
+        self._check_keys(entries, set(CLOCK), "clock")
+        if entries and set(entries) != set(CLOCK):
             raise self._wrong("", "clock", f"{', '.join(CLOCK)} come together")
-        return {k: str(v) for k, v in said.items()}
+        return {k: str(v) for k, v in entries.items()}
 
     def _absent(self, stations: Mapping[str, tuple[Station, ...]]) -> Iterator[tuple[tuple[str, str], str]]:
         for table, reasons in self._table("absent").items():
@@ -227,41 +227,41 @@ class _Description:
                 yield (table, column), str(why)
 
     def _table(self, name: str) -> dict[str, Any]:
-        found = self.said.get(name, {})
-        if not isinstance(found, dict):
+        entries = self.document.get(name, {})
+        if not isinstance(entries, dict):
             raise self._wrong("", name, "a table, [name]")
-        return found
+        return entries
 
     def _text(self, name: str) -> str:
-        found = self.said.get(name)
-        if not isinstance(found, str) or not found.strip() or not found.isprintable():
+        text = self.document.get(name)
+        if not isinstance(text, str) or not text.strip() or not text.isprintable():
             raise self._wrong("", name, "missing; it is a text of one line")
-        return found.strip()
+        return text.strip()
 
-    def _count(self, said: Any, name: str, table: str, usual: int, most: int, least: int = 1) -> int:
-        if not isinstance(said, dict):
+    def _count(self, entries: Any, name: str, table: str, usual: int, most: int, least: int = 1) -> int:
+        if not isinstance(entries, dict):
             raise self._wrong("component", table, "a table, [component.CODE]")
-        found = said.get(name, usual)
-        if isinstance(found, bool) or not isinstance(found, int) or not least <= found <= most:
-            raise self._wrong(table, name, f"a number from {least} to {most}, not {found!r}")
-        return found
+        count = entries.get(name, usual)
+        if isinstance(count, bool) or not isinstance(count, int) or not least <= count <= most:
+            raise self._wrong(table, name, f"a number from {least} to {most}, not {count!r}")
+        return count
 
-    def _known(self, said: dict[str, Any], keys: set[str], table: str, within: str = "") -> None:
-        if odd := sorted(set(said) - keys):
+    def _check_keys(self, entries: dict[str, Any], keys: set[str], table: str, within: str = "") -> None:
+        if odd := sorted(set(entries) - keys):
             raise self._wrong(table, within or odd[0], f"{odd[0]} means nothing; {_among(sorted(keys))}")
 
     def _wrong(self, table: str, key: str, what: str) -> AircraftTypeError:
         return AircraftTypeError(f"{self._place(table, key)}: {what}")
 
     def _place(self, table: str, key: str) -> str:
-        """File, line, table and key; the line is that of the key below its table's head."""
+        """Return file, line, table and key; the line is that of the key below its table's head."""
         last, heads = key.rpartition(".")[2], (table, f"component.{table}")
         within, line = not table, 0
-        for number, written in enumerate(self.text.splitlines(), 1):
-            if head := re.match(r"\s*\[+\s*([^\]]+?)\s*\]", written):
+        for number, content in enumerate(self.text.splitlines(), 1):
+            if head := re.match(r"\s*\[+\s*([^\]]+?)\s*\]", content):
                 within = head[1] in heads or (not table and head[1] == key)
                 line = number if within and (head[1] == key or head[1].endswith(f".{key}")) else line
-            elif within and re.match(rf"\s*(\S+\.)?{re.escape(last)}\s*=", written):
+            elif within and re.match(rf"\s*(\S+\.)?{re.escape(last)}\s*=", content):
                 line = number
                 break
         at = f" line {line}" if line else ""

@@ -24,22 +24,22 @@ MapFile = Annotated[Path, typer.Option("--map", help="Parameter map: .vec, ARINC
 
 @recorder.command("list")
 def list_parameters(file: Recording, map_file: MapFile, as_json: AsJson = False) -> None:
-    """Parameters of a recording, with unit and values a second.
+    """List a recording's parameters with unit and values a second.
 
-    And what was damaged. A map that does not fit the recording is told by what disagrees.
+    Reports damage too. For a map that does not fit the recording, reports what disagrees.
     """
     from hdt_recorder.recordings import open_recording
 
     with _one_line():
         recording, layout = open_recording(file, map_file)
     if as_json:
-        told = [_row(p) for p in layout.parameters.values()]
-        out.print_json(json.dumps({"damage": asdict(recording.damage), "parameters": told}))
+        parameters = [_row(p) for p in layout.parameters.values()]
+        out.print_json(json.dumps({"damage": asdict(recording.damage), "parameters": parameters}))
         return
     width = max((len(n) for n in layout.parameters), default=0)
     for row in map(_row, layout.parameters.values()):
-        said = f"no value: {row['unreadable']}" if row["unreadable"] else row["description"]
-        line = f"{row['parameter']:{width}}  {row['unit']:8}  {row['rate_hz']:7.4g} Hz  {said}"
+        note = f"no value: {row['unreadable']}" if row["unreadable"] else row["description"]
+        line = f"{row['parameter']:{width}}  {row['unit']:8}  {row['rate_hz']:7.4g} Hz  {note}"
         out.print(line.rstrip(), markup=False, soft_wrap=True)
     out.print(f"{len(layout.parameters)} parameters. {_damage_line(recording.damage)}", soft_wrap=True)
 
@@ -55,19 +55,21 @@ def decode_parameters(
 ) -> None:
     """Write a recording's parameters as Parquet.
 
-    What a damaged frame held is null, and counted.
+    Values of damaged frames are null, and counted.
     """
     from hdt_recorder.recordings import open_recording, write_decoded
 
     with _one_line():
         recording, layout = open_recording(file, map_file)
-        chosen = [_chosen(layout.parameters, name) for name in parameter] if parameter else layout.parameters.values()
-        done = write_decoded(recording, chosen, target)
-    told = f"{done.parameters} parameters, {done.rows:,} values, {done.nulls:,} of them null: {target}"
-    out.print(told, soft_wrap=True)
+        selection = (
+            [_parameter(layout.parameters, name) for name in parameter] if parameter else layout.parameters.values()
+        )
+        result = write_decoded(recording, selection, target)
+    summary = f"{result.parameters} parameters, {result.rows:,} values, {result.nulls:,} of them null: {target}"
+    out.print(summary, soft_wrap=True)
     out.print(_damage_line(recording.damage), soft_wrap=True)
-    if not parameter and (skipped := sum(bool(p.unreadable) for p in layout.parameters.values())):
-        out.print(f"{skipped} parameters have no value; `hdt recorder list` says why.", soft_wrap=True)
+    if not parameter and (n_unreadable := sum(bool(p.unreadable) for p in layout.parameters.values())):
+        out.print(f"{n_unreadable} parameters have no value; `hdt recorder list` says why.", soft_wrap=True)
 
 
 @recorder.command("reports")
@@ -80,7 +82,7 @@ def read_printed(
 ) -> None:
     """Read the printed ACMS reports of a recorder's message file.
 
-    Lines that do not look as their layout has them are told with number and reason.
+    Lines that do not match their layout are reported with number and reason.
     """
     from hdt_recorder.decoding.printed import read_layouts, read_reports
     from hdt_recorder.decoding.report_layouts import A330
@@ -88,18 +90,20 @@ def read_printed(
     from pipelines.storage.files import replacing
 
     with _one_line():
-        known = read_layouts(layouts.read_text("utf-8")) if layouts else A330
-        found = read_reports(read_recording(file, "message.dat").tobytes(), known)
+        by_number = read_layouts(layouts.read_text("utf-8")) if layouts else A330
+        reports = read_reports(read_recording(file, "message.dat").tobytes(), by_number)
         if target:
             with replacing(target) as temporary:
-                report_rows(found.lines).write_parquet(temporary)
-    for number in sorted({x.number for x in found.lines}):
-        own = [x for x in found.lines if x.number == number]
-        count = len({x.report for x in own})
-        out.print(f"<{number}> {known[number].title}: {count} reports, {len(own)} lines", markup=False, soft_wrap=True)
-    for title in dict.fromkeys(found.undeclared):
+                report_rows(reports.lines).write_parquet(temporary)
+    for number in sorted({x.number for x in reports.lines}):
+        lines = [x for x in reports.lines if x.number == number]
+        count = len({x.report for x in lines})
+        out.print(
+            f"<{number}> {by_number[number].title}: {count} reports, {len(lines)} lines", markup=False, soft_wrap=True
+        )
+    for title in dict.fromkeys(reports.undeclared):
         out.print(f"no layout: {title}", markup=False, soft_wrap=True)
-    for r in found.rejected:
+    for r in reports.rejected:
         out.print(f"line {r.line}: {r.reason}: {ascii(r.text[:80])[1:-1]}", markup=False, soft_wrap=True)
 
 
@@ -116,7 +120,7 @@ def _one_line() -> Iterator[None]:
         raise StopError("the layouts are no text in UTF-8") from None
 
 
-def _chosen(parameters: Mapping[str, "Parameter"], name: str) -> "Parameter":
+def _parameter(parameters: Mapping[str, "Parameter"], name: str) -> "Parameter":
     if name not in parameters:
         near = ", ".join(difflib.get_close_matches(name.upper(), parameters, 3))
         raise StopError(f"no parameter {name}; {f'near are {near}' if near else '`hdt recorder list` has them'}")
@@ -133,6 +137,6 @@ def _row(p: "Parameter") -> dict[str, object]:
 
 
 def _damage_line(damage: "Damage") -> str:
-    told = asdict(damage)
-    unit = told.pop("unit")
-    return f"{unit.capitalize()}: " + ", ".join(f"{n:,} {k.replace('_', ' ')}" for k, n in told.items()) + "."
+    counts = asdict(damage)
+    unit = counts.pop("unit")
+    return f"{unit.capitalize()}: " + ", ".join(f"{n:,} {k.replace('_', ' ')}" for k, n in counts.items()) + "."

@@ -1,4 +1,4 @@
-"""What can be estimated of aircraft of each type, and which columns are missing for the rest."""
+"""Which parameters can be estimated for each aircraft type, and which columns are missing for the rest."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,39 +18,39 @@ Row = tuple[str, str, str, str, str]
 
 
 def coverage(landing: Path) -> pl.DataFrame:
-    """`raw_coverage`: a row for each aircraft that has a type, and parameter."""
+    """Return `raw_coverage`: a row per aircraft that has a type, and parameter."""
     types = types_of(landing)
     rows = [
         (operator, tail, kind.name, *row)
-        for (operator, tail), name in sorted(types.named.items())
-        if (kind := types.known.get(name)) is not None
+        for (operator, tail), name in sorted(types.type_names.items())
+        if (kind := types.by_name.get(name)) is not None
         for row in coverage_of(kind)
     ]
     return pl.DataFrame(rows, schema=dict.fromkeys(RawCoverage.columns(), pl.String), orient="row")
 
 
 def coverage_of(kind: AircraftType) -> Iterator[Row]:
-    """What a type's recordings can tell of the pack's own parts, and of the components it describes."""
+    """Return the estimable parameters of the pack's own parts and of the components a type describes."""
     for component in components().values():
-        for parameter, needed in component.needs.items():
-            yield _row(kind, PACK, component, parameter, needed)
+        for parameter, columns in component.needs.items():
+            yield _row(kind, PACK, component, parameter, columns)
         if component.code in kind.stations:
             channels = recorded_components()[component.folder].record
-            needed = tuple(c.column for c in channels.channels if c.needed) if channels else ()
-            yield _row(kind, component.code, component, component.loss, needed)
+            columns = tuple(c.column for c in channels.channels if c.needed) if channels else ()
+            yield _row(kind, component.code, component, component.loss, columns)
 
 
-def _row(kind: AircraftType, table: str, component: Component, parameter: str, needed: tuple[str, ...]) -> Row:
+def _row(kind: AircraftType, table: str, component: Component, parameter: str, columns: tuple[str, ...]) -> Row:
     there = {s.column for s in kind.stations.get(table, ())}
-    missing = [c for c in needed if c not in there]
-    explained = [c for c in missing if (table, c) in kind.absent] or missing
-    why = dict.fromkeys(kind.absent.get((table, c), "not described") for c in explained)
+    missing = [c for c in columns if c not in there]
+    reasons = [c for c in missing if (table, c) in kind.absent] or missing
+    why = dict.fromkeys(kind.absent.get((table, c), "not described") for c in reasons)
     status = "not_recorded" if missing else "recorded"
-    return component.code, parameter, status, ", ".join(explained), "; ".join(why)
+    return component.code, parameter, status, ", ".join(reasons), "; ".join(why)
 
 
 def faults_of(kind: AircraftType) -> list[str]:
-    """What is wrong between a description and its map, before any recording comes."""
+    """Return the disagreements between a description and its map, before any recording comes."""
     if not kind.map_file.is_file():
         return [f"{kind.file.name}: no map {kind.map_file.name} in {kind.map_file.parent.name}/"]
     try:
@@ -67,19 +67,19 @@ def faults_of(kind: AircraftType) -> list[str]:
 
 
 def checks(landing: Path) -> Iterator[tuple[str, bool, str]]:
-    """Of each type whether description and map agree, and what can't be estimated, as lines of `hdt doctor`."""
+    """Check each type's description against its map and list what can't be estimated, as lines of `hdt doctor`."""
     types = types_of(landing)
     for file, fault in types.faults.items():
         yield f"type {file}", False, fault
-    names = list(types.named.values())
+    names = list(types.type_names.values())
     for name in sorted(set(names)):
-        kind = types.known.get(name)
+        kind = types.by_name.get(name)
         if kind is None:
-            known = ", ".join(sorted(types.known)) or "none"
-            yield f"type {name}", False, f"fleet.csv names it, nothing describes it; there are {known}"
+            names_known = ", ".join(sorted(types.by_name)) or "none"
+            yield f"type {name}", False, f"fleet.csv names it, nothing describes it; there are {names_known}"
             continue
-        wrong, told = faults_of(kind), list(coverage_of(kind))
-        lacks = ", ".join(f"{row[1]} (no {row[3]})" for row in told if row[3]) or "nothing else"
-        can = ", ".join(row[1] for row in told if not row[3]) or "nothing"
-        said = f"{names.count(name)} aircraft; estimates {can}; can't estimate {lacks}"
-        yield f"type {name}", not wrong, "; ".join(wrong) or said
+        wrong, rows = faults_of(kind), list(coverage_of(kind))
+        lacks = ", ".join(f"{row[1]} (no {row[3]})" for row in rows if row[3]) or "nothing else"
+        can = ", ".join(row[1] for row in rows if not row[3]) or "nothing"
+        summary = f"{names.count(name)} aircraft; estimates {can}; can't estimate {lacks}"
+        yield f"type {name}", not wrong, "; ".join(wrong) or summary

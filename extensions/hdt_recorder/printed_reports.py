@@ -1,4 +1,4 @@
-"""Printed ACMS reports of an aircraft: of each its head, which says what fed the packs."""
+"""Heads of an aircraft's printed ACMS reports: bleed and pack state at one time."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -20,14 +20,14 @@ from pipelines.intake.log_lines import printable
 from pipelines.intake.logs import time_fault
 
 MESSAGE_FILE = "message.dat"
-"""What an archive of a recorder calls them."""
+"""Name of the message file in a recorder's archive."""
 (_FOOT_M,) = (c.scale for c in SIGNAL_COLUMNS if c.name == "altitude_ft")
 
 
 def read_printed(file: LandingFile, now: datetime, version: str) -> FileIntake:
-    """Heads of a file's reports in the columns of `raw_reports`, each once.
+    """Read the heads of a file's reports into the columns of `raw_reports`, each once.
 
-    A row of the account is a report. What is damaged below its head is told and keeps nothing out.
+    A row of the account is a report. Damage below its head is reported and rejects nothing.
 
     Parameters
     ----------
@@ -41,48 +41,48 @@ def read_printed(file: LandingFile, now: datetime, version: str) -> FileIntake:
         return _log(file, [], [Fault("too_large")])
     try:
         content = read_recording(path, MESSAGE_FILE).tobytes()
-        found = read_reports(content, _layouts(file))
+        reports = read_reports(content, _layouts(file))
     except (OSError, MapError, LayoutError) as error:
         reason = "bad_type" if isinstance(error, LayoutError) else "cannot_open"
         return _log(file, [], [Fault(reason, detail=f"{error}.")])
     faults = [
         Fault("damaged_line", r.line, None, f"{printable(r.reason)}.", content=printable(r.text))
-        for r in found.rejected
+        for r in reports.rejected
     ]
-    faults += [Fault("unknown_report", detail=f"{printable(title)}.") for title in dict.fromkeys(found.undeclared)]
-    heads = list(report_heads(found))
-    judged = [_judge(head, file, now) for head in heads]
-    accepted = [j for j in judged if not isinstance(j, Fault)]
-    kept = list(dict.fromkeys(accepted))
-    rejected = [j for j in judged if isinstance(j, Fault)]
+    faults += [Fault("unknown_report", detail=f"{printable(title)}.") for title in dict.fromkeys(reports.undeclared)]
+    heads = list(report_heads(reports))
+    results = [_report_row(head, file, now) for head in heads]
+    valid = [j for j in results if not isinstance(j, Fault)]
+    distinct = list(dict.fromkeys(valid))
+    head_faults = [j for j in results if isinstance(j, Fault)]
     if not heads:
         faults.append(Fault("no_report"))
-    rows = [(*row, file.path, version) for row in kept]
-    return _log(file, rows, faults + rejected, len(heads), len(accepted) - len(kept))
+    rows = [(*row, file.path, version) for row in distinct]
+    return _log(file, rows, faults + head_faults, len(heads), len(valid) - len(distinct))
 
 
 def _layouts(file: LandingFile) -> Mapping[str, Layout]:
-    """Those that the aircraft's type names; else those of the A330."""
+    """Return the layouts that the aircraft's type names; else those of the A330."""
     kind = types_of(Path(file.landing)).of(file.operator, file.tail)
-    own = kind.reports_file if kind else None
-    if own is None:
+    layout_file = kind.reports_file if kind else None
+    if layout_file is None:
         return A330
     try:
-        return read_layouts(own.read_text("utf-8"))
+        return read_layouts(layout_file.read_text("utf-8"))
     except (LayoutError, UnicodeDecodeError) as error:
-        raise LayoutError(f"{own.name}: {error}") from None
+        raise LayoutError(f"{layout_file.name}: {error}") from None
 
 
-def _judge(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> tuple[object, ...] | Fault:
-    """A row without file and version, or why the report is none."""
+def _report_row(head: ReportHead | ReportLine, file: LandingFile, now: datetime) -> tuple[object, ...] | Fault:
+    """Return a row without file and version, or why the report is rejected."""
     if isinstance(head, ReportLine):
         return Fault("report_without_head", head.line, detail=f"Report <{head.number}>.", n_rows=1)
-    said = f"<{head.number}> of {head.printed_at:%Y-%m-%d %H:%M:%S}"
+    detail = f"<{head.number}> of {head.printed_at:%Y-%m-%d %H:%M:%S}"
     if head.aircraft != file.tail:
-        said += f" is of {printable(head.aircraft) or 'no aircraft'}."
-        return Fault("other_aircraft", head.line, "acid", said, 1)
+        detail += f" is of {printable(head.aircraft) or 'no aircraft'}."
+        return Fault("other_aircraft", head.line, "acid", detail, 1)
     if fault := time_fault(head.printed_at, now, "date, utc"):
-        return Fault(fault.reason, head.line, fault.column_name, f"{said}.", 1)
+        return Fault(fault.reason, head.line, fault.column_name, f"{detail}.", 1)
     altitude_m = None if head.altitude_ft is None else head.altitude_ft * _FOOT_M
     return (file.operator, file.tail, head.printed_at, head.number, altitude_m, head.mach, *head.pack_flow_kg_s,
             *head.bleed_open, head.crossfeed_open)  # fmt: skip

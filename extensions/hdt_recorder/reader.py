@@ -1,4 +1,4 @@
-"""What the house asks of recorders, by the entry point `hdt.readers`; the decoders load with the first file."""
+"""The recorder's interface to intake, by the entry point `hdt.readers`; the decoders load with the first file."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -11,11 +11,11 @@ from pipelines.intake.readers import REPORTS, TYPES
 __all__ = ["FOLDERS", "FORMATS", "checks", "components_in", "coverage", "install", "open_zone", "read_printed", "rows"]
 
 
-def _later(module: str, name: str) -> Callable[..., Any]:
-    """A function whose module loads when it is called."""
+def _lazy_function(module: str, name: str) -> Callable[..., Any]:
+    """Return a function that imports its module when called."""
 
-    def call(*given: Any) -> Any:
-        return getattr(import_module(f"hdt_recorder.{module}"), name)(*given)
+    def call(*args: Any) -> Any:
+        return getattr(import_module(f"hdt_recorder.{module}"), name)(*args)
 
     return call
 
@@ -23,7 +23,7 @@ def _later(module: str, name: str) -> Callable[..., Any]:
 FOLDERS = (RECORDER, REPORTS, TYPES)
 FORMATS = {"787": ("767", "717"), "A330": ("717", "767")}
 open_zone = types_of
-rows = _later("recorder_rows", "recorder_rows")
-read_printed = _later("printed_reports", "read_printed")
-coverage, checks = _later("coverage", "coverage"), _later("coverage", "checks")
-install = _later("simulated_recordings", "install")
+rows = _lazy_function("recorder_rows", "recorder_rows")
+read_printed = _lazy_function("printed_reports", "read_printed")
+coverage, checks = _lazy_function("coverage", "coverage"), _lazy_function("coverage", "checks")
+install = _lazy_function("simulated_recordings", "install")

@@ -1,4 +1,4 @@
-"""Recordings and parameter maps as files: opened, decoded, written as Parquet."""
+"""Open recordings and parameter maps, decode them and write Parquet."""
 
 import lzma
 import zipfile
@@ -40,7 +40,7 @@ HOW: dict[str, Any] = {
 }
 ROWS_OF_A_GROUP = 1 << 20
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError)
-"""What an archive that is damaged, encrypted or packed by another method ends in."""
+"""Errors of an archive that is damaged, encrypted or packed by another method."""
 MOST_BYTES = 512 << 20
 """Bytes that a recording, or all members of a map, may have; a ten-hour recording of 2,048 words a second has 150
 million."""
@@ -48,7 +48,7 @@ million."""
 
 @dataclass(frozen=True, slots=True)
 class DecodeResult:
-    """What was written: parameters, rows, and rows that have neither value nor text."""
+    """Counts of what was written: parameters, rows, and rows that have neither value nor text."""
 
     parameters: int
     rows: int
@@ -56,7 +56,7 @@ class DecodeResult:
 
 
 def read_map(path: Path) -> ParameterMap:
-    """A map: `.vec` archive, ARINC 647A XML, or our own TOML or CSV. Raises `MapError`, which names the file."""
+    """Read a map: `.vec` archive, ARINC 647A XML, or our own TOML or CSV. Raises `MapError`, which names the file."""
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
@@ -75,7 +75,7 @@ def read_map(path: Path) -> ParameterMap:
 
 
 def unpacked_bytes(path: Path) -> int:
-    """Size of a recording, of an archive that of its largest member as it claims; 0 where it can't be told."""
+    """Return the size of a recording, of an archive that of its largest member as declared; 0 where unreadable."""
     try:
         if not zipfile.is_zipfile(path):
             return path.stat().st_size
@@ -86,15 +86,15 @@ def unpacked_bytes(path: Path) -> int:
 
 
 def read_recording(path: Path, member: str = "") -> npt.NDArray[np.uint8]:
-    """The bytes of a recording; of an archive, those of `member` if it has it, else of its largest."""
+    """Return the bytes of a recording; of an archive, those of `member` if it has it, else of its largest."""
     try:
         if not zipfile.is_zipfile(path):
             _check_size(path.stat().st_size)
             return np.fromfile(path, np.uint8)
         with zipfile.ZipFile(path) as archive:
-            chosen = max(archive.infolist(), key=lambda i: (i.filename == member, i.file_size))
-            _check_size(chosen.file_size)
-            return np.frombuffer(archive.read(chosen), np.uint8)
+            entry = max(archive.infolist(), key=lambda i: (i.filename == member, i.file_size))
+            _check_size(entry.file_size)
+            return np.frombuffer(archive.read(entry), np.uint8)
     except (MapError, ValueError, *_UNREADABLE) as error:
         raise MapError(f"{path.name}: {error}") from None
 
@@ -105,7 +105,7 @@ def _check_size(n_bytes: int) -> None:
 
 
 def open_recording(file: Path, map_file: Path) -> tuple[Recording717 | Recording767, ParameterMap]:
-    """A recording and the map that fits it. Raises `MapError`, which says what disagrees."""
+    """Open a recording and the map that fits it. Raises `MapError`, which names what disagrees."""
     layout = read_map(map_file)
     try:
         return recognise(read_recording(file), layout), layout
@@ -114,11 +114,11 @@ def open_recording(file: Path, map_file: Path) -> tuple[Recording717 | Recording
 
 
 def report_rows(lines: Iterable[ReportLine]) -> pl.DataFrame:
-    """Lines of printed reports as rows: a value each, in `value` or in `text`."""
+    """Return lines of printed reports as rows: a value each, in `value` or in `text`."""
     rows = [
-        (x.report, x.number, x.line, x.row, name, *((None, said) if isinstance(said, str) else (said, None)))
+        (x.report, x.number, x.line, x.row, name, *((None, value) if isinstance(value, str) else (value, None)))
         for x in lines
-        for name, said in x.values.items()
+        for name, value in x.values.items()
     ]
     return pl.DataFrame(rows, schema=REPORT_SCHEMA, orient="row")
 
@@ -128,26 +128,26 @@ def write_decoded(
 ) -> DecodeResult:
     """Write `parameter, t_s, value, text`, parameter by parameter, in order of time."""
     count = rows = nulls = 0
-    held: list[pa.Table] = []
+    tables: list[pa.Table] = []
     with replacing(target) as temporary, pq.ParquetWriter(temporary, SCHEMA, **HOW) as writer:
         for series in decode(recording, parameters):
-            held.append(_table(series))
-            count, rows, nulls = count + 1, rows + series.t_s.size, nulls + int((~series.known).sum())
-            if sum(t.num_rows for t in held) >= ROWS_OF_A_GROUP:
-                writer.write_table(pa.concat_tables(held).unify_dictionaries())
-                held = []
-        if held:
-            writer.write_table(pa.concat_tables(held).unify_dictionaries())
+            tables.append(_table(series))
+            count, rows, nulls = count + 1, rows + series.t_s.size, nulls + int((~series.valid).sum())
+            if sum(t.num_rows for t in tables) >= ROWS_OF_A_GROUP:
+                writer.write_table(pa.concat_tables(tables).unify_dictionaries())
+                tables = []
+        if tables:
+            writer.write_table(pa.concat_tables(tables).unify_dictionaries())
     return DecodeResult(count, rows, nulls)
 
 
 def _table(series: Series) -> pa.Table:
-    n, lost = series.t_s.size, ~series.known
+    n, mask = series.t_s.size, ~series.valid
     name = pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), [series.parameter.name])
-    value = pa.nulls(n, pa.float64()) if series.value is None else pa.array(series.value, mask=lost)
+    value = pa.nulls(n, pa.float64()) if series.value is None else pa.array(series.value, mask=mask)
     text = pa.nulls(n, SCHEMA.field("text").type)
     if series.text is not None:
-        said = np.array([name is not None for name in series.text.names])
-        codes = pa.array(series.text.codes, mask=lost | ~said[series.text.codes])
+        has_name = np.array([name is not None for name in series.text.names])
+        codes = pa.array(series.text.codes, mask=mask | ~has_name[series.text.codes])
         text = pa.DictionaryArray.from_arrays(codes, pa.array([name or "" for name in series.text.names]))
     return pa.Table.from_arrays([name, pa.array(series.t_s), value, text], schema=SCHEMA)

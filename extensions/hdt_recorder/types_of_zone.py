@@ -1,4 +1,4 @@
-"""The types of a landing zone, described in `types/` or by a package, and which aircraft is of which."""
+"""Aircraft types of a landing zone, described in `types/` or by a package, and the type of each aircraft."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -15,45 +15,45 @@ from pipelines.intake.readers import REPORTS, TYPES, KindOf, ReaderError
 
 @dataclass(frozen=True)
 class Types:
-    """Types that are known, lines of the fleet list by operator and tail, and descriptions that can't be used."""
+    """Types by name, lines of the fleet list by operator and tail, and descriptions that can't be used."""
 
-    known: dict[str, AircraftType] = field(default_factory=dict)
+    by_name: dict[str, AircraftType] = field(default_factory=dict)
     lines: dict[tuple[str, str], FleetLine] = field(default_factory=dict)
     faults: dict[str, str] = field(default_factory=dict)
 
     @property
-    def named(self) -> dict[tuple[str, str], str]:
-        """Type of each aircraft that has one."""
+    def type_names(self) -> dict[tuple[str, str], str]:
+        """Return the type of each aircraft that has one."""
         return {aircraft: line.type for aircraft, line in self.lines.items() if line.type}
 
     def of(self, operator: str, tail: str) -> AircraftType | None:
-        """The type of an aircraft; None where it is the default or not described."""
+        """Return the type of an aircraft; None where it is the default or not described."""
         line = self.lines.get((operator, tail))
-        return self.known.get(line.type) if line else None
+        return self.by_name.get(line.type) if line else None
 
     def fault_of(self, operator: str, tail: str) -> str:
-        """Why recordings of an aircraft can't be read; empty where they can."""
+        """Return why recordings of an aircraft can't be read; empty where they can."""
         line = self.lines.get((operator, tail))
         if line is None or not line.type:
             return "fleet.csv gives the aircraft no type"
         name = line.type
-        if name not in self.known:
+        if name not in self.by_name:
             also = "; ".join(self.faults.values())
-            known = ", ".join(sorted(self.known)) or "none"
-            return f"fleet.csv gives the aircraft the type {name}, known are {known}" + (f" ({also})" if also else "")
-        found = self.known[name]
-        return "" if found.map_file.is_file() else f"{found.file.name} names the map {found.map_file.name}: not there"
+            names = ", ".join(sorted(self.by_name)) or "none"
+            return f"fleet.csv gives the aircraft the type {name}, known are {names}" + (f" ({also})" if also else "")
+        kind = self.by_name[name]
+        return "" if kind.map_file.is_file() else f"{kind.file.name} names the map {kind.map_file.name}: not there"
 
     def kinds(self, operator: str, tail: str, folder: str) -> tuple[str, KindOf]:
-        """Hash of the description that a folder's files are read by, or empty; and the kind of a file by its name."""
+        """Return the hash of a folder's description, or empty, and the function from a file's name to its kind."""
         kind, fault = self.of(operator, tail), self.fault_of(operator, tail)
         other = {RECORDER: kind.map_file, REPORTS: kind.reports_file}.get(folder) if kind else None
         by = _hash_of(kind.file, other) if kind and other else ""
-        return by, _printed if folder == REPORTS else partial(_recording, kind, fault)
+        return by, _kind_of_report if folder == REPORTS else partial(_kind_of_recording, kind, fault)
 
 
-def _recording(kind: AircraftType | None, fault: str, name: str) -> Kind | Fault:
-    """Recordings of an aircraft whose type says how to read them."""
+def _kind_of_recording(kind: AircraftType | None, fault: str, name: str) -> Kind | Fault:
+    """Return the kind of a recording, or the fault of an aircraft whose type can't read it."""
     if not name:
         return Fault("unexpected_name", detail="not a recording")
     if kind is None or fault:
@@ -61,13 +61,13 @@ def _recording(kind: AircraftType | None, fault: str, name: str) -> Kind | Fault
     return "recorder" if kind.has_packs else "component"
 
 
-def _printed(name: str) -> Kind | Fault:
+def _kind_of_report(name: str) -> Kind | Fault:
     is_one = name.rpartition(".")[2].lower() in {"dat", "txt", "zip"}
     return "reports" if is_one else Fault("unexpected_name", detail="neither .dat, .txt nor .zip")
 
 
 def _hash_of(*files: Path) -> str:
-    """Hash of what some files hold; of one that can't be read its name."""
+    """Return a hash of some files' contents; of an unreadable file, its name."""
     total = hashlib.blake2b(digest_size=16)
     for file in files:
         try:
@@ -78,16 +78,16 @@ def _hash_of(*files: Path) -> str:
 
 
 @cache
-def shipped() -> tuple[Path, ...]:
-    """Descriptions that come along, and those of packages: an entry point of the group `hdt.types` names a path."""
-    others = (Path(str(found)) for _, found in load_entry_points("hdt.types", "type of aircraft", ReaderError))
+def packaged_files() -> tuple[Path, ...]:
+    """Return the descriptions of this and other packages; an entry point of the group `hdt.types` names a path."""
+    others = (Path(str(path)) for _, path in load_entry_points("hdt.types", "type of aircraft", ReaderError))
     return (*sorted((Path(__file__).parent / "types").glob("*.toml")), *others)
 
 
 def types_of(landing: Path) -> Types:
-    """Types of a landing zone; of a name that it describes itself, its own."""
+    """Return the types of a landing zone; its own description of a name comes first."""
     own = (f for f in sorted((landing / TYPES).glob("*.toml")) if f.resolve().is_relative_to(landing.resolve()))
-    files = (*shipped(), *own)
+    files = (*packaged_files(), *own)
     fleet = landing / "fleet.csv"
     moments = tuple((str(f), f.stat().st_ctime_ns) for f in (*files, fleet) if f.is_file())
     return _types(str(landing), moments)
@@ -95,20 +95,20 @@ def types_of(landing: Path) -> Types:
 
 @lru_cache(maxsize=8)
 def _types(landing: str, moments: tuple[tuple[str, int], ...]) -> Types:
-    known, faults = {}, {}
+    by_name, faults = {}, {}
     for path, _ in moments:
         file = Path(path)
         if file.suffix != ".toml":
             continue
         try:
-            found = read_type(file, Path(landing) / TYPES)
-            known[found.name] = found
+            kind = read_type(file, Path(landing) / TYPES)
+            by_name[kind.name] = kind
         except AircraftTypeError as error:
             faults[file.name] = str(error)
-    return Types(known, fleet_lines(Path(landing)), faults)
+    return Types(by_name, fleet_lines(Path(landing)), faults)
 
 
 def components_in(file: LandingFile) -> tuple[str, ...]:
-    """Folders of the components that the type of a recording's aircraft describes."""
+    """Return the folders of the components that the type of a recording's aircraft describes."""
     kind = types_of(Path(file.landing)).of(file.operator, file.tail)
     return tuple(code.lower() for code in kind.components) if kind else ()

@@ -28,27 +28,27 @@ class Packing:
 
     @property
     def word(self) -> int:
-        """Units of a word."""
+        """Return the units of a word."""
         return 2 if self.aligned else 12
 
     @property
     def byte(self) -> int:
-        """Units of a byte."""
+        """Return the units of a byte."""
         return 1 if self.aligned else 8
 
     def words_at(self, data: Bytes, places: npt.NDArray[np.int64]) -> Words12:
-        """The word at each place; each must end within the data."""
+        """Return the word at each place; each must end within the data."""
         at, shift = (places, 0) if self.aligned else (places >> 3, (places & 7).astype(np.uint32))
         last = data.size - 1
         a, b, c = (np.take(data, np.minimum(at + i, last)).astype(np.uint32) for i in range(3))
         if self.order == "little":
-            found = (a | b << 8 | c << 16) >> shift
+            value = (a | b << 8 | c << 16) >> shift
         else:
-            found = (a << 16 | b << 8 | c) >> (8 if self.aligned else 12 - shift)
-        return (found & 0xFFF).astype(np.uint16)
+            value = (a << 16 | b << 8 | c) >> (8 if self.aligned else 12 - shift)
+        return (value & 0xFFF).astype(np.uint16)
 
     def words_from(self, data: Bytes, place: int, count: int) -> Words12:
-        """`count` words that follow each other; zeros beyond the end."""
+        """Return `count` consecutive words; zeros beyond the end."""
         first, shift = divmod(place, self.byte)
         size = 2 * count if self.aligned else (12 * count + 7) // 8 + 3
         part = data[first : first + size]

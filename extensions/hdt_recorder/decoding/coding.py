@@ -24,11 +24,11 @@ class Polynomial:
     coefficients: tuple[float, ...]
 
     def __call__(self, x: Floats) -> Floats:
-        """Value of `x`, elementwise; a plain scale costs one multiplication and rounds once."""
+        """Return the value of `x`, elementwise; a plain scale costs one multiplication and rounds once."""
         offset, *higher = self.coefficients
         if len(higher) == 1:
-            scaled = x * higher[0]
-            return scaled + offset if offset else scaled
+            product = x * higher[0]
+            return product + offset if offset else product
         value: Floats = np.polynomial.polynomial.polyval(x, np.asarray(self.coefficients))
         return value
 
@@ -42,7 +42,7 @@ class Segments:
     offsets: tuple[float, ...]
 
     def __call__(self, x: Floats) -> Floats:
-        """Value of `x`, elementwise."""
+        """Return the value of `x`, elementwise."""
         place = np.searchsorted(self.starts, x, side="right") - 1
         within = np.maximum(place, 0)
         return np.where(place < 0, np.nan, np.take(self.scales, within) * x + np.take(self.offsets, within))
@@ -56,7 +56,7 @@ class LookupTable:
     y: tuple[float, ...]
 
     def __call__(self, x: Floats) -> Floats:
-        """Value of `x`, elementwise."""
+        """Return the value of `x`, elementwise."""
         return np.interp(x, self.x, self.y, left=np.nan, right=np.nan)
 
 
@@ -111,5 +111,5 @@ def check_bits(low: int, bits: int) -> None:
 
 
 def cut_digits(widths: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """Place and bits of each digit or character from their widths, the first written first."""
+    """Return place and bits of each digit or character from their widths, the first written first."""
     return tuple((sum(widths[i + 1 :]), width) for i, width in enumerate(widths))

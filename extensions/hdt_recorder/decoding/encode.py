@@ -1,4 +1,4 @@
-"""Values back into the bits of a recording, for what this project simulates: binary numbers at one value a second."""
+"""Encode simulated values as recordings: binary numbers at one value a second."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ HEAD_BYTES = 130
 
 
 def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 0) -> bytes:
-    """An aligned ARINC 717 recording, 12-bit words in 16 bits; `values` are (seconds,), whole frames are written."""
+    """Encode an aligned ARINC 717 recording, 12-bit words in 16 bits: whole frames of `values`, (seconds,)."""
     subframes = len(layout.sync_words)
     n = min(v.size for v in values.values()) // subframes
     words = np.zeros((n, subframes * layout.words), np.uint16)
@@ -21,8 +21,8 @@ def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 
     if layout.counter is not None:
         piece = layout.counter.piece
         words[:, piece.word] |= ((np.arange(n) + first_count) % (1 << piece.bits) << piece.low).astype(np.uint16)
-    for name, told in values.items():
-        raw = raw_words(layout.parameters[name], told[: n * subframes]).reshape(n, subframes)
+    for name, series in values.items():
+        raw = raw_words(layout.parameters[name], series[: n * subframes]).reshape(n, subframes)
         for column, sample in enumerate(layout.parameters[name].samples):
             for piece in sample.pieces:
                 part = raw[:, column] >> np.uint64(piece.into) & np.uint64((1 << piece.bits) - 1)
@@ -31,20 +31,20 @@ def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 
 
 
 def encode_767(layout: Map767, values: Mapping[str, Floats], begin_s: float = 0.0) -> bytes:
-    """An ARINC 767 recording of one kind of frame a second: its head, then the frames; `values` are (seconds,)."""
+    """Encode an ARINC 767 recording of one kind of frame a second: head, then frames; `values` are (seconds,)."""
     ((number, kind),) = layout.frames.items()
     n = min(v.size for v in values.values())
     bits = np.zeros((n, 8 * (kind.size - HEAD_767)), np.uint8)
-    for name, told in values.items():
+    for name, series in values.items():
         (piece,) = layout.parameters[name].samples[0].pieces
-        raw = raw_words(layout.parameters[name], told[:n])
+        raw = raw_words(layout.parameters[name], series[:n])
         places = np.arange(piece.bits - 1, -1, -1, dtype=np.uint64)
         bits[:, piece.low : piece.low + piece.bits] = raw[:, None] >> places & np.uint64(1)
     body = np.packbits(bits, axis=1)
     time_ms = np.round(1000.0 * (begin_s + np.arange(n))).astype(">u4").view(np.uint8).reshape(n, 4)
-    named = np.tile(np.frombuffer(number.to_bytes(2, "big"), np.uint8), (n, 1))
+    frame_ids = np.tile(np.frombuffer(number.to_bytes(2, "big"), np.uint8), (n, 1))
     start = np.tile(np.frombuffer(SYNC_767 + kind.size.to_bytes(2, "big"), np.uint8), (n, 1))
-    return _head(layout.revision) + np.hstack([start, time_ms, named, body, named]).tobytes()
+    return _head(layout.revision) + np.hstack([start, time_ms, frame_ids, body, frame_ids]).tobytes()
 
 
 def _head(revision: str) -> bytes:
@@ -54,7 +54,7 @@ def _head(revision: str) -> bytes:
 
 
 def raw_words(parameter: Parameter, values: Floats) -> Words:
-    """The nearest raw word of each value; one that is not known repeats the last that was, as recorders do.
+    """Return the nearest raw word of each value; a missing value repeats the last one, as recorders do.
 
     Raises
     ------
@@ -67,18 +67,18 @@ def raw_words(parameter: Parameter, values: Floats) -> Words:
         raise ValueError(f"{parameter.name}: only binary numbers of one scale are written")
     offset, factor = scale.coefficients
     low, high = (-(1 << coding.bits) if coding.sign is not None else 0), (1 << coding.bits) - 1
-    number = np.round((_held(values) - offset) / factor)
+    number = np.round((_fill_forward(values) - offset) / factor)
     if number.size and not low <= number.min() <= number.max() <= high:
-        told = f"{parameter.name}: {values[np.argmax(np.abs(number))]:g} does not fit into {coding.bits} bits"
-        raise ValueError(told)
+        message = f"{parameter.name}: {values[np.argmax(np.abs(number))]:g} does not fit into {coding.bits} bits"
+        raise ValueError(message)
     mask = (1 << coding.bits + (coding.sign is not None)) - 1
     return (number.astype(np.int64) & mask).astype(np.uint64)
 
 
-def _held(values: Floats) -> npt.NDArray[np.float64]:
-    """Values with the last known in the place of those that are not."""
-    known = np.isfinite(values)
-    if not known.any():
+def _fill_forward(values: Floats) -> npt.NDArray[np.float64]:
+    """Replace missing values with the last finite one."""
+    finite = np.isfinite(values)
+    if not finite.any():
         return np.zeros(values.size)
-    last = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
-    return np.asarray(np.where(known[last], values[last], values[known.argmax()]))
+    last = np.maximum.accumulate(np.where(finite, np.arange(values.size), 0))
+    return np.asarray(np.where(finite[last], values[last], values[finite.argmax()]))

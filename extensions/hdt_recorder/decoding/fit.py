@@ -1,4 +1,4 @@
-"""Does a parameter map belong to a recording? What disagrees, in words; a map that does not fit is never decoded by."""
+"""Check that a parameter map belongs to a recording; a map that does not fit decodes nothing."""
 
 from collections.abc import Iterable
 
@@ -24,16 +24,16 @@ TINY, HUGE = 1e-12, 1e12
 """A number computed on board that is smaller (and not zero) or larger was cut at the wrong bit."""
 FEW_TESTED = 8
 FIRST_BYTES, LOOK_BYTES, LOOK_FRAMES = 1 << 18, 1 << 22, 900
-"""Part of a recording that is held against the map."""
+"""Part of a recording that is checked against the map."""
 
 
 def recognise(data: Bytes, layout: ParameterMap) -> Recording717 | Recording767:
-    """The frames of a recording that a map fits.
+    """Return the frames of a recording that a map fits.
 
-    Raises
-    ------
-    MapError
-        Says what disagrees: words a second, frame counter, lengths, rates, revision, impossible values.
+        Raises
+        ------
+        MapError
+    Names what disagrees: words a second, frame counter, lengths, rates, revision, impossible values.
     """
     if isinstance(layout, Map767):
         return _recognise_767(data, layout)
@@ -41,7 +41,7 @@ def recognise(data: Bytes, layout: ParameterMap) -> Recording717 | Recording767:
 
 
 def decode(recording: Recording717 | Recording767, parameters: Iterable[Parameter]) -> Iterable[Series]:
-    """Each parameter of a recording, one after the other."""
+    """Decode each parameter of a recording, one after the other."""
     if isinstance(recording, Recording767):
         return decode_767(recording, parameters)
     return decode_717(recording, parameters)
@@ -56,7 +56,7 @@ def _recognise_717(data: Bytes, layout: Map717) -> Recording717:
 
 
 def _packing(data: Bytes, layout: Map717) -> Packing:
-    """As found at the beginning, or where that is damaged, further on."""
+    """Find the packing at the beginning, or where that is damaged, further on."""
     first = data[:FIRST_BYTES]
     if (packing := find_packing(first, layout.words, layout.sync_words)) is not None:
         return packing
@@ -66,8 +66,8 @@ def _packing(data: Bytes, layout: Map717) -> Packing:
         raise MapError(f"the recording is ARINC 767 (frames {_some(other.number)}), the map ARINC 717")
     if (packing := find_packing(data[:LOOK_BYTES], layout.words, layout.sync_words)) is not None:
         return packing
-    looked = f"no ARINC 717 frame in {min(data.size, LOOK_BYTES):,} bytes"
-    raise MapError(f"{looked}, neither with the map's words a second nor with another number")
+    message = f"no ARINC 717 frame in {min(data.size, LOOK_BYTES):,} bytes"
+    raise MapError(f"{message}, neither with the map's words a second nor with another number")
 
 
 def _some(numbers: npt.NDArray[np.int64]) -> str:
@@ -75,7 +75,7 @@ def _some(numbers: npt.NDArray[np.int64]) -> str:
 
 
 def _check_counter(data: Bytes, packing: Packing, layout: Map717) -> None:
-    """The counter as recorded, before the time axis is built on it."""
+    """Check the frame counter before the time axis is built on it."""
     if layout.counter is None:
         return
     raw = arrange(data[:LOOK_BYTES], packing, Map717(layout.words, {}, None, layout.sync_words, layout.subframe_s))
@@ -86,19 +86,19 @@ def _check_counter(data: Bytes, packing: Packing, layout: Map717) -> None:
     counts = (np.diff(count)[both] - 1) % (1 << piece.bits) == 0
     if counts.size >= FEW_TESTED and counts.mean() < COUNTS:
         place = f"subframe {subframe + 1} word {piece.word % layout.words + 1}"
-        told = f"the frame counter ({place}) does not count: {counts.mean():.0%} of frames are one after the last"
-        raise MapError(told)
+        message = f"the frame counter ({place}) does not count: {counts.mean():.0%} of frames are one after the last"
+        raise MapError(message)
 
 
 def _recognise_767(data: Bytes, layout: Map767) -> Recording767:
-    found = find_frames(data)
-    if not found.number.size:
-        packed = find_word_count(data[:FIRST_BYTES])
-        also = f"; it is ARINC 717 with {packed:,} words a second" if packed else ""
+    frames = find_frames(data)
+    if not frames.number.size:
+        words = find_word_count(data[:FIRST_BYTES])
+        also = f"; it is ARINC 717 with {words:,} words a second" if words else ""
         raise MapError(f"no ARINC 767 frame in {data.size:,} bytes{also}")
-    _check_lengths(found, layout)
-    _check_rates(found, layout)
-    recording = arrange_767(data, found, layout.frames)
+    _check_lengths(frames, layout)
+    _check_rates(frames, layout)
+    recording = arrange_767(data, frames, layout.frames)
     if layout.revision and recording.head and layout.revision not in recording.head:
         head = " ".join(recording.head.split())
         raise MapError(f"the recording says {head[:80]!r}, the map is {layout.revision!r}")
@@ -106,53 +106,53 @@ def _recognise_767(data: Bytes, layout: Map767) -> Recording767:
     return recording
 
 
-def _check_lengths(found: WholeFrames, layout: Map767) -> None:
-    """The commonest length of each frame. Frames that the map does not know are left out, but not all of them."""
-    said = []
+def _check_lengths(frames: WholeFrames, layout: Map767) -> None:
+    """Check the commonest length of each frame. Some frames may be absent from the map, but not all of them."""
+    differences = []
     for number, kind in layout.frames.items():
-        sizes = found.size[found.number == number]
+        sizes = frames.size[frames.number == number]
         if sizes.size and (usual := int(np.bincount(sizes).argmax())) != kind.size:
-            said.append(f"frame {number} has {usual:,} bytes, by the map {kind.size:,}")
-    if said:
-        raise MapError("; ".join(said))
-    if not np.isin(found.number, list(layout.frames)).any():
-        known = ", ".join(str(n) for n in layout.frames)
-        raise MapError(f"the recording has frames {_some(found.number)}; the map has {known}")
+            differences.append(f"frame {number} has {usual:,} bytes, by the map {kind.size:,}")
+    if differences:
+        raise MapError("; ".join(differences))
+    if not np.isin(frames.number, list(layout.frames)).any():
+        frame_ids = ", ".join(str(n) for n in layout.frames)
+        raise MapError(f"the recording has frames {_some(frames.number)}; the map has {frame_ids}")
 
 
-def _check_rates(found: WholeFrames, layout: Map767) -> None:
+def _check_rates(frames: WholeFrames, layout: Map767) -> None:
     for number, kind in layout.frames.items():
-        time_ms = found.time_ms[found.number == number]
+        time_ms = frames.time_ms[frames.number == number]
         if kind.rate_hz and time_ms.size > FEW_TESTED:
             period_s = float(np.median(np.diff(time_ms))) / 1000.0
             if abs(period_s * kind.rate_hz - 1.0) > RATE_OFF:
-                told = f"frame {number} comes every {period_s:.3g} s, by the map every {1 / kind.rate_hz:.3g} s"
-                raise MapError(told)
+                message = f"frame {number} comes every {period_s:.3g} s, by the map every {1 / kind.rate_hz:.3g} s"
+                raise MapError(message)
 
 
 def _check_values(series: Iterable[Series]) -> None:
-    """Names the first parameters whose values can't be, if there are too many of them."""
-    tested, impossible = 0, []
+    """Raise `MapError` naming the first parameters with impossible values, if there are too many of them."""
+    n_tested, impossible = 0, []
     for one in series:
         share = _share_impossible(one)
-        tested += share is not None
+        n_tested += share is not None
         if share is not None and share > IMPOSSIBLE:
             impossible.append(one.parameter.name)
-    if tested >= FEW_TESTED and len(impossible) > MOST_IMPOSSIBLE * tested:
+    if n_tested >= FEW_TESTED and len(impossible) > MOST_IMPOSSIBLE * n_tested:
         some = ", ".join(impossible[:5])
-        raise MapError(f"impossible values in {len(impossible)} of {tested} parameters that tell ({some}, ...)")
+        raise MapError(f"impossible values in {len(impossible)} of {n_tested} parameters that tell ({some}, ...)")
 
 
 def _share_impossible(one: Series) -> float | None:
-    """Share of undamaged values that can't be; None for a parameter that tells nothing."""
+    """Return the share of undamaged values that are impossible; None for a parameter that can't be tested."""
     p, n = one.parameter, int(one.whole.sum())
     if not n or p.name.endswith(WHOLE) or p.coding.kind == "discrete":
         return None
-    wrong = ~one.known
+    wrong = ~one.valid
     if one.value is not None:
-        value = np.where(one.known, one.value, 0.0)
+        value = np.where(one.valid, one.value, 0.0)
         if p.coding.kind == "float":
             wrong |= (np.abs(value) > HUGE) | ((np.abs(value) < TINY) & (value != 0.0))
         elif p.coding.kind == "binary" and p.lowest is not None and p.highest is not None:
-            wrong |= one.known & ((value < p.lowest) | (value > p.highest))
+            wrong |= one.valid & ((value < p.lowest) | (value > p.highest))
     return float((wrong & one.whole).sum() / n)

@@ -1,4 +1,4 @@
-"""Frames of an ARINC 767 recording: found by sync, length and number, however the file was damaged.
+"""Find frames of an ARINC 767 recording by sync, length and number, however the file was damaged.
 
 A frame is `EB90`, its length in bytes (2), a time in milliseconds (4), its number (2), the data, and its number again
 (2). There is no checksum: a frame counts as whole if both numbers agree, the length is that of the map, and its time
@@ -41,7 +41,7 @@ class Recording767:
     damage: Damage
 
     def excerpt(self, n: int) -> "Recording767":
-        """The first `n` frames of each number."""
+        """Return the first `n` frames of each number."""
         parts = {number: Frames(f.data[:n], f.t_s[:n], f.whole[:n]) for number, f in self.frames.items()}
         return Recording767(self.head, parts, self.damage)
 
@@ -57,7 +57,7 @@ class WholeFrames:
 
 
 def find_frames(data: Bytes) -> WholeFrames:
-    """Every frame whose sync, length and two numbers agree, none within another."""
+    """Find every frame with agreeing sync, length and two numbers, none within another."""
     sync = np.flatnonzero((data[:-1] == SYNC_767 >> 8) & (data[1:] == SYNC_767 & 0xFF)).astype(np.int64)
     sync = sync[sync + HEAD_767 <= data.size]
     size, number = _number(data, sync + 2, 2), _number(data, sync + 8, 2)
@@ -65,59 +65,59 @@ def find_frames(data: Bytes) -> WholeFrames:
     sync, size, number = sync[fits], size[fits], number[fits]
     agree = _number(data, sync + size - 2, 2) == number
     place, size = sync[agree], size[agree]
-    kept = _one_after_another(place, size)
-    place = place[kept]
-    return WholeFrames(place, size[kept], _number(data, place + 4, 4), number[agree][kept])
+    separate = _without_overlap(place, size)
+    place = place[separate]
+    return WholeFrames(place, size[separate], _number(data, place + 4, 4), number[agree][separate])
 
 
 def _number(data: Bytes, places: Ints, size: int) -> Ints:
-    """Big-endian numbers."""
-    found = np.zeros(places.size, np.int64)
+    """Read big-endian numbers."""
+    value = np.zeros(places.size, np.int64)
     for i in range(size):
-        found = found << 8 | data[places + i]
-    return found
+        value = value << 8 | data[places + i]
+    return value
 
 
-def _one_after_another(place: Ints, size: Ints) -> Flags:
-    """The frames that do not begin within the frame before."""
-    kept, end = np.zeros(place.size, bool), 0
+def _without_overlap(place: Ints, size: Ints) -> Flags:
+    """Return the frames that do not begin within the frame before."""
+    separate, end = np.zeros(place.size, bool), 0
     for i, (begin, length) in enumerate(zip(place.tolist(), size.tolist(), strict=True)):
         if begin >= end:
-            kept[i], end = True, begin + length
-    return kept
+            separate[i], end = True, begin + length
+    return separate
 
 
-def arrange_767(data: Bytes, found: WholeFrames, kinds: Mapping[int, Frame767]) -> Recording767:
-    """Frames by number and time; those of another length or time than they can have are not whole, and counted."""
-    heads = np.flatnonzero(found.number == HEAD_FRAME)
-    known = np.isin(found.number, list(kinds))
-    sizes = np.array([kinds[n].size if n in kinds else -1 for n in found.number.tolist()], np.int64)
-    whole = known & (found.size == sizes)
-    whole[known] &= _between_neighbours(found.time_ms[known])
+def arrange_767(data: Bytes, candidates: WholeFrames, kinds: Mapping[int, Frame767]) -> Recording767:
+    """Sort frames by number and time; those with an impossible length or time are not whole, and counted."""
+    heads = np.flatnonzero(candidates.number == HEAD_FRAME)
+    in_map = np.isin(candidates.number, list(kinds))
+    sizes = np.array([kinds[n].size if n in kinds else -1 for n in candidates.number.tolist()], np.int64)
+    whole = in_map & (candidates.size == sizes)
+    whole[in_map] &= _between_neighbours(candidates.time_ms[in_map])
     for number, kind in kinds.items():
-        own = whole & (found.number == number)
-        whole[own] = _on_beat(found.time_ms[own], kind)
-    end_s = float(found.time_ms[whole].max(initial=0)) / 1000.0
+        of_kind = whole & (candidates.number == number)
+        whole[of_kind] = _on_beat(candidates.time_ms[of_kind], kind)
+    end_s = float(candidates.time_ms[whole].max(initial=0)) / 1000.0
     frames, missing = {}, 0
     for number, kind in kinds.items():
-        at = np.flatnonzero(whole & (found.number == number))
-        frames[number] = _of_one_kind(data, found, at, kind, end_s)
+        at = np.flatnonzero(whole & (candidates.number == number))
+        frames[number] = _frames_of_kind(data, candidates, at, kind, end_s)
         missing += frames[number].t_s.size - at.size
-    kept = sum(int(f.whole.sum()) for f in frames.values())
-    breaks = int((np.diff(found.time_ms[whole]) < 0).sum())
-    head = _text(data, found, int(heads[0])) if heads.size else ""
-    taken = int(found.size.sum())
-    damage = Damage("frames", kept, int(known.sum()) - kept, missing, breaks, data.size - taken)
+    n_whole = sum(int(f.whole.sum()) for f in frames.values())
+    breaks = int((np.diff(candidates.time_ms[whole]) < 0).sum())
+    head = _text(data, candidates, int(heads[0])) if heads.size else ""
+    n_bytes = int(candidates.size.sum())
+    damage = Damage("frames", n_whole, int(in_map.sum()) - n_whole, missing, breaks, data.size - n_bytes)
     return Recording767(head, frames, damage)
 
 
-def _text(data: Bytes, found: WholeFrames, head: int) -> str:
-    begin, size = int(found.place[head]), int(found.size[head])
+def _text(data: Bytes, candidates: WholeFrames, head: int) -> str:
+    begin, size = int(candidates.place[head]), int(candidates.size[head])
     return bytes(data[begin + 10 : begin + size - 2]).decode("ascii", "replace")
 
 
 def _between_neighbours(time_ms: Ints) -> Flags:
-    """Whether each time is at or after that of the frame before and at or before that of the frame after.
+    """Return whether each time is at or after that of the frame before and at or before that of the frame after.
 
     Where the two neighbours themselves are out of order, another recording begins: both belong to theirs.
     """
@@ -129,7 +129,7 @@ def _between_neighbours(time_ms: Ints) -> Flags:
 
 
 def _on_beat(time_ms: Ints, kind: Frame767) -> Flags:
-    """Whether a frame comes at a fraction of its period at which others come; of a recorder without a beat, all do."""
+    """Return whether a frame comes at a common fraction of its period; without a steady period, all do."""
     if not kind.rate_hz or not time_ms.size:
         return np.ones(time_ms.size, bool)
     _, which, times = np.unique(time_ms % round(1000.0 / kind.rate_hz), return_inverse=True, return_counts=True)
@@ -138,20 +138,20 @@ def _on_beat(time_ms: Ints, kind: Frame767) -> Flags:
     return common[which] if steady else np.ones(time_ms.size, bool)
 
 
-def _of_one_kind(data: Bytes, found: WholeFrames, at: Ints, kind: Frame767, end_s: float) -> Frames:
-    """Frames of one number as they follow each other; those that a short gap took are there, not whole.
+def _frames_of_kind(data: Bytes, candidates: WholeFrames, at: Ints, kind: Frame767, end_s: float) -> Frames:
+    """Return frames of one number in order; those that a short gap took are there, not whole.
 
     Nor is the frame before a gap: what is missing may be the end of this one, and the beginning of the next.
     """
-    time_s = found.time_ms[at] / 1000.0
+    time_s = candidates.time_ms[at] / 1000.0
     period_s = 1.0 / kind.rate_hz if kind.rate_hz else np.inf
     steps = np.round(np.diff(time_s) / period_s).astype(np.int64)
     gaps = np.flatnonzero((steps > 1) & ((steps - 1) * period_s <= FILLED_GAP_S))
-    lost = [time_s[i] + period_s * np.arange(1, steps[i]) for i in gaps]
+    gap_times_s = [time_s[i] + period_s * np.arange(1, steps[i]) for i in gaps]
     after = [i + np.linspace(0.1, 0.9, steps[i] - 1) for i in gaps]
     order = np.argsort(np.concatenate([np.arange(at.size), *after]), kind="stable")
-    t_s = np.concatenate([time_s, *lost])
+    t_s = np.concatenate([time_s, *gap_times_s])
     body = np.zeros((t_s.size, kind.size - HEAD_767), np.uint8)
-    torn = np.append((steps != 1) & (kind.rate_hz is not None), end_s - time_s[-1:] > 1.5 * period_s)[: at.size]
-    body[: at.size] = data[found.place[at][:, None] + np.arange(10, kind.size - 2)]
-    return Frames(body[order], t_s[order], np.append(~torn, np.zeros(t_s.size - at.size, bool))[order])
+    before_gap = np.append((steps != 1) & (kind.rate_hz is not None), end_s - time_s[-1:] > 1.5 * period_s)[: at.size]
+    body[: at.size] = data[candidates.place[at][:, None] + np.arange(10, kind.size - 2)]
+    return Frames(body[order], t_s[order], np.append(~before_gap, np.zeros(t_s.size - at.size, bool))[order])

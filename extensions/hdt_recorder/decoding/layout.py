@@ -1,4 +1,4 @@
-"""Where a recording holds its parameters: what a parameter map says, whatever format it came in."""
+"""Parameter maps: where a recording holds its parameters, whatever format the map came in."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ MOST_WORDS, MOST_SUBFRAMES = 1 << 13, 32
 
 
 class MapError(ValueError):
-    """A parameter map that can't be read, or that does not fit the recording; says what disagrees."""
+    """Raised for a parameter map that can't be read or does not fit the recording; names what disagrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Parameter:
     rate_hz : float
         Values a second.
     lowest, highest : float, optional
-        Operational range; a value outside is recorded as it is and speaks against the map.
+        Operational range; a value outside is recorded as it is and is evidence against the map.
     unreadable : str
         Why it has no value, where the map gives a rule that only a person can follow.
     """
@@ -108,17 +108,17 @@ class Map717:
     def __post_init__(self) -> None:
         """Raise `MapError` for a frame that can't be, and for parameters outside it."""
         if not (1 < self.words <= MOST_WORDS and self.subframe_s > 0.0 and 1 < len(self.sync_words) <= MOST_SUBFRAMES):
-            told = f"{len(self.sync_words)} subframes of {self.words} words and {self.subframe_s} s"
-            raise MapError(f"{told}; there are 2 to {MOST_SUBFRAMES}, of 2 to {MOST_WORDS:,} words")
+            shape = f"{len(self.sync_words)} subframes of {self.words} words and {self.subframe_s} s"
+            raise MapError(f"{shape}; there are 2 to {MOST_SUBFRAMES}, of 2 to {MOST_WORDS:,} words")
         if len(set(self.sync_words)) < len(self.sync_words) or not all(0 <= s < 1 << 12 for s in self.sync_words):
             raise MapError("sync words differ from each other and have 12 bits")
         size = self.words * len(self.sync_words)
-        held = ((n, s.pieces) for n, p in self.parameters.items() for s in p.samples)
-        counted = [("the frame counter", (self.counter.piece,))] if self.counter else []
-        for name, pieces in (*counted, *held):
+        pieces_by_name = ((n, s.pieces) for n, p in self.parameters.items() for s in p.samples)
+        counter_pieces = [("the frame counter", (self.counter.piece,))] if self.counter else []
+        for name, pieces in (*counter_pieces, *pieces_by_name):
             if any(p.word >= size or p.low + p.bits > 12 for p in pieces):
-                told = f"{name} lies outside the frame of {len(self.sync_words)} subframes of {self.words} words"
-                raise MapError(told)
+                shape = f"{name} lies outside the frame of {len(self.sync_words)} subframes of {self.words} words"
+                raise MapError(shape)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ class Map767:
 
 ParameterMap = Map717 | Map767
 WHOLE = ".whole"
-"""Ends the name of a parameter as it must be meant, beside as its map lists it: `vec_frames` says when."""
+"""Ends the name of a parameter as it must be meant, beside as its map lists it; see `vec_frames`."""
 FILLED_GAP_S = 600.0
 """A shorter gap is damage, and its frames are there as nulls; a longer one is a recorder that stood still."""
 HEAD_767 = 12
@@ -150,19 +150,19 @@ HEAD_767 = 12
 
 
 def lay_out(parameters: Iterable[Parameter], frame_id: int, rate_hz: float | None) -> tuple[list[Parameter], int]:
-    """Parameters of an ARINC 767 frame, bit after bit in their order, and the length of the frame in bytes."""
-    placed, low = [], 0
+    """Lay out the parameters of an ARINC 767 frame bit after bit; return them and the frame's length in bytes."""
+    result, low = [], 0
     for p in parameters:
         bits = p.coding.bits + (p.coding.sign is not None)
         place = Sample(0.0, (Piece(0, low, bits),))
-        placed.append(replace(p, samples=(place,), frame_id=frame_id, rate_hz=rate_hz or 0.0))
+        result.append(replace(p, samples=(place,), frame_id=frame_id, rate_hz=rate_hz or 0.0))
         low += bits
-    return placed, HEAD_767 + (low + 7) // 8
+    return result, HEAD_767 + (low + 7) // 8
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What a recording lost, in subframes (ARINC 717) or frames (ARINC 767).
+    """Count what a recording lost, in subframes (ARINC 717) or frames (ARINC 767).
 
     Attributes
     ----------

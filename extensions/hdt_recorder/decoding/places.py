@@ -20,12 +20,12 @@ class Place:
 
     @property
     def bits(self) -> int:
-        """How many."""
+        """Return how many bits."""
         return self.highest_bit - self.lowest_bit + 1
 
 
 def sample_at(parts: Sequence[Place], overlaps: Sequence[int], words: int, subframes: int, subframe_s: float) -> Sample:
-    """One value from its parts, the least significant first; part i shares `overlaps[i]` bits with the one before.
+    """Build a sample from its parts, least significant first; part i shares `overlaps[i]` bits with the one before.
 
     Raises
     ------
@@ -47,5 +47,5 @@ def sample_at(parts: Sequence[Place], overlaps: Sequence[int], words: int, subfr
 
 
 def word_bits(sample: Sample) -> int:
-    """Bits of the raw word that a sample puts together."""
+    """Return the bits of the raw word that a sample puts together."""
     return max(p.into + p.bits for p in sample.pieces)

@@ -30,16 +30,16 @@ KEYS = {"name", "unit", "description", *PLACE_KEYS, *VALUE_KEYS}
 
 
 def read_toml(text: str) -> ParameterMap:
-    """A map from TOML. Raises `MapError`, which names the parameter and what is wrong with it."""
+    """Read a map from TOML. Raises `MapError`, which names the parameter and what is wrong with it."""
     try:
-        said = parse_toml(text)
+        document = parse_toml(text)
     except ValueError as error:
         raise MapError(str(error)) from None
-    return _build(said)
+    return _build(document)
 
 
 def read_csv(text: str) -> ParameterMap:
-    """A map from CSV: lines that begin with `#` are the head, in TOML; then a header and a line a parameter."""
+    """Read a map from CSV: lines that begin with `#` are the head, in TOML; then a header and a line a parameter."""
     lines = text.splitlines()
     try:
         head = parse_toml("\n".join(line[1:] for line in lines if line.startswith("#")))
@@ -54,7 +54,7 @@ def read_csv(text: str) -> ParameterMap:
 
 
 def _cell(key: str, text: str) -> Any:
-    """A cell as TOML has it: lists are separated by spaces, parts by `+`, texts by `;`."""
+    """Parse a cell as TOML has it: lists are separated by spaces, parts by `+`, texts by `;`."""
     return _CELLS.get(key, str)(text)
 
 
@@ -79,13 +79,13 @@ _CELLS: dict[str, Callable[[str], Any]] = {
 }
 
 
-def _build(said: dict[str, Any]) -> ParameterMap:
-    form = said.get("format")
+def _build(document: dict[str, Any]) -> ParameterMap:
+    form = document.get("format")
     try:
         if form == "ARINC 717":
-            return _map_717(said)
+            return _map_717(document)
         if form == "ARINC 767":
-            return _map_767(said)
+            return _map_767(document)
     except KeyError as error:
         raise MapError(f"no {error.args[0]} in the head") from None
     except (ValueError, TypeError, OverflowError) as error:
@@ -93,39 +93,39 @@ def _build(said: dict[str, Any]) -> ParameterMap:
     raise MapError(f"format = {form!r}; it is 'ARINC 717' or 'ARINC 767'")
 
 
-def _map_717(said: dict[str, Any]) -> Map717:
-    words = int(said["words_per_second"])
-    syncs = tuple(int(s, 16) for s in said["sync_words"]) if "sync_words" in said else SYNC_WORDS
+def _map_717(document: dict[str, Any]) -> Map717:
+    words = int(document["words_per_second"])
+    syncs = tuple(int(s, 16) for s in document["sync_words"]) if "sync_words" in document else SYNC_WORDS
     counter = None
-    if "counter" in said:
+    if "counter" in document:
         try:
             counter = Counter(
-                _samples(said["counter"], words, len(syncs))[0].pieces[0], int(said["counter"].get("first", 0))
+                _samples(document["counter"], words, len(syncs))[0].pieces[0], int(document["counter"].get("first", 0))
             )
         except (KeyError, ValueError, TypeError) as error:
             raise MapError(f"counter: {error}") from None
-    found: dict[str, Parameter] = {}
-    frames = int(said.get("frames_per_superframe", FRAMES_PER_SUPERFRAME))
-    for entry in _entries(said):
-        parameter = _named(entry, lambda e: _parameter_717(e, Map717(words, {}, counter, syncs), frames))
-        _add(found, parameter)
-    return Map717(words, found, counter, syncs)
+    parameters: dict[str, Parameter] = {}
+    frames = int(document.get("frames_per_superframe", FRAMES_PER_SUPERFRAME))
+    for entry in _entries(document):
+        parameter = _read_parameter(entry, lambda e: _parameter_717(e, Map717(words, {}, counter, syncs), frames))
+        _add(parameters, parameter)
+    return Map717(words, parameters, counter, syncs)
 
 
-def _entries(said: dict[str, Any]) -> list[dict[str, Any]]:
-    entries = said.get("parameter", [])
+def _entries(document: dict[str, Any]) -> list[dict[str, Any]]:
+    entries = document.get("parameter", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise MapError("parameters stand below [[parameter]]")
     return entries
 
 
-def _add(found: dict[str, Parameter], parameter: Parameter) -> None:
-    if parameter.name in found:
+def _add(parameters: dict[str, Parameter], parameter: Parameter) -> None:
+    if parameter.name in parameters:
         raise MapError(f"parameter {parameter.name}: defined twice")
-    found[parameter.name] = parameter
+    parameters[parameter.name] = parameter
 
 
-def _named(entry: dict[str, Any], read: Any) -> Parameter:
+def _read_parameter(entry: dict[str, Any], read: Any) -> Parameter:
     name = entry.get("name", "without a name")
     if strange := sorted(set(entry) - KEYS):
         raise MapError(f"parameter {name}: no key {strange[0]}; there are {', '.join(sorted(KEYS))}")
@@ -148,13 +148,13 @@ def _parameter_717(entry: dict[str, Any], layout: Map717, frames: int) -> Parame
 
 
 def _samples(entry: dict[str, Any], words: int, subframes: int) -> tuple[Sample, ...]:
-    """Every frame, subframe and word that is named is a sample; of parts, the least significant comes first.
+    """Return a sample per frame, subframe and word; of parts, the least significant comes first.
 
     Parts are lists within a list; `bits` holds one range, or one a part.
     """
-    said = {"superframe": [0], **entry}
-    ranges = said["bits"] if isinstance(said["bits"], list) else [said["bits"]]
-    lists = [_parts(said[key]) for key in ("superframe", "subframe", "word")]
+    values = {"superframe": [0], **entry}
+    ranges = values["bits"] if isinstance(values["bits"], list) else [values["bits"]]
+    lists = [_parts(values[key]) for key in ("superframe", "subframe", "word")]
     count = max(len(ranges), *map(len, lists))
     if any(len(each) not in {1, count} for each in (ranges, *lists)):
         raise ValueError(f"{count} parts, but not as many superframes, subframes, words or bits")
@@ -172,24 +172,26 @@ def _places(bits: Any, frames: list[int], subframes: list[int], words: list[int]
     return [Place(s, w, int(low), int(high or low), f) for f in frames for s in subframes for w in words]
 
 
-def _map_767(said: dict[str, Any]) -> Map767:
+def _map_767(document: dict[str, Any]) -> Map767:
     frames: dict[int, Frame767] = {}
-    found: dict[str, Parameter] = {}
-    entries = list(said.get("parameter", ()))
-    for kind in said["frames"]:
+    parameters: dict[str, Parameter] = {}
+    entries = list(document.get("parameter", ()))
+    for kind in document["frames"]:
         number, rate_hz = int(kind["number"]), kind.get("rate_hz")
-        own = [_named(e, lambda e: _meaning(e, int(e["size"]))) for e in entries if e.get("frame") == number]
-        placed, size = lay_out(own, number, rate_hz)
-        for parameter in placed:
-            _add(found, parameter)
+        meanings = [
+            _read_parameter(e, lambda e: _meaning(e, int(e["size"]))) for e in entries if e.get("frame") == number
+        ]
+        of_frame, size = lay_out(meanings, number, rate_hz)
+        for parameter in of_frame:
+            _add(parameters, parameter)
         frames[number] = Frame767(number, kind.get("title", ""), size, rate_hz)
-    if lost := [e for e in entries if e.get("frame") not in frames]:
-        raise MapError(f"parameter {lost[0].get('name')}: no frame {lost[0].get('frame')} in the head")
-    return Map767(frames, found, said.get("revision", ""))
+    if orphans := [e for e in entries if e.get("frame") not in frames]:
+        raise MapError(f"parameter {orphans[0].get('name')}: no frame {orphans[0].get('frame')} in the head")
+    return Map767(frames, parameters, document.get("revision", ""))
 
 
 def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
-    kind, signed = entry.get("kind", "binary"), bool(entry.get("signed", False))
+    kind, is_signed = entry.get("kind", "binary"), bool(entry.get("signed", False))
     if kind not in KINDS:
         raise ValueError(f"no kind {kind}; there are {', '.join(KINDS)}")
     usual = 4 if kind == "bcd" else 8
@@ -197,7 +199,7 @@ def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
     if kind in ("bcd", "characters") and (sum(widths) > bits or not widths):
         raise ValueError(f"digits of {sum(widths)} bits in a word of {bits}")
     coding = Coding(
-        kind, bits=bits - signed, sign=bits - 1 if signed else None, steps=_steps(entry),
+        kind, bits=bits - is_signed, sign=bits - 1 if is_signed else None, steps=_steps(entry),
         digits=cut_digits(widths) if kind in ("bcd", "characters") else (), decimals=int(entry.get("decimals", 0)),
         base=float(entry.get("offset", 0.0)) if kind == "bcd" else 0.0,
         texts={int(k): str(v) for k, v in entry.get("texts", {}).items()},
@@ -208,7 +210,7 @@ def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
 
 
 def _steps(entry: dict[str, Any]) -> tuple[Step, ...]:
-    """`scale` and `offset`, or `segments` of (from, scale, offset)."""
+    """Return steps from `scale` and `offset`, or from `segments` of (from, scale, offset)."""
     if "segments" in entry:
         starts, scales, offsets = zip(*sorted(tuple(map(float, s)) for s in entry["segments"]), strict=True)
         return (Segments(starts, scales, offsets),)

@@ -42,7 +42,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class ReportLine:
-    """What a line of a report says; `report` counts the file's reports from 1, `line` its lines."""
+    """Values of a report's line; `report` counts the file's reports from 1, `line` its lines."""
 
     report: int
     number: str
@@ -70,7 +70,7 @@ class Reports:
 
 
 def read_layouts(text: str) -> dict[str, Layout]:
-    """Layouts by number of the report.
+    """Read layouts, by number of the report.
 
     `<nn> TITLE` begins one, `<**>` what all reports have after their own. A line such as `N1|N2 {egt:4} {oil}` declares
     lines that begin with `N1` or `N2`; a dot stands for any character. A field is a number, `{name}` or four characters
@@ -112,19 +112,19 @@ def _declare(line: str, place: int) -> LineLayout:
 
 
 def _pattern(word: str) -> str:
-    """Regular expression of a word of a declaration."""
-    found, last = "", 0
+    """Return the regular expression of a declaration's word."""
+    expression, last = "", 0
     for m in _FIELD.finditer(word):
-        found += re.escape(word[last : m.start()])
+        expression += re.escape(word[last : m.start()])
         width = f"{{{m['width']}}}" if m["width"] else "+"
-        found += f"(?P<{m['name']}>" + (".*?" if m["kind"] == "t" else rf"\S{width}") + ")"
+        expression += f"(?P<{m['name']}>" + (".*?" if m["kind"] == "t" else rf"\S{width}") + ")"
         last = m.end()
-    return found + re.escape(word[last:])
+    return expression + re.escape(word[last:])
 
 
 def read_reports(data: bytes, layouts: Mapping[str, Layout]) -> Reports:
-    """Reports of a message file, or of plain text. Raises nothing: what can't be read is set aside."""
-    found: list[ReportLine] = []
+    """Read reports of a message file, or of plain text. Raises nothing: what can't be read is set aside."""
+    lines: list[ReportLine] = []
     rejected: list[RejectedLine] = []
     undeclared: list[str] = []
     layout, report = None, 0
@@ -137,32 +137,32 @@ def read_reports(data: bytes, layouts: Mapping[str, Layout]) -> Reports:
             layout = None
             undeclared.append(other["title"])
         elif layout is not None and line.strip():
-            read = _read_line(line, layout)
-            if isinstance(read, str):
-                rejected.append(RejectedLine(place, line.strip(), read))
-            elif read:
-                row, values = read
-                found.append(ReportLine(report, layout.number, place, row, values))
-    return Reports(tuple(found), tuple(sorted(rejected, key=lambda r: r.line)), tuple(undeclared))
+            result = _read_line(line, layout)
+            if isinstance(result, str):
+                rejected.append(RejectedLine(place, line.strip(), result))
+            elif result:
+                row, values = result
+                lines.append(ReportLine(report, layout.number, place, row, values))
+    return Reports(tuple(lines), tuple(sorted(rejected, key=lambda r: r.line)), tuple(undeclared))
 
 
 def _read_line(line: str, layout: Layout) -> tuple[str, dict[str, Value]] | str | None:
-    """Row and values; why there are none; or None for a heading."""
+    """Return row and values; the reason for a rejected line; or None for a heading."""
     likely = [x for x in layout.lines if x.begins.match(line)]
     for each in likely:
-        if found := each.whole.fullmatch(line):
-            values = {f: _value(found[f], f in each.numbers) for f in each.fields}
+        if match := each.whole.fullmatch(line):
+            values = {f: _value(match[f], f in each.numbers) for f in each.fields}
             wrong = [f for f in each.numbers if isinstance(values[f], str)]
-            return f"{min(wrong)} is {values[min(wrong)]!r}, no number" if wrong else (found["_row"], values)
+            return f"{min(wrong)} is {values[min(wrong)]!r}, no number" if wrong else (match["_row"], values)
     if likely:
         return _difference(line.split(), likely[0])
     return f"no line of <{layout.number}> begins with {line[:2]}" if _LINE_ID.match(line) else None
 
 
-def _difference(said: list[str], declared: LineLayout) -> str:
-    if len(said) != len(declared.words):
-        return f"{len(said)} words, by its layout {len(declared.words)}: {' '.join(declared.fields)}"
-    for word, pattern in zip(said, declared.words, strict=True):
+def _difference(words: list[str], layout: LineLayout) -> str:
+    if len(words) != len(layout.words):
+        return f"{len(words)} words, by its layout {len(layout.words)}: {' '.join(layout.fields)}"
+    for word, pattern in zip(words, layout.words, strict=True):
         if not re.fullmatch(pattern, word):
             name = re.search(r"\(\?P<([^_]\w*)>", pattern)
             return f"{name[1] if name else 'it'} is {word!r}, not as wide as its layout has it"
@@ -186,32 +186,32 @@ _END_SIZE = 16
 
 
 def unblock(data: bytes) -> str:
-    """The text of a message file's blocks; the data as they are if it has none.
+    """Return the text of a message file's blocks; the data as they are if it has none.
 
-    A block's text has one byte more at either end, which say whether the file begins, goes on or ends there.
+    A block's text has one byte more at either end, which mark whether the file begins, goes on or ends there.
     """
-    found, at = [], 0
+    texts, at = [], 0
     while at + _BLOCK < len(data):
         size = int.from_bytes(data[at + 12 : at + 16], "little")
         if not 2 < size < 1 << 16 or data[at + 16 : at + 20] != bytes(4):
             break
-        found.append(data[at + _BLOCK + 1 : at + _BLOCK + size - 1])
+        texts.append(data[at + _BLOCK + 1 : at + _BLOCK + size - 1])
         at += _BLOCK + size
-    return (b"".join(found) if found else data).decode("latin-1")
+    return (b"".join(texts) if texts else data).decode("latin-1")
 
 
 def _numbered_lines(text: str, rejected: list[RejectedLine]) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers; messages whose length is not what their end says are told in `rejected`."""
+    """Yield numbered lines; messages that differ in length from their end mark are added to `rejected`."""
     place = 1
     for part in text.split(_BEGIN):
         body, *end = _ENDS.split(part, maxsplit=1)
         lines = body.split("\n")
-        told = _END.fullmatch(lines[-1]) if end else None
+        end_mark = _END.fullmatch(lines[-1]) if end else None
         size = len(body) - _END_SIZE
-        if told and int(told["size"]) != size:
-            reason = f"message {int(told['number'])} has {size:,} characters, by its end {int(told['size']):,}"
+        if end_mark and int(end_mark["size"]) != size:
+            reason = f"message {int(end_mark['number'])} has {size:,} characters, by its end {int(end_mark['size']):,}"
             rejected.append(RejectedLine(place, lines[0].strip(), reason))
-        elif end and not told:
+        elif end and not end_mark:
             rejected.append(RejectedLine(place + len(lines) - 1, lines[-1].strip(), "no end of a message"))
-        yield from enumerate(map(str.rstrip, lines[:-1] if told else lines), place)
+        yield from enumerate(map(str.rstrip, lines[:-1] if end_mark else lines), place)
         place += part.count("\n")

@@ -1,4 +1,4 @@
-"""What the head of a printed report says of bleed and packs, whatever the report is about."""
+"""Bleed and pack state from the head of a printed report, whatever the report is about."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from hdt_recorder.decoding.printed import ReportLine, Reports, Value
 
 PACK_NUMBERS = (1, 2)
-_CLOSED = "0"
+_CLOSED_DIGIT = "0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,46 +44,46 @@ class ReportHead:
 
 
 def report_heads(reports: Reports) -> Iterator[ReportHead | ReportLine]:
-    """A head a report; of one without a time of its own the first line that could be read.
+    """Yield a head per report; of a report without a time, its first readable line.
 
     Fields go by the names they have in `report_layouts.A330`: `acid`, `date`, `utc`, `alt`, `mn`, and, with the number
     of pack or engine, `pack_flow_1`, `bleed_1`, `crossfeed`. What a layout of another aircraft does not name is None.
     """
-    told: dict[int, list[ReportLine]] = {}
+    by_report: dict[int, list[ReportLine]] = {}
     for line in reports.lines:
-        told.setdefault(line.report, []).append(line)
-    for lines in told.values():
+        by_report.setdefault(line.report, []).append(line)
+    for lines in by_report.values():
         yield _head(lines) or lines[0]
 
 
 def _head(lines: list[ReportLine]) -> ReportHead | None:
-    said: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for line in lines:
-        said = dict(line.values) | said  # a name that comes again, as time and altitude do, is no longer the head's
-    moment = _moment(said)
+        values = dict(line.values) | values  # a name that comes again, as time and altitude do, is no longer the head's
+    moment = _moment(values)
     if moment is None:
         return None
-    flows = tuple(_number(said, f"pack_flow_{n}") for n in PACK_NUMBERS)
-    bleeds = tuple(_open(said, f"bleed_{n}") for n in PACK_NUMBERS)
-    aircraft = str(said.get("acid") or "").strip(".")
-    return ReportHead(lines[0].number, lines[0].line, aircraft, moment, _number(said, "alt"), _number(said, "mn"),
-                      flows, bleeds, _open(said, "crossfeed"))  # fmt: skip
+    flows = tuple(_number(values, f"pack_flow_{n}") for n in PACK_NUMBERS)
+    bleeds = tuple(_is_open(values, f"bleed_{n}") for n in PACK_NUMBERS)
+    aircraft = str(values.get("acid") or "").strip(".")
+    return ReportHead(lines[0].number, lines[0].line, aircraft, moment, _number(values, "alt"), _number(values, "mn"),
+                      flows, bleeds, _is_open(values, "crossfeed"))  # fmt: skip
 
 
-def _moment(said: Mapping[str, Value]) -> datetime | None:
+def _moment(values: Mapping[str, Value]) -> datetime | None:
     try:
-        return datetime.strptime(f"{said['date']} {said['utc']}", "%d%b%y %H.%M.%S").replace(tzinfo=UTC)
+        return datetime.strptime(f"{values['date']} {values['utc']}", "%d%b%y %H.%M.%S").replace(tzinfo=UTC)
     except (KeyError, ValueError):
         return None
 
 
-def _number(said: Mapping[str, Value], name: str) -> float | None:
-    found = said.get(name)
-    return found if isinstance(found, float) else None
+def _number(values: Mapping[str, Value], name: str) -> float | None:
+    value = values.get(name)
+    return value if isinstance(value, float) else None
 
 
-def _open(said: Mapping[str, Value], name: str) -> bool | None:
-    """Whether any digit says open; None for what is no digits at all."""
-    found = said.get(name)
-    word = f"{found:.0f}" if isinstance(found, float) else found or ""
-    return word.strip(_CLOSED) != "" if word.isdigit() else None
+def _is_open(values: Mapping[str, Value], name: str) -> bool | None:
+    """Return whether any digit means open; None for text without digits only."""
+    value = values.get(name)
+    word = f"{value:.0f}" if isinstance(value, float) else value or ""
+    return word.strip(_CLOSED_DIGIT) != "" if word.isdigit() else None

@@ -1,4 +1,4 @@
-"""Subframes of an ARINC 717 recording in their places on the time axis, by the frame counter where there is one."""
+"""Place subframes of an ARINC 717 recording on the time axis, by the frame counter where there is one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Recording717:
     frame : (n,) int
         Number of the frame since the first.
     count : (n,) int
-        Frames since one that begins a superframe, by the frame counter; -1 where it is not known.
+        Frames since one that begins a superframe, by the frame counter; -1 where unknown.
     t_s : (n,) float
         Seconds since the start of the first frame.
     """
@@ -42,26 +42,26 @@ class Recording717:
     damage: Damage
 
     def excerpt(self, n: int) -> "Recording717":
-        """The first `n` frames."""
+        """Return the first `n` frames."""
         first = slice(n)
         parts = self.words[:, first], self.whole[:, first], self.frame[first], self.count[first], self.t_s[first]
         return Recording717(*parts, self.damage)
 
 
 def arrange(data: Bytes, packing: Packing, layout: Map717) -> Recording717:
-    """All frames of a recording, by time. Raises nothing: what can't be read is not `whole`, and counted."""
+    """Arrange all frames of a recording by time. Raises nothing: what can't be read is not `whole`, and counted."""
     finder = Finder(data, packing, layout.words, layout.sync_words)
     runs = list(finder.runs())
     parts = [part for run in runs for part in _split(run, finder)]
-    placed = _Timeline(finder, layout, alone=len(parts) == 1)
+    timeline = _Timeline(finder, layout, alone=len(parts) == 1)
     for part in parts:
-        placed.add(part)
-    taken = sum(r.whole.size for r in runs) * finder.step // packing.byte
-    return _fill(placed, max(0, data.size - taken))
+        timeline.add(part)
+    n_bytes = sum(r.whole.size for r in runs) * finder.step // packing.byte
+    return _fill(timeline, max(0, data.size - n_bytes))
 
 
 def _split(run: Run, finder: Finder) -> Iterator[Run]:
-    """A run where it was damaged: what comes after may be spliced in, even if its sync words stand where they must."""
+    """Split a run where it was damaged: what follows may be spliced in, even with its sync words in place."""
     begins = np.flatnonzero(run.whole & np.append(True, ~run.whole[:-1]))
     for begin, end in pairwise([0, *begins[begins > 0].tolist(), run.whole.size]):
         number = (run.first + begin) % len(finder.syncs)
@@ -90,15 +90,15 @@ class _Timeline:
         self.shift: list[Ints] = []
         self.breaks = self.lost = 0
         self._before: tuple[Run, int] | None = None  # the last run, and where its last subframe was placed
-        self._counted: tuple[int, int] | None = None  # the last counter that was believed, and its frame
+        self._counted: tuple[int, int] | None = None  # the last accepted counter, and its frame
 
     @property
     def modulus(self) -> int:
-        """Frames after which the counter begins anew."""
+        """Return the frames after which the counter begins anew."""
         return 1 << self.layout.counter.piece.bits if self.layout.counter else 1
 
     def add(self, run: Run) -> None:
-        """The next run of the file; one that no counter places is left out."""
+        """Add the next run of the file; one that no counter places is left out."""
         at, whole = self._estimate(run), run.whole.copy()
         shift = np.full(at.size, -1, np.int64)
         words = self.finder.read(run)
@@ -116,35 +116,35 @@ class _Timeline:
         self.shift.append(shift)
 
     def _estimate(self, run: Run) -> Ints:
-        """Where the place in the file and the number of its first subframe put a run."""
+        """Estimate a run's place in time from its place in the file and the number of its first subframe."""
         start = run.first
         if self._before is not None:
             before, last = self._before
-            passed = (run.place - before.place) / self.finder.step - (before.whole.size - 1)
-            start = last + max(1, round(passed))
+            subframes = (run.place - before.place) / self.finder.step - (before.whole.size - 1)
+            start = last + max(1, round(subframes))
             start += (run.first - start + 1) % self.per_frame - 1  # nearest with this number
             start += self.per_frame if start <= last else 0
         return start + np.arange(run.whole.size, dtype=np.int64)
 
     def _stretches(self, words: Words12, at: Ints, whole: Flags) -> list[_Stretch]:
-        """Counters that can be believed: two that agree, or one that says what the file's place does.
+        """Return plausible counters: two that agree, or one that agrees with the place in the file.
 
         What lies about a counter that stands alone is marked as damaged.
         """
         assert self.layout.counter is not None
         piece = self.layout.counter.piece
-        seen = np.flatnonzero((at % self.per_frame == piece.word // self.layout.words) & whole)
-        count = (words[seen, piece.word % self.layout.words].astype(np.int64) >> piece.low) % self.modulus
-        ahead = (count - at[seen] // self.per_frame) % self.modulus
-        ends = np.ones(seen.size + 1, bool)
+        places = np.flatnonzero((at % self.per_frame == piece.word // self.layout.words) & whole)
+        count = (words[places, piece.word % self.layout.words].astype(np.int64) >> piece.low) % self.modulus
+        ahead = (count - at[places] // self.per_frame) % self.modulus
+        ends = np.ones(places.size + 1, bool)
         ends[1:-1] = ahead[1:] != ahead[:-1]
-        believed = []
+        stretches = []
         for i, j in pairwise(np.flatnonzero(ends)):
-            if j - i > 1 or self._expects(int(ahead[i])) or (self.alone and seen.size == 1):
-                believed.append(_Stretch(int(seen[i]), int(seen[j - 1]), int(count[i]), int(count[j - 1])))
+            if j - i > 1 or self._expects(int(ahead[i])) or (self.alone and places.size == 1):
+                stretches.append(_Stretch(int(places[i]), int(places[j - 1]), int(count[i]), int(count[j - 1])))
             else:
-                whole[seen[i - 1] if i else 0 : seen[j] if j < seen.size else None] = False
-        return believed
+                whole[places[i - 1] if i else 0 : places[j] if j < places.size else None] = False
+        return stretches
 
     def _expects(self, ahead: int) -> bool:
         return self._counted is not None and (self._counted[0] - self._counted[1]) % self.modulus == ahead
@@ -156,9 +156,9 @@ class _Timeline:
             begin = max(before.last + 1, stretch.first - int(at[stretch.first] % self.per_frame))
         frame = int(at[stretch.first]) // self.per_frame
         if self._counted is not None:
-            count, seen = self._counted
+            count, counted_frame = self._counted
             step = (stretch.first_count - count) % self.modulus
-            move = (step - (frame - seen)) * self.per_frame
+            move = (step - (frame - counted_frame)) * self.per_frame
             end = int(at[begin - 1]) if begin else (self._before[1] if self._before else -1)
             if before is not None and move:
                 whole[before.last : stretch.first + 1] = False
@@ -171,12 +171,15 @@ class _Timeline:
         self._counted = stretch.last_count, int(at[stretch.last]) // self.per_frame
 
 
-def _fill(placed: _Timeline, skipped: int) -> Recording717:
-    """Frames in a regular grid; those that a short gap took are there, not whole."""
-    layout, per_frame = placed.layout, placed.per_frame
+def _fill(timeline: _Timeline, skipped_bytes: int) -> Recording717:
+    """Fill frames into a regular grid; those that a short gap took are there, not whole."""
+    layout, per_frame = timeline.layout, timeline.per_frame
     frame_s = per_frame * layout.subframe_s
-    at = _join(placed.at, np.empty(0, np.int64))
-    words, held = _join(placed.words, np.empty((0, layout.words), np.uint16)), _join(placed.whole, np.empty(0, bool))
+    at = _join(timeline.at, np.empty(0, np.int64))
+    words, subframe_whole = (
+        _join(timeline.words, np.empty((0, layout.words), np.uint16)),
+        _join(timeline.whole, np.empty(0, bool)),
+    )
     present, first = np.unique(at // per_frame, return_index=True)
     gaps = np.diff(present) - 1
     short = np.flatnonzero((gaps > 0) & (gaps * frame_s <= FILLED_GAP_S))
@@ -184,17 +187,17 @@ def _fill(placed: _Timeline, skipped: int) -> Recording717:
     n = frame.size
     row = np.searchsorted(frame, at // per_frame) * per_frame + at % per_frame
     whole = np.zeros(n * per_frame, bool)
-    whole[row] = held
+    whole[row] = subframe_whole
     grid = words
     if row.size < whole.size:
         grid = np.zeros((n * per_frame, layout.words), np.uint16)
         grid[row] = words
-    shift = _join(placed.shift, np.empty(0, np.int64))[first]
+    shift = _join(timeline.shift, np.empty(0, np.int64))[first]
     shift = shift[np.searchsorted(present, frame, side="right") - 1] if n else shift
-    since_first = frame + shift - (layout.counter.first if layout.counter else 0) + placed.modulus
+    since_first = frame + shift - (layout.counter.first if layout.counter else 0) + timeline.modulus
     damage = Damage(
-        unit="subframes", whole=int(held.sum()), damaged=int((~held).sum()) + placed.lost,
-        missing=int(n * per_frame - at.size), breaks=placed.breaks, skipped_bytes=skipped,
+        unit="subframes", whole=int(subframe_whole.sum()), damaged=int((~subframe_whole).sum()) + timeline.lost,
+        missing=int(n * per_frame - at.size), breaks=timeline.breaks, skipped_bytes=skipped_bytes,
     )  # fmt: skip
     return Recording717(
         np.ascontiguousarray(grid.reshape(n, per_frame * layout.words).T), whole.reshape(n, per_frame).T, frame,
@@ -203,5 +206,5 @@ def _fill(placed: _Timeline, skipped: int) -> Recording717:
 
 
 def _join(parts: list[npt.NDArray[A]], none: npt.NDArray[A]) -> npt.NDArray[A]:
-    """All parts one after the other, without a copy where there is one."""
+    """Concatenate all parts, without a copy where there is one."""
     return parts[0] if len(parts) == 1 else np.concatenate([none, *parts])

@@ -1,4 +1,4 @@
-"""Where a ground station's map has its parameters: `.fra` (ARINC 717) and `.frd` (ARINC 767)."""
+"""Frames of a ground station's map: `.fra` (ARINC 717) and `.frd` (ARINC 767)."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -22,8 +22,8 @@ SUPERFRAME = ".superframe"
 """Ends the name of what a parameter, listed for every frame, holds in a superframe too."""
 
 
-def read_fra(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map717:
-    """Kind 1 is the frame, 2 a parameter of every frame, 3 a superframe's word, 4 a parameter in it."""
+def read_fra(name: str, data: bytes, meanings: Mapping[str, Parameter]) -> Map717:
+    """Read a `.fra`: kind 1 is the frame, 2 a parameter of every frame, 3 a superframe's word, 4 a parameter in it."""
     rows: dict[str, list[tuple[int, list[str]]]] = {kind: [] for kind in "1234"}
     for number, kind, fields in read_lines(name, data):
         if kind in rows:
@@ -32,16 +32,16 @@ def read_fra(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map717
         raise MapError(f"{name}: no line of kind 1, the frame's length and sync words")
     frame = read_row(name, rows["1"][0], _Frame)
     supers = {fields[0]: fields for _, fields in rows["3"]}
-    listed: dict[str, list[_ParameterLine]] = {}
+    lines: dict[str, list[_ParameterLine]] = {}
     for row in rows["2"]:
-        listed.setdefault(row[1][0], []).append(read_row(name, row, frame.regular))
+        lines.setdefault(row[1][0], []).append(read_row(name, row, frame.regular))
     for row in rows["4"]:
-        listed.setdefault(row[1][0], []).append(read_row(name, row, lambda f: frame.superframe(f, supers)))
-    found: dict[str, Parameter] = {}
-    for each in listed.keys() & defined.keys():
-        for parameter in _place(defined[each], listed[each], 4.0):
-            found[parameter.name] = parameter
-    return Map717(frame.words, dict(sorted(found.items())), frame.counter, frame.sync_words)
+        lines.setdefault(row[1][0], []).append(read_row(name, row, lambda f: frame.superframe(f, supers)))
+    parameters: dict[str, Parameter] = {}
+    for each in lines.keys() & meanings.keys():
+        for parameter in _place(meanings[each], lines[each], 4.0):
+            parameters[parameter.name] = parameter
+    return Map717(frame.words, dict(sorted(parameters.items())), frame.counter, frame.sync_words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class _Frame:
         return Piece(((max(subframe, 1) - 1) * self.words + word - 1), top - bits, bits, into, frame)
 
     def regular(self, fields: list[str]) -> _ParameterLine:
-        """A part in every frame: as many places as its rate says, from its first on."""
+        """Return a part in every frame: as many places as its rate says, from its first on."""
         rate, subframe, word, top, bits, into = (int(f) for f in fields[2:8])
         first, all_words = self._piece(subframe, word, top, bits, into - bits), 4 * self.words
         if rate < 1 or all_words % rate:
@@ -80,7 +80,7 @@ class _Frame:
         return _ParameterLine(int(fields[1]), places, 1)
 
     def superframe(self, fields: list[str], places: dict[str, list[str]]) -> _ParameterLine:
-        """A part in a superframe's word."""
+        """Return a part in a superframe's word."""
         if fields[3] not in places:
             raise ValueError(f"no superframe {fields[3]}")
         place, (frame, top, bits, into) = places[fields[3]], (int(f) for f in fields[4:8])
@@ -90,10 +90,10 @@ class _Frame:
         return _ParameterLine(int(fields[1]), (piece,), int(fields[2]))
 
 
-def _place(meaning: Parameter, listed: list[_ParameterLine], frame_s: float) -> Iterator[Parameter]:
-    """The parameter as listed; whole too, where the lines leave a part of its word to the reader."""
-    regular = [line for line in listed if line.cycle == listed[0].cycle]
-    if other := [line for line in listed if line.cycle != listed[0].cycle]:
+def _place(meaning: Parameter, lines: list[_ParameterLine], frame_s: float) -> Iterator[Parameter]:
+    """Yield the parameter as listed; whole too, where the lines leave a part of its word to the reader."""
+    regular = [line for line in lines if line.cycle == lines[0].cycle]
+    if other := [line for line in lines if line.cycle != lines[0].cycle]:
         yield from _place(replace(meaning, name=meaning.name + SUPERFRAME), other, frame_s)
     if len({len(line.pieces) for line in regular}) > 1:
         yield replace(meaning, unreadable="its parts are recorded at different rates")
@@ -103,28 +103,28 @@ def _place(meaning: Parameter, listed: list[_ParameterLine], frame_s: float) -> 
         if line.part == 1 or not groups:
             groups.append([])
         groups[-1].append(line)
-    whole, completed = _as_written(meaning.coding), _complete(meaning.coding, groups)
-    if groups != completed or meaning.coding != whole:
-        yield _sampled(replace(meaning, name=meaning.name + WHOLE, coding=whole), completed, frame_s)
+    whole, complete = _as_written(meaning.coding), _complete(meaning.coding, groups)
+    if groups != complete or meaning.coding != whole:
+        yield _with_samples(replace(meaning, name=meaning.name + WHOLE, coding=whole), complete, frame_s)
         meaning = replace(meaning, description=f"{meaning.description} (as listed; see {meaning.name}{WHOLE})")
-    yield _sampled(meaning, groups, frame_s)
+    yield _with_samples(meaning, groups, frame_s)
 
 
 def _as_written(coding: Coding) -> Coding:
-    """A BCD number with its decimal point and offset: 1330, two decimals, offset 100 is 113.30 MHz."""
+    """Return a BCD coding with its decimal point and offset: 1330, two decimals, offset 100 is 113.30 MHz."""
     if coding.kind != "bcd" or not (coding.decimals or coding.base):
         return coding
     return replace(coding, steps=(Polynomial((coding.base, 10.0**-coding.decimals)),))
 
 
 def _complete(coding: Coding, groups: list[list[_ParameterLine]]) -> list[list[_ParameterLine]]:
-    """One word for samples that hold other bits of it; the sign in the places of the bits above the highest recorded.
+    """Join samples that hold other bits of one word; copy the sign to the bits above the highest recorded.
 
     A number in two's complement that is recorded without its highest bits is small enough to do without them, and they
     are equal to the sign.
     """
-    held = [{(line.pieces[0].into, line.pieces[0].bits) for line in group} for group in groups]
-    if any(h != held[0] for h in held):
+    bit_ranges = [{(line.pieces[0].into, line.pieces[0].bits) for line in group} for group in groups]
+    if any(h != bit_ranges[0] for h in bit_ranges):
         groups = [list({line.pieces[0].into: line for group in reversed(groups) for line in reversed(group)}.values())]
     return groups if coding.sign is None else [_extend(coding, group) for group in groups]
 
@@ -141,7 +141,7 @@ def _extend(coding: Coding, group: list[_ParameterLine]) -> list[_ParameterLine]
     return group + [replace(line, pieces=tuple(replace(p, into=place) for p in bit)) for place in missing]
 
 
-def _sampled(meaning: Parameter, groups: list[list[_ParameterLine]], frame_s: float) -> Parameter:
+def _with_samples(meaning: Parameter, groups: list[list[_ParameterLine]], frame_s: float) -> Parameter:
     rate, cycle = len(groups[0][0].pieces), groups[0][0].cycle
     gap_s = frame_s / (rate * len(groups)) if cycle == 1 else 0.0
     samples = tuple(
@@ -152,8 +152,8 @@ def _sampled(meaning: Parameter, groups: list[list[_ParameterLine]], frame_s: fl
     return replace(meaning, samples=samples, cycle=cycle, rate_hz=len(samples) / (frame_s * cycle))
 
 
-def read_frd(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map767:
-    """Kind 1 is the file's revision, 2 a frame, 3 a parameter's order in it, 4 its short name."""
+def read_frd(name: str, data: bytes, meanings: Mapping[str, Parameter]) -> Map767:
+    """Read a `.frd`: kind 1 is the file's revision, 2 a frame, 3 a parameter's order in it, 4 its short name."""
     revision, short = "", {}
     frames: dict[int, tuple[str, float]] = {}
     order: dict[int, dict[int, str]] = {}
@@ -169,13 +169,13 @@ def read_frd(name: str, data: bytes, defined: Mapping[str, Parameter]) -> Map767
                 short[fields[0]] = fields[1]
         except (ValueError, IndexError) as error:
             raise MapError(f"{name}: line {number}: {error}") from None
-    kinds, found = {}, {}
+    kinds, parameters = {}, {}
     for frame_id, (title, rate_hz) in frames.items():
-        listed = order.get(frame_id, {})
-        names = [short.get(listed[i], listed[i]) for i in sorted(listed)]
-        if unknown := [n for n in names if n not in defined]:
-            raise MapError(f"{name}: frame {frame_id}: the .par does not define {unknown[0]}")
-        placed, size = lay_out([defined[n] for n in names], frame_id, rate_hz)
-        found.update({p.name: p for p in placed})
+        by_position = order.get(frame_id, {})
+        names = [short.get(by_position[i], by_position[i]) for i in sorted(by_position)]
+        if undefined_names := [n for n in names if n not in meanings]:
+            raise MapError(f"{name}: frame {frame_id}: the .par does not define {undefined_names[0]}")
+        of_frame, size = lay_out([meanings[n] for n in names], frame_id, rate_hz)
+        parameters.update({p.name: p for p in of_frame})
         kinds[frame_id] = Frame767(frame_id, title, size, rate_hz)
-    return Map767(kinds, dict(sorted(found.items())), revision)
+    return Map767(kinds, dict(sorted(parameters.items())), revision)

@@ -19,8 +19,8 @@ def read_lines(name: str, data: bytes) -> Iterator[Line]:
     except UnicodeError:
         raise MapError(f"{name}: no text of a ground station's export") from None
     for number, line in enumerate(text.splitlines(), 1):
-        if found := re.match(r"(\d+)\|(.*)", line):
-            yield number, found[1], found[2].split("\t")
+        if match := re.match(r"(\d+)\|(.*)", line):
+            yield number, match[1], match[2].split("\t")
 
 
 def read_row(name: str, row: tuple[int, list[str]], read: Callable[[list[str]], T]) -> T:

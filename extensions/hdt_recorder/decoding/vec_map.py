@@ -1,7 +1,7 @@
 """Parameter maps as a ground station exports them: a `.vec` archive's `.par`, and `.fra` (ARINC 717) or `.frd` (767).
 
 Tables of tab-separated lines, UTF-16; the digits before `|` name the kind of line. A parameter is defined by its place
-in an ARINC 429 word of 32 bits (bits from 1), and the frame tells which bits of that word are recorded where.
+in an ARINC 429 word of 32 bits (bits from 1), and the frame lists which bits of that word are recorded where.
 """
 
 import re
@@ -20,7 +20,7 @@ NOT_RECORDED = ("CONSTANT", "COMPUTED ON GROUND")
 
 
 def read_vec(files: Mapping[str, bytes]) -> ParameterMap:
-    """A map from the members of a `.vec` archive, by name.
+    """Read a map from the members of a `.vec` archive, by name.
 
     Raises
     ------
@@ -30,16 +30,16 @@ def read_vec(files: Mapping[str, bytes]) -> ParameterMap:
     tables = {name.rsplit(".", 1)[-1].lower(): (name, data) for name, data in files.items()}
     if "par" not in tables:
         raise MapError(f"no .par among {', '.join(sorted(files)) or 'no files'}")
-    defined = dict(_define(*tables["par"]))
+    meanings = dict(_define(*tables["par"]))
     if "fra" in tables:
-        return read_fra(*tables["fra"], defined)
+        return read_fra(*tables["fra"], meanings)
     if "frd" in tables:
-        return read_frd(*tables["frd"], defined)
+        return read_frd(*tables["frd"], meanings)
     raise MapError(f"neither .fra nor .frd among {', '.join(sorted(files))}")
 
 
 def _define(name: str, data: bytes) -> Iterator[tuple[str, Parameter]]:
-    """What each parameter of a `.par` means; where it lies, the frame tells."""
+    """Yield the coding of each parameter of a `.par`; its place is in the frame's file."""
     block: list[Line] = []
     for line in [*read_lines(name, data), (0, "1", [])]:
         if line[1] == "1" and block:
@@ -68,16 +68,16 @@ def _meaning(block: list[Line]) -> Parameter | None:
         base=float(head[11] or 0) if kind == "bcd" else 0.0,
         texts={int(f[0]): f[1] for f in rows["6"] if len(f) > 1 and f[1]},
     )  # fmt: skip
-    known = head[2] in KINDS or head[2].startswith("BNR")
+    has_rule = head[2] in KINDS or head[2].startswith("BNR")
     return Parameter(
         head[0], coding, (), 0.0, unit=head[21], description=" ".join(head[1].replace("\\r\\n", " ").split()),
         lowest=float(head[15]) if head[15] else None, highest=float(head[16]) if head[16] else None,
-        unreadable="" if known else f"the kind {head[2]!r} is not known",
+        unreadable="" if has_rule else f"the kind {head[2]!r} is not known",
     )  # fmt: skip
 
 
 def _steps(computation: str, rows: dict[str, list[list[str]]]) -> Iterator[Step]:
-    """`Resol=A`; or segments (line 2), points (3) or a polynomial (4)."""
+    """Yield steps from `Resol=A`; or segments (line 2), points (3) or a polynomial (4)."""
     if computation.startswith("Resol="):
         yield Polynomial((0.0, float(computation[6:])))
     numbers = {kind: sorted(tuple(float(x) for x in f if x) for f in rows[kind]) for kind in "234"}

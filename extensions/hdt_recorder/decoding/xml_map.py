@@ -32,7 +32,7 @@ KINDS: dict[str, Kind] = {
 
 
 def read_xml(text: bytes) -> ParameterMap:
-    """A map from the bytes of an XML file.
+    """Read a map from the bytes of an XML file.
 
     Raises
     ------
@@ -60,10 +60,10 @@ def read_xml(text: bytes) -> ParameterMap:
 
 
 def _text(element: ET.Element, path: str, default: str | None = None) -> str:
-    found = element.findtext(path)
-    if found is None and default is None:
+    text = element.findtext(path)
+    if text is None and default is None:
         raise MapError(f"{element.tag} {element.findtext('Name', '')}: no {path}")
-    return (found if found is not None else str(default)).strip()
+    return (text if text is not None else str(default)).strip()
 
 
 def _number(element: ET.Element, path: str, default: str | None = None) -> int:
@@ -74,8 +74,8 @@ def _fraction(element: ET.Element) -> float:
     return _number(element, "Numerator") / _number(element, "Denominator", "1")
 
 
-def _map_717(fred: ET.Element) -> Map717:
-    head = fred.find("Subframe")
+def _map_717(root: ET.Element) -> Map717:
+    head = root.find("Subframe")
     if head is None:
         raise MapError("FRED717: no Subframe")
     if _number(head, "Bits_Per_Word") != BITS:
@@ -88,18 +88,18 @@ def _map_717(fred: ET.Element) -> Map717:
         subframe_s=_fraction(seconds) if seconds is not None else 1.0,
     )
     if len(layout.sync_words) != _number(head, "Subframes_Per_Frame"):
-        told = f"Subframe: {len(layout.sync_words)} sync codes for {_text(head, 'Subframes_Per_Frame')} subframes"
-        raise MapError(told)
-    elements = {_text(e, "Name"): e for e in fred.iterfind("Parameter717")}
+        message = f"Subframe: {len(layout.sync_words)} sync codes for {_text(head, 'Subframes_Per_Frame')} subframes"
+        raise MapError(message)
+    elements = {_text(e, "Name"): e for e in root.iterfind("Parameter717")}
     counters = {_text(c, "Superframe_Parameter", "") for e in elements.values() for c in e.iterfind("Component")} - {""}
     name = min(counters, default="")
-    counter = _named(elements[name], lambda e: _counter(e, layout)) if name in elements else None
+    counter = _read_element(elements[name], lambda e: _counter(e, layout)) if name in elements else None
     layout = replace(layout, counter=counter)
-    found = {n: _named(e, lambda e: _parameter_717(e, layout, name)) for n, e in elements.items()}
-    return replace(layout, parameters=found)
+    parameters = {n: _read_element(e, lambda e: _parameter_717(e, layout, name)) for n, e in elements.items()}
+    return replace(layout, parameters=parameters)
 
 
-def _named(element: ET.Element, read: Callable[[ET.Element], T]) -> T:
+def _read_element(element: ET.Element, read: Callable[[ET.Element], T]) -> T:
     try:
         return read(element)
     except (ValueError, IndexError, KeyError) as error:
@@ -107,7 +107,7 @@ def _named(element: ET.Element, read: Callable[[ET.Element], T]) -> T:
 
 
 def _places(component: ET.Element) -> list[list[Place]]:
-    """Places of one component by frame of the superframe, in order of time.
+    """Return places of one component by frame of the superframe, in order of time.
 
     Several lists of subframes or of bits belong to one word each.
     """
@@ -156,9 +156,9 @@ def _parameter_717(element: ET.Element, layout: Map717, counter: str) -> Paramet
 
 
 def _meaning(element: ET.Element, bits: int) -> Parameter:
-    """All but where it lies."""
+    """Return all of a parameter but its samples."""
     kind = _text(element, "Range/Data_Type")
-    signed = kind == "Signed Binary"
+    is_signed = kind == "Signed Binary"
     texts = {
         i: (pair.text or "").strip()
         for pair in element.iterfind("Range/Text_Conversion/Range_Text_Pair")
@@ -169,7 +169,7 @@ def _meaning(element: ET.Element, bits: int) -> Parameter:
         width = 7 if bits % 8 and not bits % 7 else 8
         widths = [width] * (bits // width)
     coding = Coding(
-        "discrete" if texts else KINDS[kind], bits=bits - signed, sign=bits - 1 if signed else None,
+        "discrete" if texts else KINDS[kind], bits=bits - is_signed, sign=bits - 1 if is_signed else None,
         steps=tuple(_steps(element)), digits=cut_digits(widths) if KINDS[kind] in ("bcd", "characters") else (),
         texts=texts,
     )  # fmt: skip
@@ -196,19 +196,19 @@ def _steps(element: ET.Element) -> Iterator[Step]:
                 yield LookupTable(*zip(*points, strict=True))
 
 
-def _map_767(fred: ET.Element) -> Map767:
+def _map_767(root: ET.Element) -> Map767:
     meanings = {
-        _text(e, "Name"): _named(e, lambda e: _meaning(e, _number(e, "Number_of_Bits")))
-        for e in fred.iterfind("Parameter767")
+        _text(e, "Name"): _read_element(e, lambda e: _meaning(e, _number(e, "Number_of_Bits")))
+        for e in root.iterfind("Parameter767")
     }
-    frames, found = {}, {}
-    for frame in fred.iterfind("Frame"):
+    frames, parameters = {}, {}
+    for frame in root.iterfind("Frame"):
         number, rate = _number(frame, "Frame_ID"), frame.find("Recording_Rate")
         names = [(n.text or "").strip() for n in frame.iterfind("Parameter_List/Name_Ref")]
-        if unknown := [n for n in names if n not in meanings]:
-            raise MapError(f"frame {number}: no parameter {unknown[0]}")
+        if undefined_names := [n for n in names if n not in meanings]:
+            raise MapError(f"frame {number}: no parameter {undefined_names[0]}")
         rate_hz = _fraction(rate) if rate is not None else None
-        placed, size = lay_out([meanings[n] for n in names], number, rate_hz)
-        found.update({p.name: p for p in placed})
+        of_frame, size = lay_out([meanings[n] for n in names], number, rate_hz)
+        parameters.update({p.name: p for p in of_frame})
         frames[number] = Frame767(number, _text(frame, "Frame_Title", ""), size, rate_hz)
-    return Map767(frames, found)
+    return Map767(frames, parameters)

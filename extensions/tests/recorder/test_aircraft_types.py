@@ -8,12 +8,12 @@ import pytest
 from hdt_recorder import recorder_rows
 from hdt_recorder.aircraft_types import PACK, AircraftTypeError, read_type
 from hdt_recorder.coverage import coverage_of
-from hdt_recorder.types_of_zone import shipped, types_of
+from hdt_recorder.types_of_zone import packaged_files, types_of
 from pipelines.intake.landing import list_landing
 
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 TYPE = "type = 'T'\nmap = 'm.toml'\n[pack]\nmach = { parameter = 'MACH', %s }\n"
-B787 = next(f for f in shipped() if f.stem == "b787_767")
+B787 = next(f for f in packaged_files() if f.stem == "b787_767")
 ERRORS = {
     ("hx_in_degc =", "hx_inn_degc ="): "x.toml line 17: [pack] hx_inn_degc: no such column; hx_in_degc is near",
     ("units = 4", "units = 3"): "x.toml line 34: [CAC] speed_rpm: 4 parameters for 3 units",
@@ -41,7 +41,7 @@ def test_an_error_names_file_line_and_key(tmp_path, change):
 
 
 def test_what_a_type_lacks_is_told_for_each_parameter():
-    told = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in shipped()}
+    told = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
     assert told["b787_767"]["hx_fouling"] == told["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
     assert told["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
     assert told["a330_717"]["hxt_loss"][0] == "recorded"
@@ -60,7 +60,7 @@ def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
     (folder / "bad.toml").write_text('type = "BAD"\nmap = "m.toml"\n[pack]\nmach = 1\n')
     (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,T1,2,MINE\nAAA,T2,2,OTHER\n")
     types = types_of(tmp_path)
-    assert types.known["MINE"].stations[PACK][0].parameters == ("M", "M")
+    assert types.by_name["MINE"].stations[PACK][0].parameters == ("M", "M")
     assert types.fault_of("AAA", "T1") == "good.toml names the map m.toml: not there"
     assert "fleet.csv gives the aircraft the type OTHER, known are A330-717, B787-767, MINE" in types.fault_of(
         "AAA", "T2"
@@ -83,7 +83,7 @@ def test_links_out_of_the_zone_are_not_followed(tmp_path):
     (outside / "m.toml").write_text("x")
     (zone / "types/m.toml").symlink_to(outside / "m.toml")
     types = types_of(zone)
-    assert "OUT" not in types.known
+    assert "OUT" not in types.by_name
     assert types.faults["own.toml"] == "own.toml line 2: map: m.toml leads out of the folder"
 
 

@@ -63,9 +63,9 @@ def disagreements(ours: dict, reference: dict[str, pl.DataFrame]) -> list[str]:
         elif frame["value"].null_count() == frame.height:
             text = [series.text.names[c] for c in series.text.codes]
             # a character of a frame that is not in the file is null here, and a zero there
-            known = zip(text, frame["text"], series.known, strict=True)
+            known = zip(text, frame["text"], series.valid, strict=True)
             found += [] if all(a == b for a, b, k in known if k) else [f"{name}: text"]
-        elif not (series.known.all() and np.array_equal(series.value, frame["value"])):
+        elif not (series.valid.all() and np.array_equal(series.value, frame["value"])):
             found.append(f"{name}: values")
     return found
 
@@ -130,7 +130,7 @@ def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a
 
     def texts(name: str) -> set[str]:
         series = a330[name]
-        return {series.text.names[c] for c in series.text.codes[series.known]}
+        return {series.text.names[c] for c in series.text.codes[series.valid]}
 
     assert texts("CITY_FROM_R.whole") == {"ZJHK"}
     assert {c[:4] for c in texts("FNO_P5678.whole")} == {"765 "}

@@ -78,7 +78,7 @@ def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
         found = arranged(data)
         assert_true(found, flipped)
         for series in decode(found, DEMO_717.parameters.values()):
-            assert series.value is None or np.isfinite(series.value[series.known]).all()
+            assert series.value is None or np.isfinite(series.value[series.valid]).all()
         kept += int(found.whole.sum()) / (4 * 40)
     assert kept / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
 
@@ -90,7 +90,7 @@ def test_a_flipped_sync_word_costs_the_subframes_on_both_its_sides():
     assert np.argwhere(~found.whole).tolist() == [[1, 10], [2, 10]]
     assert found.damage.damaged == 2
     (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
-    assert np.flatnonzero(~series.known).tolist() == [41, 42]
+    assert np.flatnonzero(~series.valid).tolist() == [41, 42]
 
 
 def test_frames_that_are_missing_are_null_at_their_time():
@@ -101,7 +101,7 @@ def test_frames_that_are_missing_are_null_at_their_time():
     # the subframes between the two counters may be spliced
     assert np.flatnonzero(~found.whole.any(axis=0)).tolist() == list(range(11, 17))
     (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
-    lost = np.flatnonzero(~series.known)
+    lost = np.flatnonzero(~series.valid)
     assert (lost.min(), lost.max()) == (44, 68)
 
 
@@ -124,11 +124,11 @@ def test_a_superframe_with_a_frame_missing_has_no_value():
     words = recording(4, frames=64)
     begins = 12  # 100 + 12 is a multiple of 16
     whole = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
-    assert whole["CITY"].known.all()
+    assert whole["CITY"].valid.all()
     words[begins + 1, SYNCS[2]] ^= 1  # CITY has a letter in subframe 3 of each of its first four frames
     cut = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
-    assert cut["CITY"].known.tolist() == [False, True, True, True]
-    assert cut["WEIGHT"].known.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
+    assert cut["CITY"].valid.tolist() == [False, True, True, True]
+    assert cut["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
 
 
 def raw_767(seed: int) -> dict[str, np.ndarray]:
@@ -172,7 +172,7 @@ def test_a_lost_arinc_767_frame_is_null_at_its_time():
     assert recorded.damage.missing == 1
     (series,) = decode(recorded, [DEMO_767.parameters["SPEED"]])
     # the frame before it may be the beginning of the one and the end of the other
-    assert np.flatnonzero(~series.known).tolist() == [19, 20]
+    assert np.flatnonzero(~series.valid).tolist() == [19, 20]
     np.testing.assert_allclose(np.diff(series.t_s), 1.0)
 
 

@@ -112,7 +112,7 @@ def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
     ours, theirs = read(DEMO_717), read(layout)
     assert {n.replace(" ", "_") for n in layout.parameters} == {*names.split(), *more.split()}
     for name in names.split():
-        assert theirs[name].known.all(), name
+        assert theirs[name].valid.all(), name
         if ours[name].value is not None:
             np.testing.assert_allclose(theirs[name].value, ours[name].value, err_msg=name)
         if ours[name].text is not None:
@@ -161,7 +161,7 @@ def test_a_garbled_map_is_read_or_told_of():
             except MapError:
                 refused += 1
             else:
-                assert all(s.value is None or np.isfinite(s.value[s.known]).all() for s in series.values())
+                assert all(s.value is None or np.isfinite(s.value[s.valid]).all() for s in series.values())
     assert 60 < refused < 300
 
 

@@ -26,7 +26,7 @@ def read(data: bytes, layout) -> dict:
 
 
 def texts(series) -> list:
-    return [series.text.names[c] if k else None for c, k in zip(series.text.codes, series.known, strict=True)]
+    return [series.text.names[c] if k else None for c, k in zip(series.text.codes, series.valid, strict=True)]
 
 
 def signed(raw: int, bits: int) -> int:
@@ -58,7 +58,7 @@ def test_every_value_of_an_arinc_717_recording_comes_back(packing, before_bits):
     raw = random_raw(DEMO_717, np.random.default_rng(3), 48)
     series = read(pack(frames_717(DEMO_717, raw, first_count=0), packing, before_bits), DEMO_717)
     for name, mean in MEANT_717.items():
-        assert series[name].known.all(), name
+        assert series[name].valid.all(), name
         np.testing.assert_allclose(series[name].value, [mean(int(r)) for r in raw[name]], rtol=1e-12, err_msg=name)
     meanings = {0: "OFF", 1: "LOW", 2: "NORMAL", 5: "HIGH"}
     assert texts(series["MODE"]) == [meanings.get(int(r)) for r in raw["MODE"]]
@@ -92,7 +92,7 @@ def test_any_bits_of_any_frame_come_back(words, packing, before_bits, parameters
     before = before_bits // 8 * 8 if packing.aligned else before_bits
     series = read(pack(frames_717(layout, raw, first_count=4094), packing, before), layout)
     for name, values in raw.items():
-        assert series[name].known.all()
+        assert series[name].valid.all()
         np.testing.assert_array_equal(series[name].value, values.astype(float))
 
 
@@ -112,7 +112,7 @@ def test_every_value_of_an_arinc_767_recording_comes_back(seed):
     raw = demo_767(seed, 60)
     series = read(frames_767(DEMO_767, raw), DEMO_767)
     for name, mean in MEANT_767.items():
-        assert series[name].known.all(), name
+        assert series[name].valid.all(), name
         np.testing.assert_allclose(series[name].value, [mean(int(r)) for r in raw[name]], rtol=1e-12, err_msg=name)
     assert texts(series["LETTER"]) == [int(r).to_bytes(2, "big").decode() for r in raw["LETTER"]]
     np.testing.assert_allclose(np.diff(series["RATE"].t_s), 0.2)
@@ -134,4 +134,4 @@ def test_bits_that_are_no_value_are_null(name, raw):
     held = random_raw(DEMO_717, np.random.default_rng(1), 32)
     held[name][5] = raw
     series = read(pack(frames_717(DEMO_717, held, first_count=0), PACKINGS[0]), DEMO_717)
-    assert np.flatnonzero(~series[name].known).tolist() == [5]
+    assert np.flatnonzero(~series[name].valid).tolist() == [5]
