@@ -15,13 +15,16 @@ from hdt_core.estimation import (
     PhysicsInformedNet,
     Problem,
     UnscentedKalman,
+    kalman,
     unknown,
 )
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.estimate import _correlations
 from hdt_core.estimation.identifiability import Identifiability
 from hdt_core.estimation.kalman import (
+    FilterPass,
     _line_search,
+    _point,
     _stands_still,
     _with_last_mean,
     forward,
@@ -116,6 +119,32 @@ def test_a_pass_is_shortened_by_halves_until_it_pays(later, taken):
     assert _line_search(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
     lost = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
     assert _line_search(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.1])
+def test_what_stands_still_is_the_last_belief(monkeypatch, drift):
+    moves: list = []
+    monkeypatch.setattr(kalman, "_stands_still", lambda move, cov: moves.append((move, cov)))
+    found = ExtendedKalman(smoother_passes=1).estimate(square(drift=drift))
+    ((move, _),) = moves
+    np.testing.assert_allclose(move, found.belief.mean - found.path[-1], rtol=1e-9)
+    assert abs(move[0]) > 1e-6
+    moves.clear()
+    linear = ExtendedKalman(smoother_passes=1).estimate(line(drift=np.full(2, drift)))
+    np.testing.assert_allclose(moves[0][1], linear.belief.cov, rtol=1e-6)
+
+
+def test_the_point_of_a_pass_is_its_last_inside_the_bounds():
+    means, covs = np.array([[0.0, 1.0], [2.0, 3.0], [60.0, 0.0]]), np.array([np.eye(2), 9.0 * np.eye(2), np.eye(2)])
+    covs[2, 0, 1] = covs[2, 1, 0] = 0.5
+    np.testing.assert_allclose(_point(line(), FilterPass(means, covs, [], [])), [50.0, -5.0])
+
+
+def test_a_filter_that_loses_track_has_cost_a_pass():
+    lost = line(observe=lambda _x, theta, i: np.where(np.asarray(i) == 7, np.nan, theta[0] + theta[1] * X[i])[None])
+    for estimator in (ExtendedKalman(), UnscentedKalman()):
+        found = estimator.estimate(lost)
+        assert (found.status, found.n_evals) == ("diverged", 5)
 
 
 def test_a_line_search_moves_the_last_belief_alone():
@@ -251,6 +280,9 @@ def test_a_report_that_is_not_finite_is_lost():
     for belief in (Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))):
         found = report(line(), belief, "converged", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
         assert (found.status, found.n_evals, found.method) == ("diverged", 7, "m")
+    whole = Belief(np.array([0.3, 0.2]), np.eye(2))  # a belief off the optimum stays where it is
+    found = report(line(), whole, "approximate", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
+    assert (found.status, found.n_evals, found.belief.mean.tolist()) == ("approximate", 7, [0.3, 0.2])
 
 
 TANK = PhysicsModel(
