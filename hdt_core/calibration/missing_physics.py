@@ -88,7 +88,7 @@ def propose(twin_flights: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         rows = [_evidence(steps, dsm, name) for name in names]
     schema = {"term": pl.String, "meaning": pl.String, "value": pl.Float64, "sd": pl.Float64, "unit": pl.String}
     schema |= dict.fromkeys(("bic_gain", "f", "held_out_change", "loss_shift_sd"), pl.Float64) | {"n": pl.Int64}
-    evidence = pl.DataFrame(rows, schema=schema, orient="row").sort("bic_gain", descending=True, nulls_last=True)
+    evidence = pl.DataFrame(rows, schema=schema, orient="row").sort("bic_gain", descending=True)
     is_at_bound = [v is not None and v in TERMS[name].bounds for name, v in evidence.select("term", "value").rows()]
     passes = (pl.col("bic_gain") > LEAST_BIC) & (pl.col("held_out_change") < -LEAST_GAIN) & ~pl.Series(is_at_bound)
     passes &= pl.col("value").abs() > LEAST_SDS * pl.col("sd")

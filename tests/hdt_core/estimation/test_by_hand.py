@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy import stats
 
-from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.descent import Point, distance_to_optimum, quadratic_model
 from hdt_core.estimation.fit import Fit, noise_variance
@@ -82,6 +83,42 @@ def test_a_fits_figures_are_those_of_its_residuals():
     assert fit.verdict == "adequate"
 
 
+@pytest.mark.parametrize(("n", "factor"), [(1, 1.0), (2, 2.0), (3, 3.0), (4, 2.0)])
+def test_figures_of_a_fit_with_hardly_a_degree_of_freedom(n, factor):
+    """Of 1 + x, off by tenths: chi-square below 1. White's factor is n / (n - p), n without a degree of freedom."""
+    slope, r = np.column_stack([np.ones(n), np.arange(n)]), 0.1 * np.array([1.0, -2.0, 3.0, 1.0])[:n]
+    prior = np.eye(2)
+    fit = Fit(r[:, None], np.array([True, True]), slope, prior)
+    assert fit.degrees == max(n - 2, 0)
+    scale = r @ r / (n - 2) if n > 2 else 1.0
+    np.testing.assert_allclose(fit.scaled_sd, np.sqrt(np.diag(np.linalg.inv(slope.T @ slope / scale + prior))))
+    bread, score = np.linalg.inv(slope.T @ slope + prior), slope * r[:, None]
+    np.testing.assert_allclose(
+        fit.sandwich_sd, np.sqrt(np.diag(bread @ (factor * score.T @ score + prior) @ bread)), rtol=1e-9
+    )
+    assert fit.bic == pytest.approx(n * np.log(r @ r / n) + 2.0 * np.log(n))
+    exact = replace(fit, residuals=np.zeros((n, 1)))
+    np.testing.assert_allclose(exact.scaled_sd, np.sqrt(np.diag(bread)))
+    silent = replace(fit, residuals=np.full((n, 1), np.nan))
+    assert (silent.aic, silent.bic, silent.verdict) == (4.0, 0.0, "untested")
+
+
+def test_a_filters_fit_is_its_innovations_alone():
+    fit = ExtendedKalman().estimate(line(drift=np.array([0.1, 0.1]))).fit
+    assert (fit.n_values, fit.n_free, fit.degrees) == (12, 0, 12)
+    assert fit.scaled_sd.shape == fit.sandwich_sd.shape == (0,)
+
+
+def test_a_plot_has_a_band_of_two_sigmas_about_nothing():
+    figure = Figure()
+    axes = figure.add_subplot()
+    NonlinearLeastSquares().estimate(line()).plot(axes)
+    band, (points, zero) = axes.patches[0].get_extents().transformed(axes.transData.inverted()), axes.lines
+    assert (band.y0, band.y1) == pytest.approx((-2.0, 2.0))
+    assert set(zero.get_ydata()) == {0.0}
+    np.testing.assert_allclose(points.get_ydata(), NonlinearLeastSquares().estimate(line()).fit.residuals[:, 0])
+
+
 @pytest.mark.parametrize(
     ("residuals", "verdict"),
     [
@@ -106,7 +143,8 @@ def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
 
 @pytest.mark.parametrize(
     ("chi2", "n", "variance"),
-    [(29.5, 12, 1.0), (29.7, 12, 2.97), (1.5, 12, 1.0), (1.4, 12, 0.14), (86.6, 52, 1.0), (86.7, 52, 86.7 / 50.0),
+    [(10.8, 3, 1.0), (10.9, 3, 10.9),
+     (29.5, 12, 1.0), (29.7, 12, 2.97), (1.5, 12, 1.0), (1.4, 12, 0.14), (86.6, 52, 1.0), (86.7, 52, 86.7 / 50.0),
      (24.7, 52, 1.0), (24.6, 52, 24.6 / 50.0),
      (9.0, 2, 1.0), (np.inf, 12, 1.0), (9.0, 1, 1.0)],
 )  # fmt: skip
