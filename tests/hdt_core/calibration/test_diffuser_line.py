@@ -71,6 +71,7 @@ def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
     for off, kept in ((reach - 0.1, 85), (reach + 0.1, 84)):
         rows = rows_of(frame([*calm, 400.0 + off], list(range(85))), "diameter_m")
         assert len(rows.x) == kept
+    assert len(rows_of(frame([400.0] * 84 + [405.0], list(range(85))), "diameter_m").x) == 85  # the noise itself
     rows = rows_of(frame(calm[:42], list(range(42))), "diameter_m")
     assert np.bincount(rows.block).tolist() == [20, 20, 2]
     assert rows.flight.tolist() == list(range(42))

@@ -246,6 +246,25 @@ def test_a_better_optimum_elsewhere_is_told():
     assert found.better[0] == pytest.approx(1.0, abs=1e-3)
 
 
+def test_where_a_model_fails_on_one_side_it_is_steep_and_on_both_it_is_flat():
+    steep = line(measured=np.zeros((3, 1)))
+    steep = replace(steep, observe=lambda _x, t, i: np.stack([
+        np.where(t[0] > 0.0, np.inf, 1.0), np.where(t[0] > 0.0, -np.inf, 1.0), np.full_like(t[0], np.inf)
+    ], axis=-1).reshape(1, -1, 3))  # fmt: skip
+    np.testing.assert_array_equal(steep.sensitivity(np.zeros(2)), [[1e150, 0.0], [-1e150, 0.0], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("wrong", [
+    {"prior": Belief(np.zeros(2), np.diag([0.0, 1.0]))}, {"sigma": np.zeros(1)}, {"sigma": np.array([-0.5])},
+    {"prior": Belief(np.zeros(2), np.diag([1.0, -0.5]))}, {"bounds": np.array([[1.0, 0.0], [0.0, 1.0]])},
+    {"bounds": np.zeros((2, 3))}, {"bounds": np.zeros((3, 2))}, {"measured": np.zeros((12, 2))},
+    {"measured": np.zeros(12)}, {"prior": Belief(np.zeros(2), np.eye(3))}, {"prior": Belief(np.zeros(3), np.eye(2))},
+], ids=str)  # fmt: skip
+def test_a_problem_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"names|measured|positive|bound"):
+        line(**wrong)
+
+
 def test_a_kalman_step_is_the_conditional_normal():
     cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
     belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
@@ -309,4 +328,5 @@ def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
 
 def test_a_belief_by_hand():
     belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
+    np.testing.assert_allclose(belief.interval()[:, 1] - belief.mean, [1.644854 * 2.0, 1.644854 * 3.0], rtol=1e-6)
     np.testing.assert_allclose(belief.interval(0.95), [[1.0 - 3.92, 1.0 + 3.92], [2.0 - 5.88, 2.0 + 5.88]], atol=1e-3)

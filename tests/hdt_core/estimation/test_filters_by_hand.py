@@ -387,6 +387,9 @@ def test_a_summary_says_it_all():
     said = _correlations(Estimate(Belief(np.ones(3), sizes @ rho @ sizes), "converged", 1, seen))
     assert said == ["[[Correlations]] (below 0.1 not shown)", "    C(b, c) = +0.4000", "    C(a, b) = -0.1010"]
     assert _correlations(Estimate(Belief(np.ones(3), np.eye(3)), "converged", 1, seen)) == []
+    tenth = Belief(np.ones(2), np.array([[1.0, 0.1], [0.1, 1.0]]))
+    pair = Identifiability(("a", "b"), np.eye(2))
+    assert _correlations(Estimate(tenth, "converged", 1, pair))[1:] == ["    C(a, b) = +0.1000"]
 
 
 @pytest.mark.parametrize(
