@@ -8,6 +8,7 @@ import pytest
 from by_hand import DSM, flights, with_bias
 from made import made_fleet
 
+from hdt_core.calibration import calibrate as calibration
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import missing_physics
 from hdt_core.calibration.arrays import correct_inputs, cruise_samples, flights_of, level_points, to_points
@@ -329,6 +330,29 @@ def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
         assert _flight_steps(rows, DSM).change.sum() == tails * 9
     monkeypatch.undo()
     assert missing_physics.MOST_FLIGHTS == 20_000
+
+
+def test_a_term_is_fitted_in_five_steps_and_accepted_in_three_rounds(monkeypatch):
+    """A step moves a term within its bounds, and the design by half at most."""
+    seen, (name, other) = _flight_steps(cruise_of(30, "A", 1), DSM), list(TERMS)[:2]
+    size, p = 0.02 * TERMS[name].bounds[1], len(hx.MEAN)
+    monkeypatch.setattr(missing_physics, "_step", lambda *_: (np.r_[size, np.full(p, 9.0)], np.arange(1.0, p + 2)))
+    fit = _fit(seen, DSM, (name,))
+    assert (fit.terms[name], fit.sd.tolist()) == (pytest.approx(5 * size), [1.0])
+    np.testing.assert_allclose(fit.design, np.minimum(hx.MEAN + 2.5, hx.HIGH))
+    rounds: list = []
+    monkeypatch.setattr(
+        calibration, "_calibrate", lambda *args: (rounds.append(args[-1]), replace(DSM, terms=args[-1]))[1]
+    )
+    monkeypatch.setattr(calibration, "estimate_flights", lambda samples, _model: samples)
+    monkeypatch.setattr(calibration, "coefficients", lambda *_: {name: size, other: 1e9})
+    rows = flights(2).rename({"departed_at": "time_utc"})
+    calibrate(rows, pl.DataFrame(), pl.DataFrame(), (name, other))
+    assert [r[name] for r in rounds] == pytest.approx([0.0, size, 2 * size, 3 * size])
+    assert [r[other] for r in rounds] == [0.0, *[TERMS[other].bounds[1]] * 3]
+    rounds.clear()
+    calibrate(rows, pl.DataFrame(), pl.DataFrame())
+    assert rounds == [{}]
 
 
 def test_evidence_is_the_coefficient_over_its_deviation_and_what_is_left_out():
