@@ -102,6 +102,10 @@ def test_a_door_full_open_cools_the_inlet_by_the_heat_balance(cruise):
     # no exchanger gives up more than 0.8 of its heat, and none takes any in
     steep = (0.6, 1.5, 4.0, -6.0, 0.0, 0.0)
     capped = full_open_inlet_k(rows, steep, DSM.design, bias, held)
+    rising = (0.6, -0.5, 4.0, -6.0, 0.0, 0.0)
+    own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ rising
+    at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ rising
+    np.testing.assert_allclose(full_open_inlet_k(rows, rising, DSM.design, bias, held) - 0.5, at_tat)
     own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ steep
     at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ steep
     np.testing.assert_allclose(capped - 0.5 - held, (at_tat - held) / (1.0 - 0.8 * s["pack_flow_kg_s"] / full_ram))

@@ -157,6 +157,9 @@ def test_a_descent_from_where_there_is_no_answer_stays():
             ([[4.0, 0.0], [0.0, 9.0]], [g, 3.0], [0, 0], [[-9, 0], [-9, 9]], d)
             for g, d in ((0.5, np.sqrt(1.0625)), (-0.5, 1.0))
         ),
+        # beyond both lower, or both upper bounds: 2 (0.1 + 0.3) - (0.04 + 0.09)
+        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-0.1, 9]] * 2, np.sqrt(0.67)),
+        ([[4.0, 0.0], [0.0, 9.0]], [-1.0, -3.0], [0, 0], [[-9, 0.1]] * 2, np.sqrt(0.67)),
         # the optimum at (-1, 1) is outside; the corner (-0.5, 0.5) is the nearest to it
         ([[1.0, 0.9], [0.9, 1.0]], [0.1, -0.1], [0, 0], [[-0.5, 0.5]] * 2, np.sqrt(0.15)),
         ([[4.0, 0.0], [0.0, 0.0]], [1.0, 0.0], [0, 0], [[-9, 9]] * 2, 0.5),  # no information at all on the second
