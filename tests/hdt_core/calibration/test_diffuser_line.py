@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from hdt_core.calibration.compressor_fit import _as_built, _pool, fit_compressor, inlet_geometry
-from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
+from hdt_core.calibration.diffuser_line import BlockRows, _clustered_sd, fit_line, rows_of
 from hdt_core.calibration.forms import compare_forms
 from hdt_core.calibration.pooling import pool
 
@@ -55,6 +55,12 @@ def test_the_slopes_error_lets_samples_of_a_flight_err_together():
     wild[40::80] -= 0.2
     robust = fit_line(BlockRows(rows.x, wild, rows.block, rows.flight, rows.blocks))
     assert robust.slope == pytest.approx(line.slope, abs=3.0 * line.slope_sd)
+
+
+def test_a_sample_beyond_hubers_bend_adds_nothing_to_what_is_learned():
+    """Scores 1 x 2 x 1 + 0.95 x 3 x 2 of one flight and 0.5 x 1 x 4 of another, over 2 squared of the one inside."""
+    values = np.array([2.0, 3.0, 1.0]), np.array([1.0, 2.0, 4.0]), np.array([0, 0, 1]), np.array([1.0, 0.95, 0.5])
+    assert _clustered_sd(*values) == pytest.approx(np.hypot(2.0 + 5.7, 2.0) / 4.0)
 
 
 def frame(x: list[float], flights: list[int], y: float = 0.17, tail: str = "A") -> pl.DataFrame:
