@@ -33,7 +33,7 @@ _LABELS = {"quarantined_rows": ("operator", "reason"), "open_alerts": ("operator
 
 @app.command()
 def metrics(home: HomeDir = None, out_file: OutFile = None) -> None:
-    """Write figures of the last night for Prometheus: files, cells, seconds, failures, last flights, alerts."""
+    """Write figures of the last night for Prometheus."""
     registry = read_metrics(home_folder(home))
     from prometheus_client import generate_latest, write_to_textfile
 

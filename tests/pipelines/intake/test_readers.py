@@ -82,6 +82,6 @@ def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_pat
     path = "AAA/T-1/recorder/T-1_20240101_01.dat"
     file = LandingFile(str(tmp_path), path, "AAA", "T-1", "recorder", 1, 0)
     told = read_snapshots([file], NOW)
-    assert (told.rows.height, told.n_delivered) == (0, 0)
+    assert (told.rows.height, told.delivered["n_delivered"].sum()) == (0, 0)
     assert "recorder/: hdt_recorder of the package" in told.quarantine["detail"].item()
     assert read_components([file], NOW) == []
