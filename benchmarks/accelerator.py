@@ -23,7 +23,6 @@ PARTS = {
     "the exchanger's equations over arrays, whoever asks": [("hdt_core.calibration.exchanger", "ln_conductance_ratio")],
     "the Digital System Model": [("pipelines.assets.calibration", "calibrate")],
     "tracks of the twins, flight after flight": [("pipelines.assets.twin", "track")],
-    "boosting on simulated lives, once a code version": [("pipelines.assets.prognosis", "fit_base")],
 }
 
 

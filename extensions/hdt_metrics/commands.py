@@ -2,6 +2,7 @@
 
 import json
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,28 +20,31 @@ _NIGHT = {
 _BY_LABEL = {
     "last_flight_timestamp_seconds": (
         "departure of the last flight on record",
+        ("operator",),
         "select operator, epoch(max(departed_at)) from flights group by operator",
     ),
     "quarantined_rows": (
         "rows set aside, all nights",
+        ("operator", "reason"),
         "select coalesce(operator, ''), reason, sum(n_rows)::double from quarantine where n_rows > 0 group by all",
     ),
-    "open_alerts": ("open alerts", "select operator, urgency, count(*)::double from open_alerts group by all"),
+    "open_alerts": (
+        "open alerts",
+        ("operator", "urgency"),
+        "select operator, urgency, count(*)::double from open_alerts group by all",
+    ),
 }
-"""Meaning and query of each figure with labels; the value is the last column."""
-_LABELS = {"quarantined_rows": ("operator", "reason"), "open_alerts": ("operator", "urgency")}
+"""Meaning, labels and query of each figure by label; the value is the query's last column."""
 
 
 @app.command()
 def metrics(home: HomeDir = None, out_file: OutFile = None) -> None:
     """Write figures of the last night for Prometheus."""
-    registry = read_metrics(home_folder(home))
-    from prometheus_client import generate_latest, write_to_textfile
-
+    library, registry = _library(), read_metrics(home_folder(home))
     if out_file is None:
-        out.print(generate_latest(registry).decode(), markup=False, soft_wrap=True, end="")
+        out.print(library.generate_latest(registry).decode(), markup=False, soft_wrap=True, end="")
         return
-    write_to_textfile(str(out_file), registry)
+    library.write_to_textfile(str(out_file), registry)
     out.print(f"Metrics: {out_file}", soft_wrap=True)
 
 
@@ -52,27 +56,32 @@ def read_metrics(home: Path) -> Any:
     StopError
         There was no night yet, or the library is missing.
     """
-    try:
-        from prometheus_client import CollectorRegistry, Gauge
-    except ImportError:
-        raise StopError("it needs the extra: pip install 'hybrid-digital-twin-extensions[metrics]'") from None
     from pipelines.storage.catalog import connect
     from pipelines.storage.ledger import Ledger
 
     nights = Ledger(home, read_only=True).nights()
     if nights.is_empty():
         raise StopError(f"no night has ended in {home}; run `hdt nightly` first")
-    registry, night = CollectorRegistry(), nights.row(-1, named=True)
+    library, night = _library(), nights.row(-1, named=True)
+    registry = library.CollectorRegistry()
+    gauge = partial(library.Gauge, registry=registry)
     began, ended = (datetime.fromisoformat(night[c]).astimezone(UTC).timestamp() for c in ("began_at", "ended_at"))
     for name, meaning in _NIGHT.items():
-        Gauge(f"hdt_night_{name}", f"Last night: {meaning}", registry=registry).set(float(night[name]))
-    Gauge("hdt_night_seconds", "Last night: duration", registry=registry).set(ended - began)
-    Gauge("hdt_night_ended_timestamp_seconds", "Last night: its end", registry=registry).set(ended)
-    failures = Gauge("hdt_night_failed", "Last night: runs that failed", registry=registry)
-    failures.set(len(json.loads(night["failed"])))
+        gauge(f"hdt_night_{name}", f"Last night: {meaning}").set(float(night[name]))
+    gauge("hdt_night_seconds", "Last night: duration").set(ended - began)
+    gauge("hdt_night_ended_timestamp_seconds", "Last night: its end").set(ended)
+    gauge("hdt_night_failed", "Last night: runs that failed").set(len(json.loads(night["failed"])))
     with connect(home) as con:
-        for name, (meaning, query) in _BY_LABEL.items():
-            gauge = Gauge(f"hdt_{name}", meaning.capitalize(), _LABELS.get(name, ("operator",)), registry=registry)
-            for *labels, value in con.execute(query).fetchall():
-                gauge.labels(*labels).set(value)
+        for name, (meaning, labels, query) in _BY_LABEL.items():
+            figure = gauge(f"hdt_{name}", meaning.capitalize(), labels)
+            for *values, value in con.execute(query).fetchall():
+                figure.labels(*values).set(value)
     return registry
+
+
+def _library() -> Any:
+    try:
+        import prometheus_client
+    except ImportError:
+        raise StopError("it needs the extra: pip install 'hybrid-digital-twin-extensions[metrics]'") from None
+    return prometheus_client

@@ -7,7 +7,6 @@ from hdt_core.flight.bleed import BLEED, ODD_BLEED
 from hdt_core.flight.steady import drift_free
 from hdt_core.records.keys import LEG
 
-LEG = list(LEG)
 MIN_SAMPLES = 5
 """Samples below which a flight yields no estimate of a component."""
 NO_EVIDENCE = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")

@@ -73,8 +73,9 @@ def commission(
     }
     strays = pl.concat([samples.select(LEG).clear(), *(stray for stray, _ in fits.values())])
     design = _design({pack: rows for pack, (_, rows) in fits.items()}, component)
-    legs = _second_level(legs, strays, design.select(PACK).unique())
-    others = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE) & ~is_among(design.select(PACK).unique()))
+    commissioned = design.select(PACK).unique()
+    legs = _second_level(legs, strays, commissioned)
+    others = legs.filter(~pl.col("reason").is_in(NO_EVIDENCE) & ~is_among(commissioned))
     packs = others.select(PACK).unique(maintain_order=True).rows()
     return legs, pl.concat([design, _design(dict.fromkeys(packs, _prior(component)), component)])
 
