@@ -14,8 +14,8 @@ from unittest.mock import patch
 
 from dagster._core.execution.plan import compute_generator
 
-from pipelines.io_manager import FrameIO
 from pipelines.orchestration import runs
+from pipelines.resources import FrameIO
 
 
 class Clock:

@@ -27,9 +27,9 @@ from dagster._core.storage.partition_status_cache import get_and_update_asset_st
 
 from benchmarks.harness import arguments, machine, show
 from pipelines import partitions
-from pipelines.io_manager import report
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
+from pipelines.resources import report
 from pipelines.storage.ledger import Ledger
 
 PAGE = Path(__file__).parents[1] / "docs" / "scale.md"

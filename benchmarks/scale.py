@@ -30,11 +30,11 @@ from benchmarks.harness import arguments, machine, show
 from hdt_core.simulate.design import FleetSettings
 from pipelines import partitions
 from pipelines.intake.simulated import write_fleet
-from pipelines.io_manager import FrameIO
 from pipelines.orchestration import around_night, nightly, runs
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft
 from pipelines.orchestration.local_executor import cores
 from pipelines.partitions import PartitionScope
+from pipelines.resources import FrameIO
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish

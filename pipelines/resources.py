@@ -1,14 +1,21 @@
-"""Define the resources of a run: landing zone, store and ledger of one home."""
+"""Define the resources of a run: landing zone, store and ledger of one home, and the IO manager that fills them."""
 
+import time
 from functools import cached_property
 from pathlib import Path
 
 import dagster as dg
+import polars as pl
 from pydantic import Field
 
-from pipelines.io_manager import FrameIO
+from dagster_batched import report_partitions
+from hdt_core.tables import TABLES
+from pipelines import partitions
+from pipelines.lineage import LINEAGE, Recipe
+from pipelines.partitions import NIGHT, PartitionScope
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.store import Store
+from pipelines.storage.store import FLEET, Store
+from pipelines.versions import CELL
 
 
 class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
@@ -26,6 +33,72 @@ class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
     def ledger(self) -> Ledger:
         """Ledger of delivered files and stored cells."""
         return Ledger(Path(self.home))
+
+
+class FrameIO(dg.IOManager):
+    """IO manager that writes frames to the store of one home."""
+
+    def __init__(self, store: Store, ledger: Ledger) -> None:
+        self.store, self.ledger = store, ledger
+        self._due: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
+
+    def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
+        """Store a frame, mark its cells as stored, and report the rows of each cell."""
+        start_s = time.monotonic()
+        scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
+        cells = self.store_frame(context.asset_key.path[-1], scope, frame)
+        if scope.aircraft is None:
+            stored_s = round(time.monotonic() - start_s, 3)
+            context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
+        else:
+            report(context, frame, cells)
+
+    def store_frame(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
+        """Store a frame and mark the cells that were due, which are returned, as stored."""
+        if TABLES[table].grain == "flight":
+            self.store.merge(table, scope.aircraft or {}, frame)
+        else:
+            self.store.replace(table, scope.aircraft or [FLEET], frame)
+        cells = self._due_cells(table, scope)
+        self.ledger.mark(table, cells)
+        return cells
+
+    def _due_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
+        """List the due cells, once for all tables of a recipe, which are stored one after the other."""
+        recipe = LINEAGE[table]
+        if not (recipe.parents or recipe.files):  # has no inputs
+            return scope.due(self.ledger, table)
+        cached_scope, cells = self._due.get(recipe, (None, None))
+        if cells is None or cached_scope != scope:
+            cells = scope.due(self.ledger, table)
+            self._due[recipe] = scope, cells
+        return cells
+
+    def load_input(self, context: dg.InputContext) -> pl.DataFrame:
+        """Read a whole table, for a notebook or `dg`; assets read what they need through their stage."""
+        return self.store.read_table(context.asset_key.path[-1])
+
+
+def report(context: dg.OutputContext, frame: pl.DataFrame, due: pl.DataFrame) -> None:
+    """Report cells of a run, each with its own number of rows, in order of departure.
+
+    Most aircraft fly some days only and few flights have a log, and an event for a cell without rows costs as much as
+    for one with. So a night reports flights with rows or, where there are none, those that are `due`. A run from
+    Dagster's page reports every cell: an empty one has `rows` 0, and one without files, such as a flight that the
+    aircraft never flew, has `expected` 0.
+    """
+    keys = partitions.cells_of(tuple(context.asset_partition_keys))
+    by_flight = any(flight for *_, flight in keys)
+    flight = pl.col("flight_id") if by_flight else pl.lit("").alias("flight_id")
+    rows = {(o, t, f): n for o, t, f, n in frame.group_by("operator", "tail", flight).len().rows()}
+    due_cells = set(due.select(CELL).rows())
+    if by_flight and NIGHT.items() <= context.step_context.run_tags.items():
+        cells = [cell for cell in keys if cell in rows] or [cell for cell in keys if cell in due_cells]
+    else:
+        cells = list(keys)
+    cells.sort(key=lambda cell: (cell[2][-11:], cell))  # a flight id ends in day and leg
+    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in due_cells else {"expected": 0}) for cell in cells]
+    report_partitions(context, [keys[cell] for cell in cells], numbers)
 
 
 @dg.io_manager(config_schema={"home": dg.StringSource})

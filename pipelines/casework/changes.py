@@ -5,20 +5,18 @@ from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from pipelines.storage.cases import CaseLog
+from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 
-_CODES = {
-    "clean": "NO_FAULT_FOUND", "fouled": "FOULED", "clogged": "CLOGGED", "corroded": "CORRODED", "damaged": "DAMAGED",
-}  # fmt: skip
+_CODES = {"clean": NO_FAULT} | {code.lower(): code for code in FAULTS}
 """Findings of any part, as people enter them and as the maintenance log has them."""
 _CODES_OF = {
     "HX": {},
-    "CC": {"serviceable": "NO_FAULT_FOUND", "eroded": "DAMAGED"},
-    "RAM_DOOR": {"moves freely": "NO_FAULT_FOUND", "jammed": "DAMAGED", "out of rig": "DAMAGED"},
-    "SENSOR": {"reads correctly": "NO_FAULT_FOUND", "reads wrongly": "DAMAGED", "wiring fault": "DAMAGED"},
+    "CC": {"serviceable": NO_FAULT, "eroded": "DAMAGED"},
+    "RAM_DOOR": {"moves freely": NO_FAULT, "jammed": "DAMAGED", "out of rig": "DAMAGED"},
+    "SENSOR": {"reads correctly": NO_FAULT, "reads wrongly": "DAMAGED", "wiring fault": "DAMAGED"},
 }
 """Further findings by component; their own words go into the note, as the log has no code for them."""
-_CODES_OF_DECLARED = {"serviceable": "NO_FAULT_FOUND", "worn": "DAMAGED"}
+_CODES_OF_DECLARED = {"serviceable": NO_FAULT, "worn": "DAMAGED"}
 ACTIONS = ("inspected", "cleaned", "replaced", "adjusted")
 LONGEST_MUTE = timedelta(days=366)
 KINDS = ("acknowledge", "assign", "mute", "watch", "unwatch", "close", "reopen")
@@ -173,6 +171,6 @@ def _effect(kind: str, body: Mapping[str, Any]) -> str:
     head = f"{body['finding']}, {body['action'].lower()} on {body['done_on']}."
     if body["action"] != "INSPECTED":
         return f"{head} The next night closes the alert and restarts the part's estimate from its first flight."
-    if body["finding"] == "NO_FAULT_FOUND":
+    if body["finding"] == NO_FAULT:
         return f"{head} The next night closes the alert as found clean; a further loss is then raised as a sensor case."
     return f"{head} It stays open, confirmed, until the part is cleaned or replaced; the next night counts it as a hit."

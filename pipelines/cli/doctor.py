@@ -5,18 +5,23 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+
+import duckdb
+import polars as pl
 
 from pipelines.digest import NotifyError, receivers_of
 from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.intake.landing import list_landing
-from pipelines.intake.landing_sample import silent_in_landing
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.readers import TYPES, readers
 from pipelines.intake.refusals import ignored_entries, silent_columns, silent_lines
+from pipelines.intake.snapshots import read_snapshots
+from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
@@ -31,6 +36,9 @@ from pipelines.storage.store import Store
 from pipelines.zone import find_landing_fault
 
 _NEEDED_GB = 1.0
+FILES_A_FOLDER = 3
+"""Files of a folder of an aircraft that are checked: the oldest and the newest."""
+_FILES_AT_ONCE = 100  # in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +88,46 @@ def _landing(landing: Path) -> Iterator[Check]:
     yield Check("landing zone", well, message if files else f"{message}; `hdt docs raw-data` shows the layout")
     n_sampled, silent = silent_in_landing(landing, datetime.now(UTC))
     yield Check("contents", not silent, "; ".join(silent) or f"{n_sampled} files sampled, columns as agreed")
+
+
+def sample_files(files: Iterable[LandingFile]) -> list[LandingFile]:
+    """Select the oldest and newest files of flights in each folder of an aircraft, of recordings one."""
+    folders: dict[str, list[LandingFile]] = {}
+    for file in sorted(files, key=lambda f: (f.name[-16:], f.path)):
+        if file.kind in FLIGHT_FILES:
+            folders.setdefault(file.path.rpartition("/")[0], []).append(file)
+    return [f for own in folders.values() for f in _oldest_and_newest(own)]
+
+
+def _oldest_and_newest(files: list[LandingFile]) -> list[LandingFile]:
+    newest = files[-1:] if files[-1].is_recording else files[1 - FILES_A_FOLDER :]
+    return newest if files[-1].is_recording or len(files) < FILES_A_FOLDER else [files[0], *newest]
+
+
+def silent_in_landing(landing: Path, now: datetime) -> tuple[int, list[str]]:
+    """Check a sample of a landing zone: the number of files, and a line for each silent column; nothing is stored."""
+    files = sample_files(list_landing(landing).files)
+    with duckdb.connect() as con:
+        con.execute("create schema tables")
+        for start in range(0, max(len(files), 1), _FILES_AT_ONCE):
+            _load(con, files[start : start + _FILES_AT_ONCE], now)
+        con.execute(views()["silent_columns"])
+        return len(files), silent_lines(silent_columns(con))
+
+
+def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetime) -> None:
+    """Load accounts and quarantine rows of some files into the tables that the view reads."""
+    intake = read_snapshots(files, now)
+    both = pl.concat([intake.rows.select("file", "flight_id"), intake.quarantine.select("file", "flight_id")])
+    flights = both.drop_nulls().group_by("file").agg(pl.col("flight_id").max())
+    names = dict.fromkeys(("file", "operator", "tail"), pl.String)
+    place = pl.DataFrame([(f.path, f.operator, f.tail) for f in files], schema=names, orient="row")
+    accounts = place.join(intake.delivered.rename({"n_delivered": "delivered"}), on="file", validate="1:1")
+    accounts = accounts.join(flights, on="file", how="left", validate="1:1")
+    for table, frame in (("raw_deliveries", accounts), ("raw_quarantine", intake.quarantine)):
+        con.register("frame", frame)
+        con.execute(f"create table if not exists tables.{table} as select * from frame limit 0")
+        con.execute(f"insert into tables.{table} select * from frame")
 
 
 def _home(home: Path) -> Iterator[Check]:

@@ -17,11 +17,10 @@ from pipelines.intake.log_lines import Lines, Row, Words, parse_list
 from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
 from pipelines.intake.parquet import parquet_as_text
 from pipelines.intake.times import to_day
+from pipelines.storage.cases import FINDINGS
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 SERIALS = ("serial_off", "serial_on")
-FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
-
 FARTHEST = timedelta(days=3660)
 
 

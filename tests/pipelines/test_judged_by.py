@@ -12,9 +12,9 @@ from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing
 from pipelines.intake.logs import read_fleet, read_messages
 from pipelines.intake.scan import scan
-from pipelines.io_manager import FrameIO
 from pipelines.lineage import STAGE
 from pipelines.partitions import PartitionScope
+from pipelines.resources import FrameIO
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 from pipelines.versions import stale

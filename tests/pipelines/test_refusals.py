@@ -8,12 +8,11 @@ import pytest
 from spoils import column, field
 
 from pipelines.cli.base import app
-from pipelines.cli.doctor import examine
+from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
 from pipelines.digest import EMPTY, as_text, compare
 from pipelines.digest.state import read_state
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing
-from pipelines.intake.landing_sample import SAMPLE_SIZE, sample
 from pipelines.intake.refusals import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
 from pipelines.intake.scan import scan
 from pipelines.orchestration.nightly import Night
@@ -124,8 +123,8 @@ def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
 def test_of_each_folder_the_oldest_and_the_newest_are_looked_into(zone):
     landing, _ = zone
     drop(landing, [as_it_is] * 6)
-    legs = [file.path[-6:-4] for file in sample(list_landing(landing).files)]
-    assert (len(legs), legs) == (SAMPLE_SIZE, ["01", "05", "06"])
+    legs = [file.path[-6:-4] for file in sample_files(list_landing(landing).files)]
+    assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"])
 
 
 def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
