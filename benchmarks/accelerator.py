@@ -61,18 +61,18 @@ def table(size: str, whole_s: float, spent: Counter[str]) -> str:
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("size", nargs="?", default="M", choices=SIZES)
-    said = asked.parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("size", nargs="?", default="M", choices=SIZES)
+    options = parser.parse_args()
     spent: Counter[str] = Counter()
     timed(spent)
     with tempfile.TemporaryDirectory() as scratch:
-        for _ in write_fleet(Path(scratch), 11, SIZES[said.size]):
+        for _ in write_fleet(Path(scratch), 11, SIZES[options.size]):
             pass
         began = time.process_time()
         night(Path(scratch, "landing"), Path(scratch, "home"), shared=False)
-        text = table(said.size, time.process_time() - began, spent)
-    show("accelerator", text, PAGE, write=said.write)
+        text = table(options.size, time.process_time() - began, spent)
+    show("accelerator", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

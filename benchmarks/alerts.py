@@ -37,16 +37,20 @@ class Tally(NamedTuple):
 def tally(fleet: Frames, alerts: pl.DataFrame | None = None) -> Tally:
     """Judge a fleet's alerts, or others raised on the same record."""
     truth = causes(fleet["truth"])
-    placed = place_alerts(fleet["alerts"] if alerts is None else alerts, fleet["truth"])
+    alerts_on_pack = place_alerts(fleet["alerts"] if alerts is None else alerts, fleet["truth"])
     failures = _failures(fleet["events"])
     packs = dict(truth.group_by(*PACK))
     findings = _findings(fleet["maintenance"], fleet["truth"])
-    judged = [_judge_alert(a, packs[a["tail"], a["pack"]], failures, findings) for a in placed.iter_rows(named=True)]
-    marks = pl.DataFrame(judged, schema=dict.fromkeys(Marks._fields, pl.Boolean), orient="row")
-    raised = [_alerted(f, placed) for f in failures.iter_rows(named=True)]
+    verdicts = [
+        _judge_alert(a, packs[a["tail"], a["pack"]], failures, findings) for a in alerts_on_pack.iter_rows(named=True)
+    ]
+    marks = pl.DataFrame(verdicts, schema=dict.fromkeys(Marks._fields, pl.Boolean), orient="row")
+    raised = [_alerted(f, alerts_on_pack) for f in failures.iter_rows(named=True)]
     failures = failures.with_columns(lead=pl.Series(raised, dtype=pl.Float64))
     flights = fleet["truth"].filter("arrived")["flight_id"].n_unique()
-    return Tally(pl.concat([placed, marks], how="horizontal"), failures.select("tail", "component", "lead"), flights)
+    return Tally(
+        pl.concat([alerts_on_pack, marks], how="horizontal"), failures.select("tail", "component", "lead"), flights
+    )
 
 
 def together(parts: list[Tally]) -> Tally:
@@ -84,12 +88,12 @@ def place_alerts(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
     flights = truth.sort("departed_at").select(*PACK, "flight_id", "index", "departed_at")
     at = flights.rename({"flight_id": "raised_flight_id", "index": "raised"}).drop("departed_at")
     ends = flights.select(*PACK, closed_at="departed_at", closed="index")
-    placed = alerts.join(at, on=[*PACK, "raised_flight_id"], validate="m:1")
-    placed = placed.sort("closed_at").join_asof(
+    rows = alerts.join(at, on=[*PACK, "raised_flight_id"], validate="m:1")
+    rows = rows.sort("closed_at").join_asof(
         ends.sort("closed_at"), on="closed_at", by=PACK, strategy="forward", check_sortedness=False
     )
     group = pl.col("diagnosis").replace_strict(GROUP).alias("component")
-    return placed.select(*PACK, "diagnosis", group, "raised", "closed").sort(*PACK, "raised")
+    return rows.select(*PACK, "diagnosis", group, "raised", "closed").sort(*PACK, "raised")
 
 
 class Marks(NamedTuple):
@@ -150,18 +154,18 @@ def _findings(maintenance: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
     """Confirmed findings with the pack's first flight on or after their day."""
     flights = truth.select(*PACK, "index", day=pl.col("departed_at").dt.date()).sort("day")
     confirmed = maintenance.filter(pl.col("finding").is_in(CONFIRMED)).sort("done_on")
-    placed = confirmed.join_asof(
+    rows = confirmed.join_asof(
         flights, left_on="done_on", right_on="day", by=PACK, strategy="forward", check_sortedness=False
     )
-    return placed.select(*PACK, "component", at="index").drop_nulls()
+    return rows.select(*PACK, "component", at="index").drop_nulls()
 
 
-def figures_of(judged: Tally, component: str) -> dict[str, float]:
+def figures_of(scores: Tally, component: str) -> dict[str, float]:
     """Figures of one component's alerts; NaN where there is none to judge."""
-    own = judged.alerts.filter(component=component)
-    failures = judged.failures.filter(component=component)
+    own = scores.alerts.filter(component=component)
+    failures = scores.failures.filter(component=component)
     lead = failures["lead"].drop_nulls().to_numpy()
-    per = 1000.0 / judged.flights
+    per = 1000.0 / scores.flights
     return {
         "failures": failures.height,
         "alerted": lead.size / failures.height if failures.height else np.nan,
@@ -176,15 +180,15 @@ def figures_of(judged: Tally, component: str) -> dict[str, float]:
     }
 
 
-def overall(judged: Tally) -> dict[str, float]:
+def overall(scores: Tally) -> dict[str, float]:
     """Figures over all components, and of the exchanger's failures."""
-    exchanger, per = figures_of(judged, "HX"), 1000.0 / judged.flights
-    explained = judged.alerts.filter("any_cause")
+    exchanger, per = figures_of(scores, "HX"), 1000.0 / scores.flights
+    explained = scores.alerts.filter("any_cause")
     return {
         "alerted": exchanger["alerted"],
         "lead": exchanger["lead or delay, median"],
-        "early": float(judged.alerts["early"].sum()) * per,
-        "false": float((~judged.alerts["any_cause"]).sum()) * per,
+        "early": float(scores.alerts["early"].sum()) * per,
+        "false": float((~scores.alerts["any_cause"]).sum()) * per,
         "diagnosis": _mean(explained["own"]),
     }
 
@@ -193,9 +197,9 @@ def _mean(flags: pl.Series) -> float:
     return float(flags.cast(pl.Float64).mean() or 0.0) if len(flags) else np.nan
 
 
-def by_component(judged: Tally) -> str:
+def by_component(scores: Tally) -> str:
     """A row a component."""
-    rows = {words: figures_of(judged, component) for component, words in COMPONENTS.items()}
+    rows = {words: figures_of(scores, component) for component, words in COMPONENTS.items()}
     lines = [["component", *next(iter(rows.values()))]]
     return markdown([*lines, *([words, *map(_cell, row.values())] for words, row in rows.items())])
 
@@ -205,7 +209,7 @@ def curves(fleets: list[Frames]) -> str:
     lines = [["diagnosis", "limit", "at", "right within 200", "alerted", "in 1,000 flights"]]
     for settings in zip(*map(_at_limits, fleets), strict=True):
         diagnosis, limit, value, in_service, _ = settings[0]
-        figures = figures_of(together([judged for *_, judged in settings]), GROUP[diagnosis])
+        figures = figures_of(together([scores for *_, scores in settings]), GROUP[diagnosis])
         at = f"**{value}**" if in_service else f"{value}"
         names = ("right within 200", "alerted", "in 1,000 flights")
         lines.append([diagnosis, limit, at, *(_cell(figures[name]) for name in names)])
@@ -225,8 +229,10 @@ def confusion(fleets: list[Frames]) -> str:
     """Alerts by diagnosis and true cause; a door or sensor fault counts before wear, a clog before fouling."""
     rows = []
     for fleet in fleets:
-        placed = place_alerts(fleet["alerts"], fleet["truth"])
-        at = placed.join(causes(fleet["truth"]), left_on=[*PACK, "raised"], right_on=[*PACK, "index"], validate="m:1")
+        rows_of_alerts = place_alerts(fleet["alerts"], fleet["truth"])
+        at = rows_of_alerts.join(
+            causes(fleet["truth"]), left_on=[*PACK, "raised"], right_on=[*PACK, "index"], validate="m:1"
+        )
         there = (
             pl.when("at_RAM_DOOR").then(pl.lit("door"))
             .when("at_SENSOR").then(pl.lit("sensor"))

@@ -49,11 +49,11 @@ class Clock:
 
         @wraps(function)
         def counted(*args: Any, **kwargs: Any) -> Iterator[Any]:
-            found = self.of(function)(*args, **kwargs)
+            iterator = self.of(function)(*args, **kwargs)
             while True:
                 with self.ticking():
                     try:
-                        one = next(found)
+                        one = next(iterator)
                     except StopIteration:
                         return
                 yield one
@@ -68,8 +68,8 @@ def bookkeeping() -> Iterator[Callable[[], float]]:
     whole = [(runs.Runner, "_run"), (runs.Runner, "register"), (runs, "open_instance")]
     ours = [(FrameIO, "keep")]
     with ExitStack() as patched:
-        for clock, found in ((within, whole), (own, ours)):
-            for owner, name in found:
+        for clock, methods in ((within, whole), (own, ours)):
+            for owner, name in methods:
                 patched.enter_context(patch.object(owner, name, clock.of(getattr(owner, name))))
         invoked = own.of_each(compute_generator.invoke_compute_fn)
         patched.enter_context(patch.object(compute_generator, "invoke_compute_fn", invoked))

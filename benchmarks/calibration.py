@@ -35,7 +35,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "calibration.md"
 Z95 = 1.960
 
 
-def grown(frame: pl.DataFrame, times: tuple[str, ...], tails: int, turns: int) -> pl.DataFrame:
+def replicate_fleet(frame: pl.DataFrame, times: tuple[str, ...], tails: int, turns: int) -> pl.DataFrame:
     """The same flights again and again: `turns` times later on, on `tails` aircraft."""
     copies = pl.concat(
         frame.with_columns(
@@ -56,9 +56,12 @@ def speed(tails: int = 50, flights: int = 2000) -> str:
     fleet = fleet_of(1, replace(SIZE, flights=200))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     turns = flights // 200
-    samples, judged = grown(fleet.samples, ("time_utc",), tails, turns), grown(legs, ("departed_at",), tails, turns)
+    samples, judgements = (
+        replicate_fleet(fleet.samples, ("time_utc",), tails, turns),
+        replicate_fleet(legs, ("departed_at",), tails, turns),
+    )
     wall, cpu = time.perf_counter(), time.process_time()
-    dsm = calibrate(samples, judged, fleet.maintenance.clear())
+    dsm = calibrate(samples, judgements, fleet.maintenance.clear())
     calibrated = time.perf_counter() - wall, time.process_time() - cpu
     wall, cpu = time.perf_counter(), time.process_time()
     estimate_flights(samples, dsm)
@@ -74,38 +77,40 @@ def recursion(seed: int = 1) -> str:
     """Figure 10: warm against cold, and how far the answers are apart."""
     fleet = fleet_of(seed, replace(SIZE, tails=1))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
-    kept = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
+    cruise = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
-    warm, cold = (flight_by_flight(kept, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
+    warm, cold = (flight_by_flight(cruise, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
     apart = max(float((warm[c] / cold[c] - 1.0).abs().max()) for c in free)
-    said = (
+    summary = (
         f"Figure 10 taken literally, {warm.height} flights and packs: {warm['n_evals'].mean():.1f} model evaluations a "
         f"flight from the flight before, {cold['n_evals'].mean():.1f} from the middle of the bounds; both end within "
         f"{apart:.0e} of each other."
     )
-    return textwrap.fill(said, 118)
+    return textwrap.fill(summary, 118)
 
 
-def table(found: pl.DataFrame) -> str:
+def table(fleets: pl.DataFrame) -> str:
     """Bars, goals and what was measured."""
-    seen, blind = found.filter(pl.col("ram_seen") == 1.0), found.filter(pl.col("ram_seen") == 0.0)
+    metered, blind = fleets.filter(pl.col("ram_seen") == 1.0), fleets.filter(pl.col("ram_seen") == 0.0)
 
     def rms(frame: pl.DataFrame, column: str) -> float:
         return float(np.sqrt((frame[column].to_numpy() ** 2).mean())) if frame.height else np.nan
 
-    def within(columns: list[str], limit: float, frame: pl.DataFrame = found) -> float:
+    def within(columns: list[str], limit: float, frame: pl.DataFrame = fleets) -> float:
         return float((np.abs(frame.select(columns).to_numpy()) < limit).mean())
 
     def both(column: str, scale: float = 100.0) -> str:
-        return " / ".join(f"{scale * np.mean(f[column].to_numpy()):.2f}" if f.height else "-" for f in (seen, blind))
+        return " / ".join(f"{scale * np.mean(f[column].to_numpy()):.2f}" if f.height else "-" for f in (metered, blind))
 
     def rms_both(column: str) -> str:
-        return f"{rms(seen, column):.3f} / {rms(blind, column):.3f}"
+        return f"{rms(metered, column):.3f} / {rms(blind, column):.3f}"
 
-    slopes = [c for c in found.columns if c.startswith("slope_z_")]
+    slopes = [c for c in fleets.columns if c.startswith("slope_z_")]
     designs = [f"z_{n}" for n in hx.NAMES]
-    silent, logged = (found[f"renewed_{n}"].sum() / max(found[f"renewals_{n}"].sum(), 1) for n in ("silent", "logged"))
-    mae, allowed = 1e3 * found["mae"].mean(), 1e3 * np.sqrt(2.0 / np.pi) * found["scatter"].mean()  # type: ignore[operator]
+    silent, logged = (
+        fleets[f"renewed_{n}"].sum() / max(fleets[f"renewals_{n}"].sum(), 1) for n in ("silent", "logged")
+    )
+    mae, allowed = 1e3 * fleets["mae"].mean(), 1e3 * np.sqrt(2.0 / np.pi) * fleets["scatter"].mean()  # type: ignore[operator]
     rows = [
         ("conductance law at the true flows, shape over the envelope, sd [%]", "2", both("law_shape")),
         ("the same, share of the envelope within 2 %", "1", both("law_within", 1.0)),
@@ -117,40 +122,38 @@ def table(found: pl.DataFrame) -> str:
         ("flow exponent cold, rms error", "0.03", rms_both("off_hx_exponent_cold")),
         ("flow elasticity hot (exponent times share), rms error", "0.03", rms_both("off_elastic_hot")),
         ("flow elasticity cold, rms error", "0.03", rms_both("off_elastic_cold")),
-        ("compressor group, rms error [%]", "0.5", f"{100 * rms(found, 'group'):.2f}"),
+        ("compressor group, rms error [%]", "0.5", f"{100 * rms(fleets, 'group'):.2f}"),
         ("compressor group, fleets within 0.5 %", "", f"{within(['group'], 0.005):.2f}"),
         ("equation (6), error on flights left out [mm]", f"{allowed:.2f} (scatter), 5.5 (paper)", f"{mae:.2f}"),
         (
             "the same, a constant / richer forms [mm]",
             "",
-            f"{1e3 * found['constant'].mean():.2f} / {1e3 * found['richer'].mean():.2f}",
+            f"{1e3 * fleets['constant'].mean():.2f} / {1e3 * fleets['richer'].mean():.2f}",
         ),  # type: ignore[operator]
-        ("R² of equation (6)", "", f"{found['r2'].min():.2f} to {found['r2'].max():.2f}"),
+        ("R² of equation (6)", "", f"{fleets['r2'].min():.2f} to {fleets['r2'].max():.2f}"),
         (
             "effective diameter of a flight, mean absolute error [mm]",
             "5.5",
-            f"{1e3 * found['diameter_flight_mae'].mean():.2f}",
+            f"{1e3 * fleets['diameter_flight_mae'].mean():.2f}",
         ),  # type: ignore[operator]
         (
-            f"slope's 95 % interval covers ({found.height} fleets; {2 * found.height} airlines)",
+            f"slope's 95 % interval covers ({fleets.height} fleets; {2 * fleets.height} airlines)",
             "0.95",
             f"{within(['slope_z'], Z95):.2f}; {within(slopes, Z95):.2f}",
         ),
-        ("slope, rms error [%]", "", f"{100 * rms(found, 'slope'):.1f}"),
+        ("slope, rms error [%]", "", f"{100 * rms(fleets, 'slope'):.1f}"),
         ("90 % intervals of the joint fit cover: design", "0.88-0.92", f"{within(designs, Z_90):.3f}"),
         ("the same: elasticities", "0.88-0.92", f"{within(['z_elastic_hot', 'z_elastic_cold'], Z_90):.3f}"),
-        ("the same: health of each sound flight", "0.88-0.92", f"{found['health_cover'].mean():.3f}"),
-        ("health of each sound flight, mean absolute error", "", f"{found['health_mae'].mean():.4f}"),
+        ("the same: health of each sound flight", "0.88-0.92", f"{fleets['health_cover'].mean():.3f}"),
+        ("health of each sound flight, mean absolute error", "", f"{fleets['health_mae'].mean():.4f}"),
         (
             "ten flights after a replacement, share within 0.05: log / no log",
             "",
-            f"{logged:.2f} / {silent:.2f} of {found['renewals_silent'].sum():.0f}",
+            f"{logged:.2f} / {silent:.2f} of {fleets['renewals_silent'].sum():.0f}",
         ),
     ]
     lines = [f"| {a} | {b} | {c} |" for a, b, c in rows]
-    note = (
-        f"{found.height} fleets, {seen.height} with a ram outlet sensor on some aircraft / {blind.height} without any."
-    )
+    note = f"{fleets.height} fleets, {metered.height} with a ram outlet sensor on some aircraft / {blind.height} without any."
     return "\n".join([note, "", "| measure | goal | measured |", "| --- | --- | ---: |", *lines])
 
 
@@ -160,14 +163,14 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=101, help="first seed")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--no-speed", action="store_true")
-    asked = parser.parse_args()
-    with ProcessPoolExecutor(asked.workers) as pool:
-        rows = list(pool.map(one_fleet, range(asked.first, asked.first + asked.fleets)))
+    options = parser.parse_args()
+    with ProcessPoolExecutor(options.workers) as pool:
+        rows = list(pool.map(one_fleet, range(options.first, options.first + options.fleets)))
     texts = {"bars": table(pl.DataFrame(rows)), "recursion": recursion()}
-    if not asked.no_speed:
+    if not options.no_speed:
         texts["speed"] = speed()
     for mark, text in texts.items():
-        show(mark, text, PAGE, write=asked.write)
+        show(mark, text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

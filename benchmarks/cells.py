@@ -104,17 +104,19 @@ class History:
         """A materialisation of a real run."""
         self._run(runner)
         (run,) = self.instance.get_runs(limit=1)
-        made = dg.DagsterEventType.ASSET_MATERIALIZATION
-        return next(iter(self.instance.all_logs(run.run_id, of_type=made)))
+        kind = dg.DagsterEventType.ASSET_MATERIALIZATION
+        return next(iter(self.instance.all_logs(run.run_id, of_type=kind)))
 
     def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
         """The event, as of a run that made the batch."""
         keys = partitions.cell_keys(batch.cells)
-        made = dg.AssetMaterialization("empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0]))
-        told = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(made))
+        materialization = dg.AssetMaterialization(
+            "empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0])
+        )
+        dagster_event = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(materialization))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
         log.group_partitions(run_id, empty.key, keys)
-        log.store_event_batch([event._replace(run_id=run_id, dagster_event=told)])
+        log.store_event_batch([event._replace(run_id=run_id, dagster_event=dagster_event)])
 
     @staticmethod
     def _timed(call: Callable[[], Any]) -> float:
@@ -127,9 +129,9 @@ class History:
         loader = {"partitions_def": partitions.AIRCRAFT_FLIGHTS, "dynamic_partitions_loader": self.instance}
 
         def status() -> None:
-            found = get_and_update_asset_status_cache_value(self.instance, empty.key, **loader)
-            held = found.deserialize_materialized_partition_subsets(partitions.AIRCRAFT_FLIGHTS)
-            assert len(held) == self.filled, len(held)
+            status_cache = get_and_update_asset_status_cache_value(self.instance, empty.key, **loader)
+            subset = status_cache.deserialize_materialized_partition_subsets(partitions.AIRCRAFT_FLIGHTS)
+            assert len(subset) == self.filled, len(subset)
 
         first = self._timed(status)
         return {
@@ -199,38 +201,38 @@ def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
     return rows
 
 
-def table(found: dict[str, list[dict[str, float]]]) -> str:
+def table(results: dict[str, list[dict[str, float]]]) -> str:
     """As Markdown."""
     lines = [
         "| event log | cells | a run of 1,000 [s] | bytes a cell | status of all cells, first [s] | again [s]"
         " | all made cells [s] |",
         "| --- |" + " ---: |" * 6,
     ]
-    for name, rows in found.items():
+    for name, rows in results.items():
         lines += [
             f"| {name} | {r['cells']:,} | {r['run_s']:.2f} | {r['bytes']:.0f} | {r['page_first_s']:.2f}"
             f" | {r['page_again_s']:.2f} | {r['all_s']:.2f} |"
             for r in rows
         ]
-    told = ", ".join(f"{rows[0]['register_s']:.1f} s in {name}" for name, rows in found.items())
-    lines.append(f"\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {told}.")
+    times = ", ".join(f"{rows[0]['register_s']:.1f} s in {name}" for name, rows in results.items())
+    lines.append(f"\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {times}.")
     lines.append(machine())
     return "\n".join(lines)
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("--cells", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
-    asked.add_argument("--postgres", default=os.environ.get("HDT_TEST_POSTGRES", ""), help="URL of a server")
-    said = asked.parse_args()
-    found = {}
+    parser = arguments(__doc__)
+    parser.add_argument("--cells", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--postgres", default=os.environ.get("HDT_TEST_POSTGRES", ""), help="URL of a server")
+    options = parser.parse_args()
+    results = {}
     with tempfile.TemporaryDirectory() as scratch:
         with sqlite(Path(scratch)) as history:
-            found["SQLite"] = measured(history, said.cells)
-        if said.postgres:
-            with postgres(Path(scratch), said.postgres) as history:
-                found["PostgreSQL"] = measured(history, said.cells)
-    show("cells", table(found), PAGE, write=said.write)
+            results["SQLite"] = measured(history, options.cells)
+        if options.postgres:
+            with postgres(Path(scratch), options.postgres) as history:
+                results["PostgreSQL"] = measured(history, options.cells)
+    show("cells", table(results), PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -29,12 +29,12 @@ from hdt_core.tracking.track import track
 from pipelines.baseline import records_until
 from pipelines.learned import shipped_base
 
-Made = dict[str, Any]
+Tables = dict[str, Any]
 RECORD = ("snapshots", "maintenance", "messages")
 """What a chain begins with: snapshots as the raw stage stores them, and the two logs."""
 
 
-def legs(snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Made:
+def legs(snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Tables:
     verdicts, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
     return {"verdicts": verdicts, "samples": samples}
 
@@ -51,7 +51,9 @@ def admit_fleet(
     return admission.admit(norm, verdicts, leg_indicators(samples, norm), maintenance, messages, health)
 
 
-def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Made:
+def calibrate(
+    verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
+) -> Tables:
     """From the commissioning window of each tail, and what the logs said until it ended."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
@@ -61,11 +63,11 @@ def calibrate(verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.Dat
     return {"norm": norm, "dsm": fit(samples, admitted, logs[0]), "laws": learn_schedules(samples)}
 
 
-def estimate(samples: pl.DataFrame, dsm: Any) -> Made:
+def estimate(samples: pl.DataFrame, dsm: Any) -> Tables:
     return {"alone": estimate_flights(samples, dsm)}
 
 
-def follow(alone: pl.DataFrame, maintenance: pl.DataFrame, dsm: Any) -> Made:
+def follow(alone: pl.DataFrame, maintenance: pl.DataFrame, dsm: Any) -> Tables:
     return {"health": track(alone, maintenance, dsm).health}
 
 
@@ -77,12 +79,12 @@ def admit(
     messages: pl.DataFrame,
     health: pl.DataFrame,
     alone: pl.DataFrame,
-) -> Made:
+) -> Tables:
     signs = leg_indicators(samples, norm)
     return {"admitted": admission.admit(norm, verdicts, signs, maintenance, messages, health, alone)}
 
 
-def margin(samples: pl.DataFrame, dsm: Any, laws: Any) -> Made:
+def margin(samples: pl.DataFrame, dsm: Any, laws: Any) -> Tables:
     return {"margin": exchanger_demand(samples, dsm, laws), "witnesses": testify(samples, laws)}
 
 
@@ -95,35 +97,37 @@ def features(
     dsm: Any,
     margin: pl.DataFrame,
     witnesses: pl.DataFrame,
-) -> Made:
+) -> Tables:
     """Features with what each flight asked beside them."""
     compared = compare(samples, alone, dsm)
-    seen = describe(health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin)
+    described = describe(
+        health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin
+    )
     key = [*PACK, "flight_id"]
-    asks = margin.select(*key, *(c for c in (*CRITICAL, *MARGIN_FEATURES) if c not in seen.columns))
-    return {"features": seen.join(asks, on=key, how="left", maintain_order="left")}
+    demands = margin.select(*key, *(c for c in (*CRITICAL, *MARGIN_FEATURES) if c not in described.columns))
+    return {"features": described.join(demands, on=key, how="left", maintain_order="left")}
 
 
-def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> Made:
+def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:
     return {"alerts": raise_alerts(features, health, maintenance)}
 
 
-def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Made:
+def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:
     """Prognoses of each tail by what the others had taught when the month began."""
     record = FleetRecord(features, messages, maintenance)
     return {"lives": record.lives(), "prognoses": update_model(shipped_base(), None, record).prognoses}
 
 
-STEPS: tuple[Callable[..., Made], ...] = (
+STEPS: tuple[Callable[..., Tables], ...] = (
     legs, calibrate, estimate, follow, admit, margin, features, alert, foretell,
 )  # fmt: skip
 
 UP_TO_ALERTS = tuple(step for step in STEPS if step not in (admit, foretell))
 
 
-def run(made: Made, steps: Iterable[Callable[..., Made]] = STEPS) -> Made:
+def run(tables: Tables, steps: Iterable[Callable[..., Tables]] = STEPS) -> Tables:
     """What the record (`RECORD`) and the steps made; each step's arguments are named after what it reads."""
-    made = dict(made)
+    tables = dict(tables)
     for step in steps:
-        made |= step(**{name: made[name] for name in signature(step).parameters})
-    return made
+        tables |= step(**{name: tables[name] for name in signature(step).parameters})
+    return tables

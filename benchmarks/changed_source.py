@@ -28,11 +28,11 @@ def changed(source: str, path: str, factor: float, scale: str = "value") -> str:
     """
     name, *steps = path.split(".")
     tree = ast.parse(source)
-    found = list(_numbers(_value(tree.body, name, steps), steps))
-    if not found:
+    nodes = list(_numbers(_value(tree.body, name, steps), steps))
+    if not nodes:
         raise KeyError(path)
     lines = source.splitlines(keepends=True)
-    for node in sorted(found, key=lambda n: (n.lineno, n.col_offset), reverse=True):
+    for node in sorted(nodes, key=lambda n: (n.lineno, n.col_offset), reverse=True):
         assert node.end_lineno == node.lineno
         row = lines[node.lineno - 1].encode()
         old = row[node.col_offset : node.end_col_offset].decode()
@@ -101,13 +101,13 @@ def _parts(node: ast.expr) -> list[tuple[str, ast.expr]]:
 
 def numbers(source: str) -> dict[str, ast.expr]:
     """Names that a module assigns numbers to, at its top and in its classes (`Class.field`)."""
-    found: dict[str, ast.expr] = {}
+    assignments: dict[str, ast.expr] = {}
     for statement in ast.parse(source).body:
         if isinstance(statement, ast.ClassDef):
             fields = ((f"{statement.name}.{name}", value) for s in statement.body for name, value in _assigned(s))
-            found |= {name: value for name, value in fields if _has_number(value)}
-        found |= {name: value for name, value in _assigned(statement) if _has_number(value)}
-    return found
+            assignments |= {name: value for name, value in fields if _has_number(value)}
+        assignments |= {name: value for name, value in _assigned(statement) if _has_number(value)}
+    return assignments
 
 
 def _assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.expr]]:

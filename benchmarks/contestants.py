@@ -33,7 +33,7 @@ THIN = 5
 
 
 @dataclass(frozen=True)
-class Asked:
+class Cases:
     """Rows of some fleets: key, true loss, what became of each, and inputs by contestant."""
 
     frame: pl.DataFrame
@@ -43,41 +43,41 @@ class Asked:
     life: NDArray[np.int_]
 
 
-def rows_of(fleet: Frames) -> Asked:
+def rows_of(fleet: Frames) -> Cases:
     """All flights of a fleet, as every contestant sees them."""
     lives = fleet["lives"]
     truth = fleet["truth"].select(
         "tail", "flight_id", "pack", "index", loss=1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
     )
-    seen = fleet["features"].join(truth, on=["tail", "flight_id", "pack"], how="left")
-    known = tracks(seen, lives, "HX")
+    features = fleet["features"].join(truth, on=["tail", "flight_id", "pack"], how="left")
+    measured = tracks(features, lives, "HX")
     true_ratio = (1.0 - pl.col("loss")).log()
-    truly = seen.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002), hx_ln_ua_ratio=true_ratio)
+    truly = features.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002), hx_ln_ua_ratio=true_ratio)
     ceiling = tracks(truly, lives, "HX")
-    frame = known.keys.join(
-        seen.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
+    frame = measured.keys.join(
+        features.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
     )
     raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
-    health, true = (fleet_rows(t, PRIOR_RULES["HX"]).features for t in (known, ceiling))
+    health, true = (fleet_rows(t, PRIOR_RULES["HX"]).features for t in (measured, ceiling))
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
-    kept = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
-    return Asked(
-        kept,
+    keys = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
+    return Cases(
+        keys,
         inputs | {"health": health, "health parameters alone": health},
-        known.remaining,
-        known.failed,
-        known.at[:, 0],
+        measured.remaining,
+        measured.failed,
+        measured.at[:, 0],
     )
 
 
-def together(parts: list[Asked]) -> Asked:
+def together(parts: list[Cases]) -> Cases:
     """Rows of many fleets, lives numbered through."""
     first = np.cumsum([0, *(int(p.life.max()) + 1 for p in parts[:-1])])
     life = np.concatenate([p.life + k for p, k in zip(parts, first, strict=True)])
     frame = pl.concat([p.frame for p in parts]).with_columns(life_id=pl.Series(life))
     inputs = {name: np.vstack([p.inputs[name] for p in parts]) for name in parts[0].inputs}
     left, failed = (np.concatenate([getattr(p, name) for p in parts]) for name in ("remaining", "failed"))
-    return Asked(frame, inputs, left, failed, life)
+    return Cases(frame, inputs, left, failed, life)
 
 
 @dataclass(frozen=True)
@@ -86,28 +86,30 @@ class Learner:
 
     model: HistGradientBoostingClassifier
     levels: Levels
-    known: NDArray[np.bool_]
+    informative: NDArray[np.bool_]
 
     @classmethod
-    def fit(cls, asked: Asked, name: str, seed: int = 0) -> "Learner":
+    def fit(cls, cases: Cases, name: str, seed: int = 0) -> "Learner":
         """Two thirds of the tails teach the hazard, the last third the interval."""
         # a probe that no taught aircraft carries tells nothing
-        use = (asked.remaining >= 1) & (np.arange(asked.remaining.size) % THIN == 0)
-        tails = asked.frame["tail"].to_numpy()
-        held = np.isin(tails, np.unique(tails)[::3])
-        known = np.isfinite(asked.inputs[name][use & ~held]).any(axis=0)
-        x = np.where(known, asked.inputs[name], 0.0)
-        model = fit_hazard(x[use & ~held], asked.remaining[use & ~held], asked.failed[use & ~held], seed)
-        check = use & held
+        use = (cases.remaining >= 1) & (np.arange(cases.remaining.size) % THIN == 0)
+        tails = cases.frame["tail"].to_numpy()
+        calibrating = np.isin(tails, np.unique(tails)[::3])
+        informative = np.isfinite(cases.inputs[name][use & ~calibrating]).any(axis=0)
+        x = np.where(informative, cases.inputs[name], 0.0)
+        model = fit_hazard(
+            x[use & ~calibrating], cases.remaining[use & ~calibrating], cases.failed[use & ~calibrating], seed
+        )
+        check = use & calibrating
         by = event_by(hazards([model], x[check]))
-        left, failed, life = (v[check] for v in (asked.remaining, asked.failed, asked.life))
-        return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), known)
+        left, failed, life = (v[check] for v in (cases.remaining, cases.failed, cases.life))
+        return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), informative)
 
-    def say(self, asked: Asked, name: str) -> pl.DataFrame:
+    def say(self, cases: Cases, name: str) -> pl.DataFrame:
         """Prognoses of every row, in the columns of `prognoses`, and the risk of a message within 100 flights."""
-        by = event_by(hazards([self.model], np.where(self.known, asked.inputs[name], 0.0)))
+        by = event_by(hazards([self.model], np.where(self.informative, cases.inputs[name], 0.0)))
         low, middle, high = (quantile(by, level) for level in self.levels)
-        return outcome(asked).with_columns(
+        return outcome(cases).with_columns(
             rul_flights=pl.Series(middle),
             rul_low=pl.Series(np.minimum(low, middle)),
             rul_high=pl.Series(np.maximum(high, middle)),
@@ -116,46 +118,48 @@ class Learner:
         )
 
 
-def extrapolated(taught: Asked, asked: Asked) -> pl.DataFrame:
+def extrapolated(taught: Cases, cases: Cases) -> pl.DataFrame:
     """The contestant without a learner: the middle of the first passage, its error as taught fleets show."""
 
-    def left(rows: Asked) -> Array:
+    def left(rows: Cases) -> Array:
         middle = rows.inputs["health"][:, FEATURES.index("passage_median")]
         return np.clip(np.nan_to_num(middle, nan=EDGES[-1]), 1.0, EDGES[-1])
 
-    known = (taught.remaining >= 1) & (taught.failed | (taught.remaining >= EDGES[-1]))
-    factor = np.quantile(np.minimum(taught.remaining, EDGES[-1])[known] / left(taught)[known], [0.05, 0.95])
-    seen = (taught.remaining >= 1) & (taught.failed | (taught.remaining > 50))
+    has_ended = (taught.remaining >= 1) & (taught.failed | (taught.remaining >= EDGES[-1]))
+    factor = np.quantile(np.minimum(taught.remaining, EDGES[-1])[has_ended] / left(taught)[has_ended], [0.05, 0.95])
+    decided = (taught.remaining >= 1) & (taught.failed | (taught.remaining > 50))
     hit = taught.failed & (taught.remaining <= 50)
-    odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(left(taught)[seen], hit[seen].astype(float))
-    said = left(asked)
-    low, high = np.sort(np.clip(np.outer(factor, said), 0.0, 300.0), axis=0)
-    return outcome(asked).with_columns(
-        rul_flights=pl.Series(said),
+    odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(
+        left(taught)[decided], hit[decided].astype(float)
+    )
+    middle_left = left(cases)
+    low, high = np.sort(np.clip(np.outer(factor, middle_left), 0.0, 300.0), axis=0)
+    return outcome(cases).with_columns(
+        rul_flights=pl.Series(middle_left),
         rul_low=pl.Series(low),
         rul_high=pl.Series(high),
-        p_event_50=pl.Series(odds.predict(said)),
-        risk=pl.Series(-said),
+        p_event_50=pl.Series(odds.predict(middle_left)),
+        risk=pl.Series(-middle_left),
     )
 
 
-def outcome(asked: Asked) -> pl.DataFrame:
+def outcome(cases: Cases) -> pl.DataFrame:
     """What became of each row, as `score_prognoses` wants it."""
-    told = asked.frame.with_columns(
-        remaining=pl.Series(asked.remaining), failed=pl.Series(asked.failed), life=pl.Series(asked.life)
+    rows = cases.frame.with_columns(
+        remaining=pl.Series(cases.remaining), failed=pl.Series(cases.failed), life=pl.Series(cases.life)
     )
     hit = pl.col("failed") & pl.col("remaining").is_between(1, 50)
-    return told.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
+    return rows.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
 
 
-def lead_at_budget(said: pl.DataFrame, early_per_1000: float = 2.0) -> tuple[float, float, float]:
+def lead_at_budget(forecasts: pl.DataFrame, early_per_1000: float = 2.0) -> tuple[float, float, float]:
     """Lead [flight] of alerts on the risk, median and 10th percentile, and alerts below 15 % loss in 1,000 flights.
 
     The threshold is the lowest that stays within the budget on the very fleets asked about: the same favour to all.
     An alert holds until the risk falls to half of it.
     """
     life = ["tail", "pack", "life"]
-    ordered = said.sort(*life, "index").with_columns(
+    ordered = forecasts.sort(*life, "index").with_columns(
         risk=pl.col("risk").rolling_median(3, min_samples=1).over(life), first=pl.col("life").is_first_distinct()
     )
     risk, loss, left = (ordered[c].to_numpy() for c in ("risk", "loss", "remaining"))
@@ -187,8 +191,8 @@ def _raised(risk: Array, first: NDArray[np.bool_], threshold: float) -> NDArray[
 def _columns(frame: pl.DataFrame, names: tuple[str, ...]) -> Array:
     """Each column, its means over 10 and 40 flights, and its change over 30, within a unit's life."""
     life = ["tail", "pack", "life_id"]
-    given = [n if n in frame.columns else pl.lit(None, pl.Float64).alias(n) for n in names]
-    wide = frame.select(*life, *given)
+    columns = [n if n in frame.columns else pl.lit(None, pl.Float64).alias(n) for n in names]
+    wide = frame.select(*life, *columns)
     parts = []
     for n in names:
         mean_10 = pl.col(n).rolling_mean(10, min_samples=1)
@@ -198,5 +202,5 @@ def _columns(frame: pl.DataFrame, names: tuple[str, ...]) -> Array:
             (mean_10 - mean_10.shift(30)).over(life).alias(f"{n}_change"),
         ]
         parts.append(pl.col(n).rolling_mean(40, min_samples=1).over(life).alias(f"{n}_40"))
-    seen = pl.int_range(pl.len()).over(life).cast(pl.Float64).alias("seen")
-    return np.asarray(wide.select(*parts, seen).cast(pl.Float64).to_numpy(), dtype=float)
+    age = pl.int_range(pl.len()).over(life).cast(pl.Float64).alias("seen")
+    return np.asarray(wide.select(*parts, age).cast(pl.Float64).to_numpy(), dtype=float)

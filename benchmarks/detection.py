@@ -31,7 +31,7 @@ GROUP = {
 }
 
 
-def placed(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
+def place_alerts(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
     """Alerts with the flight number of their raising, and whether anything was wrong there."""
     wrong = (pl.col("sensor_fault") != "") | pl.col("door_fault") | pl.col("icing")
     loss = 1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
@@ -49,9 +49,9 @@ def placed(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
     return alerts.join(about, on=["tail", "pack", "raised_flight_id"], how="left").with_columns(group)
 
 
-def found(fleet: dict[str, pl.DataFrame], tally: dict[str, list[float | None]]) -> tuple[int, int]:
+def match_alerts(fleet: dict[str, pl.DataFrame], tally: dict[str, list[float | None]]) -> tuple[int, int]:
     """Add each true event's delay (None where missed) to `tally`; return false alarms and flights."""
-    alerts = placed(fleet["alerts"], fleet["truth"])
+    alerts = place_alerts(fleet["alerts"], fleet["truth"])
     for event in fleet["events"].iter_rows(named=True):
         component, start = event["component"], event["onset_index"]
         end = event["message_index"] if component in ("HX", "CC") else event["removal_index"]
@@ -106,8 +106,8 @@ def strong_tracking_odds(values: Array, sd: float, learn: int = 10) -> Array:
             observe=lambda _x, theta, i: np.asarray(theta[0])[None],
             drift=np.array([0.02]),
         )
-        found = classify(problem.names, StrongTracking().estimate(problem), nominal, window=10)
-        out[unit, learn:] = logit(np.clip(found.probability[learn:, 0], 1e-15, 1.0 - 1e-15))
+        classification = classify(problem.names, StrongTracking().estimate(problem), nominal, window=10)
+        out[unit, learn:] = logit(np.clip(classification.probability[learn:, 0], 1e-15, 1.0 - 1e-15))
     return out
 
 
@@ -160,16 +160,16 @@ def main() -> None:
     tally: dict[str, list[float | None]] = defaultdict(list)
     false = flown = 0
     for seed in sound_seeds(0, seeds):
-        more, counted = found(fly(seed, settings), tally)
+        more, counted = match_alerts(fly(seed, settings), tally)
         false, flown = false + more, flown + counted
     print(
         f"{seeds} simulated fleets, {flown} flights: {1000 * false / max(flown, 1):.2f} false alarms per 1,000 flights"
     )
     print("event                           n  alerted  median delay [flights]")
     for kind, delays in sorted(tally.items()):
-        known = [d for d in delays if d is not None]
-        middle = f"{np.median(known):.0f}" if known else "-"
-        print(f"{kind:28} {len(delays):4} {len(known) / len(delays):8.0%}  {middle}")
+        alerted = [d for d in delays if d is not None]
+        middle = f"{np.median(alerted):.0f}" if alerted else "-"
+        print(f"{kind:28} {len(delays):4} {len(alerted) / len(delays):8.0%}  {middle}")
     duel()
 
 

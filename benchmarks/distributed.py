@@ -26,7 +26,7 @@ from pipelines.partitions import NIGHT
 PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
 SHARED = {"raw_flights", "twin_flights", "features"}
 """A table of each step whose blocks are made side by side."""
-MADE = "select count(distinct tail) from done where asset = 'raw_flights'"
+N_STORED = "select count(distinct tail) from done where asset = 'raw_flights'"
 
 
 @dataclass
@@ -60,10 +60,10 @@ def alone(fleet: Site) -> Row:
     """One process: ledger, history and tables below its home."""
     home, began = fleet.root / "alone", time.monotonic()
     words = ("nightly", "--landing", str(fleet.landing), "--home", str(home), "--jobs", "1", "--json")
-    told = fleet.by_itself(*words)
-    assert not told["failed"], told
+    summary = fleet.by_itself(*words)
+    assert not summary["failed"], summary
     load = os.getloadavg()[0]
-    return Row("one process", time.monotonic() - began, 0, 0, told["runs"], 0, 0, fingerprint(home, ""), load)
+    return Row("one process", time.monotonic() - began, 0, 0, summary["runs"], 0, 0, fingerprint(home, ""), load)
 
 
 def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "night") -> Row:
@@ -72,7 +72,7 @@ def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "nigh
     since, began = fleet.now(), time.monotonic()
     fleet.night("night")
     ends_on = meanwhile()
-    assert fleet.processes[ends_on].wait() == 0, fleet.said(ends_on)[-2000:]
+    assert fleet.processes[ends_on].wait() == 0, fleet.read_log(ends_on)[-2000:]
     wall = time.monotonic() - began
     with fleet.instance() as instance:
         records = instance.get_run_records(RunsFilter(tags=NIGHT))
@@ -82,8 +82,8 @@ def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "nigh
             stats = instance.get_run_step_stats(record.dagster_run.run_id)
             work_s += sum(s.end_time - s.start_time for s in stats if s.start_time and s.end_time)
     retried = sum("dagster/retry_number" in r.dagster_run.tags for r in mine)
-    made, twice = fingerprint(fleet.home("night"), str(fleet.root / "store")), len(fleet.made_twice(since))
-    return Row(how, wall, shared_s, work_s, len(mine), retried, twice, made, os.getloadavg()[0])
+    fingerprints, twice = fingerprint(fleet.home("night"), str(fleet.root / "store")), len(fleet.made_twice(since))
+    return Row(how, wall, shared_s, work_s, len(mine), retried, twice, fingerprints, os.getloadavg()[0])
 
 
 def _shared(run: DagsterRun) -> bool:
@@ -101,7 +101,7 @@ def _steps(records: list) -> float:
 
 def half_way(fleet: Site, aircraft: int) -> None:
     """Until half of the aircraft have their flights."""
-    wait(lambda: fleet.rows(MADE)[0][0] >= aircraft // 2, 1800, "the backfill does not begin")
+    wait(lambda: fleet.rows(N_STORED)[0][0] >= aircraft // 2, 1800, "the backfill does not begin")
 
 
 def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
@@ -128,7 +128,7 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
         def schedulers() -> str:
             half_way(fleet, aircraft)
             assert fleet.night("other").wait() == 2, "two nights at once"
-            assert "another run (process" in fleet.said("other")
+            assert "another run (process" in fleet.read_log("other")
             fleet.kill("night")
             fleet.night("other")
             return "other"
@@ -150,7 +150,7 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
 def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
     """As Markdown."""
     first, by = rows[0][0], {row.how: row for row, _ in rows}
-    gained = by["one worker"].shared_s / by["two workers"].shared_s
+    speedup = by["one worker"].shared_s / by["two workers"].shared_s
     head = "| backfill | wall [s] | flights/s | not in steps | runs | retried | cells twice | tables | load |"
     return "\n".join(
         [
@@ -158,7 +158,7 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
             head,
             "| --- |" + " ---: |" * 6 + " --- | ---: |",
             *(row.line(first, flights, workers) for row, workers in rows),
-            f"\nThroughput of the steps that are shared out, two workers to one: {gained:.2f}; of the whole backfill:"
+            f"\nThroughput of the steps that are shared out, two workers to one: {speedup:.2f}; of the whole backfill:"
             f" {by['one worker'].wall_s / by['two workers'].wall_s:.2f}.",
             f"\n{machine()}",
         ]
@@ -166,13 +166,13 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("--flights", type=int, default=10_000)
-    asked.add_argument("--aircraft", type=int, default=20)
-    said = asked.parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--flights", type=int, default=10_000)
+    parser.add_argument("--aircraft", type=int, default=20)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        text = table(measured(Path(scratch), said.flights, said.aircraft), said.flights, said.aircraft)
-    show("table", text, PAGE, write=said.write)
+        text = table(measured(Path(scratch), options.flights, options.aircraft), options.flights, options.aircraft)
+    show("table", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -56,8 +56,8 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
 
     hot, ram = per_flight(HOT_KG_S, 0.06 * HOT_KG_S), np.maximum(per_flight(1.6, 0.32), 0.5)
     hot_in, cold_in = per_flight(HOT_IN_K, 5.0), per_flight(COLD_IN_K, 3.0)
-    kept = 1.0 - np.repeat(np.linspace(0.0, 0.3, n_flights), points)
-    hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, kept * clean_conductance_w_k(hot, ram, **design))
+    ua_share = 1.0 - np.repeat(np.linspace(0.0, 0.3, n_flights), points)
+    hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, ua_share * clean_conductance_w_k(hot, ram, **design))
     seen_ram = ram * (1.0 + per_flight(0.0, 0.04))
     samples = ExchangerSamples(
         hot,
@@ -72,7 +72,7 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
     crossflow = fit_conductance_scale(samples, clean_conductance_w_k(hot, seen_ram, **design))
     explained = lumped.mean > 0.0
     clean = np.arange(n_flights) < n_flights // 4
-    spread = np.std(crossflow.mean[clean] - np.log(kept[::points][clean]))
+    spread = np.std(crossflow.mean[clean] - np.log(ua_share[::points][clean]))
     ln_h = -np.log(lumped.mean[explained & clean])
     robust = 0.7413 * np.subtract(*np.quantile(ln_h, [0.75, 0.25])) if len(ln_h) > 20 else np.nan
     return float(np.mean(~explained)), float(robust), float(spread)

@@ -72,6 +72,6 @@ def _numpy_cost(problem: Problem, thetas: np.ndarray) -> np.ndarray:
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=15)
-    given = parser.parse_args()
-    report = table(main(given.rounds), ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
-    show("speed of estimators", report, write=given.write)
+    options = parser.parse_args()
+    report = table(main(options.rounds), ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
+    show("speed of estimators", report, write=options.write)

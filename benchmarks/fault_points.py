@@ -31,8 +31,8 @@ _ENDS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 
 def arm(plan: str, cut: Callable[[], None] | None = None) -> None:
     """Let a fault happen in this process, once; `cut` goes before a kill. A hook stays as long as its process."""
-    wanted, nth, action = (*plan.split(":"), "kill")[:3]
-    events = {f"hdt.{point}" for point in POINTS if wanted in (point, "any")}
+    target, nth, action = (*plan.split(":"), "kill")[:3]
+    events = {f"hdt.{point}" for point in POINTS if target in (point, "any")}
     passed = count(1)
 
     def strike(event: str, _: object) -> None:

@@ -51,10 +51,10 @@ def fly(seed: int, settings: FleetSettings) -> Frames:
         for name in ("fleet", "health", "events"):
             frames[name].append(getattr(craft, name))
     all_of = {name: pl.concat(parts, how="diagonal_relaxed") for name, parts in frames.items()}
-    made = run({name: all_of[name] for name in RECORD}, UP_TO_ALERTS)
-    lives = episodes(made["features"], made["messages"], made["maintenance"])
-    told = {name: made[name] for name in ("messages", "maintenance", "alerts", "features")}
-    return told | {"events": all_of["events"], "truth": all_of["health"], "lives": lives}
+    tables = run({name: all_of[name] for name in RECORD}, UP_TO_ALERTS)
+    lives = episodes(tables["features"], tables["messages"], tables["maintenance"])
+    outputs = {name: tables[name] for name in ("messages", "maintenance", "alerts", "features")}
+    return outputs | {"events": all_of["events"], "truth": all_of["health"], "lives": lives}
 
 
 def flown(first_seed: int, count: int, settings: FleetSettings) -> Iterator[Frames]:
@@ -69,15 +69,15 @@ def sound_seeds(first_seed: int, count: int) -> list[int]:
     The simulator draws its designs without asking whether anyone would have certified them; a type whose sound packs
     raise the message on a hot day says nothing about foresight. Design alone decides, never what was estimated.
     """
-    found: list[int] = []
+    seeds: list[int] = []
     seed = first_seed
-    while len(found) < count:
+    while len(seeds) < count:
         rng = np.random.default_rng(seed)
         design, operators = draw_design(rng), draw_operators(rng, FleetSettings())
         if min(loss_at_message(design, o.warmer_k + HOT_DAY_K) for o in operators) > HELD_LOSS:
-            found.append(seed)
+            seeds.append(seed)
         seed += 1
-    return found
+    return seeds
 
 
 def loss_at_message(design: PackDesign, warmer_k: float) -> float:
@@ -85,13 +85,13 @@ def loss_at_message(design: PackDesign, warmer_k: float) -> float:
     most. [-]"""
     loss = np.linspace(0.0, 0.7, 71)
     one = np.ones(loss.size)
-    now, asked = reference(one), reference_demand(design, one)
+    now, demand = reference(one), reference_demand(design, one)
     now = replace(now, tat_k=now.tat_k + warmer_k)
     standard = target_k(reference(np.ones(1)), np.zeros(1))[0]
     target = target_k(now, np.asarray(sized_target_k(design) - standard))
-    asked = Demand(asked.flow_kg_s, asked.hot_in_k + 1.2 * warmer_k, target)
+    demand = Demand(demand.flow_kg_s, demand.hot_in_k + 1.2 * warmer_k, target)
     worn = ExchangerWear(loss / (1.0 - loss) / design.hx_ua_reference_w_k, 0.0 * one, 0.0 * one, one)
-    over = outlets(design, now, asked, one, worn)[0] - target > design.unmet_limit_k
+    over = outlets(design, now, demand, one, worn)[0] - target > design.unmet_limit_k
     return float(loss[over.argmax()]) if over.any() else 0.7
 
 

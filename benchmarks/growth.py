@@ -56,17 +56,17 @@ def _keep(store: Store, table: str, aircraft: Aircraft, frame: pl.DataFrame) -> 
 
 def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int) -> None:
     """Rows of aircraft in a table of the whole fleet; a model stays the one row it is."""
-    held = store.read_table(table)
-    if "tail" not in held.columns or not held.height or table == "raw_fleet":
+    rows = store.read_table(table)
+    if "tail" not in rows.columns or not rows.height or table == "raw_fleet":
         return
-    own = held.filter(~pl.col("tail").str.starts_with("N")).partition_by("tail", as_dict=True)
+    own = rows.filter(~pl.col("tail").str.starts_with("N")).partition_by("tail", as_dict=True)
     more = [
         _renamed(frame, str(tail), f"N{number:05}")
         for k, ((tail,), frame) in enumerate(own.items())
         for number in range(first, last)
         if tail and number % count == k
     ]
-    store.replace(table, [FLEET], pl.concat([held, *more]))
+    store.replace(table, [FLEET], pl.concat([rows, *more]))
 
 
 def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:
@@ -75,9 +75,9 @@ def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:
     return frame.with_columns(pl.lit(name).alias("tail"), *renamed)
 
 
-def asked(home: Path) -> dict[str, float]:
+def query_times_ms(home: Path) -> dict[str, float]:
     """Milliseconds each question takes."""
-    taken = {}
+    times_ms = {}
     with connect(home) as con:
         for name, sql in QUESTIONS.items():
             rounds = []
@@ -85,8 +85,8 @@ def asked(home: Path) -> dict[str, float]:
                 began = time.perf_counter()
                 con.execute(sql).fetchall()
                 rounds.append(1e3 * (time.perf_counter() - began))
-            taken[name] = median(rounds)
-    return taken
+            times_ms[name] = median(rounds)
+    return times_ms
 
 
 def row(home: Path, aircraft: int) -> dict[str, float]:
@@ -94,9 +94,9 @@ def row(home: Path, aircraft: int) -> dict[str, float]:
     files = list((home / "tables").rglob("*.parquet"))
     began = time.perf_counter()
     publish(home)
-    found = {"publish_s": time.perf_counter() - began, "files": len(files)}
-    found |= {"megabytes": sum(f.stat().st_size for f in files) / 1e6, "aircraft": aircraft}
-    return found | asked(home)
+    sizes = {"publish_s": time.perf_counter() - began, "files": len(files)}
+    sizes |= {"megabytes": sum(f.stat().st_size for f in files) / 1e6, "aircraft": aircraft}
+    return sizes | query_times_ms(home)
 
 
 def table(rows: list[dict[str, float]], flights: int) -> str:
@@ -112,9 +112,9 @@ def table(rows: list[dict[str, float]], flights: int) -> str:
 
 
 def main() -> None:
-    said = arguments(__doc__)
-    said.add_argument("--aircraft", type=int, nargs="*", default=[4, 20, 100, 400])
-    given = said.parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--aircraft", type=int, nargs="*", default=[4, 20, 100, 400])
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root, home, rows = Path(scratch), Path(scratch) / "home", []
         for _ in write_fleet(root, 11, SIZES["S"]):
@@ -123,13 +123,13 @@ def main() -> None:
         store = Store(home)
         originals = sorted(store.read_table("raw_flights").select("operator", "tail").unique().rows())
         there = len(originals)
-        for aircraft in given.aircraft:
+        for aircraft in options.aircraft:
             multiply(store, originals, there, aircraft)
             there = aircraft
             rows.append(row(home, aircraft))
             print(rows[-1], flush=True)
         text = table(rows, SIZES["S"].flights)
-    show("growth", text, PAGE, write=given.write)
+    show("growth", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -30,17 +30,17 @@ MINPACK, LOOP = "SciPy lm over a numba simulation", "SciPy lm over a plain-float
 
 def scipy_lumped(samples: ExchangerSamples, n_flights: int) -> np.ndarray:
     """1/H of the lumped equations in steady flow, likewise."""
-    found = []
+    estimates = []
     for f in range(n_flights):
         at = slice(samples.starts[f], samples.starts[f + 1])
         rate, ram = samples.hot_flow_kg_s[at] * CP_HOT_J_KG_K, samples.ram_flow_kg_s[at] * CP_COLD_J_KG_K
-        hot_in, cold_in, seen = samples.hot_in_k[at], samples.cold_in_k[at], samples.hot_out_k[at]
+        hot_in, cold_in, hot_out = samples.hot_in_k[at], samples.cold_in_k[at], samples.hot_out_k[at]
 
-        def residuals(x, rate=rate, ram=ram, hot_in=hot_in, cold_in=cold_in, seen=seen):
-            return 2.0 * (seen - hot_in + (hot_in - cold_in) / (1.0 + rate / ram + rate * 1e-3 * x[0]))
+        def residuals(x, rate=rate, ram=ram, hot_in=hot_in, cold_in=cold_in, hot_out=hot_out):
+            return 2.0 * (hot_out - hot_in + (hot_in - cold_in) / (1.0 + rate / ram + rate * 1e-3 * x[0]))
 
-        found.append(1e-3 * least_squares(residuals, [0.4], method="lm", xtol=1e-10, ftol=1e-12).x[0])
-    return np.array(found)
+        estimates.append(1e-3 * least_squares(residuals, [0.4], method="lm", xtol=1e-10, ftol=1e-12).x[0])
+    return np.array(estimates)
 
 
 def log() -> ExchangerSamples:
@@ -144,6 +144,6 @@ def main(rounds: int = 7) -> list[Claim]:
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=7)
-    given = parser.parse_args()
-    report = table(main(given.rounds), ("numpy", "numba", "scipy", "ht"))
-    show("speed of heat exchanger", report, write=given.write)
+    options = parser.parse_args()
+    report = table(main(options.rounds), ("numpy", "numba", "scipy", "ht"))
+    show("speed of heat exchanger", report, write=options.write)

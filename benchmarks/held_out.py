@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks import chain, samples
-from benchmarks.contestants import Asked, Learner, rows_of, together
+from benchmarks.contestants import Cases, Learner, rows_of, together
 from benchmarks.fleets import flown
 from benchmarks.harness import arguments, markdown, show
 from benchmarks.prognosis import PAGE, SIZE, TAUGHT
@@ -28,40 +28,40 @@ SCORES = ("auc", "brier_skill", "c_index", "brier_100_skill", "interval_skill", 
 INPUTS = ("loss and trends", "margin", "both", "both, true loss")
 
 
-def by_input(asked: Asked) -> Asked:
+def by_input(cases: Cases) -> Cases:
     """The same rows with the inputs of this comparison."""
-    health, truth = asked.inputs["health"], asked.inputs["truth as ceiling"]
+    health, truth = cases.inputs["health"], cases.inputs["truth as ceiling"]
     wear = np.array([name in WEAR for name in FEATURES] + [True] * (health.shape[1] - len(FEATURES)))
     parts = (health[:, wear], health[:, ~wear], health, truth)
-    return replace(asked, inputs=dict(zip(INPUTS, parts, strict=True)))
+    return replace(cases, inputs=dict(zip(INPUTS, parts, strict=True)))
 
 
-def read(home: Path, folder: Path) -> chain.Made:
+def read(home: Path, folder: Path) -> chain.Tables:
     """One fleet through the chain, with the lives that were so."""
-    made = chain.run(samples.record(home) | samples.truth(folder))
-    return made | {"lives": samples.true_lives(made["features"], made["truth"], made["events"])}
+    tables = chain.run(samples.record(home) | samples.truth(folder))
+    return tables | {"lives": samples.true_lives(tables["features"], tables["truth"], tables["events"])}
 
 
-def line(asked: str, taught: str, inputs: str, judged: pl.DataFrame) -> list[str]:
-    """One row: `judged` holds in `risk` the probability of a message within 100 flights."""
-    scores = score_prognoses(judged) | censored_scores(judged, "risk")
-    return [asked, taught, inputs, *(f"{scores.get(name, np.nan):.3g}" for name in SCORES)]
+def line(scored_on: str, taught: str, inputs: str, scored: pl.DataFrame) -> list[str]:
+    """One row: `scored` holds in `risk` the probability of a message within 100 flights."""
+    scores = score_prognoses(scored) | censored_scores(scored, "risk")
+    return [scored_on, taught, inputs, *(f"{scores.get(name, np.nan):.3g}" for name in SCORES)]
 
 
-def table(fleets: dict[str, chain.Made], own: list[chain.Made]) -> str:
+def table(fleets: dict[str, chain.Tables], own: list[chain.Tables]) -> str:
     """Every teacher against every other fleet."""
-    rows = {name: by_input(rows_of(made)) for name, made in fleets.items()}
-    teachers = rows | ({"own designs": by_input(together([rows_of(made) for made in own]))} if own else {})
+    rows = {name: by_input(rows_of(tables)) for name, tables in fleets.items()}
+    teachers = rows | ({"own designs": by_input(together([rows_of(tables) for tables in own]))} if own else {})
     lines = [["asked", "taught by", "inputs", "AUC, 50", "Brier skill, 50", "C-index", "Brier skill, 100"]]
     lines[0] += ["interval skill", "coverage", "error [flights]"]
-    for name, made in fleets.items():
+    for name, tables in fleets.items():
         for taught, teacher in teachers.items():
             for inputs in INPUTS if taught != name else ():
-                said = Learner.fit(teacher, inputs).say(rows[name], inputs)
-                lines.append(line(name, taught, inputs, said.filter(pl.col("remaining") >= 1)))
-        judged = join_outcomes(made["prognoses"], made["features"], made["lives"])
-        judged = judged.with_columns(risk="p_event_100")
-        lines.append(line(name, "simulated lives, own other tails", "the product", judged))
+                forecasts = Learner.fit(teacher, inputs).say(rows[name], inputs)
+                lines.append(line(name, taught, inputs, forecasts.filter(pl.col("remaining") >= 1)))
+        product = join_outcomes(tables["prognoses"], tables["features"], tables["lives"])
+        product = product.with_columns(risk="p_event_100")
+        lines.append(line(name, "simulated lives, own other tails", "the product", product))
     return markdown(lines)
 
 
@@ -69,10 +69,10 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
     parser.add_argument("--own", type=int, default=4)
-    given = parser.parse_args()
-    fleets = {name: read(Path(home), Path(folder)) for name, home, folder in given.fleet}
-    text = table(fleets, list(flown(TAUGHT, given.own, SIZE)) if given.own else [])
-    show("held out", text, PAGE, write=given.write)
+    options = parser.parse_args()
+    fleets = {name: read(Path(home), Path(folder)) for name, home, folder in options.fleet}
+    text = table(fleets, list(flown(TAUGHT, options.own, SIZE)) if options.own else [])
+    show("held out", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

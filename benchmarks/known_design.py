@@ -50,11 +50,11 @@ def envelope_of(seed: int) -> tuple[PackDesign, Envelope]:
         now = flight_conditions.conditions(
             rng, schedule, np.arange(200), flight_conditions.CLIMB_S + 0.5 * schedule.cruise_s
         )
-        asked, door = demand(rng, design, now), rng.uniform(0.15, 0.75, 200)
-        out, ram_out, ram, ua = outlets(design, now, asked, door, clean(now.mach))
+        wanted_air, door = demand(rng, design, now), rng.uniform(0.15, 0.75, 200)
+        out, ram_out, ram, ua = outlets(design, now, wanted_air, door, clean(now.mach))
         signals = {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}
-        signals |= {"hx_in_k": asked.hot_in_k, "hx_out_k": out, "ram_door_open": door, "ram_out_k": ram_out}
-        parts.append((signals | {"pack_flow_kg_s": asked.flow_kg_s}, ram, ua))
+        signals |= {"hx_in_k": wanted_air.hot_in_k, "hx_out_k": out, "ram_door_open": door, "ram_out_k": ram_out}
+        parts.append((signals | {"pack_flow_kg_s": wanted_air.flow_kg_s}, ram, ua))
     joined = {n: np.concatenate([p[0][n] for p in parts]) for n in parts[0][0]}
     return design, Envelope(joined, np.concatenate([p[1] for p in parts]), np.concatenate([p[2] for p in parts]))
 
@@ -63,7 +63,7 @@ def design_vector(design: PackDesign) -> np.ndarray:
     """Truth in the estimator's coordinates; NaN where its model has no such constant."""
     share = design.hx_hot_share / (1.0 - design.hx_wall_share)
     rest = (design.ram_core_area_m2**-2 + design.ram_exit_area_m2**-2) ** -0.5
-    known = {n: getattr(design, n) for n in TRUTH} | {
+    values = {n: getattr(design, n) for n in TRUTH} | {
         "ln_ua_reference": np.log(design.hx_ua_reference_w_k),
         "hot_share_logit": np.log(share / (1.0 - share)),
         "ln_door_closed": np.log(design.ram_area_closed_m2),
@@ -71,7 +71,7 @@ def design_vector(design: PackDesign) -> np.ndarray:
         "ln_rest_area": np.log(rest),
         "film_temperature_exponent": 0.25,
     }
-    return np.array([known[n] for n in hx.NAMES])
+    return np.array([values[n] for n in hx.NAMES])
 
 
 def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
@@ -80,11 +80,11 @@ def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
     level = dsm.clean_level
     here = ln_clean_conductance(at.signals, at.ram_kg_s, dsm.design) + level - np.log(at.ua_w_k)
     used = level - hx.ln_conductance_ratio(at.signals, dsm.design, np.zeros((len(hx.BIASES), 1)))
-    found = {}
+    errors = {}
     for name, error in (("law", here), ("used", used)):
-        found |= {f"{name}_level": abs(float(error.mean())), f"{name}_shape": float(error.std())}
-        found |= {f"{name}_within": float((np.abs(error - error.mean()) < 0.02).mean())}
-    return found
+        errors |= {f"{name}_level": abs(float(error.mean())), f"{name}_shape": float(error.std())}
+        errors |= {f"{name}_within": float((np.abs(error - error.mean()) < 0.02).mean())}
+    return errors
 
 
 def naive_shape(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, at: Envelope) -> float:
@@ -101,8 +101,8 @@ def compressor_baseline(samples: pl.DataFrame, legs: pl.DataFrame) -> tuple[pl.D
     """Cruise samples of the admitted baseline flights, and the packs' probe corrections."""
     every = flights_of(samples)
     base = every.filter(pl.col("flight_id").is_in(baseline_flights(every)))
-    kept = base.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi")
-    flying_samples = cruise_samples(samples.join(kept, on=FLIGHT_PACK, how="semi"), monitored=False)
+    admitted = base.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi")
+    flying_samples = cruise_samples(samples.join(admitted, on=FLIGHT_PACK, how="semi"), monitored=False)
     return flying_samples, probe_corrections(flying_samples, every.select(PACK).unique().sort(PACK))
 
 
@@ -118,9 +118,9 @@ def group_error(cruise: pl.DataFrame, corrections: pl.DataFrame, seed: int) -> t
     pack = cruise.select(pl.struct(PACK).rank("dense"))[:, 0].to_numpy().astype(int)
     bias = FLOW_BIAS * rng.standard_normal(pack.max() + 1)
     flow = inlet_flow_kg_s(group, *(cruise[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
-    seen = flow * (1.0 + bias[pack] + FLOW_NOISE * rng.standard_normal(len(flow)))
+    metered = flow * (1.0 + bias[pack] + FLOW_NOISE * rng.standard_normal(len(flow)))
     fit = fit_compressor(
-        compressor_samples(cruise.with_columns(cc_flow_kg_s=pl.Series(seen).fill_nan(None)), corrections)
+        compressor_samples(cruise.with_columns(cc_flow_kg_s=pl.Series(metered).fill_nan(None)), corrections)
     )
     return fit.group_m3 / group - 1.0, (fit.group_m3 - group) / fit.group_sd_m3
 
@@ -142,7 +142,7 @@ def health_errors(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.Da
         "cc_eff_diameter_m",
     )
     sound = ~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == "")
-    found = {}
+    results = {}
     for name, log in (("logged", maintenance), ("silent", maintenance.clear())):
         health = (
             track(alone, log, dsm)
@@ -152,20 +152,22 @@ def health_errors(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.Da
         )
         off = (pl.col("value") - pl.col("loss")).abs()
         if name == "logged":
-            found["health_cover"] = health.filter(sound).select((off < Z_90 * pl.col("sd")).mean()).item()
-            found["health_mae"] = health.filter(sound).select(off.mean()).item()
+            results["health_cover"] = health.filter(sound).select((off < Z_90 * pl.col("sd")).mean()).item()
+            results["health_mae"] = health.filter(sound).select(off.mean()).item()
         unit = ["tail", "pack", "hx_unit"]
         since = pl.col("index") - pl.col("index").min().over(unit)
-        gone = (
+        removed = (
             health.group_by(unit).agg(pl.col("loss").last().alias("gone")).with_columns(hx_unit=pl.col("hx_unit") + 1)
         )
-        after = health.with_columns(since.alias("since")).join(gone, on=unit)
+        after = health.with_columns(since.alias("since")).join(removed, on=unit)
         after = after.filter((pl.col("gone") > 0.15) & (pl.col("since") == 10) & sound)
-        found[f"renewed_{name}"] = after.select((off < 0.05).sum()).item()
-        found[f"renewals_{name}"] = after.height
-    seen = alone.join(true, on=KEY).filter(~pl.col("pack_off"))
-    found["diameter_flight_mae"] = seen.select((pl.col("diameter_m") - pl.col("cc_eff_diameter_m")).abs().mean()).item()
-    return found
+        results[f"renewed_{name}"] = after.select((off < 0.05).sum()).item()
+        results[f"renewals_{name}"] = after.height
+    estimates = alone.join(true, on=KEY).filter(~pl.col("pack_off"))
+    results["diameter_flight_mae"] = estimates.select(
+        (pl.col("diameter_m") - pl.col("cc_eff_diameter_m")).abs().mean()
+    ).item()
+    return results
 
 
 def one_fleet(seed: int) -> dict[str, float]:

@@ -63,24 +63,24 @@ class Constant:
 
 def ledger() -> list[Constant]:
     """All entries of `constants.toml`, in its order."""
-    found = []
+    constants = []
     for module, entries in tomllib.loads(LEDGER.read_text())["constant"].items():
-        for path, said in entries.items():
-            found.append(Constant(module, path, **(said if isinstance(said, dict) else {"source": said})))
-    return found
+        for path, entry in entries.items():
+            constants.append(Constant(module, path, **(entry if isinstance(entry, dict) else {"source": entry})))
+    return constants
 
 
-def figures(made: chain.Made) -> dict[str, float]:
+def figures(tables: chain.Tables) -> dict[str, float]:
     """What a change is judged by, keys of `MOVES`."""
-    lives = samples.true_lives(made["features"], made["truth"], made["events"])
-    life = score_prognoses(join_outcomes(made["prognoses"], made["features"], lives))
+    lives = samples.true_lives(tables["features"], tables["truth"], tables["events"])
+    life = score_prognoses(join_outcomes(tables["prognoses"], tables["features"], lives))
     key = ["tail", "flight_id", "pack"]
-    legs = made["truth"].filter("arrived").join(made["admitted"].select(*key, "admitted"), on=key)
-    worn = made["health"].filter(parameter="hx_fouling").drop_nulls("value").join(made["truth"], on=key)
+    legs = tables["truth"].filter("arrived").join(tables["admitted"].select(*key, "admitted"), on=key)
+    worn = tables["health"].filter(parameter="hx_fouling").drop_nulls("value").join(tables["truth"], on=key)
     worn = worn.with_columns(a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio"), seed=pl.lit(0))
     wear = fouling_numbers(worn)
     return {name: float(v) for name, v in {
-        **overall(tally(made)),
+        **overall(tally(tables)),
         "fouling": wear["fouling, mean absolute error"], "fouling score": wear["interval score"],
         "yield": legs.filter("nominal")["admitted"].mean(),
         "contamination": legs.filter("admitted")["contaminant"].mean(),
@@ -95,25 +95,25 @@ def _graph() -> grimp.ImportGraph:
 
 def affected(module: str) -> list[str]:
     """Steps of the chain that can see a module."""
-    seen = []
+    steps = []
     for step in chain.STEPS:
         uses = {v.__module__ for n in step.__code__.co_names if (v := getattr(chain, n, None)) and callable(v)}
         own = {m for m in uses if m.startswith("hdt_core")}
         if module in own or any(module in _graph().find_upstream_modules(m) for m in own):
-            seen.append(step.__name__)
-    return seen
+            steps.append(step.__name__)
+    return steps
 
 
-def remade(made: chain.Made, steps: list[str]) -> chain.Made:
+def remade(tables: chain.Tables, steps: list[str]) -> chain.Tables:
     """The chain after a change that these steps can see: they run, and what reads what they changed."""
-    made, moved = dict(made), set[str]()
+    tables, changed_tables = dict(tables), set[str]()
     for step in chain.STEPS:
         reads = set(signature(step).parameters)
-        if step.__name__ in steps or reads & moved:
-            new = step(**{name: made[name] for name in reads})
-            moved |= {name for name, value in new.items() if not same(value, made[name])}
-            made |= new
-    return made
+        if step.__name__ in steps or reads & changed_tables:
+            new = step(**{name: tables[name] for name in reads})
+            changed_tables |= {name for name, value in new.items() if not same(value, tables[name])}
+            tables |= new
+    return tables
 
 
 def same(one: Any, other: Any) -> bool:
@@ -122,12 +122,12 @@ def same(one: Any, other: Any) -> bool:
     return pickle.dumps(one) == pickle.dumps(other)
 
 
-def tried(constant: Constant, factor: float, kept: Path, copy: Path) -> dict[str, float]:
+def tried(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[str, float]:
     """Figures with one constant changed, by a process that reads the changed sources, a copy of ours."""
     file = copy.joinpath(*constant.module.split(".")).with_suffix(".py")
     source = file.read_text()
     file.write_text(changed(source, constant.path, factor, constant.scale))
-    command = [sys.executable, "-m", "benchmarks.ledger", "one", str(kept), *affected(constant.module)]
+    command = [sys.executable, "-m", "benchmarks.ledger", "one", str(pickled), *affected(constant.module)]
     environment = os.environ | {"PYTHONPATH": str(copy)}
     done = subprocess.run(command, check=False, cwd=copy, env=environment, capture_output=True, text=True)
     file.write_text(source)
@@ -146,20 +146,20 @@ def copied(folder: Path) -> Path:
 def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> None:
     """Try what the results file does not hold yet; of each fleet one aircraft in `every`."""
     for name, home, folder in fleets:
-        kept = results.with_suffix(f".{name}.pickle")
-        if not kept.exists():
-            given = samples.record(Path(home)) | samples.truth(Path(folder))
-            made = chain.run(samples.thinned(given, every))
-            kept.write_bytes(pickle.dumps(made))
-            _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(made)})
-    held = {(r["fleet"], r["at"], r["factor"]) for r in _held(results)}
+        pickled = results.with_suffix(f".{name}.pickle")
+        if not pickled.exists():
+            record = samples.record(Path(home)) | samples.truth(Path(folder))
+            tables = chain.run(samples.thinned(record, every))
+            pickled.write_bytes(pickle.dumps(tables))
+            _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(tables)})
+    done = {(r["fleet"], r["at"], r["factor"]) for r in _read_results(results)}
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(Path(folder))
         for constant, (name, _, _), factor in product(ledger(), fleets, FACTORS):
             at = f"{constant.module}:{constant.path}"
-            if any(fnmatch(at, pattern) for pattern in only) and (name, at, factor) not in held:
-                said = tried(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
-                _note(results, {"fleet": name, "at": at, "factor": factor, "figures": said})
+            if any(fnmatch(at, pattern) for pattern in only) and (name, at, factor) not in done:
+                result = tried(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
+                _note(results, {"fleet": name, "at": at, "factor": factor, "figures": result})
 
 
 def _note(results: Path, row: dict[str, Any]) -> None:
@@ -167,22 +167,22 @@ def _note(results: Path, row: dict[str, Any]) -> None:
         file.write(json.dumps(row) + "\n")
 
 
-def _held(results: Path) -> Iterator[dict[str, Any]]:
+def _read_results(results: Path) -> Iterator[dict[str, Any]]:
     if results.exists():
         yield from map(json.loads, results.read_text().splitlines())
 
 
 def table(results: Path) -> str:
     """The ledger, a line a constant: its source, and behind the arrow what a change moved by more than `MOVES`."""
-    rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _held(results)}
+    rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _read_results(results)}
     fleets = sorted({fleet for fleet, _, _ in rows})
-    lines, stood = [], told()
+    lines, stood = [], standing_cells()
     for constant in ledger():
         at = f"{constant.module}:{constant.path}"
         name = f"`{at.removeprefix('hdt_core.')}`"
         standing = stood.get(name)
         cells = {
-            f"{f} {w}": _moved(rows[f, at, k], rows[f, "", 1.0])
+            f"{f} {w}": _format_changes(rows[f, at, k], rows[f, "", 1.0])
             if (f, at, k) in rows
             else "not run"
             if standing is None
@@ -190,22 +190,22 @@ def table(results: Path) -> str:
             for f in fleets
             for k, w in zip(FACTORS, WAYS, strict=True)
         }
-        moved = "; ".join(f"{way}: {cell}" for way, cell in cells.items() if cell != "-")
-        lines.append(f"- {name}: {constant.source}" + f" -> {moved}" * bool(moved))
+        effects = "; ".join(f"{way}: {cell}" for way, cell in cells.items() if cell != "-")
+        lines.append(f"- {name}: {constant.source}" + f" -> {effects}" * bool(effects))
     return "\n".join(lines)
 
 
-def told() -> dict[str, dict[str, str]]:
+def standing_cells() -> dict[str, dict[str, str]]:
     """What the page's list says was moved, by constant and change."""
     lines = [line.removeprefix("- ").partition(" -> ") for line in PAGE.read_text().splitlines() if line[:3] == "- `"]
-    return {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", moved)) for left, _, moved in lines}
+    return {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", effects)) for left, _, effects in lines}
 
 
-def _moved(now: dict[str, Any], before: dict[str, float]) -> str:
+def _format_changes(now: dict[str, Any], before: dict[str, float]) -> str:
     if "error" in now:
         return f"fails: {now['error'][:60]}"
-    moved = {name: now[name] - before[name] for name, least in MOVES.items() if abs(now[name] - before[name]) > least}
-    return ", ".join(f"{name} {by:+.2g}" for name, by in moved.items()) or "-"
+    changes = {name: now[name] - before[name] for name, least in MOVES.items() if abs(now[name] - before[name]) > least}
+    return ", ".join(f"{name} {by:+.2g}" for name, by in changes.items()) or "-"
 
 
 def main() -> None:
@@ -221,13 +221,13 @@ def main() -> None:
     one.add_argument("steps", nargs="*")
     for verb in (running, writing):
         verb.add_argument("--results", type=Path, required=True)
-    given = parser.parse_args()
-    if given.verb == "run":
-        run(given.fleet, given.results, given.only, given.every)
-    elif given.verb == "write":
-        put("ledger", table(given.results), PAGE)
+    options = parser.parse_args()
+    if options.verb == "run":
+        run(options.fleet, options.results, options.only, options.every)
+    elif options.verb == "write":
+        put("ledger", table(options.results), PAGE)
     else:
-        print(json.dumps(figures(remade(pickle.loads(given.kept.read_bytes()), given.steps))))
+        print(json.dumps(figures(remade(pickle.loads(options.kept.read_bytes()), options.steps))))
 
 
 if __name__ == "__main__":

@@ -67,8 +67,8 @@ def fleet_of(seed: int, size: FleetSettings = SIZE) -> Fleet:
     maintenance, messages = logged("maintenance"), logged("messages")
     start = time.process_time()
     legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
-    taken = time.process_time() - start
-    return Fleet(legs, samples, maintenance, messages, truth, taken, snapshots["flight_id"].n_unique())
+    cpu_s = time.process_time() - start
+    return Fleet(legs, samples, maintenance, messages, truth, cpu_s, snapshots["flight_id"].n_unique())
 
 
 def thinned(fleet: Fleet, share: float, seed: int) -> Fleet:
@@ -78,8 +78,8 @@ def thinned(fleet: Fleet, share: float, seed: int) -> Fleet:
     n_sick, n_sound = sick.sum(), (~sick).sum()
     keep_sick = min(1.0, share * n_sound / ((1.0 - share) * n_sick))
     keep_sound = min(1.0, (1.0 - share) * n_sick / max(share * n_sound, 1e-9))
-    kept = rng.random(sick.size) < np.where(sick, keep_sick, keep_sound)
-    truth = fleet.truth.filter(kept)
+    keep = rng.random(sick.size) < np.where(sick, keep_sick, keep_sound)
+    truth = fleet.truth.filter(keep)
     legs, samples = (
         t.join(truth.select(KEY), on=KEY, how="semi", maintain_order="left") for t in (fleet.legs, fleet.samples)
     )
@@ -88,13 +88,13 @@ def thinned(fleet: Fleet, share: float, seed: int) -> Fleet:
 
 def classical(fleet: Fleet) -> pl.DataFrame:
     """The peer: rules, then mean and covariance of the same leg quantities, and a chi-square limit."""
-    numbered = number_flights(fleet.legs.drop("flight_number"))
+    legs_by_number = number_flights(fleet.legs.drop("flight_number"))
     signs = leg_indicators(
-        fleet.samples, NominalBaseline(learn_manifold(fleet.samples, numbered), learn_outlet_law(fleet.samples))
+        fleet.samples, NominalBaseline(learn_manifold(fleet.samples, legs_by_number), learn_outlet_law(fleet.samples))
     )
     columns = ["index_level", "index_unrest", *(f"{c}_off" for c in TOLERANCE if c in LEG_CHECKS)]
     vector = fleet.legs.join(signs, on=LEG, how="left", maintain_order="left").join(
-        check_sensors(signs.select(*LEG, *LEG_CHECKS), numbered), on=LEG, how="left", maintain_order="left"
+        check_sensors(signs.select(*LEG, *LEG_CHECKS), legs_by_number), on=LEG, how="left", maintain_order="left"
     )
     x = vector.select(pl.col(c).fill_null(pl.col(c).median()).fill_nan(0.0) for c in columns).to_numpy()
     off = x - x.mean(axis=0)
@@ -104,9 +104,9 @@ def classical(fleet: Fleet) -> pl.DataFrame:
 
 def scored(legs: pl.DataFrame, truth: pl.DataFrame) -> tuple[float, float]:
     """Yield of the nominal, contamination of the admitted."""
-    judged = truth.join(legs.select(*KEY, "admitted"), on=KEY, how="left")
-    admitted = judged.filter("admitted")
-    return float(judged.filter("nominal")["admitted"].mean()), float(admitted["contaminant"].mean() or 0.0)
+    joined = truth.join(legs.select(*KEY, "admitted"), on=KEY, how="left")
+    admitted = joined.filter("admitted")
+    return float(joined.filter("nominal")["admitted"].mean()), float(admitted["contaminant"].mean() or 0.0)
 
 
 def contamination_curve() -> None:
@@ -154,7 +154,7 @@ def cao_rhinehart(x: np.ndarray, weight: float = 0.05, limit: float = 2.0) -> np
 def ramps() -> None:
     print("ramps of 300 s in noise of sd 1: share of ramp seconds found / of steady seconds called ramp")
     for rise in (15.0, 20.0, 30.0, 60.0):
-        found = {"slope test": [], "Cao-Rhinehart": []}
+        rates = {"slope test": [], "Cao-Rhinehart": []}
         for seed in range(20):
             x, ramp = np.random.default_rng(seed).normal(size=2400), np.zeros(2400, dtype=bool)
             x += np.interp(np.arange(2400), [1000, 1300], [0.0, rise])
@@ -162,9 +162,9 @@ def ramps() -> None:
             far = np.abs(np.arange(2400) - 1150) > 180
             for name, test in (("slope test", slope_test), ("Cao-Rhinehart", cao_rhinehart)):
                 called = test(x)
-                found[name].append((called[ramp].mean(), called[far].mean()))
-        shown = [f"{name} {np.mean(v, axis=0)[0]:.3f} / {np.mean(v, axis=0)[1]:.4f}" for name, v in found.items()]
-        print(f"rise {rise:3.0f} sd   " + "   ".join(shown))
+                rates[name].append((called[ramp].mean(), called[far].mean()))
+        cells = [f"{name} {np.mean(v, axis=0)[0]:.3f} / {np.mean(v, axis=0)[1]:.4f}" for name, v in rates.items()]
+        print(f"rise {rise:3.0f} sd   " + "   ".join(cells))
 
 
 def real_flight(reference: Path) -> None:

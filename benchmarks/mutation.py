@@ -177,9 +177,9 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
     sources = {str(p.relative_to(ROOT)): p.read_text() for p in (ROOT / "hdt_core" / room).glob(f"{module}.py")}
     everything = [(name, source, *place) for name, source in sorted(sources.items()) for place in places(source)]
     sampled = random.Random(seed).sample(everything, min(sample, len(everything)))
-    drawn = [(name, source, mutate_code(source, *place)) for name, source, *place in sampled]
+    mutants = [(name, source, mutate_code(source, *place)) for name, source, *place in sampled]
     equivalent = {(e["module"], e["before"], after) for e in register["equivalent"] for after in e["after"]}
-    tried = [(name, *texts) for name, *texts in drawn if (name, *edit(*texts)) not in equivalent]
+    tried = [(name, *texts) for name, *texts in mutants if (name, *edit(*texts)) not in equivalent]
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy_tree(Path(folder))
         os.chdir(folder)
@@ -195,7 +195,7 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
         each_s = (time.monotonic() - start) / len(tried)
     print(
         f"{room}, seed {seed}: {caught} of {len(tried)} caught, {100 * caught / len(tried):.0f} %; "
-        f"{len(drawn) - len(tried)} equivalent; {len(everything)} places; {each_s:.1f} s a mutant"
+        f"{len(mutants) - len(tried)} equivalent; {len(everything)} places; {each_s:.1f} s a mutant"
     )
     sys.stdout.flush()
     os._exit(0)  # the libraries' own clean-up prints pages

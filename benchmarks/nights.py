@@ -32,7 +32,7 @@ from pipelines.orchestration.runs import publish_night
 from pipelines.storage import delta, upkeep
 
 FLEET = FleetSettings(operators=5, tails=10, flights=100)
-SHOWN = (10, 30, 100, 200, 300, 500, 700, 1000)
+TABLE_NIGHTS = (10, 30, 100, 200, 300, 500, 700, 1000)
 AROUND, KEPT_DAYS, A_NIGHT = 10, 30, 2
 GOAL = 1.3
 
@@ -60,9 +60,9 @@ def night(landing: Path, home: Path) -> dict[str, float]:
     commits, began, cpu = list[float](), time.monotonic(), time.process_time()
     commit = delta.Deltas._commit
 
-    def timed(*told: object) -> bool:
+    def timed(*arguments: object) -> bool:
         since = time.perf_counter()
-        done = commit(*told)
+        done = commit(*arguments)
         commits.append(1e3 * (time.perf_counter() - since))
         return done
 
@@ -75,7 +75,7 @@ def night(landing: Path, home: Path) -> dict[str, float]:
     return took | {"commit_ms": median(commits) if commits else 0.0}
 
 
-def held(home: Path) -> dict[str, float]:
+def sizes_of_home(home: Path) -> dict[str, float]:
     """Files of the tables as they are now and of earlier nights, size of Dagster's history, time of the ranking."""
     with duckdb.connect(str(home / "catalog.duckdb"), read_only=True) as con:
         live = con.execute("select count(*) from tables.files").fetchall()[0][0]
@@ -93,8 +93,8 @@ def pass_day(home: Path) -> None:
 def days_passed(home: Path, days: int) -> Iterator[None]:
     """Let the logs and what was replaced be older by so many days than a night needs."""
     for commit in home.glob("tables/*/_delta_log/*.json"):
-        told = commit.stat()
-        os.utime(commit, (told.st_atime, told.st_mtime - 86_400 * (days + 1)))
+        status = commit.stat()
+        os.utime(commit, (status.st_atime, status.st_mtime - 86_400 * (days + 1)))
     with patch.object(upkeep, "retention", lambda _: upkeep.Retention(0)):
         yield
 
@@ -103,7 +103,7 @@ def years(nights: int, scratch: Path) -> list[dict[str, float]]:
     """A row for each of the nights that are shown."""
     for _ in write_fleet(scratch, 11, FLEET):
         pass
-    landing, home, rows, taken = scratch / "landing", scratch / "home", list[dict[str, float]](), list[dict]()
+    landing, home, rows, measurements = scratch / "landing", scratch / "home", list[dict[str, float]](), list[dict]()
     night(landing, home)
     fleet = [Flown(f.parent) for f in sorted(landing.glob("*/*/acms"))]
     first = max(aircraft.last for aircraft in fleet) + timedelta(days=1)
@@ -112,10 +112,10 @@ def years(nights: int, scratch: Path) -> list[dict[str, float]]:
             fleet[(A_NIGHT * n + k) % len(fleet)].fly(first + timedelta(days=n))
         pass_day(home)
         with nullcontext() if n % KEPT_DAYS else days_passed(home, KEPT_DAYS):
-            taken.append(night(landing, home))
-        if n in SHOWN or n == nights:
-            last = taken[-AROUND:]
-            rows.append({"night": n} | {c: median(t[c] for t in last) for c in last[0]} | held(home))
+            measurements.append(night(landing, home))
+        if n in TABLE_NIGHTS or n == nights:
+            last = measurements[-AROUND:]
+            rows.append({"night": n} | {c: median(t[c] for t in last) for c in last[0]} | sizes_of_home(home))
             print(datetime.now(), rows[-1], flush=True)
     return rows
 
@@ -134,12 +134,12 @@ def table(rows: list[dict[str, float]]) -> str:
 
 
 def main() -> None:
-    said = arguments(__doc__)
-    said.add_argument("--nights", type=int, default=1000)
-    given = said.parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--nights", type=int, default=1000)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        text = table(years(given.nights, Path(scratch)))
-    show("nights", text, PAGE, write=given.write)
+        text = table(years(options.nights, Path(scratch)))
+    show("nights", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -54,18 +54,18 @@ def _make_bucket(address: str) -> None:
 def requests() -> dict[str, int]:
     """How many requests of each kind the server has answered, by its own count."""
     with urllib.request.urlopen(os.environ[METRICS]) as page:
-        said = page.read().decode()
-    found: dict[str, int] = {}
-    for kind, n in re.findall(r'^SeaweedFS_s3_request_total\{.*?type="(\w+)".*?\} (\S+)$', said, flags=re.MULTILINE):
-        found[kind] = found.get(kind, 0) + int(float(n))
-    return found
+        metrics = page.read().decode()
+    counts: dict[str, int] = {}
+    for kind, n in re.findall(r'^SeaweedFS_s3_request_total\{.*?type="(\w+)".*?\} (\S+)$', metrics, flags=re.MULTILINE):
+        counts[kind] = counts.get(kind, 0) + int(float(n))
+    return counts
 
 
 def _free(n: int) -> list[int]:
     """Ports nobody uses."""
-    held = [socket.create_server(("127.0.0.1", 0)) for _ in range(n)]
-    ports = [s.getsockname()[1] for s in held]
-    for s in held:
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(n)]
+    ports = [s.getsockname()[1] for s in sockets]
+    for s in sockets:
         s.close()
     return ports
 

@@ -21,7 +21,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
 KINDS = {"GET": "reads", "PUT": "writes", "LIST": "lists", "DELETE": "deletions"}
 
 
-def kept(landing: Path, home: Path) -> dict[str, object]:
+def measure_store(landing: Path, home: Path) -> dict[str, object]:
     """What a first night, an idle one, the report and the fleet's ranking cost, and what then lies in the store."""
     row: dict[str, object] = {}
     for what in ("night", "idle"):
@@ -55,7 +55,7 @@ def _since(before: dict[str, int]) -> str:
 def table(rows: dict[str, dict[str, object]]) -> str:
     """As Markdown."""
     lines = ["| | " + " | ".join(rows) + " |", "| --- |" + " ---: |" * len(rows)]
-    for says, key, form in (
+    for label, key, form in (
         ("first night [s]", "night", ".0f"),
         ("its requests", "night_requests", ""),
         ("idle night [s]", "idle", ".1f"),
@@ -66,23 +66,23 @@ def table(rows: dict[str, dict[str, object]]) -> str:
         ("files or objects", "objects", ",.0f"),
         ("megabytes", "megabytes", ".1f"),
     ):
-        lines.append(f"| {says} | " + " | ".join(format(row[key], form) for row in rows.values()) + " |")
+        lines.append(f"| {label} | " + " | ".join(format(row[key], form) for row in rows.values()) + " |")
     return "\n".join([*lines, f"\n{machine()}"])
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("size", nargs="?", default="S", choices=SIZES)
-    said = asked.parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("size", nargs="?", default="S", choices=SIZES)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
-        for _ in write_fleet(root, 11, SIZES[said.size]):
+        for _ in write_fleet(root, 11, SIZES[options.size]):
             pass
-        rows = {"local files": kept(root / "landing", root / "local")}
+        rows = {"local files": measure_store(root / "landing", root / "local")}
         with object_server.serving(root / "s3") as variables:
             os.environ |= {**variables, URL: f"s3://{object_server.BUCKET}/fleet"}
-            rows["objects"] = kept(root / "landing", root / "remote")
-    show("objects", table(rows), PAGE, write=said.write)
+            rows["objects"] = measure_store(root / "landing", root / "remote")
+    show("objects", table(rows), PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -57,9 +57,9 @@ def main(home: str) -> None:
                 for name in ("first", "second"):
                     before = memory_mb(server.pid)
                     statuses, took = load(address, browser.cookies, cases)
-                    held, (half, most) = memory_mb(server.pid), np.quantile(took, (0.5, 0.95))
+                    after_mb, (half, most) = memory_mb(server.pid), np.quantile(took, (0.5, 0.95))
                     times = f"median {half:.3f} s, 95 % {most:.3f} s"
-                    print(f"{name}: {dict(statuses)}, {times}, {before:.1f} MB before, {held:.1f} MB after")
+                    print(f"{name}: {dict(statuses)}, {times}, {before:.1f} MB before, {after_mb:.1f} MB after")
         finally:
             server.terminate()
 

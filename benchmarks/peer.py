@@ -39,10 +39,10 @@ GOAL = 15.0
 def conductance_w_k(flow_kg_s: float, ram_kg_s: float, hot_in_k: float, hot_out_k: float, cold_in_k: float) -> float:
     """UA of one sample, by root search."""
     capacity, ratio = map(float, capacity_rates(flow_kg_s, ram_kg_s, hot_in_k, hot_out_k, cold_in_k))
-    seen = (hot_in_k - hot_out_k) / (hot_in_k - cold_in_k)
+    effectiveness = (hot_in_k - hot_out_k) / (hot_in_k - cold_in_k)
 
     def off(ntu: float) -> float:
-        return float(crossflow_effectiveness(np.array(ntu), np.array(ntu * ratio))) - seen
+        return float(crossflow_effectiveness(np.array(ntu), np.array(ntu * ratio))) - effectiveness
 
     try:
         return capacity * brentq(off, 1e-6, 60.0, xtol=1e-10)
@@ -75,15 +75,15 @@ def _biases(dsm: Dsm) -> Iterator[np.ndarray]:
 
 
 def _of_flight(own: pd.DataFrame, bias: np.ndarray, dsm: Dsm) -> float:
-    found = []
+    ratios = []
     for row in own.to_dict("records"):
         one = {name: np.array([float(row[name])]) for name in hx.SIGNALS}
         s = hx.without_bias(one, bias)
         ram = clean_ram_flow_kg_s(s, dsm.design)
         ends = (float(s[name][0]) for name in ("hx_in_k", "hx_out_k", "tat_k"))
         measured = conductance_w_k(float(s["pack_flow_kg_s"][0]), float(ram[0]), *ends)
-        found.append(np.log(measured) - ln_clean_conductance(s, ram, dsm.design)[0])
-    values = np.array(found)
+        ratios.append(np.log(measured) - ln_clean_conductance(s, ram, dsm.design)[0])
+    values = np.array(ratios)
     values = values[np.isfinite(values)]
     return location(values) if len(values) else np.nan
 
@@ -107,8 +107,8 @@ def main(rounds: int = 5) -> list[Claim]:
 
 def _claim(whole: Path, part: Path, dsm: Dsm, rounds: int) -> Claim:
     def ours(path: Path) -> np.ndarray:
-        found = estimate_flights(pl.read_parquet(path), dsm).sort(FLIGHT_PACK)["ln_ua_ratio"]
-        return found.to_numpy()
+        estimates = estimate_flights(pl.read_parquet(path), dsm).sort(FLIGHT_PACK)["ln_ua_ratio"]
+        return estimates.to_numpy()
 
     runs = {
         "ours, Polars and NumPy": Candidate(lambda: ours(whole), _flights(whole)),

@@ -35,10 +35,10 @@ ON_RECORD = ((0, 0), (1, 2), (3, 5), (6, 10), (11, 10**6))
 GOALS = {"mae": "50", "coverage": "0.88-0.92", "score over a constant's": "0.70", "Brier skill": "0.25", "AUC": "0.95"}
 
 
-def life_figures(judged: pl.DataFrame) -> dict[str, float]:
+def life_figures(prognoses: pl.DataFrame) -> dict[str, float]:
     """Figures of judged prognoses: remaining life of lives whose end, or 300 flights more, is on record."""
-    scores = score_prognoses(judged)
-    ended = _ended(judged)
+    scores = score_prognoses(prognoses)
+    ended = _ended(prognoses)
     truth, middle, low, high = (np.minimum(ended[c].to_numpy(), CAP) for c in _COLUMNS)
     inside = (low <= truth) & (truth <= high)
     beyond = (truth >= CAP) & (high >= CAP)
@@ -61,21 +61,21 @@ def life_figures(judged: pl.DataFrame) -> dict[str, float]:
 _COLUMNS = ("remaining", "rul_flights", "rul_low", "rul_high")
 
 
-def _ended(judged: pl.DataFrame) -> pl.DataFrame:
+def _ended(prognoses: pl.DataFrame) -> pl.DataFrame:
     outlived = pl.col("failed") | (pl.col("remaining") >= CAP)
-    return judged.filter(outlived & pl.col("rul_flights").is_not_null())
+    return prognoses.filter(outlived & pl.col("rul_flights").is_not_null())
 
 
 def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def side_by_side(judged: dict[str, pl.DataFrame], draws: int) -> str:
+def side_by_side(forecasts: dict[str, pl.DataFrame], draws: int) -> str:
     """A row a figure, a column a contestant; of the product the range over tails drawn anew."""
-    columns = {name: life_figures(frame) for name, frame in judged.items()}
-    rng, tails = np.random.default_rng(0), judged[CONTESTANTS[0]].partition_by("tail")
-    drawn = (pl.concat([tails[k] for k in rng.integers(0, len(tails), len(tails))]) for _ in range(draws))
-    drawn_figures = [life_figures(frame) for frame in drawn]
+    columns = {name: life_figures(frame) for name, frame in forecasts.items()}
+    rng, tails = np.random.default_rng(0), forecasts[CONTESTANTS[0]].partition_by("tail")
+    resampled = (pl.concat([tails[k] for k in rng.integers(0, len(tails), len(tails))]) for _ in range(draws))
+    drawn_figures = [life_figures(frame) for frame in resampled]
     lines = [["figure", "goal", *columns, f"{CONTESTANTS[0]}, 5-95 %"]]
     for name in next(iter(columns.values())):
         low, high = np.nanquantile([figures[name] for figures in drawn_figures], [0.05, 0.95])
@@ -84,11 +84,11 @@ def side_by_side(judged: dict[str, pl.DataFrame], draws: int) -> str:
     return markdown(lines)
 
 
-def by_horizon(judged: dict[str, pl.DataFrame]) -> str:
+def by_horizon(forecasts: dict[str, pl.DataFrame]) -> str:
     """Error and interval by how much life was left before failures."""
     lines = [["flights left", "contestant", "rows", "mean absolute error", "bias", "within 20 %", "coverage", "width"]]
     for low, high in HORIZONS:
-        for name, frame in judged.items():
+        for name, frame in forecasts.items():
             part = _ended(frame).filter("failed", (pl.col("remaining") > low) & (pl.col("remaining") <= high))
             if part.height:
                 t, s, a, b = (part[c].to_numpy() for c in _COLUMNS)
@@ -106,20 +106,20 @@ def calibration(happened: ArrayLike, probability: ArrayLike, bins: int = 10) -> 
     return bins_used.sort("bin").drop("bin")
 
 
-def calibrated(judged: pl.DataFrame) -> str:
+def calibrated(prognoses: pl.DataFrame) -> str:
     """Reliability of `p_event_50` by tenth of its scale."""
-    asked = judged.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
-    table = calibration(asked["event_50"].to_numpy(), asked["p_event_50"].to_numpy())
+    known_outcomes = prognoses.filter(pl.col("event_50").is_not_null() & pl.col("p_event_50").is_not_null())
+    table = calibration(known_outcomes["event_50"].to_numpy(), known_outcomes["p_event_50"].to_numpy())
     rows = ([f"{a:.3f}", f"{b:.3f}", str(n)] for a, b, n in table.iter_rows())
     return markdown([["forecast", "share that came", "rows"], *rows])
 
 
-def learning_curve(judged: dict[str, pl.DataFrame]) -> str:
+def learning_curve(forecasts: dict[str, pl.DataFrame]) -> str:
     """The product and its base alone, by how many failures were on the fleet's record when the month began."""
     lines = [["failures on record", "contestant", "rows", "mae", "score over a constant's", "Brier skill", "AUC"]]
     for low, high in ON_RECORD:
         for name in (CONTESTANTS[0], "base alone"):
-            part = judged[name].filter(pl.col("failures_on_record").is_between(low, high))
+            part = forecasts[name].filter(pl.col("failures_on_record").is_between(low, high))
             figures = life_figures(part) if _ended(part).height else {}
             words = f"{low}" if low == high else f"{low}-{high}" if high < 10**6 else f"{low} and more"
             cells = (f"{figures.get(c, np.nan):.3g}" for c in lines[0][3:])
@@ -127,67 +127,67 @@ def learning_curve(judged: dict[str, pl.DataFrame]) -> str:
     return markdown(lines)
 
 
-def precision_recall(judged: dict[str, pl.DataFrame]) -> str:
+def precision_recall(forecasts: dict[str, pl.DataFrame]) -> str:
     """Precision of "the message comes within 50 flights" at thresholds of `p_event_50` with these recalls."""
-    rows = ([f"{r}", *(f"{_precision_at(frame, r):.3g}" for frame in judged.values())] for r in RECALLS)
-    return markdown([["recall", *judged], *rows])
+    rows = ([f"{r}", *(f"{_precision_at(frame, r):.3g}" for frame in forecasts.values())] for r in RECALLS)
+    return markdown([["recall", *forecasts], *rows])
 
 
-def _precision_at(judged: pl.DataFrame, recall: float) -> float:
-    asked = judged.drop_nulls(["event_50", "p_event_50"]).sort("p_event_50", descending=True)
-    hits = asked["event_50"].to_numpy().cumsum()
+def _precision_at(prognoses: pl.DataFrame, recall: float) -> float:
+    known_outcomes = prognoses.drop_nulls(["event_50", "p_event_50"]).sort("p_event_50", descending=True)
+    hits = known_outcomes["event_50"].to_numpy().cumsum()
     first = int(np.searchsorted(hits, recall * hits[-1])) if hits.size and hits[-1] else -1
     return float(hits[first] / (first + 1)) if first >= 0 else np.nan
 
 
 def ablation(taught: list[Frames], scored: list[Frames]) -> str:
     """The same learner on more and more of the twin."""
-    learn, asked = pooled([rows_of(f) for f in taught]), pooled([rows_of(f) for f in scored])
-    forecast = {name: Learner.fit(learn, name).say(asked, name) for name in (*SETS, "health parameters alone")}
-    forecast["physics extrapolation, its error learned"] = extrapolated(learn, asked)
+    learn, test = pooled([rows_of(f) for f in taught]), pooled([rows_of(f) for f in scored])
+    forecast = {name: Learner.fit(learn, name).say(test, name) for name in (*SETS, "health parameters alone")}
+    forecast["physics extrapolation, its error learned"] = extrapolated(learn, test)
     head = ["inputs", "mean absolute error", "interval skill", "coverage", "Brier skill", "AUC"]
     lines = [[*head, "interval score", "lead, median", "lead, 10th", "early in 1,000"]]
     for name, frame in forecast.items():
-        judged = frame.filter(pl.col("remaining") >= 1)
-        scores = score_prognoses(judged)
+        rows = frame.filter(pl.col("remaining") >= 1)
+        scores = score_prognoses(rows)
         names = ("mae_flights", "interval_skill", "coverage", "brier_skill", "auc", "interval_score_flights")
-        cells = [*(scores.get(n, np.nan) for n in names), *lead_at_budget(judged)]
+        cells = [*(scores.get(n, np.nan) for n in names), *lead_at_budget(rows)]
         lines.append([name, *(f"{v:.3g}" for v in cells)])
     return markdown(lines)
 
 
-def constant(judged: pl.DataFrame) -> pl.DataFrame:
+def constant(prognoses: pl.DataFrame) -> pl.DataFrame:
     """One forecast for every row, from the rows' own true lives: the best that a constant can do."""
-    ended = np.minimum(_ended(judged)["remaining"].to_numpy(), CAP)
+    ended = np.minimum(_ended(prognoses)["remaining"].to_numpy(), CAP)
     low, middle, high = np.quantile(ended, [0.05, 0.5, 0.95])
-    share = judged["event_50"].mean()
-    return judged.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))
+    share = prognoses["event_50"].mean()
+    return prognoses.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))
 
 
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--fleets", type=int, default=8, help="fleets that score, and as many that teach the ablation")
     parser.add_argument("--draws", type=int, default=200, help="bootstrap draws")
-    given = parser.parse_args()
-    scored = list(flown(SCORED, given.fleets, SIZE))
+    options = parser.parse_args()
+    scored = list(flown(SCORED, options.fleets, SIZE))
     counted = together([tally(f) for f in scored])
-    judged = {c: _pooled([forecasts(f, c) for f in scored]) for c in ("HX", "CC")}
+    forecasts_of = {c: _pooled([forecasts(f, c) for f in scored]) for c in ("HX", "CC")}
     for same in ("base alone", "physics alone"):  # a compressor's product is the first passage of its base
-        del judged["CC"][same]
-    size = f"{given.fleets} fleets, {counted.flights:,} flights of two packs."
+        del forecasts_of["CC"][same]
+    size = f"{options.fleets} fleets, {counted.flights:,} flights of two packs."
     parts: dict[str, Callable[[], str]] = {
         "alerts": lambda: f"{size}\n\n{by_component(counted)}",
         "curves": lambda: curves(scored),
         "confusion": lambda: confusion(scored),
-        **{f"life {c}": lambda c=c: side_by_side(judged[c], given.draws) for c in judged},
-        **{f"horizon {c}": lambda c=c: by_horizon(judged[c]) for c in judged},
-        **{f"precision {c}": lambda c=c: precision_recall(judged[c]) for c in judged},
-        **{f"calibration {c}": lambda c=c: calibrated(judged[c][CONTESTANTS[0]]) for c in judged},
-        "learning HX": lambda: learning_curve(judged["HX"]),
-        "ablation": lambda: ablation(list(flown(TAUGHT, given.fleets, SIZE)), scored),
+        **{f"life {c}": lambda c=c: side_by_side(forecasts_of[c], options.draws) for c in forecasts_of},
+        **{f"horizon {c}": lambda c=c: by_horizon(forecasts_of[c]) for c in forecasts_of},
+        **{f"precision {c}": lambda c=c: precision_recall(forecasts_of[c]) for c in forecasts_of},
+        **{f"calibration {c}": lambda c=c: calibrated(forecasts_of[c][CONTESTANTS[0]]) for c in forecasts_of},
+        "learning HX": lambda: learning_curve(forecasts_of["HX"]),
+        "ablation": lambda: ablation(list(flown(TAUGHT, options.fleets, SIZE)), scored),
     }
-    for mark, made in parts.items():
-        show(mark, made(), PAGE, write=given.write)
+    for mark, write_part in parts.items():
+        show(mark, write_part(), PAGE, write=options.write)
 
 
 def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:

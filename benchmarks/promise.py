@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.harness import arguments, put
-from benchmarks.random_problems import drawn
+from benchmarks.random_problems import draw_problems
 from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
 from hdt_core.estimation.fit import noise_variance
@@ -41,11 +41,11 @@ class Tally:
     n_evals: int = 0
 
 
-def best_objective(problem: Problem, found: Sequence[Estimate], n_starts: int = STARTS) -> float:
+def best_objective(problem: Problem, estimates: Sequence[Estimate], n_starts: int = STARTS) -> float:
     """Lowest objective that anyone knows."""
     lower, upper = problem.search_box
     rng = np.random.default_rng(0)
-    starts = [problem.origin, *(e.belief.mean for e in found)]
+    starts = [problem.origin, *(e.belief.mean for e in estimates)]
     starts += list(lower + (upper - lower) * rng.random((n_starts, lower.size)))
     ends = [descend(problem, np.clip(s, *problem.bounds.T), 100).objective for s in starts if np.isfinite(s).all()]
     return float(min(ends))
@@ -59,21 +59,21 @@ def unpolished(estimator: Estimator) -> Estimator:
 def main(n: int, methods: Sequence[Estimator], seed: int = 0, starts: int = STARTS) -> list[Tally]:
     """Every estimator on `n` problems."""
     tallies = [Tally(e.name) for e in methods]
-    for i, (family, problem, truth) in enumerate(drawn(n, seed)):
-        found: list[tuple[Tally, Estimate]] = []
+    for i, (family, problem, truth) in enumerate(draw_problems(n, seed)):
+        estimates: list[tuple[Tally, Estimate]] = []
         for estimator, tally in zip(methods, tallies, strict=True):
             started = time.process_time()
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
-                    found.append((tally, estimator.estimate(problem)))
+                    estimates.append((tally, estimator.estimate(problem)))
             except Exception as raised:  # what must never happen is counted
                 tally.raised.append(f"{family} {i}: {raised!r}")
             tally.seconds += time.process_time() - started
-        best = best_objective(problem, [e for _, e in found], starts)
+        best = best_objective(problem, [e for _, e in estimates], starts)
         free = int(np.count_nonzero(np.ptp(problem.bounds, axis=1) > 0.0))
         allowed = NEAR**2 * max(noise_variance(best, problem.n_values, free), 1.0)
-        for tally, estimate in found:
+        for tally, estimate in estimates:
             tally.statuses[estimate.status] += 1
             tally.n_evals += estimate.n_evals + estimate.n_checks
             above = float(problem.objective(estimate.belief.mean[None])[0]) - best
@@ -91,11 +91,13 @@ def table(tallies: Sequence[Tally], n: int) -> str:
     columns += ["passes", "CPU [s]"]
     lines = ["| " + " | ".join(columns) + " |", "| --- |" + " ---: |" * 3 + " --- |" + " ---: |" * 4]
     for t in tallies:
-        said = t.statuses["converged"]
-        kept = f"{100.0 * (1.0 - len(t.broken) / said):.1f} %" if said else "-"
+        claims = t.statuses["converged"]
+        upheld = f"{100.0 * (1.0 - len(t.broken) / claims):.1f} %" if claims else "-"
         others = ", ".join(f"{v} `{k}`" for k, v in t.statuses.most_common() if k != "converged")
         coverage = f"{np.mean(t.covered):.2f}" if t.covered else "-"
-        cells = f"{t.at_best} of {n} | {said} | {kept} | {others} | {len(t.raised)} | {coverage} | {t.n_evals / n:.0f}"
+        cells = (
+            f"{t.at_best} of {n} | {claims} | {upheld} | {others} | {len(t.raised)} | {coverage} | {t.n_evals / n:.0f}"
+        )
         lines.append(f"| {t.name} | {cells} | {t.seconds / n:.2f} |")
     return "\n".join(lines)
 
@@ -106,13 +108,13 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", default=None, help="names of methods")
     parser.add_argument("--no-polish", action="store_true", help="methods as they are")
-    given = parser.parse_args()
-    chosen = [e for e in estimators().values() if given.only is None or e.name in given.only]
-    chosen = [unpolished(e) for e in chosen] if given.no_polish else chosen
-    result = main(given.problems, chosen, given.seed)
-    report = table(result, given.problems)
+    options = parser.parse_args()
+    chosen = [e for e in estimators().values() if options.only is None or e.name in options.only]
+    chosen = [unpolished(e) for e in chosen] if options.no_polish else chosen
+    result = main(options.problems, chosen, options.seed)
+    report = table(result, options.problems)
     print(report)
     for tally in result:
         print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
-    if given.write:
-        put("methods alone" if given.no_polish else "promise of converged", report)
+    if options.write:
+        put("methods alone" if options.no_polish else "promise of converged", report)

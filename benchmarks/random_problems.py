@@ -203,7 +203,7 @@ FAMILIES: tuple[Family, ...] = (
 )  # fmt: skip
 
 
-def drawn(n: int, seed: int = 0) -> list[tuple[str, Problem, Array]]:
+def draw_problems(n: int, seed: int = 0) -> list[tuple[str, Problem, Array]]:
     """`n` problems, the families in turn: name, problem, truth."""
     rngs = np.random.default_rng(seed).spawn(n)
     chosen = [FAMILIES[i % len(FAMILIES)] for i in range(n)]

@@ -24,14 +24,14 @@ def cpu_s(work: Callable[[], object]) -> float:
 
 
 def parameters() -> dict[str, Parameter]:
-    found = {}
+    by_name = {}
     number = Coding("binary", bits=11, sign=11, steps=(Polynomial((0.0, 0.25)),))
     switch = Coding("discrete", texts={0: "OFF", 1: "ON"})
     for word in range(2, WORDS):
         for low, coding, bits in [(0, number, 12)] if word % 2 else [(i, switch, 1) for i in range(4)]:
             at = tuple(Sample(float(s), (Piece(s * WORDS + word, low, bits),)) for s in range(4))
-            found[f"P{word}_{low}"] = Parameter(f"P{word}_{low}", coding, at, 1.0)
-    return found
+            by_name[f"P{word}_{low}"] = Parameter(f"P{word}_{low}", coding, at, 1.0)
+    return by_name
 
 
 def recording() -> np.ndarray:

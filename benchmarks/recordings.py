@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
 PAGE = ROOT / "docs/real.md"
 FILES = {"787": ("b787_767.zip", "b787_767"), "A330": ("a330_717.wgl.zip", "a330_717")}
-SHOWN = {
+COLUMNS = {
     "hot_in_degc": "hot inlet [K]", "hot_out_degc": "hot outlet [K]", "tat_degc": "TAT [K]",
     "pack_flow_lbpm": "pack flow [lb/min]", "ram_door_pct": "ram door [%]", "speed_rpm": "compressor speed [rpm]",
     "outlet_psia": "compressor exit [psi]", "diffuser_pct": "diffuser [%]", "mach": "Mach",
@@ -46,7 +46,7 @@ SPAN = {"787": slice(60, 228), "A330": slice(300, 592)}
 
 def kind_of(name: str) -> AircraftType:
     (file,) = (f for f in packaged_files() if f.stem == FILES[name][1])
-    return replace(found := read_type(file), map_file=REFERENCE / found.map_file.name)
+    return replace(kind := read_type(file), map_file=REFERENCE / kind.map_file.name)
 
 
 def recorded(name: str) -> dict[str, list[np.ndarray]]:
@@ -54,14 +54,14 @@ def recorded(name: str) -> dict[str, list[np.ndarray]]:
     kind = kind_of(name)
     recording, layout = open_recording(REFERENCE / FILES[name][0], kind.map_file)
     stations = [s for table in kind.stations.values() for s in table]
-    wanted = {n for s in stations for n in s.parameters}
-    found = {s.parameter.name: s for s in decode(recording, [layout.parameters[n] for n in wanted])}
-    return {s.column: [_values(found[n]) * s.scale + s.offset for n in s.parameters] for s in stations}
+    names = {n for s in stations for n in s.parameters}
+    series = {s.parameter.name: s for s in decode(recording, [layout.parameters[n] for n in names])}
+    return {s.column: [_values(series[n]) * s.scale + s.offset for n in s.parameters] for s in stations}
 
 
 def _values(series: Series) -> np.ndarray:
     assert series.value is not None
-    value = series.value[series.known]
+    value = series.value[series.valid]
     return value[:: round(series.parameter.rate_hz)]
 
 
@@ -70,13 +70,13 @@ def simulated(name: str) -> dict[str, list[np.ndarray]]:
     size = FleetSettings(operators=1, tails=1, flights=1, cpl_share=1.0, suite=name)
     (flight,) = next(simulate_fleet(1, size)).cpl.values()
     packs = [flight.filter(pl.col("pack") == p).sort("report_time")[SPAN[name]] for p in (1, 2)]
-    told = {}
-    for column in SHOWN:
+    values = {}
+    for column in COLUMNS:
         scale = 100.0 / FULL_COUNTS if column == "diffuser_pct" else 1.0
-        told[column] = [
+        values[column] = [
             scale * p[SIMULATED.get(column, column)].cast(pl.Float64).drop_nulls().to_numpy() for p in packs
         ]
-    return told
+    return values
 
 
 def digit(values: list[np.ndarray]) -> float:
@@ -98,7 +98,7 @@ def signals() -> Iterator[str]:
     yield "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
     for name in FILES:
         real, ours = recorded(name), simulated(name)
-        for column, title in SHOWN.items():
+        for column, title in COLUMNS.items():
             if column in real:
                 pairs = [(f(real[column]), f(ours[column])) for f in (digit, noise, repeated)]
                 cells = [f"{_number(a)} | {_number(b)}" for a, b in pairs]
@@ -121,13 +121,13 @@ def samples(name: str, unit: int) -> pl.DataFrame:
     return components()["HXT"].record.derive(frame).with_row_index("second")
 
 
-def foretold(name: str, unit: int, terms: tuple[str, ...], seen: pl.Expr | int) -> float:
+def foretold(name: str, unit: int, terms: tuple[str, ...], way: pl.Expr | int) -> float:
     """Root mean square of the outlet foretold, of samples that the fit has not seen or of the other pack. [K]"""
     own, component = samples(name, unit), components()["HXT"].with_terms(terms)
-    learned, rest = (own, samples(name, seen)) if isinstance(seen, int) else (own.filter(seen), own.filter(~seen))
+    learned, rest = (own, samples(name, way)) if isinstance(way, int) else (own.filter(way), own.filter(~way))
     model, _ = calibrate_component(component.model, learned)
-    told = model.predict({}, {s.name: rest[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
-    return float(np.sqrt(np.mean((told - rest["hot_out_k"].to_numpy()) ** 2)))
+    predicted = model.predict({}, {s.name: rest[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
+    return float(np.sqrt(np.mean((predicted - rest["hot_out_k"].to_numpy()) ** 2)))
 
 
 def held_out() -> Iterator[str]:
@@ -139,9 +139,9 @@ def held_out() -> Iterator[str]:
             half = pl.col("second") < samples(name, unit).height // 2
             ways: list[pl.Expr | int] = [half, ~half, pl.col("second") // 30 % 2 == 0]
             for title, terms in (("no term", ()), ("water_spray", ("water_spray",))):
-                told = [f"{foretold(name, unit, terms, way):.2f}" for way in ways]
+                errors = [f"{foretold(name, unit, terms, way):.2f}" for way in ways]
                 other = f"{foretold(name, unit, terms, 1 - unit):.2f}" if name == "A330" else "half the flow"
-                yield f"| {name} | {unit + 1} | {title} | {' | '.join([*told, other])} |"
+                yield f"| {name} | {unit + 1} | {title} | {' | '.join([*errors, other])} |"
 
 
 def scatter() -> Iterator[str]:
@@ -155,8 +155,8 @@ def scatter() -> Iterator[str]:
             yield f"| {name} | {unit} | {' | '.join(cells)} |"
 
 
-def _effectiveness(told: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
-    hot, out, tat = told["hot_in_degc"], told["hot_out_degc"], told["tat_degc"]
+def _effectiveness(values: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
+    hot, out, tat = values["hot_in_degc"], values["hot_out_degc"], values["tat_degc"]
     n = min(len(v) for v in (*hot, *out, *tat))
     return [(hot[u][:n] - out[u][:n]) / (hot[u][:n] - tat[min(u, len(tat) - 1)][:n]) for u in (0, 1)]
 
@@ -182,29 +182,29 @@ def lags() -> Iterator[str]:
     model = components()["HXT"].with_terms(("water_spray",)).model
     for unit in (0, 1):
         own = samples("A330", unit)
-        found = {}
+        rms_by_lag = {}
         for lag_s in range(41):
             keep = np.exp(-1.0 / lag_s) if lag_s else 0.0
             slow = own.with_columns(
                 pl.col(c).ewm_mean(alpha=1.0 - keep, adjust=False) for c in ("hot_in_k", "tat_k", "ram_flux_kg_s_m2")
             )
             fitted, _ = calibrate_component(model, slow)
-            told = fitted.predict({}, {s.name: slow[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
-            found[lag_s] = float(np.sqrt(np.mean((told - own["hot_out_k"].to_numpy()) ** 2)))
-        best = min(found, key=found.__getitem__)
-        yield f"| {unit + 1} | {best} | {found[0]:.2f} | {found[best]:.2f} |"
+            predicted = fitted.predict({}, {s.name: slow[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
+            rms_by_lag[lag_s] = float(np.sqrt(np.mean((predicted - own["hot_out_k"].to_numpy()) ** 2)))
+        best = min(rms_by_lag, key=rms_by_lag.__getitem__)
+        yield f"| {unit + 1} | {best} | {rms_by_lag[0]:.2f} | {rms_by_lag[best]:.2f} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.recordings")
     parser.add_argument("--write", action="store_true", help="put the tables into docs/real.md")
-    wanted = parser.parse_args().write
+    write = parser.parse_args().write
     if not REFERENCE.is_dir():
         raise SystemExit(f"no recordings in {REFERENCE}: set HDT_REFERENCE")
     for mark, table in (("signals", signals()), ("scatter", scatter()), ("held out", held_out()), ("lags", lags())):
         text = "\n".join(table)
         print(f"{text}\n")
-        if wanted:
+        if write:
             put(mark, text, PAGE)
 
 

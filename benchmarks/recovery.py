@@ -66,7 +66,7 @@ def grow(landing: Path, home: Path, flights: int) -> None:
     """Give landing zone, ledger, store and history what so many more flights leave there."""
     days = [date(2018, 1, 1) + timedelta(d) for d in range(flights // len(AIRCRAFT) // LEGS)]
     ids = [f"{day:%Y%m%d}_{leg:02d}" for day in days for leg in range(1, LEGS + 1)]
-    ledger, files, held = Ledger(home), [], {}
+    ledger, files, flights_of_file = Ledger(home), [], {}
     for operator, tail in AIRCRAFT:
         folder = landing / operator / tail / "acms"
         folder.mkdir(parents=True)
@@ -75,8 +75,8 @@ def grow(landing: Path, home: Path, flights: int) -> None:
             path.touch()
             name = str(path.relative_to(landing))
             files.append((name, operator, tail, "acms", 0, path.stat().st_mtime_ns, name))
-            held[name] = [flight]
-    ledger.register(files, held)
+            flights_of_file[name] = [flight]
+    ledger.register(files, flights_of_file)
     for table in LINEAGE:  # parents stand before their children
         cells = expected_versions(ledger, table)
         ledger.mark(table, cells.filter(pl.col("tail").is_in(["", *(t for _, t in AIRCRAFT)])))
@@ -103,8 +103,8 @@ def _fill_history(home: Path, ids: list[str]) -> None:
     instance.add_dynamic_partitions(str(partitions.FLIGHTS.name), ids)
     instance.dispose()
     with closing(sqlite3.connect(home / "dagster/history/index.db")) as con, con:
-        made = "select * from event_logs where dagster_event_type = 'ASSET_MATERIALIZATION' limit 1"
-        (_, run, text, kind, at, *_) = con.execute(made).fetchone()
+        query = "select * from event_logs where dagster_event_type = 'ASSET_MATERIALIZATION' limit 1"
+        (_, run, text, kind, at, *_) = con.execute(query).fetchone()
         rows = (
             (run, text[:200], kind, at, table, json.dumps([table]), f"{a}|{i}")
             for table, entry in TABLES.items() if entry.grain == "flight"
@@ -165,19 +165,19 @@ def _timed(call: Callable[..., Any], part: str, spent: Spent) -> Callable[..., A
 def measured(landing: Path, home: Path, rounds: int) -> Spent:
     """Medians over reopenings, each in a new process that finds the run still started."""
     history = home / "dagster/history/runs.db"
-    kept = history.read_bytes()
-    found = []
+    database = history.read_bytes()
+    results = []
     for _ in range(rounds):
-        history.write_bytes(kept)
+        history.write_bytes(database)
         command = [sys.executable, "-m", "benchmarks.recovery", "--child", "reopen", str(landing), str(home)]
-        found.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
-    return {part: [median(row[part][k] for row in found) for k in range(2)] for part in PARTS}
+        results.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+    return {part: [median(row[part][k] for row in results) for k in range(2)] for part in PARTS}
 
 
 def table(flights: int, spent: Spent) -> str:
     """As Markdown."""
     lines = [f"| reopening at {flights:,} flights | wall [s] | processor [s] |", "| --- | ---: | ---: |"]
-    lines += [f"| {says} | {spent[part][0]:.2f} | {spent[part][1]:.2f} |" for part, says in PARTS.items()]
+    lines += [f"| {label} | {spent[part][0]:.2f} | {spent[part][1]:.2f} |" for part, label in PARTS.items()]
     return "\n".join([*lines, f"\n{machine()}"])
 
 
@@ -191,19 +191,19 @@ def child(what: str, landing: Path, home: Path) -> None:
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("--flights", type=int, default=100_000)
-    asked.add_argument("--rounds", type=int, default=5)
-    asked.add_argument("--child", nargs=3)
-    said = asked.parse_args()
-    if said.child:
-        child(said.child[0], Path(said.child[1]), Path(said.child[2]))
+    parser = arguments(__doc__)
+    parser.add_argument("--flights", type=int, default=100_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--child", nargs=3)
+    options = parser.parse_args()
+    if options.child:
+        child(options.child[0], Path(options.child[1]), Path(options.child[2]))
         return
     with tempfile.TemporaryDirectory() as scratch:
         landing, home = killed(Path(scratch))
-        grow(landing, home, said.flights)
-        text = table(said.flights, measured(landing, home, said.rounds))
-    show("recovery", text, PAGE, write=said.write)
+        grow(landing, home, options.flights)
+        text = table(options.flights, measured(landing, home, options.rounds))
+    show("recovery", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

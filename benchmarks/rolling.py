@@ -92,8 +92,8 @@ def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str) -
         before = record.as_of(start_of(month))
         own = fleet_rows(tracks_as_of(track, start_of(month), before.lives(), component), PRIOR_RULES[component])
         taught = own.take((own.remaining >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")]))
-        asked = (month_at == month).to_numpy()
-        by[asked] = _fitted(_trend(taught.features), taught.remaining, taught.failed)(trend[asked])
+        this_month = (month_at == month).to_numpy()
+        by[this_month] = _fitted(_trend(taught.features), taught.remaining, taught.failed)(trend[this_month])
     return _prognoses(track, by, component)
 
 
@@ -115,9 +115,9 @@ def _fitted(trend: Array, left: Array, failed: NDArray[np.bool_]):
     model = make_pipeline(StandardScaler(), LogisticRegression(max_iter=200))
     model.fit(np.hstack([trend[row], np.eye(SPANS)[span]]), hit, logisticregression__sample_weight=exposure)
 
-    def by(asked: Array) -> Array:
-        row, span = np.repeat(np.arange(len(asked)), SPANS), np.tile(np.arange(SPANS), len(asked))
-        hazard = model.predict_proba(np.hstack([asked[row], np.eye(SPANS)[span]]))[:, 1]
+    def by(at_risk_rows: Array) -> Array:
+        row, span = np.repeat(np.arange(len(at_risk_rows)), SPANS), np.tile(np.arange(SPANS), len(at_risk_rows))
+        hazard = model.predict_proba(np.hstack([at_risk_rows[row], np.eye(SPANS)[span]]))[:, 1]
         return event_by(hazard.reshape(-1, SPANS))
 
     return by

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import polars as pl
 
-from benchmarks.chain import Made
+from benchmarks.chain import Tables
 from hdt_core.prognosis.unit_lives import flight_rows
 from hdt_core.records.keys import PACK
 from pipelines.storage.store import Store
 
 
-def record(home: Path) -> Made:
+def record(home: Path) -> Tables:
     """What a chain begins with."""
     store = Store(home)
     snapshots = pl.concat([store.read_table("raw_snapshots"), store.read_table("raw_logs")])
@@ -25,17 +25,17 @@ def record(home: Path) -> Made:
     }
 
 
-def truth(folder: Path) -> Made:
+def truth(folder: Path) -> Tables:
     """What was so: `truth` by flight and pack, `events` by unit."""
     health, events = (pl.read_parquet(folder / f"{name}.parquet") for name in ("health", "events"))
     pack = pl.col("pack").cast(pl.Int32)
     return {"truth": health.with_columns(pack).sort("tail", "pack", "index"), "events": events.with_columns(pack)}
 
 
-def thinned(made: Made, every: int) -> Made:
+def thinned(tables: Tables, every: int) -> Tables:
     """One aircraft in `every` of record and truth, whichever operator flies it."""
-    tails = made["truth"]["tail"].unique().sort().gather_every(every)
-    return {name: frame.filter(pl.col("tail").is_in(tails.implode())) for name, frame in made.items()}
+    tails = tables["truth"]["tail"].unique().sort().gather_every(every)
+    return {name: frame.filter(pl.col("tail").is_in(tails.implode())) for name, frame in tables.items()}
 
 
 def true_lives(features: pl.DataFrame, truth: pl.DataFrame, events: pl.DataFrame) -> pl.DataFrame:

@@ -83,13 +83,13 @@ class Bare:
     def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
         """Make the tables, store them, mark them."""
         cells = batch.partition_keys() or None
-        home, asked = self.defs.resources["home"], PartitionScope.of(cells)
+        home, scope = self.defs.resources["home"], PartitionScope.of(cells)
         keeper = FrameIO(home.store, home.ledger)
         context = SimpleNamespace(has_partition_key_range=cells is not None, partition_keys=cells)
         for node in _nodes(self.defs, tables):
-            for made in node.op.compute_fn.decorated_fn(context, home):
-                if isinstance(made, dg.Output):
-                    keeper.store_frame(made.output_name, asked, made.value)
+            for output in node.op.compute_fn.decorated_fn(context, home):
+                if isinstance(output, dg.Output):
+                    keeper.store_frame(output.output_name, scope, output.value)
         return BatchResult(batch.size, 1)
 
 
@@ -118,8 +118,8 @@ def bare(landing: Path, home: Path) -> None:
 
 def _nodes(defs: object, tables: list[str]) -> list:
     """The assets that make the tables, in the order in which the tables are named."""
-    made = {key.path[0]: asset for asset in defs.assets for key in asset.keys if len(key.path) == 1}  # no views
-    return list({id(made[t]): made[t] for t in tables}.values())
+    by_table = {key.path[0]: asset for asset in defs.assets for key in asset.keys if len(key.path) == 1}  # no views
+    return list({id(by_table[t]): by_table[t] for t in tables}.values())
 
 
 def scan(landing: Path, home: Path) -> None:
@@ -164,19 +164,19 @@ CONTESTANTS: dict[str, Callable[[Path, Path], dict[str, float] | None]] = {
 def measured(name: str, landing: Path, home: Path) -> dict[str, float]:
     """Wall and processor seconds and peak memory of one contestant in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.scale", "--child", name, str(landing), str(home)]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1]
-    return dict(json.loads(told))
+    line = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1]
+    return dict(json.loads(line))
 
 
 def child(name: str, landing: Path, home: Path) -> None:
     """Do it, and say what it cost, imports left out."""
     began, before = time.monotonic(), _cpu_s()
-    told = CONTESTANTS[name](landing, home) or {}
+    result = CONTESTANTS[name](landing, home) or {}
     wall = time.monotonic() - began
     forkserver._forkserver._stop()  # its processes count as ours once they have ended
     here, below = (resource.getrusage(who).ru_maxrss / 1024 for who in _WHO)
     peak_mb = max(here, below)  # of the largest process
-    print(json.dumps({"wall_s": wall, "cpu_s": _cpu_s() - before, "peak_mb": peak_mb} | told))
+    print(json.dumps({"wall_s": wall, "cpu_s": _cpu_s() - before, "peak_mb": peak_mb} | result))
 
 
 def _cpu_s() -> float:
@@ -186,13 +186,13 @@ def _cpu_s() -> float:
 
 def ranking_ms(home: Path) -> float:
     """Median time of "fleet ranking tonight"."""
-    taken = []
+    times_ms = []
     with connect(home) as con:
         for _ in range(7):
             began = time.perf_counter()
             con.execute("select * from fleet_ranking order by place").fetchall()
-            taken.append(1e3 * (time.perf_counter() - began))
-    return median(taken)
+            times_ms.append(1e3 * (time.perf_counter() - began))
+    return median(times_ms)
 
 
 def sized(name: str, rounds: int, scratch: Path, peers: bool = True) -> dict[str, float]:
@@ -200,20 +200,20 @@ def sized(name: str, rounds: int, scratch: Path, peers: bool = True) -> dict[str
     size = SIZES[name]
     for _ in write_fleet(scratch / name, 11, size):
         pass
-    landing, found = scratch / name / "landing", []
+    landing, results = scratch / name / "landing", []
     for k in range(rounds):
         homes = {c: scratch / name / f"{c}{k}" for c in ("night", *(("alone", "bare") if peers else ()))}
-        taken = {c: measured(c, landing, home) for c, home in homes.items()}
-        taken |= {"scan": measured("scan", landing, scratch)} if peers else {}
-        taken["idle"] = measured("idle", landing, homes["night"])
-        found.append(
-            {f"{c}_{what}": value for c, row in taken.items() for what, value in row.items()}
+        contestants = {c: measured(c, landing, home) for c, home in homes.items()}
+        contestants |= {"scan": measured("scan", landing, scratch)} if peers else {}
+        contestants["idle"] = measured("idle", landing, homes["night"])
+        results.append(
+            {f"{c}_{what}": value for c, row in contestants.items() for what, value in row.items()}
             | {"ranking_ms": ranking_ms(homes["night"])}
         )
     deliver(landing, NEW_FLIGHTS)
     late = measured("new", landing, scratch / name / f"night{rounds - 1}")
     flights = size.operators * size.tails * size.flights
-    medians = {key: median(row[key] for row in found) for key in found[0]}
+    medians = {key: median(row[key] for row in results) for key in results[0]}
     return medians | {"flights": flights} | {f"new_{what}": value for what, value in late.items()}
 
 
@@ -234,8 +234,8 @@ def table(rows: dict[str, dict[str, float]]) -> str:
         )
     if len(rows) > 1:
         first, *_, last = rows.values()
-        grown = math.log(last["night_cpu_s"] / first["night_cpu_s"]) / math.log(last["flights"] / first["flights"])
-        lines.append(f"\nExponent of the processor's cost from the first to the last size: {grown:.2f}.")
+        exponent = math.log(last["night_cpu_s"] / first["night_cpu_s"]) / math.log(last["flights"] / first["flights"])
+        lines.append(f"\nExponent of the processor's cost from the first to the last size: {exponent:.2f}.")
     lines.append(f"\n{machine()}")
     return "\n".join(lines).replace("nan%", "-").replace("nan", "-")
 
@@ -245,18 +245,18 @@ def _ratio(row: dict[str, float], over: str, under: str) -> float:
 
 
 def main() -> None:
-    asked = arguments(__doc__)
-    asked.add_argument("sizes", nargs="*", default=["S", "M"])
-    asked.add_argument("--rounds", type=int, default=1)
-    asked.add_argument("--alone", action="store_true", help="no peers: neither without Dagster nor a bare scan")
-    asked.add_argument("--child", nargs=3)
-    said = asked.parse_args()
-    if said.child:
-        child(said.child[0], Path(said.child[1]), Path(said.child[2]))
+    parser = arguments(__doc__)
+    parser.add_argument("sizes", nargs="*", default=["S", "M"])
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--alone", action="store_true", help="no peers: neither without Dagster nor a bare scan")
+    parser.add_argument("--child", nargs=3)
+    options = parser.parse_args()
+    if options.child:
+        child(options.child[0], Path(options.child[1]), Path(options.child[2]))
         return
     with tempfile.TemporaryDirectory() as scratch:
-        text = table({name: sized(name, said.rounds, Path(scratch), not said.alone) for name in said.sizes})
-    show("table", text, PAGE, write=said.write)
+        text = table({name: sized(name, options.rounds, Path(scratch), not options.alone) for name in options.sizes})
+    show("table", text, PAGE, write=options.write)
 
 
 if __name__ == "__main__":

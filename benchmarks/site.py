@@ -88,9 +88,9 @@ class Site:
         """One that makes a run at a time; back when it takes runs."""
         quiet = ("--without-gossip", "--without-mingle", "--loglevel", "info")
         words = ("worker", "--concurrency", "1", "--hostname", f"{machine}@%h", *quiet)
-        before = self.said(machine).count(" ready.")
+        before = self.read_log(machine).count(" ready.")
         self.start(machine, str(BIN / "celery"), "--app", "pipelines.celery_worker", *words)
-        wait(lambda: self.said(machine).count(" ready.") > before, 60, f"{machine} does not begin")
+        wait(lambda: self.read_log(machine).count(" ready.") > before, 60, f"{machine} does not begin")
 
     def night(self, machine: str, *words: str) -> subprocess.Popen[bytes]:
         """A night, under way."""
@@ -108,7 +108,7 @@ class Site:
             os.killpg(self.processes[machine].pid, signal.SIGKILL)
         self.processes.pop(machine).wait()
 
-    def said(self, machine: str) -> str:
+    def read_log(self, machine: str) -> str:
         """Everything its processes wrote."""
         log = self.root / f"{machine}.log"
         return log.read_text(errors="replace") if log.exists() else ""
@@ -161,12 +161,12 @@ def site(root: Path, landing: Path, postgres: str, broker: str, machines: tuple[
     control("add_vhost", name)
     control("set_permissions", "-p", name, "guest", ".*", ".*", ".*")
     with namespaces(machines) as names:
-        made = Site(root, landing, f"{postgres.rpartition('/')[0]}/{name}", f"{broker.rstrip('/')}/{name}", names)
+        handle = Site(root, landing, f"{postgres.rpartition('/')[0]}/{name}", f"{broker.rstrip('/')}/{name}", names)
         try:
-            yield made
+            yield handle
         finally:
-            for machine in list(made.processes):
-                made.kill(machine)
+            for machine in list(handle.processes):
+                handle.kill(machine)
             control("delete_vhost", name)
             admin.cursor().execute(f"drop database {name} with (force)")
             admin.close()

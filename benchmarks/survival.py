@@ -11,7 +11,7 @@ END = 300.0
 """Flights that are told; what is left beyond counts as left at the end."""
 
 
-def censored_scores(judged: pl.DataFrame, risk: str) -> dict[str, float]:
+def censored_scores(prognoses: pl.DataFrame, risk: str) -> dict[str, float]:
     """Concordance of the risk with what came, and its Brier score at `HORIZON` flights over that of one risk for all.
 
     Parameters
@@ -26,18 +26,19 @@ def censored_scores(judged: pl.DataFrame, risk: str) -> dict[str, float]:
     .. [2] E. Graf et al., Assessment and comparison of prognostic classification schemes for survival data, Statistics
        in Medicine 18, 1999.
     """
-    rows = judged.drop_nulls(risk)
+    rows = prognoses.drop_nulls(risk)
     left = np.minimum(rows["remaining"].to_numpy(), END)
-    seen = Surv.from_arrays(rows["failed"].to_numpy() & (rows["remaining"].to_numpy() < END), left)
-    said = rows[risk].to_numpy()
-    concordant = concordance_index_ipcw(seen, seen, said, tau=END - 1.0)[0]
+    survival = Surv.from_arrays(rows["failed"].to_numpy() & (rows["remaining"].to_numpy() < END), left)
+    risks = rows[risk].to_numpy()
+    concordant = concordance_index_ipcw(survival, survival, risks, tau=END - 1.0)[0]
     brier, same = (
-        float(brier_score(seen, seen, 1.0 - p, [HORIZON])[1][0]) for p in (said, np.full(said.size, _by(seen)))
+        float(brier_score(survival, survival, 1.0 - p, [HORIZON])[1][0])
+        for p in (risks, np.full(risks.size, _by(survival)))
     )
     return {"c_index": float(concordant), "brier_100_skill": 1.0 - brier / same}
 
 
-def _by(seen: np.ndarray) -> float:
+def _by(survival: np.ndarray) -> float:
     """Share of rows with the message within `HORIZON`, by Kaplan and Meier."""
-    time, alive = kaplan_meier_estimator(seen["event"], seen["time"])
+    time, alive = kaplan_meier_estimator(survival["event"], survival["time"])
     return 1.0 - float(alive[np.searchsorted(time, HORIZON, side="right") - 1])

@@ -47,8 +47,8 @@ def residual(home: Path) -> float:
 
 def errors(store: Store, truth: Path) -> tuple[float, float]:
     """Bias and mean absolute error of the loss against what an observer sees who takes the duct for clean."""
-    told = store.read_table("twin_health").filter(parameter="hx_fouling").drop_nulls("value")
-    both = told.join(pl.read_parquet(truth / "health.parquet"), on=["tail", "flight_id", "pack"])
+    health = store.read_table("twin_health").filter(parameter="hx_fouling").drop_nulls("value")
+    both = health.join(pl.read_parquet(truth / "health.parquet"), on=["tail", "flight_id", "pack"])
     off = (both["value"] - (1.0 - both["apparent_ua_ratio"])).to_numpy()
     return float(off.mean()), float(np.abs(off).mean())
 
@@ -59,11 +59,14 @@ def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
     nightly.run_night(folder / "landing", home, Silent())
     store = Store(home)
     dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))
-    now, found = Outcome(residual(home), *errors(store, folder / "truth")), proposals(home, dsm).filter("proposed")
+    now, terms_proposed = (
+        Outcome(residual(home), *errors(store, folder / "truth")),
+        proposals(home, dsm).filter("proposed"),
+    )
     terms = {name: round(value, 3) for name, value in dsm.terms.items()}
     print(f"  has {terms}: residual {now.residual:.4f}, loss off by {now.bias:+.4f}, {now.error:.4f} absolute")
-    print("  proposed:", found.select("term", "value", "sd", "bic_gain", "held_out_change").rows(), flush=True)
-    return now, found
+    print("  proposed:", terms_proposed.select("term", "value", "sd", "bic_gain", "held_out_change").rows(), flush=True)
+    return now, terms_proposed
 
 
 def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
@@ -72,10 +75,10 @@ def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
         list(write_fleet(folder, seed, FleetSettings(operators=2, tails=3, flights=200, missing=missing)))
-        outcome, found = night(folder)
-        if not found.height:
+        outcome, terms_proposed = night(folder)
+        if not terms_proposed.height:
             return [outcome]
-        accept(folder / "home", found["term"].to_list())
+        accept(folder / "home", terms_proposed["term"].to_list())
         return [outcome, night(folder)[0]]
 
 
@@ -83,10 +86,12 @@ def compare(seed: int) -> None:
     """The same fleet as it is and with a term that the model lacks."""
     floor, lacking = fleet(seed, {})[0], fleet(seed, {"water_spray": 0.2})
     before, after = lacking[0], lacking[-1]
-    gone = 1.0 - np.sqrt(max(after.residual**2 - floor.residual**2, 0.0) / (before.residual**2 - floor.residual**2))
+    explained = 1.0 - np.sqrt(
+        max(after.residual**2 - floor.residual**2, 0.0) / (before.residual**2 - floor.residual**2)
+    )
     print(
         f"seed {seed}: residual held out {after.residual / before.residual - 1.0:+.0%} ({before.residual:.4f} to "
-        f"{after.residual:.4f}, {floor.residual:.4f} where nothing is missing: {gone:.0%} of its structure is gone); "
+        f"{after.residual:.4f}, {floor.residual:.4f} where nothing is missing: {explained:.0%} of it explained); "
         f"bias of the loss {before.bias:+.4f} to {after.bias:+.4f} ({floor.bias:+.4f} where nothing is missing), "
         f"error {before.error:.4f} to {after.error:.4f} ({floor.error:.4f})",
         flush=True,

@@ -80,8 +80,8 @@ def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
         truth = pl.concat(a.health for a in aircraft).with_columns(
             pl.col("pack").cast(pl.Int32), a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio")
         )
-        shown = alone.select(*KEY, single=1.0 - (pl.col("ln_ua_ratio") - model.clean_level).exp())
-        rows = health.filter(pl.col("value").is_not_null()).join(truth, on=KEY, suffix="_true").join(shown, on=KEY)
+        alone_loss = alone.select(*KEY, single=1.0 - (pl.col("ln_ua_ratio") - model.clean_level).exp())
+        rows = health.filter(pl.col("value").is_not_null()).join(truth, on=KEY, suffix="_true").join(alone_loss, on=KEY)
         rows = rows.with_columns(seed=pl.lit(seed)).sort("parameter", *IN_ORDER)
         yield Fleet(seed, model.ram_balance_seen, rows, snapshots["flight_id"].n_unique(), seconds)
 
@@ -102,12 +102,12 @@ def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
     healthy = f.filter((pl.max_horizontal("a", "t") < 0.05) & ~pl.col("contaminant"))
     pack = ["seed", "tail", "pack"]
     rolling = pl.col("value") - pl.col("value").rolling_median(21, center=True, min_samples=5).over(pack)
-    moved = f.filter((pl.col("t").max() - pl.col("t").min()).over(pack) > 0.05)
+    wearing = f.filter((pl.col("t").max() - pl.col("t").min()).over(pack) > 0.05)
     error, sd = f["e"].to_numpy(), f["sd"].to_numpy()
     return {
         "fouling, mean absolute error": per_pack(f, pl.col("e").abs().mean()),
         "fouling, noise of healthy packs": per_pack(healthy.with_columns(r=rolling), spread_expr(pl.col("r"))),
-        "fouling, Spearman of wearing packs": per_pack(moved, pl.corr("value", "t", method="spearman")),
+        "fouling, Spearman of wearing packs": per_pack(wearing, pl.corr("value", "t", method="spearman")),
         "coverage of 90 %": float(np.mean(np.abs(error) < Z_90 * sd)),
         "mean standard deviation": float(sd.mean()),
         "interval score": float(interval_score(error, sd).mean()),
@@ -117,27 +117,27 @@ def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
 def compressor_numbers(rows: pl.DataFrame) -> dict[str, float]:
     """The compressor's rows of the table."""
     flying = rows.filter(~pl.col("pack_off"))
-    found = {}
+    errors = {}
     for name, parameter, true in (
         ("effective diameter, error [m]", "cc_effective_diameter_m", "cc_eff_diameter_m"),
         ("efficiency loss, error", "cc_efficiency_loss", "cc_eff_loss"),
     ):
         part = flying.filter(pl.col("parameter") == parameter)
-        found[name] = per_pack(part, (pl.col("value") - pl.col(true)).abs().mean()) if part.height else float("nan")
-    return found
+        errors[name] = per_pack(part, (pl.col("value") - pl.col(true)).abs().mean()) if part.height else float("nan")
+    return errors
 
 
 def limits(rows: pl.DataFrame) -> list[tuple[str, float, float]]:
     """Mean absolute error and best interval score where the sequential pass is taken away, or its ignorance."""
     f = rows.filter(pl.col("parameter") == "hx_fouling").with_columns(e=pl.col("value") - pl.col("a"))
     lone = f.drop_nulls("single").with_columns(e=pl.col("single") - pl.col("a"))
-    known = f.with_columns(e=pl.col("e") - pl.col("e").median().over("seed", *UNIT))
+    without_offset = f.with_columns(e=pl.col("e") - pl.col("e").median().over("seed", *UNIT))
     parts = {
         "each flight alone": lone,
         "this filter": f,
         "of which first units": f.filter(pl.col("hx_unit") == 0),
         "of which replaced units": f.filter(pl.col("hx_unit") > 0),
-        "this filter, had it known each unit's offset": known,
+        "this filter, had it known each unit's offset": without_offset,
     }
     return [(name, float(p["e"].abs().mean()), best_score(p["e"].to_numpy())) for name, p in parts.items()]
 
@@ -151,19 +151,21 @@ def best_score(error: np.ndarray) -> float:
 def bootstrap(rows: pl.DataFrame, name: str, draws: int, seed: int = 0) -> tuple[float, float]:
     """5th and 95th percentile of a number over fleets drawn with replacement."""
     rng, by_fleet = np.random.default_rng(seed), rows.partition_by("seed")
-    found = []
+    numbers = []
     for _ in range(draws):
         picks = rng.integers(0, len(by_fleet), len(by_fleet))
-        drawn = pl.concat(by_fleet[k].with_columns(seed=pl.lit(j)) for j, k in enumerate(picks))
-        found.append((fouling_numbers(drawn) if name in fouling_numbers(drawn) else compressor_numbers(drawn))[name])
-    return float(np.quantile(found, 0.05)), float(np.quantile(found, 0.95))
+        resampled = pl.concat(by_fleet[k].with_columns(seed=pl.lit(j)) for j, k in enumerate(picks))
+        numbers.append(
+            (fouling_numbers(resampled) if name in fouling_numbers(resampled) else compressor_numbers(resampled))[name]
+        )
+    return float(np.quantile(numbers, 0.05)), float(np.quantile(numbers, 0.95))
 
 
-def tables(made: list[Fleet], draws: int) -> str:
+def tables(results: list[Fleet], draws: int) -> str:
     """Markdown of both tables."""
-    rows = pl.concat(f.rows for f in made)
-    seen = {True: "ram outlet on some aircraft", False: "on none"}
-    groups = {word: [f.seed for f in made if f.ram_seen is flag] for flag, word in seen.items()}
+    rows = pl.concat(f.rows for f in results)
+    labels = {True: "ram outlet on some aircraft", False: "on none"}
+    groups = {word: [f.seed for f in results if f.ram_seen is flag] for flag, word in labels.items()}
     numbers = fouling_numbers(rows) | compressor_numbers(rows)
     head = ["what", "goal", "all fleets", "90 % by fleet", *(f"{w} ({len(s)})" for w, s in groups.items())]
     lines = ["| " + " | ".join(head) + " |", "| --- | --- |" + " ---: |" * (len(head) - 2)]
@@ -175,10 +177,10 @@ def tables(made: list[Fleet], draws: int) -> str:
         cells = [name, goal, f"{numbers[name]:.{digits}f}", f"{low:.{digits}f} - {high:.{digits}f}"]
         cells += [f"{o[name]:.{digits}f}" if o else "-" for o in own]
         lines.append("| " + " | ".join(cells) + " |")
-    rate = 1e5 * sum(f.seconds for f in made) / sum(f.flights for f in made)
+    rate = 1e5 * sum(f.seconds for f in results) / sum(f.flights for f in results)
     lines += [
         "",
-        f"{len(made)} fleets, {sum(f.flights for f in made)} flights; estimation and tracking take {rate:.0f} s",
+        f"{len(results)} fleets, {sum(f.flights for f in results)} flights; estimation and tracking take {rate:.0f} s",
     ]
     lines[-1] += " of one core for 100,000 flights, both packs, exchanger and compressor."
     lines += ["", "| hx_fouling as read by | mean absolute error | least interval score of a constant width |"]
@@ -192,13 +194,13 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=350, help="flights of each aircraft")
     parser.add_argument("--draws", type=int, default=40, help="bootstrap draws")
     parser.add_argument("--write", type=Path, help="page whose tables are replaced")
-    asked = parser.parse_args()
-    first, last = map(int, asked.seeds.split("-"))
-    size = FleetSettings(operators=2, tails=4, flights=asked.flights, cpl_share=0.0)
-    text = tables(list(fleets(range(first, last + 1), size)), asked.draws)
+    options = parser.parse_args()
+    first, last = map(int, options.seeds.split("-"))
+    size = FleetSettings(operators=2, tails=4, flights=options.flights, cpl_share=0.0)
+    text = tables(list(fleets(range(first, last + 1), size)), options.draws)
     print(text)
-    if asked.write:
-        put("tables", text, asked.write)
+    if options.write:
+        put("tables", text, options.write)
 
 
 if __name__ == "__main__":

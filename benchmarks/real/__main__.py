@@ -27,19 +27,19 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("HDT_REFERENCE"))
     parser.add_argument("--only", nargs="*", choices=[r.name for r in RECIPES])
-    asked = parser.parse_args()
-    if asked.data is None or not Path(asked.data).is_dir():
+    options = parser.parse_args()
+    if options.data is None or not Path(options.data).is_dir():
         parser.error(
             "name the folder that holds the data sets with --data DIR or HDT_REFERENCE; docs/real.md says which"
         )
     for recipe in RECIPES:
-        if asked.only and recipe.name not in asked.only:
+        if options.only and recipe.name not in options.only:
             continue
-        began, folder = time.monotonic(), recipe.found(Path(asked.data))
+        began, folder = time.monotonic(), recipe.find_folder(Path(options.data))
         result = recipe.run(folder) if folder else None
         text = described(recipe, result)
         print(f"{text}\n\n({time.monotonic() - began:.0f} s)\n", flush=True)
-        if asked.write:
+        if options.write:
             plot = plotted(recipe, result, DOCS / "plots") if result else None
             put(recipe.name, described(recipe, result, plot), PAGE)
 

@@ -99,8 +99,8 @@ def _exact(life: Array, end: NDArray[np.bool_], watched: Array, level: float, ag
     A tenth of them says whether enough lives end by then for an upper end; the others give the bounds, so that the
     choice costs nothing of the guarantee.
     """
-    wanted = min(life.size, max(FEWEST, round(SHARE * life.size)))
-    cut = float(np.sort(watched)[-wanted])
+    n_units = min(life.size, max(FEWEST, round(SHARE * life.size)))
+    cut = float(np.sort(watched)[-n_units])
     lives = np.where(end & (life < cut), life, np.inf)[(watched >= cut) & (life > age)]
     first_look = np.arange(lives.size) % 10 == 0
     sample = np.sort(lives[~first_look])
@@ -111,8 +111,8 @@ def _exact(life: Array, end: NDArray[np.bool_], watched: Array, level: float, ag
     last = int(np.ceil((1.0 - tail) * (n + 1) - 1e-9)) if two_sided else n + 1
     low = min(float(sample[first - 1]), cut) if first else age
     high = float(sample[last - 1]) if last <= n else np.inf
-    known = np.isfinite(high) if two_sided else low < cut
-    return LifeBounds(low, high, level, (last - first) / (n + 1) if known else 1.0, n, True)
+    is_bounded = np.isfinite(high) if two_sided else low < cut
+    return LifeBounds(low, high, level, (last - first) / (n + 1) if is_bounded else 1.0, n, True)
 
 
 def _weighed(life: Array, end: NDArray[np.bool_], level: float) -> LifeBounds:
@@ -120,8 +120,8 @@ def _weighed(life: Array, end: NDArray[np.bool_], level: float) -> LifeBounds:
     if not end.any():
         raise ValueError("no life ended: nothing bounds them")
     half = np.arange(life.size) % 2 == 0
-    kept = ecdf(CensoredData.right_censored(life[half], end[half])).sf
-    watched = np.append(1.0, kept.probabilities)[np.searchsorted(kept.quantiles, life, side="left")]
+    survival = ecdf(CensoredData.right_censored(life[half], end[half])).sf
+    watched = np.append(1.0, survival.probabilities)[np.searchsorted(survival.quantiles, life, side="left")]
     use = ~half & end & (watched > 0.0)
     weight = 1.0 / watched[use]
     order = np.argsort(life[use])

@@ -32,7 +32,7 @@ class Event:
 
     fault: bool
     train: Array
-    asked: Array
+    test: Array
     normal: Flags
     within: Flags
     """Rows of the event itself."""
@@ -41,63 +41,63 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class EventScore:
     """What came of one event; `accuracy` of normal ones, `by_row` and `early` of faults."""
 
     fault: bool
-    found: bool
+    detected: bool
     accuracy: float
     by_row: float
     early: float
     lead_hours: float
 
 
-def judge(event: Event, called: Flags) -> Judged:
+def judge(event: Event, called: Flags) -> EventScore:
     """Scores of one event."""
     truth = ~event.normal | (event.within if event.fault else np.zeros_like(event.within))
-    y, said = truth[event.normal], called[event.normal]
+    y, alarm = truth[event.normal], called[event.normal]
     level, counter = 0, np.zeros(called.size)
     for k in range(called.size):
         level = max(0, level + (1 if called[k] else -1)) if event.normal[k] else level
         counter[k] = level
-    found = counter > CRITICAL
+    is_detected = counter > CRITICAL
     place = (np.arange(event.within.sum()) + 0.5) / max(event.within.sum(), 1)
     weight = np.minimum(1.0, (1.0 - place) / (1.0 - FULL_WEIGHT))
     early = float((called[event.within] * weight).sum() / weight.sum()) if event.within.any() else np.nan
-    lead = float(event.hours_left[found.argmax()]) if found.any() else np.nan
-    return Judged(event.fault, bool(found.any()), float((y == said).mean()), f_beta(y, said), early, lead)
+    lead = float(event.hours_left[is_detected.argmax()]) if is_detected.any() else np.nan
+    return EventScore(event.fault, bool(is_detected.any()), float((y == alarm).mean()), f_beta(y, alarm), early, lead)
 
 
-def f_beta(truth: Flags, said: Flags) -> float:
+def f_beta(truth: Flags, alarm: Flags) -> float:
     """F score with beta 0.5; 0 where nothing was right."""
-    right, wrong, missed = (truth & said).sum(), (~truth & said).sum(), (truth & ~said).sum()
+    right, wrong, missed = (truth & alarm).sum(), (~truth & alarm).sum(), (truth & ~alarm).sum()
     return float((1.0 + BETA2) * right / max((1.0 + BETA2) * right + BETA2 * missed + wrong, 1e-12))
 
 
-def care(judged: list[Judged]) -> float:
+def care(scores: list[EventScore]) -> float:
     """The CARE score: coverage, accuracy (twice), reliability and earliness; NaN without both kinds of event."""
-    fault, found = (np.array([getattr(j, name) for j in judged]) for name in ("fault", "found"))
+    fault, detected = (np.array([getattr(j, name) for j in scores]) for name in ("fault", "detected"))
     if fault.all() or not fault.any():
         return np.nan
-    accuracy = np.mean([j.accuracy for j in judged if not j.fault])
-    if not found.any() or accuracy <= 0.5:
-        return float(accuracy) if found.any() else 0.0
-    by_row, early = (np.mean([getattr(j, name) for j in judged if j.fault]) for name in ("by_row", "early"))
-    return float((by_row + early + f_beta(fault, found) + 2.0 * accuracy) / 5.0)
+    accuracy = np.mean([j.accuracy for j in scores if not j.fault])
+    if not detected.any() or accuracy <= 0.5:
+        return float(accuracy) if detected.any() else 0.0
+    by_row, early = (np.mean([getattr(j, name) for j in scores if j.fault]) for name in ("by_row", "early"))
+    return float((by_row + early + f_beta(fault, detected) + 2.0 * accuracy) / 5.0)
 
 
 def turbines(folder: Path) -> Iterator[Event]:
     """CARE: `Wind Farm X/event_info.csv` and `datasets/<event_id>.csv`, semicolons, a year to learn from in each."""
     for info in sorted(folder.glob("**/event_info.csv")):
-        for told in pl.read_csv(info, separator=";").iter_rows(named=True):
-            rows = pl.read_csv(info.parent / "datasets" / f"{told['event_id']}.csv", separator=";").sort("id")
+        for entry in pl.read_csv(info, separator=";").iter_rows(named=True):
+            rows = pl.read_csv(info.parent / "datasets" / f"{entry['event_id']}.csv", separator=";").sort("id")
             sensors = rows.select(c for c in rows.columns if c.endswith("_avg")).cast(pl.Float64).to_numpy()
             normal, number = rows["status_type_id"].is_in(RUNNING).to_numpy(), rows["id"].to_numpy()
             train = (rows["train_test"] == "train").to_numpy()
-            within = (told["event_start_id"] <= number) & (number <= told["event_end_id"])
-            left = (told["event_end_id"] - number) / 6.0
+            within = (entry["event_start_id"] <= number) & (number <= entry["event_end_id"])
+            left = (entry["event_end_id"] - number) / 6.0
             yield Event(
-                told["event_label"] == "anomaly",
+                entry["event_label"] == "anomaly",
                 sensors[train & normal],
                 sensors[~train],
                 normal[~train],
@@ -110,31 +110,31 @@ def substations(folder: Path) -> Iterator[Event]:
     """PreDist: `Manufacturer k/faults.csv`, `normal_events.csv`, `operational_data/substation_<i>.csv`, semicolons."""
     for maker in sorted(f.parent for f in folder.glob("**/faults.csv")):
         for name, ends in (("faults", "Report date"), ("normal_events", "Event end")):
-            told = pl.read_csv(maker / f"{name}.csv", separator=";", infer_schema_length=None)
-            times = [c for c in ("Training start", "Training end", "Event start", ends) if c in told.columns]
-            told = told.with_columns(pl.col(times).cast(pl.String).str.to_datetime(time_unit="us"))
-            if "efd_possible" in told.columns:
-                told = told.filter(pl.col("efd_possible").cast(pl.String).str.to_lowercase() == "true")
-            yield from (_substation(maker, row, row[ends], name == "faults") for row in told.iter_rows(named=True))
+            events = pl.read_csv(maker / f"{name}.csv", separator=";", infer_schema_length=None)
+            times = [c for c in ("Training start", "Training end", "Event start", ends) if c in events.columns]
+            events = events.with_columns(pl.col(times).cast(pl.String).str.to_datetime(time_unit="us"))
+            if "efd_possible" in events.columns:
+                events = events.filter(pl.col("efd_possible").cast(pl.String).str.to_lowercase() == "true")
+            yield from (_substation(maker, row, row[ends], name == "faults") for row in events.iter_rows(named=True))
 
 
-def _substation(maker: Path, told: dict, end, fault: bool) -> Event:
-    file = maker / "operational_data" / f"substation_{told['substation ID']}.csv"
+def _substation(maker: Path, row: dict, end, fault: bool) -> Event:
+    file = maker / "operational_data" / f"substation_{row['substation ID']}.csv"
     rows = pl.read_csv(file, separator=";", infer_schema_length=None)
     at = pl.col("timestamp").cast(pl.String).str.slice(0, 19).str.to_datetime(time_unit="us")
     rows = rows.with_columns(at).unique("timestamp", keep="first").sort("timestamp")
     numbers = [c for c, kind in rows.schema.items() if kind.is_numeric()]
     time = pl.col("timestamp")
     learned = pl.max_horizontal(
-        pl.lit(told["Training start"]), pl.lit(told["Training end"]) - pl.duration(days=LEARN_DAYS)
+        pl.lit(row["Training start"]), pl.lit(row["Training end"]) - pl.duration(days=LEARN_DAYS)
     )
-    train = rows.filter((time >= learned) & (time <= told["Training end"]))
-    begins = pl.lit(end) - pl.duration(days=WATCHED_DAYS) if fault else pl.lit(told["Training end"])
-    asked = rows.filter((time > begins) & (time <= end))
-    moves = [c for c in numbers if asked[c].n_unique() > 1 and train[c].n_unique() > 1]
-    left = (asked.select((pl.lit(end) - time).dt.total_seconds() / 3600.0).to_series()).to_numpy()
-    all_of_it = np.ones(asked.height, dtype=bool)
-    cast = [frame.select(moves).cast(pl.Float64).to_numpy() for frame in (train, asked)]
+    train = rows.filter((time >= learned) & (time <= row["Training end"]))
+    begins = pl.lit(end) - pl.duration(days=WATCHED_DAYS) if fault else pl.lit(row["Training end"])
+    test = rows.filter((time > begins) & (time <= end))
+    moves = [c for c in numbers if test[c].n_unique() > 1 and train[c].n_unique() > 1]
+    left = (test.select((pl.lit(end) - time).dt.total_seconds() / 3600.0).to_series()).to_numpy()
+    all_of_it = np.ones(test.height, dtype=bool)
+    cast = [frame.select(moves).cast(pl.Float64).to_numpy() for frame in (train, test)]
     return Event(fault, cast[0], cast[1], all_of_it, all_of_it, left)
 
 
@@ -142,22 +142,22 @@ def run(events: Callable[[Path], Iterator[Event]], goal: str) -> Callable[[Path]
     """All events of a set."""
 
     def of(folder: Path) -> Result:
-        judged = [judge(e, alarms(e.train, e.asked)) for e in events(folder)]
-        fault, found = (np.array([getattr(j, name) for j in judged]) for name in ("fault", "found"))
-        lead = np.array([j.lead_hours for j in judged])
-        number = np.arange(len(judged))
+        verdicts = [judge(e, alarms(e.train, e.test)) for e in events(folder)]
+        fault, detected = (np.array([getattr(j, name) for j in verdicts]) for name in ("fault", "detected"))
+        lead = np.array([j.lead_hours for j in verdicts])
+        number = np.arange(len(verdicts))
 
         def mean_of(values, which, i) -> float:
-            kept = i[which[i]]
-            return float(values[kept].mean()) if kept.size else np.nan
+            rows = i[which[i]]
+            return float(values[rows].mean()) if rows.size else np.nan
 
-        right = np.array([j.accuracy for j in judged])
+        right = np.array([j.accuracy for j in verdicts])
         scores = [
-            scored("CARE score", goal, number, lambda i: care([judged[k] for k in i])),
-            scored("F0.5 by event", "", number, lambda i: f_beta(fault[i], found[i])),
-            scored("faults found before the report", "", number, lambda i: mean_of(found, fault, i)),
+            scored("CARE score", goal, number, lambda i: care([verdicts[k] for k in i])),
+            scored("F0.5 by event", "", number, lambda i: f_beta(fault[i], detected[i])),
+            scored("faults found before the report", "", number, lambda i: mean_of(detected, fault, i)),
             scored("accuracy on normal stretches", "", number, lambda i: mean_of(right, ~fault, i)),
-            scored("lead [h]", "", number, lambda i: mean_of(lead, fault & found, i)),
+            scored("lead [h]", "", number, lambda i: mean_of(lead, fault & detected, i)),
         ]
         return Result(scores)
 

@@ -78,7 +78,7 @@ class Lives:
     flow: Array
     feed: Array
     """Dust feed now. [mm3/s]"""
-    fed: Array
+    dust_fed: Array
     """Dust that came so far. [mm3]"""
     load: Array
     """What the twin says. [-]"""
@@ -111,17 +111,17 @@ def samples(rows: pl.DataFrame) -> pl.DataFrame:
         pl.col("Flow_rate").alias("flow_l_s"),
         pl.col("Differential_pressure").alias("pressure_pa"),
         pl.col("Dust_feed").alias("feed"),
-        (pl.col("Dust_feed").cum_sum().over("Data_No") / SECOND).alias("fed"),
+        (pl.col("Dust_feed").cum_sum().over("Data_No") / SECOND).alias("dust_fed"),
         pl.col("RUL").alias("left"),
         pl.col("Bias_type").alias("kind"),
     )
 
 
-def loads(known: pl.DataFrame) -> pl.DataFrame:
+def loads(samples_of_lives: pl.DataFrame) -> pl.DataFrame:
     """The twin: each filter calibrated on its first clean seconds, then tracked."""
     tracks = []
-    for tail in known["tail"].unique(maintain_order=True):
-        own = known.filter(tail=tail)
+    for tail in samples_of_lives["tail"].unique(maintain_order=True):
+        own = samples_of_lives.filter(tail=tail)
         dsm, _ = calibrate_component(FILTER.model, own.filter(pl.col("second") < CLEAN_S))
         flights = flight_by_flight(own, dsm, [FILTER.loss])
         tracks.append(track_component(flights, replace(FILTER, model=dsm), NO_LOG, DesignOffset(sd=NEW_SD)))
@@ -130,15 +130,17 @@ def loads(known: pl.DataFrame) -> pl.DataFrame:
 
 def lives(folder: Path) -> Lives:
     """Every life, second by second."""
-    known = samples(load(folder))
-    by = known.group_by("tail", "flight_id", maintain_order=True).agg(
-        pl.col("second", "kind").first(), pl.col("left", "feed", "fed").last(), pl.col("pressure_pa", "flow_l_s").mean()
+    readings = samples(load(folder))
+    by = readings.group_by("tail", "flight_id", maintain_order=True).agg(
+        pl.col("second", "kind").first(),
+        pl.col("left", "feed", "dust_fed").last(),
+        pl.col("pressure_pa", "flow_l_s").mean(),
     )
-    rows = by.join(loads(known), on=["tail", "flight_id"], how="inner").sort("tail", "second")
+    rows = by.join(loads(readings), on=["tail", "flight_id"], how="inner").sort("tail", "second")
     rows = rows.with_columns(pl.col("load").forward_fill().over("tail"), pl.col("tail", "kind").rank("dense"))
     life, kind = (rows[c].cast(pl.Int64).to_numpy() - 1 for c in ("tail", "kind"))
-    told = (rows[c].to_numpy() for c in ("left", "pressure_pa", "flow_l_s", "feed", "fed", "load"))
-    return Lives(life, rows["second"].to_numpy() - int(SETTLED_S), kind, *told)
+    columns = (rows[c].to_numpy() for c in ("left", "pressure_pa", "flow_l_s", "feed", "dust_fed", "load"))
+    return Lives(life, rows["second"].to_numpy() - int(SETTLED_S), kind, *columns)
 
 
 def dust_left(teach: Lives) -> tuple[Array, Array]:
@@ -147,26 +149,26 @@ def dust_left(teach: Lives) -> tuple[Array, Array]:
     for life in np.unique(teach.life):
         own = teach.life == life
         risen = np.maximum.accumulate(teach.load[own])
-        curves.append(teach.fed[own][-1] - np.interp(grid, risen, teach.fed[own]))
+        curves.append(teach.dust_fed[own][-1] - np.interp(grid, risen, teach.dust_fed[own]))
     return grid, np.median(curves, axis=0)
 
 
 def with_physics(rows: Lives, law: tuple[Array, Array]) -> Array:
     """The layer's features of the twin's load; dust that the cake still takes, by the law and by its own slope."""
-    own_slope = slope_over(rows, rows.load, rows.fed, 20)
+    own_slope = slope_over(rows, rows.load, rows.dust_fed, 20)
     by_law = np.interp(rows.load, *law)
     by_itself = np.clip((LIMIT - rows.load) / np.maximum(own_slope, 2e-5), 0.0, 2e4)
-    by_dose = law[1][0] - rows.fed
-    told = [rows.load, rows.fed, rows.feed, by_law, by_dose]
-    told += [dust / rows.feed for dust in (by_law, by_itself, by_dose)]
-    return np.column_stack([history_features(rows.load, rows.life, rows.second, LIMIT), *told, time_of_feed(rows)])
+    by_dose = law[1][0] - rows.dust_fed
+    features = [rows.load, rows.dust_fed, rows.feed, by_law, by_dose]
+    features += [dust / rows.feed for dust in (by_law, by_itself, by_dose)]
+    return np.column_stack([history_features(rows.load, rows.life, rows.second, LIMIT), *features, time_of_feed(rows)])
 
 
 def without_physics(rows: Lives) -> Array:
     """The same features of the pressure itself, and what was recorded."""
     track = rows.pressure / FAILS_PA * LIMIT
-    told = (rows.pressure, rows.flow, rows.feed, rows.second)
-    return np.column_stack([history_features(track, rows.life, rows.second, LIMIT), *told, time_of_feed(rows)])
+    columns = (rows.pressure, rows.flow, rows.feed, rows.second)
+    return np.column_stack([history_features(track, rows.life, rows.second, LIMIT), *columns, time_of_feed(rows)])
 
 
 def time_of_feed(rows: Lives) -> Array:
@@ -185,7 +187,7 @@ def slope_over(rows: Lives, y: Array, x: Array, seconds: int) -> Array:
 
 def leave_kind_out(rows: Lives) -> tuple[Foretold, Foretold]:
     """Each dust kind foretold by filters of the other kinds: with physics, and without."""
-    told = []
+    predictions = []
     for physics in (True, False):
         by, low, high = np.empty((rows.left.size, EDGES.size)), np.empty(rows.left.size), np.empty(rows.left.size)
         for kind in np.unique(rows.kind):
@@ -193,10 +195,10 @@ def leave_kind_out(rows: Lives) -> tuple[Foretold, Foretold]:
             teach = rows.of(~inside)
             law = dust_left(teach)
             x = with_physics(rows, law) if physics else without_physics(rows)
-            said = foretell(Rows(x[~inside], teach.left, teach.life, teach.kind), x[inside])
-            by[inside], low[inside], high[inside] = said.by, said.low, said.high
-        told.append(Foretold(by, low, high))
-    return told[0], told[1]
+            prediction = foretell(Rows(x[~inside], teach.left, teach.life, teach.kind), x[inside])
+            by[inside], low[inside], high[inside] = prediction.by, prediction.low, prediction.high
+        predictions.append(Foretold(by, low, high))
+    return predictions[0], predictions[1]
 
 
 def run(folder: Path) -> Result:
@@ -204,12 +206,14 @@ def run(folder: Path) -> Result:
     rows = lives(folder)
     ours, bare = leave_kind_out(rows)
 
-    def over_constant(told: Foretold) -> Callable[[NDArray[np.int_]], float]:
-        each = interval_score(rows.left, told.low, told.high)
+    def over_constant(prediction: Foretold) -> Callable[[NDArray[np.int_]], float]:
+        each = interval_score(rows.left, prediction.low, prediction.high)
         return lambda i: float(each[i].mean() / constant_interval_score(rows.left[i]))
 
-    covered = {name: coverage(told, rows.left) for name, told in (("ours", ours), ("bare", bare))}
-    middle = {name: np.abs(quantile(told.by, 0.5) - rows.left) for name, told in (("ours", ours), ("bare", bare))}
+    covered = {name: coverage(prediction, rows.left) for name, prediction in (("ours", ours), ("bare", bare))}
+    middle = {
+        name: np.abs(quantile(prediction.by, 0.5) - rows.left) for name, prediction in (("ours", ours), ("bare", bare))
+    }
     scores = [
         scored("90 % interval, coverage", "0.88-0.92", rows.life, lambda i: float(covered["ours"][i].mean())),
         scored("interval score over a constant's", "<= 0.70", rows.life, over_constant(ours)),

@@ -75,16 +75,16 @@ def samples(folder: Path) -> tuple[pl.DataFrame, bool]:
 
 def conductances(folder: Path) -> tuple[pl.DataFrame, bool]:
     """Settled cycles: UA, the cooler's duty, and which run of unchanged settings they belong to."""
-    known, measured = samples(folder)
-    told = np.loadtxt(folder / "profile.txt").astype(int)
+    readings, measured = samples(folder)
+    profile_rows = np.loadtxt(folder / "profile.txt").astype(int)
     names = ("duty_pct", "valve_pct", "pump_leakage", "accumulator_bar", "unstable")
-    profile = pl.DataFrame(told, schema=list(names), orient="row").with_row_index("cycle").cast(pl.Int64)
+    profile = pl.DataFrame(profile_rows, schema=list(names), orient="row").with_row_index("cycle").cast(pl.Int64)
     profile = profile.with_columns(run=pl.struct(names[:4]).rle_id())
     settled = profile.filter(pl.col("unstable") == 0)
-    known = known.join(settled.select("cycle"), on="cycle", how="semi")
+    readings = readings.join(settled.select("cycle"), on="cycle", how="semi")
     built = settled.filter(pl.col("duty_pct") == FULL).head(AS_BUILT)
-    dsm, _ = calibrate_component(COOLER, known.join(built.select("cycle"), on="cycle", how="semi"))
-    flights = flight_by_flight(known, dsm, ["hc_fouling"])
+    dsm, _ = calibrate_component(COOLER, readings.join(built.select("cycle"), on="cycle", how="semi"))
+    flights = flight_by_flight(readings, dsm, ["hc_fouling"])
     ua = (dsm.nominal["hc_ua_w_k"] * (1.0 - pl.col("hc_fouling"))).alias("ua_w_k")
     number = pl.col("flight_id").str.slice(6).cast(pl.Int64).alias("cycle")
     return settled.join(flights.select(number, ua), on="cycle"), measured

@@ -58,11 +58,11 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
     panel = Panel(level, np.full_like(level, 0.1), age, ratio, unknown, unknown, unknown, unknown)
     # nothing is asked that differs from cycle to cycle: a unit ends at a limit, as a compressor does
     critical = np.full_like(level, np.log1p(-min(limit, 0.95)))
-    told = feature_rows(record_rows(panel, (unit, cycle)), critical, (unit, cycle))
-    return told[:, np.array([name not in THERMAL for name in FEATURES])]
+    features = feature_rows(record_rows(panel, (unit, cycle)), critical, (unit, cycle))
+    return features[:, np.array([name not in THERMAL for name in FEATURES])]
 
 
-def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0) -> Foretold:
+def foretell(teach: Rows, x: Array, level_rows: Index | None = None, seed: int = 0) -> Foretold:
     """Remaining life of rows whose units teach nothing.
 
     Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval. The interval is
@@ -80,16 +80,16 @@ def foretell(teach: Rows, asked: Array, seen: Index | None = None, seed: int = 0
     seed : int
         Draws samples and cuts.
     """
-    held, forecasts = np.empty((teach.left.size, EDGES.size)), []
+    predicted, forecasts = np.empty((teach.left.size, EDGES.size)), []
     for fold in np.unique(teach.fold):
         inside = teach.fold == fold
         model = _fitted(teach.of(~inside), seed)
-        held[inside] = event_by(hazards([model], teach.x[inside]))
-        forecasts.append(event_by(hazards([model], asked)))
-    chosen = np.arange(teach.left.size) if seen is None else seen
+        predicted[inside] = event_by(hazards([model], teach.x[inside]))
+        forecasts.append(event_by(hazards([model], x)))
+    chosen = np.arange(teach.left.size) if level_rows is None else level_rows
     cut = _cuts(teach.unit[chosen], chosen, seed)
-    rows = held[cut], teach.left[cut], np.ones(cut.size, dtype=bool), teach.unit[cut]
-    whole = event_by(hazards([_fitted(teach, seed)], asked))
+    rows = predicted[cut], teach.left[cut], np.ones(cut.size, dtype=bool), teach.unit[cut]
+    whole = event_by(hazards([_fitted(teach, seed)], x))
 
     def interval(nominal: Levels) -> tuple[Array, Array]:
         levels = learn_levels(*rows, prior_lives=0.0, nominal=nominal)
@@ -116,11 +116,11 @@ def expected_left(by: Array, most: float) -> Array:
     return np.asarray((0.5 * (alive[:, 1:] + alive[:, :-1]) * np.diff(inside)).sum(axis=1))
 
 
-def coverage(told: Foretold, left: Array) -> Array:
+def coverage(prediction: Foretold, left: Array) -> Array:
     """Whether each row's life lies in its interval; 1 and 0."""
-    return ((told.low <= left) & (left <= told.high)).astype(float)
+    return ((prediction.low <= left) & (left <= prediction.high)).astype(float)
 
 
-def score_over_constant(told: Foretold, left: Array) -> float:
+def score_over_constant(prediction: Foretold, left: Array) -> float:
     """Mean 90 % interval score over that of one interval for all rows, from their own quantiles."""
-    return float(interval_score(left, told.low, told.high).mean() / constant_interval_score(left))
+    return float(interval_score(left, prediction.low, prediction.high).mean() / constant_interval_score(left))

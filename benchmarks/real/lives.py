@@ -34,7 +34,7 @@ def read(file: Path) -> tuple[Array, Flags, Array | None]:
     return end - start, ended, last - start if one_end else None
 
 
-def held(life: Array, ended: Flags, bounds: LifeBounds) -> float:
+def share_within(life: Array, ended: Flags, bounds: LifeBounds) -> float:
     """Share of lives within the bounds."""
     alive = ecdf(CensoredData.right_censored(life, ~ended)).sf
     below, above = 1.0 - alive.evaluate(np.array([np.nextafter(bounds.low, -np.inf), min(bounds.high, 1e300)]))
@@ -46,9 +46,11 @@ def of_table(file: Path) -> Score:
     life, ended, followed = read(file)
     shares = []
     for seed in range(SPLITS):
-        asked = np.random.default_rng(seed).random(life.size) < 0.1
-        known = None if followed is None else followed[~asked]
-        shares.append(held(life[asked], ended[asked], life_bounds(life[~asked], ended[~asked], known)))
+        is_test = np.random.default_rng(seed).random(life.size) < 0.1
+        followed_by = None if followed is None else followed[~is_test]
+        shares.append(
+            share_within(life[is_test], ended[is_test], life_bounds(life[~is_test], ended[~is_test], followed_by))
+        )
     return scored(
         f"{file.stem}: coverage of 90 % bounds",
         "0.89-0.91",
@@ -66,30 +68,37 @@ def of_law(name: str, leave: float | None, units: int = 3000) -> Score:
         watched = followed if leave is None else np.minimum(followed, rng.exponential(leave, units))
         bounds = life_bounds(np.minimum(life, watched), life <= watched, followed if leave is None else None)
         shares.append(float(LAW.cdf(bounds.high) - LAW.cdf(bounds.low)))
-    told = np.array(shares)
-    return scored(f"known law, {name}: coverage", "0.89-0.91", range(TABLES), lambda i: float(told[i].mean()))
+    chances = np.array(shares)
+    return scored(f"known law, {name}: coverage", "0.89-0.91", range(TABLES), lambda i: float(chances[i].mean()))
 
 
 def of_operators() -> list[Score]:
     """Simulated operators with habits of their own, each left out: bounds from all others."""
     fleets = [lives for lives, _ in draw_fleets(77, FLEETS, AIRCRAFT, FLIGHTS)]
-    known = [lives.message[lives.age_known].astype(float) for lives in fleets if lives.age_known.sum() > AIRCRAFT // 2]
-    drawn = [(life, life < FLIGHTS) for life in known]
+    lifetimes = [
+        lives.message[lives.age_known].astype(float) for lives in fleets if lives.age_known.sum() > AIRCRAFT // 2
+    ]
+    fleets_of_lives = [(life, life < FLIGHTS) for life in lifetimes]
     shares = []
-    for k, (life, ended) in enumerate(drawn):
-        others = [pair for j, pair in enumerate(drawn) if j != k]
+    for k, (life, ended) in enumerate(fleets_of_lives):
+        others = [pair for j, pair in enumerate(fleets_of_lives) if j != k]
         length, end = (np.concatenate([pair[n] for pair in others]) for n in (0, 1))
         bounds = life_bounds(length, end, np.full(length.size, float(FLIGHTS)))
-        shares.append(held(life, ended, bounds))
-    told = np.array(shares)
+        shares.append(share_within(life, ended, bounds))
+    shares_by_fleet = np.array(shares)
     return [
         scored(
             "simulated operators, one left out: coverage",
             "0.89-0.91",
-            range(told.size),
-            lambda i: float(told[i].mean()),
+            range(shares_by_fleet.size),
+            lambda i: float(shares_by_fleet[i].mean()),
         ),
-        scored("the same, the operator held worst", "", range(told.size), lambda i: float(told[i].min())),
+        scored(
+            "the same, the operator held worst",
+            "",
+            range(shares_by_fleet.size),
+            lambda i: float(shares_by_fleet[i].min()),
+        ),
     ]
 
 

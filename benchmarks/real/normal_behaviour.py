@@ -34,8 +34,8 @@ class Normal:
         """Each sensor less what the others say of it, in standard deviations. NaN stays with its sensor."""
         z = np.clip((rows - self.mean) / self.spread, -50.0, 50.0)
         own = np.sqrt(np.diag(self.precision))
-        told = (np.nan_to_num(z) @ self.precision) / own
-        return np.where(np.isnan(z), np.nan, told)
+        predicted = (np.nan_to_num(z) @ self.precision) / own
+        return np.where(np.isnan(z), np.nan, predicted)
 
 
 def learn(rows: Array) -> Normal:
@@ -46,8 +46,8 @@ def learn(rows: Array) -> Normal:
     return Normal(mean, spread, LedoitWolf().fit(z + 1e-6 * _jitter(z.shape)).precision_)
 
 
-def alarms(train: Array, asked: Array, settings: Cusum | None = None, tail: int = 1000) -> Flags:
-    """Rows of `asked` on which a shift of some sensor is believed.
+def alarms(train: Array, test: Array, settings: Cusum | None = None, tail: int = 1000) -> Flags:
+    """Rows of `test` on which a shift of some sensor is believed.
 
     The detector learns offset and scatter on the last `tail` rows of `train`.
     """
@@ -55,10 +55,10 @@ def alarms(train: Array, asked: Array, settings: Cusum | None = None, tail: int 
     split = int(LEARN_SHARE * len(train))
     normal = learn(train[:split])
     scale = wander(normal.residuals(train[split:]))
-    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(asked)])[None] / scale
+    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(test)])[None] / scale
     prior = np.ones(z.shape[2])
-    said = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
-    return np.asarray(said.alarm[0, -len(asked) :].any(axis=1)) if len(asked) else np.zeros(0, dtype=bool)
+    watch_result = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
+    return np.asarray(watch_result.alarm[0, -len(test) :].any(axis=1)) if len(test) else np.zeros(0, dtype=bool)
 
 
 def wander(residuals: Array) -> Array:
@@ -66,11 +66,11 @@ def wander(residuals: Array) -> Array:
 
     A CUSUM takes rows for independent; those of a process seldom are.
     """
-    told = np.ones(residuals.shape[1])
+    scatter = np.ones(residuals.shape[1])
     for rows in BLOCKS:
         blocks = np.nan_to_num(residuals[: len(residuals) // rows * rows]).reshape(-1, rows, residuals.shape[1])
-        told = np.fmax(told, np.sqrt(rows * (blocks.mean(axis=1) ** 2).mean(axis=0)))
-    return told
+        scatter = np.fmax(scatter, np.sqrt(rows * (blocks.mean(axis=1) ** 2).mean(axis=0)))
+    return scatter
 
 
 def _jitter(shape: tuple[int, ...]) -> Array:

@@ -9,7 +9,7 @@ from benchmarks.real.recipe import Recipe, Result, Score
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "real.md"
-HELD = {True: "yes", False: "**no**", None: ""}
+MARKS = {True: "yes", False: "**no**", None: ""}
 
 
 def described(recipe: Recipe, result: Result | None, plot: str | None = None) -> str:
@@ -40,6 +40,5 @@ def plotted(recipe: Recipe, result: Result, folder: Path) -> str | None:
 
 def _row(s: Score) -> str:
     interval = f"{s.low:.3g} to {s.high:.3g}" if np.isfinite(s.low) else ""
-    return (
-        f"| {s.name} | {s.value:.3g} | {interval} | {s.goal.replace('>=', '≥').replace('<=', '≤')} | {HELD[s.held]} |"
-    )
+    goal = s.goal.replace(">=", "≥").replace("<=", "≤")
+    return f"| {s.name} | {s.value:.3g} | {interval} | {goal} | {MARKS[s.is_met]} |"

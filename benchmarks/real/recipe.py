@@ -25,7 +25,7 @@ class Score:
     """Such as `< 16.2`, `>= 0.80` or `0.88-0.92`; empty where none was set."""
 
     @property
-    def held(self) -> bool | None:
+    def is_met(self) -> bool | None:
         """Whether the value reaches its goal; None where none was set."""
         words = self.goal.split()
         if not words:
@@ -76,7 +76,7 @@ class Recipe:
     anchor: str
     run: Callable[[Path], Result]
 
-    def found(self, data: Path) -> Path | None:
+    def find_folder(self, data: Path) -> Path | None:
         """Its folder below `data`; None where it is absent."""
         if not self.wants:
             return data / self.folder
@@ -100,6 +100,6 @@ def scored(
     own = np.asarray(groups)
     rows = [np.flatnonzero(own == g) for g in np.unique(own)]
     rng = np.random.default_rng(0)
-    drawn = [metric(np.concatenate([rows[k] for k in rng.integers(0, len(rows), len(rows))])) for _ in range(DRAWS)]
-    low, high = np.nanquantile(drawn, [0.05, 0.95])
+    resampled = [metric(np.concatenate([rows[k] for k in rng.integers(0, len(rows), len(rows))])) for _ in range(DRAWS)]
+    low, high = np.nanquantile(resampled, [0.05, 0.95])
     return Score(name, metric(np.arange(own.size)), float(low), float(high), goal)

@@ -32,10 +32,10 @@ def benchmark(
     for name in ("work", "who", "time", "ours is faster", "answers apart"):
         table.add_column(name, justify="left" if name in {"work", "who"} else "right")
     for claim in claims:
-        for place, (who, taken) in enumerate(claim.seconds.items()):
+        for place, (who, seconds) in enumerate(claim.seconds.items()):
             beside = (times(claim.ratios[who]), f"{claim.apart[who]:.0e}") if place else ("", "")
             table.add_row(
-                "" if place else claim.work, who, clock(taken), *beside, end_section=place + 1 == len(claim.seconds)
+                "" if place else claim.work, who, clock(seconds), *beside, end_section=place + 1 == len(claim.seconds)
             )
     out.print(table)
     out.print(machine(PACKAGES), soft_wrap=True)

@@ -74,37 +74,37 @@ def _fit(curve: Curve, samples: Columns, first: Array, second: Array, starts: In
     _, _, hot_in, hot_out, cold_in, weight = samples
     n_flights = len(starts) - 1
     flight = np.repeat(np.arange(n_flights), np.diff(starts))
-    held = slice(starts[0], starts[-1])
+    rows = slice(starts[0], starts[-1])
     span = hot_in - cold_in
     with np.errstate(divide="ignore", invalid="ignore"):
-        seen = (hot_in - hot_out) / span
+        effectiveness = (hot_in - hot_out) / span
     with np.errstate(invalid="ignore"):
-        usable = np.isfinite(first) & np.isfinite(second) & np.isfinite(seen) & np.isfinite(weight)
+        usable = np.isfinite(first) & np.isfinite(second) & np.isfinite(effectiveness) & np.isfinite(weight)
         usable &= (first > 0.0) & (second > 0.0) & (span >= LEAST_SPAN_K) & (weight > 0.0)
-    heavy, first, second, seen = (
-        np.where(usable, x, other)[held]
-        for x, other in ((weight * span**2, 0.0), (first, 1.0), (second, 1.0), (seen, 0.0))
+    heavy, first, second, effectiveness = (
+        np.where(usable, x, other)[rows]
+        for x, other in ((weight * span**2, 0.0), (first, 1.0), (second, 1.0), (effectiveness, 0.0))
     )
 
     def total(x: Array) -> Array:
         return np.bincount(flight, weights=x, minlength=n_flights).astype(np.float64)
 
-    n_used = np.bincount(flight, weights=usable[held], minlength=n_flights).astype(np.int64)
+    n_used = np.bincount(flight, weights=usable[rows], minlength=n_flights).astype(np.int64)
     whole = np.maximum(total(heavy), 1e-300)
-    middle = [np.where(n_used > 0, total(heavy * x) / whole, 1.0) for x in (first, second, seen)]
+    middle = [np.where(n_used > 0, total(heavy * x) / whole, 1.0) for x in (first, second, effectiveness)]
     theta = np.zeros(n_flights)
     for _ in range(START_STEPS):
         value, slope = curve(theta, middle[0], middle[1])
-        theta = _moved(theta, (middle[2] - value) / slope)
+        theta = _take_step(theta, (middle[2] - value) / slope)
     information, chi2 = np.zeros(n_flights), np.zeros(n_flights)
     steps, going = np.zeros(n_flights, np.int64), n_used > 0
     for _ in range(MOST_STEPS):
         value, slope = curve(theta[flight], first, second)
-        left = seen - value
+        residual = effectiveness - value
         information = np.where(going, total(heavy * slope**2), information)
-        chi2 = np.where(going, total(heavy * left**2), chi2)
-        step = np.where(going, total(heavy * slope * left) / np.maximum(information, 1e-300), 0.0)
-        theta = np.where(going, _moved(theta, step), theta)
+        chi2 = np.where(going, total(heavy * residual**2), chi2)
+        step = np.where(going, total(heavy * slope * residual) / np.maximum(information, 1e-300), 0.0)
+        theta = np.where(going, _take_step(theta, step), theta)
         steps += going
         going &= np.abs(step) > SETTLED
         if not going.any():
@@ -113,5 +113,5 @@ def _fit(curve: Curve, samples: Columns, first: Array, second: Array, starts: In
     return np.where(n_used > 0, theta, np.nan), information, chi2, n_used, steps, code
 
 
-def _moved(theta: Array, step: Array) -> Array:
+def _take_step(theta: Array, step: Array) -> Array:
     return np.clip(theta + np.clip(step, -LONGEST_STEP, LONGEST_STEP), -BOUND, BOUND)

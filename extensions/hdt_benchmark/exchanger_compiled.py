@@ -78,12 +78,12 @@ def _lumped_terms(hot_flow: Array, ram_flow: Array, flat: Array) -> None:
 @vectorised
 def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array, flat: Array) -> None:
     """Effectiveness seen, and its weight: none where anything is missing or the sample says nothing."""
-    first, second, seen, heavy = flat[0], flat[1], flat[2], flat[3]
+    first, second, effectiveness, heavy = flat[0], flat[1], flat[2], flat[3]
     for i in range(len(hot_in)):
-        seen[i] = (hot_in[i] - hot_out[i]) / (hot_in[i] - cold_in[i])
+        effectiveness[i] = (hot_in[i] - hot_out[i]) / (hot_in[i] - cold_in[i])
     for i in range(len(hot_in)):
         span = hot_in[i] - cold_in[i]
-        finite = (first[i] < np.inf) & (second[i] < np.inf) & (abs(seen[i]) < np.inf) & (weight[i] < np.inf)
+        finite = (first[i] < np.inf) & (second[i] < np.inf) & (abs(effectiveness[i]) < np.inf) & (weight[i] < np.inf)
         telling = (first[i] > 0.0) & (second[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
         heavy[i] = weight[i] * span * span if finite & telling else 0.0
 
@@ -113,23 +113,27 @@ def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes:
 @vectorised
 def _middle(rows: int, lanes: Array, middle: Array) -> None:
     """Each lane's weighted mean sample: the start comes from it."""
-    first, second, seen, whole = middle[0, 0], middle[1, 0], middle[2, 0], middle[3, 0]
+    first, second, effectiveness, whole = middle[0, 0], middle[1, 0], middle[2, 0], middle[3, 0]
     middle[:] = 0.0
     for j in range(rows):
         for f in range(LANES):
             whole[f] += lanes[3, j, f]
             first[f] += lanes[3, j, f] * lanes[0, j, f]
             second[f] += lanes[3, j, f] * lanes[1, j, f]
-            seen[f] += lanes[3, j, f] * lanes[2, j, f]
+            effectiveness[f] += lanes[3, j, f] * lanes[2, j, f]
     for f in range(LANES):
         over = 1.0 / whole[f] if whole[f] > 0.0 else 0.0
         empty = 0.0 if whole[f] > 0.0 else 1.0
-        first[f], second[f], seen[f] = first[f] * over + empty, second[f] * over + empty, seen[f] * over + empty
+        first[f], second[f], effectiveness[f] = (
+            first[f] * over + empty,
+            second[f] * over + empty,
+            effectiveness[f] * over + empty,
+        )
         whole[f] = 1.0
 
 
 @vectorised
-def _moved(theta: float, step: float) -> float:
+def _take_step(theta: float, step: float) -> float:
     return min(max(theta + min(max(step, -LONGEST_STEP), LONGEST_STEP), -BOUND), BOUND)
 
 
@@ -161,22 +165,22 @@ def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> 
         for f in range(LANES):
             at = first + min(f, together - 1)
             length = starts[at + 1] - starts[at] if f < together else 0
-            counted, peak[f] = _lay_down(flat, starts[at] - a, length, rows, f, lanes)
-            theta[f], going[f] = 0.0, counted > 0
+            n_samples, peak[f] = _lay_down(flat, starts[at] - a, length, rows, f, lanes)
+            theta[f], going[f] = 0.0, n_samples > 0
             if f < together:
-                n_used[first + f] = counted
+                n_used[first + f] = n_samples
         _middle(rows, lanes, middle)
         for _ in range(START_STEPS):
             sums_of_step(crossflow, 1, middle, theta, sums, scale, peak)
             for f in range(LANES):
-                theta[f] = _moved(theta[f], sums[0, f] / sums[1, f])
+                theta[f] = _take_step(theta[f], sums[0, f] / sums[1, f])
         for _ in range(MOST_STEPS):
             sums_of_step(crossflow, rows, lanes, theta, sums, scale, peak)
             any_going = False
             for f in range(together):
                 if going[f]:
                     step = sums[0, f] / max(sums[1, f], 1e-300)
-                    theta[f] = _moved(theta[f], step)
+                    theta[f] = _take_step(theta[f], step)
                     information[first + f], chi2[first + f] = sums[1, f], sums[2, f]
                     steps[first + f] += 1
                     going[f] = abs(step) > SETTLED

@@ -62,22 +62,22 @@ def _filled(samples: ExchangerSamples, fast: bool) -> Columns:
     if fast and exchanger_log_compiled.is_whole(columns):
         return columns
     hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = columns
-    held = [_held(column, samples.starts) for column in (hot_flow, ram_flow, hot_in, cold_in)]
+    pairs = [_hold_last(column, samples.starts) for column in (hot_flow, ram_flow, hot_in, cold_in)]
     with np.errstate(invalid="ignore"):
-        counts = np.isfinite(hot_out) & (weight > 0.0) & ~np.any([none for _, none in held], axis=0)
-    hot_flow, ram_flow, hot_in, cold_in = (column for column, _ in held)
+        counts = np.isfinite(hot_out) & (weight > 0.0) & ~np.any([none for _, none in pairs], axis=0)
+    hot_flow, ram_flow, hot_in, cold_in = (column for column, _ in pairs)
     return hot_flow, ram_flow, hot_in, np.where(counts, hot_out, 0.0), cold_in, np.where(counts, weight, 0.0)
 
 
-def _held(column: Array, starts: Integers) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _hold_last(column: Array, starts: Integers) -> tuple[Array, npt.NDArray[np.bool_]]:
     with np.errstate(invalid="ignore"):
         good = (column > 0.0) & (column < np.inf)
-    held, none = column.copy(), np.zeros(len(column), dtype=bool)
+    values, none = column.copy(), np.zeros(len(column), dtype=bool)
     for begin, end in pairwise(starts):
         at = np.flatnonzero(good[begin:end])
         if at.size == 0:
-            held[begin:end], none[begin:end] = 1.0, True
+            values[begin:end], none[begin:end] = 1.0, True
             continue
         last = np.clip(np.searchsorted(at, np.arange(end - begin), side="right") - 1, 0, None)
-        held[begin:end] = column[begin:end][at[last]]
-    return held, none
+        values[begin:end] = column[begin:end][at[last]]
+    return values, none

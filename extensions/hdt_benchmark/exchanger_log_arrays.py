@@ -27,19 +27,19 @@ def fits(columns: Columns, starts: Integers, pace: tuple[float, float]) -> Fit:
     n_flights, lengths = len(starts) - 1, np.diff(starts)
     row = np.arange(max(lengths.max(initial=1), 1))[:, None]
     at = np.minimum(starts[:-1] + np.minimum(row, np.maximum(lengths - 1, 0)), max(len(columns[0]) - 1, 0))
-    hot_flow, ram_flow, hot_in, seen, cold_in, weight = (x[at] for x in columns)
+    hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = (x[at] for x in columns)
     heavy = np.where(row < lengths, weight, 0.0)
     inputs = (hot_flow, ram_flow, hot_in, cold_in)
     n_used = np.count_nonzero(heavy, axis=0).astype(np.int64)
-    theta, going = _start(inputs, seen, heavy), n_used > 0
+    theta, going = _start(inputs, hot_out, heavy), n_used > 0
     information, chi2, steps = np.zeros(n_flights), np.zeros(n_flights), np.zeros(n_flights, np.int64)
     for _ in range(MOST_STEPS):
         hot, hot_by = _march(np.exp(theta), inputs, pace)
-        left = seen - hot
+        residual = hot_out - hot
         information = np.where(going, (heavy * hot_by**2).sum(0), information)
-        chi2 = np.where(going, (heavy * left**2).sum(0), chi2)
-        step = np.where(going, (heavy * hot_by * left).sum(0) / np.maximum(information, 1e-300), 0.0)
-        theta = np.where(going, moved(theta, step), theta)
+        chi2 = np.where(going, (heavy * residual**2).sum(0), chi2)
+        step = np.where(going, (heavy * hot_by * residual).sum(0) / np.maximum(information, 1e-300), 0.0)
+        theta = np.where(going, take_step(theta, step), theta)
         steps += going
         going &= np.abs(step) > SETTLED
         if not going.any():
@@ -48,12 +48,12 @@ def fits(columns: Columns, starts: Integers, pace: tuple[float, float]) -> Fit:
     return np.where(n_used > 0, theta, np.nan), information, chi2, n_used, steps, code
 
 
-def _start(inputs: Four, seen: Array, heavy: Array) -> Array:
+def _start(inputs: Four, hot_out: Array, heavy: Array) -> Array:
     whole = heavy.sum(0)
-    means = [(heavy * x).sum(0) / np.maximum(whole, 1e-300) for x in (*inputs[:3], seen, inputs[3])]
+    means = [(heavy * x).sum(0) / np.maximum(whole, 1e-300) for x in (*inputs[:3], hot_out, inputs[3])]
     theta = mean_start(*(np.where(whole > 0.0, x, 1.0 + k) for k, x in enumerate(means)))
     hot, _, hot_by, _ = steady(np.exp(theta), *inputs)
-    return moved(theta, (heavy * hot_by * (seen - hot)).sum(0) / np.maximum((heavy * hot_by**2).sum(0), 1e-300))
+    return take_step(theta, (heavy * hot_by * (hot_out - hot)).sum(0) / np.maximum((heavy * hot_by**2).sum(0), 1e-300))
 
 
 def _march(h_w_k: Array, inputs: Four, pace: tuple[float, float]) -> tuple[Array, Array]:
@@ -100,7 +100,7 @@ def mean_start(hot_flow: Array, ram_flow: Array, hot_in: Array, hot_out: Array, 
     return -np.log(np.minimum(np.maximum(inverse, 1.0 / MOST_H_W_K), 1.0 / LEAST_H_W_K))
 
 
-def moved(theta: Array, step: Array) -> Array:
+def take_step(theta: Array, step: Array) -> Array:
     """One step on, not too far, within the bounds."""
     short = np.minimum(np.maximum(step, -LONGEST_STEP), LONGEST_STEP)
     return np.minimum(np.maximum(theta + short, np.log(LEAST_H_W_K)), np.log(MOST_H_W_K))

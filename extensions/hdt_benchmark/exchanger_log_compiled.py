@@ -15,7 +15,7 @@ from hdt_benchmark.exchanger_arrays import (
     Fit,
     Integers,
 )
-from hdt_benchmark.exchanger_log_arrays import SETTLED, mean_start, moved, steady
+from hdt_benchmark.exchanger_log_arrays import SETTLED, mean_start, steady, take_step
 from hdt_benchmark.exchanger_rows import vectorised
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
@@ -25,7 +25,7 @@ BLOCK = 512  # steps whose coefficients stay in the nearest cache
 # the same equations, compiled for one number at a time
 _fast_steady: Any = vectorised(steady)
 _fast_mean_start: Any = vectorised(mean_start)
-_fast_moved: Any = vectorised(moved)
+_fast_moved: Any = vectorised(take_step)
 
 
 @vectorised
@@ -97,7 +97,7 @@ def _pass(theta: float, flight: Columns, pace: tuple[float, float]) -> tuple[flo
         at = slice(first, first + BLOCK)
         block = (hot_flow[at], ram_flow[at], hot_in[at], hot_out[at], cold_in[at], weight[at])
         _coefficient_rows(h, block, pace, rows)
-        hot_flows, ram_flows, _, seen, _, heavy = block
+        hot_flows, ram_flows, _, measured_outlet, _, heavy = block
         for k in range(len(hot_flows)):
             outlet[k], by[k] = hot, hot_by
             hh, cc, hc, ch = rows[0, k] - 1.0, rows[1, k] - 1.0, q * rows[2, k], r * rows[2, k]
@@ -110,10 +110,10 @@ def _pass(theta: float, flight: Columns, pace: tuple[float, float]) -> tuple[flo
             )
             hot, cold = later_hot, later_cold
         for k in range(len(hot_flows)):
-            left = seen[k] - outlet[k]
-            pull += heavy[k] * by[k] * left
+            residual = measured_outlet[k] - outlet[k]
+            pull += heavy[k] * by[k] * residual
             information += heavy[k] * by[k] * by[k]
-            chi2 += heavy[k] * left * left
+            chi2 += heavy[k] * residual * residual
     return pull, information, chi2
 
 

@@ -100,43 +100,43 @@ def _any_units(a: float, b: float) -> tuple[float, float]:
 @vectorised
 def _crossflow_rows(rows: int, lanes: Array, scale: Array, pull: Array, info: Array, chi2: Array) -> None:
     """Sums over each lane's samples; `lanes` holds NTU, flow ratio, effectiveness seen, and weight."""
-    ntu, ratio, seen, weight = lanes[0], lanes[1], lanes[2], lanes[3]
+    ntu, ratio, effectiveness, weight = lanes[0], lanes[1], lanes[2], lanes[3]
     for j in range(rows):
         for f in range(LANES):
             a = scale[f] * ntu[j, f]
             value, slope = _series(a, a * ratio[j, f])
-            left = seen[j, f] - value
-            pull[f] += weight[j, f] * slope * left
+            residual = effectiveness[j, f] - value
+            pull[f] += weight[j, f] * slope * residual
             info[f] += weight[j, f] * slope * slope
-            chi2[f] += weight[j, f] * left * left
+            chi2[f] += weight[j, f] * residual * residual
 
 
 @vectorised
 def _long_crossflow_rows(rows: int, lanes: Array, scale: Array, pull: Array, info: Array, chi2: Array) -> None:
     """The same where the transfer units are so many that twelve terms do not do."""
-    ntu, ratio, seen, weight = lanes[0], lanes[1], lanes[2], lanes[3]
+    ntu, ratio, effectiveness, weight = lanes[0], lanes[1], lanes[2], lanes[3]
     for j in range(rows):
         for f in range(LANES):
             a = scale[f] * ntu[j, f]
             value, slope = _any_units(a, a * ratio[j, f])
-            left = seen[j, f] - value
-            pull[f] += weight[j, f] * slope * left
+            residual = effectiveness[j, f] - value
+            pull[f] += weight[j, f] * slope * residual
             info[f] += weight[j, f] * slope * slope
-            chi2[f] += weight[j, f] * left * left
+            chi2[f] += weight[j, f] * residual * residual
 
 
 @vectorised
 def _lumped_rows(rows: int, lanes: Array, theta: Array, pull: Array, info: Array, chi2: Array) -> None:
     """Sums over each lane's samples; `lanes` holds heat-capacity rate, base, effectiveness seen, and weight."""
-    rate, base, seen, weight = lanes[0], lanes[1], lanes[2], lanes[3]
+    rate, base, effectiveness, weight = lanes[0], lanes[1], lanes[2], lanes[3]
     for j in range(rows):
         for f in range(LANES):
             value = 1.0 / (base[j, f] + rate[j, f] * theta[f])
             slope = -rate[j, f] * value * value
-            left = seen[j, f] - value
-            pull[f] += weight[j, f] * slope * left
+            residual = effectiveness[j, f] - value
+            pull[f] += weight[j, f] * slope * residual
             info[f] += weight[j, f] * slope * slope
-            chi2[f] += weight[j, f] * left * left
+            chi2[f] += weight[j, f] * residual * residual
 
 
 @vectorised

@@ -31,7 +31,7 @@ def kalman(
         Of the first pass.
     mean : array (2,)
     cov : array (2, 2)
-    made : int
+    n_passes : int
         Passes after the first.
     """
     k = force_n.size
@@ -42,7 +42,7 @@ def kalman(
     n_smoothed = k if smoother_passes > 0 else 1
     about, about_cov = np.empty((n_smoothed, J)), np.empty((n_smoothed, J, J))
     path, path_sd = np.empty((k, 2)), np.empty((k, 2))
-    before, made, centre = np.zeros(2), 0, prior_mean.copy()
+    before, n_passes, centre = np.zeros(2), 0, prior_mean.copy()
     for turn in range(smoother_passes + 1):
         if turn > 0:
             for j in range(2):
@@ -59,7 +59,7 @@ def kalman(
                 path_sd[i, 0] = np.sqrt(max(covs[i, 2, 2], 0.0))
                 path_sd[i, 1] = np.sqrt(max(covs[i, 3, 3], 0.0))
         else:
-            made = turn
+            n_passes = turn
             still = True
             for j in range(2):
                 still = still and abs(means[-1, 2 + j] - before[j]) <= still_sd * np.sqrt(
@@ -67,7 +67,7 @@ def kalman(
                 )
             if still:
                 break
-    return path, path_sd, means[-1, 2:].copy(), covs[-1, 2:, 2:].copy(), made
+    return path, path_sd, means[-1, 2:].copy(), covs[-1, 2:, 2:].copy(), n_passes
 
 
 @compiled
@@ -108,10 +108,10 @@ def _forward(
 
 @compiled
 def _correct(
-    m: Array, p: Array, seen: float, sigma_m: float, gains: Array, innovations: Array, precisions: Array, i: int
+    m: Array, p: Array, measurement: float, sigma_m: float, gains: Array, innovations: Array, precisions: Array, i: int
 ) -> float:
     """Update by one position, which is the first component."""
-    variance, innovation = p[0, 0] + sigma_m**2, seen - m[0]
+    variance, innovation = p[0, 0] + sigma_m**2, measurement - m[0]
     precision = 1.0 / variance
     precisions[i], innovations[i] = precision, innovation
     for a in range(J):
@@ -161,8 +161,8 @@ def _regress(
     for a in range(J):
         spread[0] -= row[a] * m[a]
         for sign in range(2):
-            left = values[sign, a] - mean - (1.0 if sign == 0 else -1.0) * far * half[a]
-            spread[1] += left * left / (2.0 * J)
+            residual = values[sign, a] - mean - (1.0 if sign == 0 else -1.0) * far * half[a]
+            spread[1] += residual * residual / (2.0 * J)
 
 
 @compiled

@@ -49,11 +49,11 @@ def sums_of_squares(thetas: Array, force_n: Array, dt_s: float, mass_kg: float, 
     h = dt_s / mass_kg
     keep, pull = 1.0 - h * thetas[:, 0], h * thetas[:, 1]
     for i in range(k):
-        force, seen = force_n[i], measured_m[i]
-        there = 0.0 if np.isnan(seen) else 1.0
-        seen = 0.0 if np.isnan(seen) else seen
+        force, position = force_n[i], measured_m[i]
+        there = 0.0 if np.isnan(position) else 1.0
+        position = 0.0 if np.isnan(position) else position
         for p in range(n):
-            error = x[p] - seen
+            error = x[p] - position
             total[p] += there * error * error
             later = keep[p] * v[p] + (h * force - pull[p] * x[p])
             x[p] += dt_s * v[p]
@@ -95,9 +95,9 @@ def linearised(
     x = next_x = xk = next_xk = 0.0
     cost = cc = ck = kk = gc = gk = 0.0
     for i in range(force_n.size):
-        seen = measured_m[i]
-        if not np.isnan(seen):
-            error, vk = x - seen, (next_xk - xk) * per_s
+        position = measured_m[i]
+        if not np.isnan(position):
+            error, vk = x - position, (next_xk - xk) * per_s
             cost += error * error
             cc += vk * vk
             ck += vk * xk
@@ -176,12 +176,12 @@ def oscillator_kernels(force_n: Array, measured_m: Array, sigma_m: float, dt_s: 
     """
     from hdt_benchmark.oscillator_kalman import kalman
 
-    force, seen = np.ascontiguousarray(force_n, float), np.ascontiguousarray(np.ravel(measured_m), float)
-    n_values = max(int(np.count_nonzero(~np.isnan(seen))), 1)
+    force, measured = np.ascontiguousarray(force_n, float), np.ascontiguousarray(np.ravel(measured_m), float)
+    n_values = max(int(np.count_nonzero(~np.isnan(measured))), 1)
     return Kernels(
         simulate=lambda thetas: positions(thetas, force, dt_s, mass_kg)[:, :, None],
-        chi2=lambda thetas: sums_of_squares(thetas, force, dt_s, mass_kg, seen) / sigma_m**2,
+        chi2=lambda thetas: sums_of_squares(thetas, force, dt_s, mass_kg, measured) / sigma_m**2,
         sensitivity=lambda theta: slopes(theta, force, dt_s, mass_kg),
-        least_squares=partial(least_squares, force, dt_s, mass_kg, seen, sigma_m, n_values),
-        kalman=partial(kalman, force, dt_s, mass_kg, seen, sigma_m),
+        least_squares=partial(least_squares, force, dt_s, mass_kg, measured, sigma_m, n_values),
+        kalman=partial(kalman, force, dt_s, mass_kg, measured, sigma_m),
     )

@@ -152,11 +152,11 @@ def _misses_k(
 
 def _scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: int) -> np.ndarray:
     """ln UA over clean UA, a flight at a time, MINPACK's Levenberg-Marquardt over the vectorised model."""
-    found = []
+    estimates = []
     for f in range(n_flights):
         at = slice(samples.starts[f], samples.starts[f + 1])
         hot_flow, ram_flow, hot_in, hot_out, cold_in, _ = (column[at] for column in samples.columns())
         rate, ratio = capacity_rates(hot_flow, ram_flow, hot_in, hot_out, cold_in)
-        told = clean[at] / rate, ratio, hot_in - cold_in, hot_in - hot_out
-        found.append(least_squares(_misses_k, [0.0], args=told, method="lm", xtol=1e-10, ftol=1e-12).x[0])
-    return np.array(found)
+        arguments = clean[at] / rate, ratio, hot_in - cold_in, hot_in - hot_out
+        estimates.append(least_squares(_misses_k, [0.0], args=arguments, method="lm", xtol=1e-10, ftol=1e-12).x[0])
+    return np.array(estimates)

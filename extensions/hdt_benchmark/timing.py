@@ -51,18 +51,18 @@ class Claim:
     @property
     def ratios(self) -> dict[str, float]:
         """How many times longer each peer takes."""
-        return {peer: taken / self.ours_s for peer, taken in list(self.seconds.items())[1:]}
+        return {peer: peer_s / self.ours_s for peer, peer_s in list(self.seconds.items())[1:]}
 
     def rows(self) -> list[str]:
         """Lines of the table."""
         lines = []
-        for place, (name, taken) in enumerate(self.seconds.items()):
+        for place, (name, seconds) in enumerate(self.seconds.items()):
             ratio = times(self.ratios[name]) if place else "-"
             goal = f"{self.goals[name]:g} x" if name in self.goals else "-"
             if not place and self.per_second is not None:
                 goal = f"{self.per_second:,.0f} /s"
             apart = f"{self.apart[name]:.0e}" if name in self.apart else "-"
-            cells = ("" if place else self.work, name, clock(taken), f"{1.0 / taken:,.0f}", ratio, goal, apart)
+            cells = ("" if place else self.work, name, clock(seconds), f"{1.0 / seconds:,.0f}", ratio, goal, apart)
             lines.append("| " + " | ".join(cells) + " |")
         return lines
 
@@ -76,7 +76,7 @@ def race(
     per_second: float | None = None,
 ) -> Claim:
     """Everyone once a round, ours first, `rounds` times after one to compile and warm up; medians over the rounds."""
-    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    durations: dict[str, list[float]] = {name: [] for name in candidates}
     answers: dict[str, np.ndarray] = {}
     with threadpool_limits(1):
         for turn in range(rounds + 1):
@@ -84,10 +84,10 @@ def race(
                 started = time.process_time()
                 answers[name] = np.asarray(candidate.run())
                 if turn > 0:
-                    taken[name].append((time.process_time() - started) / candidate.count)
+                    durations[name].append((time.process_time() - started) / candidate.count)
     ours = next(iter(answers.values()))
     apart = {name: _apart(ours, other) for name, other in list(answers.items())[1:]}
-    medians = {name: float(np.median(seconds)) for name, seconds in taken.items()}
+    medians = {name: float(np.median(seconds)) for name, seconds in durations.items()}
     return Claim(work, medians, apart, dict(goals or {}), per_second)
 
 
@@ -125,8 +125,8 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.machine()
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.machine()
 
 
 def _version(package: str) -> str:

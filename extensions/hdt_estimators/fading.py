@@ -60,29 +60,29 @@ def fading_estimate(
     passes : int
         At most, after the first.
     """
-    cost, made = passes_cost(problem), 1
-    told: dict[str, Any] = {"method": method}
+    cost, n_passes = passes_cost(problem), 1
+    fields: dict[str, Any] = {"method": method}
     moving = is_moving(problem)
     try:
         with np.errstate(all="ignore"):  # what overflows ends as a lost track
             first = last = _pass(problem, factor(), None)
             reached: Status = "approximate"
             at = _inside(problem, first)
-            while made <= passes and not moving:
+            while n_passes <= passes and not moving:
                 last = _pass(problem, factor(), trajectory(problem, at), at)
-                made += 1
+                n_passes += 1
                 later = _inside(problem, last)
                 still = (np.abs(later - at) <= STILL_SD * last.belief.sd + 1e-15).all()
                 at, reached = later, "converged" if still else "max_steps"
                 if still or (last.faded and not own_objective):
                     break
     except (LostTrackError, np.linalg.LinAlgError):
-        return diverged_estimate(problem, cost * made, method)
+        return diverged_estimate(problem, cost * n_passes, method)
     if last.faded and not own_objective:
         last, reached, own_objective = first, "approximate", True
-    told |= {"path": first.path, "path_sd": first.path_sd, "own_objective": own_objective}
-    told["innovations"] = last.innovations if moving else None
-    return report(problem, last.belief, reached, cost * made, **told)
+    fields |= {"path": first.path, "path_sd": first.path_sd, "own_objective": own_objective}
+    fields["innovations"] = last.innovations if moving else None
+    return report(problem, last.belief, reached, cost * n_passes, **fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +96,8 @@ class _Pass:
     faded: bool
 
 
-def _inside(problem: Problem, made: _Pass) -> Array:
-    return project_on_bounds(made.belief, *problem.bounds.T)
+def _inside(problem: Problem, result: _Pass) -> Array:
+    return project_on_bounds(result.belief, *problem.bounds.T)
 
 
 def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: Array | None = None) -> _Pass:

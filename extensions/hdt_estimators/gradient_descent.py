@@ -43,10 +43,10 @@ class GradientDescent:
             if distance_to_optimum(at, problem.bounds) < 0.5 * CLOSE:
                 reached = "converged"
                 break
-            move, objective, tried = _descend(
+            move, objective, n_tries = _descend(
                 problem, at.theta, at.gradient, scale, step=step, ceiling=max(history[-MEMORY:])
             )
-            later = quadratic_model(problem, at.theta + move, at.n_evals + tried)
+            later = quadratic_model(problem, at.theta + move, at.n_evals + n_tries)
             curved = float(move @ (later.gradient - at.gradient))
             step = float(np.clip((move / scale) @ (move / scale) / curved, 1e-6, 1e6)) if curved > 0.0 else 1.0
             at = later
@@ -61,13 +61,13 @@ def _descend(
 ) -> tuple[Array, float, int]:
     """Move (n,) down the scaled gradient inside the bounds, halved until below `ceiling`; its objective; tries."""
     lower, upper = problem.bounds.T
-    for tried in range(1, 60):
+    for n_tries in range(1, 60):
         move = np.clip(theta - step * scale**2 * gradient, lower, upper) - theta
         objective = float(problem.objective((theta + move)[None])[0])
         if objective <= ceiling + 1e-4 * float(move @ gradient):
-            return move, objective, tried
+            return move, objective, n_tries
         step *= 0.5
-    return np.zeros_like(theta), float(problem.objective(theta[None])[0]), tried + 1
+    return np.zeros_like(theta), float(problem.objective(theta[None])[0]), n_tries + 1
 
 
 def _scale(at: Point) -> Array:

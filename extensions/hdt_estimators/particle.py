@@ -59,7 +59,7 @@ class ParticleFilter:
         return self._resample_move(problem, rng)
 
     def _resample_move(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        cloud = _drawn(problem, self.n_particles, rng)
+        cloud = _draw_prior(problem, self.n_particles, rng)
         misfit = _misfit(problem, cloud)
         if misfit.max(axis=1).min() >= NO_ANSWER:
             return conclude(problem, cloud[0] * np.nan, "diverged", len(cloud), method=self.name)
@@ -73,20 +73,20 @@ class ParticleFilter:
             weight = _normalised(log_weight)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud) or i + 1 == len(path):
                 spread = _spread(cloud, weight)
-                kept = _resampled(weight, rng)
-                cloud, misfit = cloud[kept], misfit[kept]
+                indices = _resampled(weight, rng)
+                cloud, misfit = cloud[indices], misfit[indices]
                 for _ in range(self.moves):
-                    cloud, misfit, accepted = _moved(problem, cloud, misfit, spread, i=i, rng=rng)
+                    cloud, misfit, accepted = _move_particles(problem, cloud, misfit, spread, i=i, rng=rng)
                 n_evals += self.moves * len(cloud)
                 log_weight, weight = np.zeros(len(cloud)), np.full(len(cloud), 1.0 / len(cloud))
             path[i] = weight @ cloud
             path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
         cov = np.atleast_2d(np.cov(cloud.T)) if accepted > LEAST_ACCEPTED or not self.polish else None
-        told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
-        return settle(problem, cloud.mean(axis=0), n_evals, polish=self.polish, cov=cov, **told)
+        fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
+        return settle(problem, cloud.mean(axis=0), n_evals, polish=self.polish, cov=cov, **fields)
 
     def _bootstrap(self, problem: Problem, rng: np.random.Generator) -> Estimate:
-        cloud = _drawn(problem, self.n_particles, rng)
+        cloud = _draw_prior(problem, self.n_particles, rng)
         x = np.empty((len(cloud), 0))
         if problem.start.mean.size:
             x = rng.multivariate_normal(problem.start.mean, problem.start.cov, len(cloud))
@@ -99,8 +99,8 @@ class ParticleFilter:
             path[i] = weight @ cloud
             path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud):
-                kept = _resampled(weight, rng)
-                cloud, x, log_weight = cloud[kept], x[kept], np.zeros(len(cloud))
+                indices = _resampled(weight, rng)
+                cloud, x, log_weight = cloud[indices], x[indices], np.zeros(len(cloud))
                 jitter = path_sd[i] * np.sqrt(1.0 - self.shrinkage**2) * rng.standard_normal(cloud.shape)
                 cloud = self.shrinkage * cloud + (1.0 - self.shrinkage) * path[i] + jitter
             cloud = _inside(problem, cloud + _noise(problem.drift, cloud.shape, rng))
@@ -109,19 +109,19 @@ class ParticleFilter:
         weight = _normalised(log_weight)
         cov = (weight * (cloud - path[-1]).T) @ (cloud - path[-1])
         theta = np.clip(path[-1], *problem.bounds.T)
-        told: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
-        return conclude(problem, theta, "approximate", len(cloud), own_objective=True, cov=cov, **told)
+        fields: dict[str, Any] = {"path": path, "path_sd": path_sd, "method": self.name}
+        return conclude(problem, theta, "approximate", len(cloud), own_objective=True, cov=cov, **fields)
 
 
-def _drawn(problem: Problem, n: int, rng: np.random.Generator) -> Array:
+def _draw_prior(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     """Particles (n, parameters) from the prior inside the bounds; evenly over the box where the prior knows
     nothing."""
     lower, upper = problem.search_box
     cloud = lower + (upper - lower) * rng.random((n, lower.size))
-    known = np.isfinite(problem.prior.sd)
-    if known.any():
-        believed = Belief(problem.prior.mean[known], problem.prior.cov[np.ix_(known, known)])
-        cloud[:, known] = rng.multivariate_normal(believed.mean, believed.cov, n)
+    has_prior = np.isfinite(problem.prior.sd)
+    if has_prior.any():
+        prior = Belief(problem.prior.mean[has_prior], problem.prior.cov[np.ix_(has_prior, has_prior)])
+        cloud[:, has_prior] = rng.multivariate_normal(prior.mean, prior.cov, n)
     for _ in range(50):
         outside = ((cloud < lower) | (cloud > upper))[:, lower < upper].any(axis=1)
         if not outside.any():
@@ -131,7 +131,7 @@ def _drawn(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     return np.clip(cloud, *problem.bounds.T)
 
 
-def _moved(
+def _move_particles(
     problem: Problem, cloud: Array, misfit: Array, spread: Array, *, i: int, rng: np.random.Generator
 ) -> tuple[Array, Array, float]:
     """One Metropolis step of every particle towards the posterior of samples 0 to i; share that moved."""
@@ -142,8 +142,12 @@ def _moved(
     new = _misfit(problem, np.where(inside[:, None], proposed, cloud))
     gain = 0.5 * (misfit[:, : i + 1].sum(axis=1) - new[:, : i + 1].sum(axis=1))
     gain += _log_prior(problem, proposed) - _log_prior(problem, cloud)
-    taken = inside & (np.log(rng.random(len(cloud))) < gain)
-    return np.where(taken[:, None], proposed, cloud), np.where(taken[:, None], new, misfit), float(taken.mean())
+    accepted = inside & (np.log(rng.random(len(cloud))) < gain)
+    return (
+        np.where(accepted[:, None], proposed, cloud),
+        np.where(accepted[:, None], new, misfit),
+        float(accepted.mean()),
+    )
 
 
 def _misfit(problem: Problem, cloud: Array) -> Array:

@@ -67,10 +67,10 @@ def fmu_model(
     unit.check(outputs, ("output", "local"))
     order = [*(s.name for s in inputs), *(p.name for p in params), *(s.name for s in states)]
 
-    def run(wanted: str, values: dict[str, Any]) -> tuple[Array, ...]:
+    def run(kind: str, values: dict[str, Any]) -> tuple[Array, ...]:
         now = [values.pop(s.name) for s in states]
-        asked = [s.name for s in outputs] if wanted == "outputs" else None
-        return points.evaluate(lossless(values, losses), [p.name for p in own], now, asked)
+        output_names = [s.name for s in outputs] if kind == "outputs" else None
+        return points.evaluate(lossless(values, losses), [p.name for p in own], now, output_names)
 
     return PhysicsModel(
         name=unit.name,
@@ -103,7 +103,7 @@ class _Points:
         names = [n for n in at if n not in params]
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*(at[n] for n in (*params, *names)), *states)))
         shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)
-        found = np.full((len(points), len(states) if outputs is None else len(outputs)), np.nan)
+        results = np.full((len(points), len(states) if outputs is None else len(outputs)), np.nan)
         first, last = len(params), len(params) + len(names)
         of_params, of_inputs = ([self.unit.reference(n) for n in group] for group in (params, names))
         of_outputs = None if outputs is None else [self.unit.reference(n) for n in outputs]
@@ -113,12 +113,12 @@ class _Points:
                 if self._set_to != tuple(point[:first]):
                     self.unit.begin(of_params, point[:first])
                     self._set_to = tuple(point[:first])
-                found[row] = self._read(of_inputs, point[first:last], point[last:], of_outputs)
+                results[row] = self._read(of_inputs, point[first:last], point[last:], of_outputs)
             except self.unit.rejected as refusal:
                 self._set_to = None
                 if refusal.status >= FATAL:
                     raise
-        return tuple(found.T.reshape(-1, *shape))
+        return tuple(results.T.reshape(-1, *shape))
 
     def _read(
         self, of_inputs: list[int], inputs: list[float], states: list[float], outputs: list[int] | None

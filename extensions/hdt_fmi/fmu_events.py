@@ -71,8 +71,8 @@ def fmu_over_time(
 
     def over_time(**values: Any) -> tuple[Array, ...]:
         time_s = values.pop(TIME.name)
-        known = lossless(values, losses)
-        return run.evaluate([known[p.name] for p in own], time_s)
+        effective = lossless(values, losses)
+        return run.evaluate([effective[p.name] for p in own], time_s)
 
     order = [TIME.name, *(p.name for p in params)]
     return PhysicsModel(unit.name, (TIME,), tuple(outputs), tuple(params), with_signature(order, over_time))
@@ -92,18 +92,18 @@ class _Run:
         """Outputs at every set of parameters and instant, broadcast."""
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*params, time_s)))
         shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)
-        found = np.full((len(points), len(self._outputs)), np.nan)
-        known = np.flatnonzero(np.isfinite(points).all(axis=1) & (points[:, -1] >= 0.0))
-        sets, member = np.unique(points[known, :-1], axis=0, return_inverse=True)
+        results = np.full((len(points), len(self._outputs)), np.nan)
+        valid = np.flatnonzero(np.isfinite(points).all(axis=1) & (points[:, -1] >= 0.0))
+        sets, member = np.unique(points[valid, :-1], axis=0, return_inverse=True)
         for k, values in enumerate(sets):
-            chosen = known[member.ravel() == k]
-            instants, back = np.unique(points[chosen, -1], return_inverse=True)
-            found[chosen] = self._run(values.tolist(), instants)[back]
-        return tuple(found.T.reshape(-1, *shape))
+            of_set = valid[member.ravel() == k]
+            instants, back = np.unique(points[of_set, -1], return_inverse=True)
+            results[of_set] = self._run(values.tolist(), instants)[back]
+        return tuple(results.T.reshape(-1, *shape))
 
     def _run(self, values: list[float], instants: Array) -> Array:
         """Outputs at these instants, (k, outputs); NaN from where the run ends."""
-        seen = np.full((len(instants), len(self._outputs)), np.nan)
+        results = np.full((len(instants), len(self._outputs)), np.nan)
         try:
             due_s = self.unit.begin(self._params, values)
             journey = _Journey(self.unit, self._solver(float(instants[-1])), due_s)
@@ -112,13 +112,13 @@ class _Run:
                     break
                 if self._refusal is not None:
                     raise self._refusal
-                seen[k] = [self._read(v) for v in self._outputs]
+                results[k] = [self._read(v) for v in self._outputs]
         except self.unit.rejected as refusal:
             if refusal.status >= FATAL:
                 raise
         except RuntimeError:  # the solver's: no step is short enough
             pass
-        return seen
+        return results
 
     def _read(self, variable: Any) -> float:
         get = self.unit.fmu.getReal if variable.type == "Real" else self.unit.fmu.getInteger
@@ -144,13 +144,13 @@ class _Run:
     def _guarded(self, call: Callable[..., object]) -> Callable[..., None]:
         """The call, whose refusal is kept: it comes out of C, through which no exception passes."""
 
-        def kept(*arguments: Any) -> None:
+        def wrapper(*arguments: Any) -> None:
             try:
                 call(*arguments)
             except self.unit.rejected as refusal:
                 self._refusal = refusal
 
-        return kept
+        return wrapper
 
 
 class _Journey:
@@ -175,12 +175,12 @@ class _Journey:
     def _step(self, to_s: float) -> None:
         crossed, _, self._now_s = self._solver.step(self._now_s, to_s)
         self.unit.fmu.setTime(self._now_s)
-        asked, ended = False, False
+        needs_event, ended = False, False
         if self.unit.description.modelExchange.needsCompletedIntegratorStep:
-            asked, ended = self.unit.fmu.completedIntegratorStep()
+            needs_event, ended = self.unit.fmu.completedIntegratorStep()
         if ended:
             self._due_s = np.nan
-        elif crossed or asked:
+        elif crossed or needs_event:
             self._event()
 
     def _event(self) -> None:

@@ -66,13 +66,13 @@ class FmuUnit:
     def states(self) -> tuple[State, ...]:
         """States in the FMU's order, under names that Python takes, with the values it starts from."""
         self.begin([], ())
-        held = (c_double * len(self._state_names))()
+        initial = (c_double * len(self._state_names))()
         if self._state_names:
-            self.fmu.getContinuousStates(held, len(held))
+            self.fmu.getContinuousStates(initial, len(initial))
         declared = {theirs: ours for ours, theirs in self._names.items()}
         return tuple(
             State(declared.get(n, re.sub(r"\W", "_", n)), self.variables[n].unit or "-", value)
-            for n, value in zip(self._state_names, held, strict=True)
+            for n, value in zip(self._state_names, initial, strict=True)
         )
 
     def check(
@@ -81,12 +81,12 @@ class FmuUnit:
         """Raise ValueError where a declared name is none of the FMU's variables of this kind, or in another unit."""
         fit = {n: v for n, v in self.variables.items() if v.causality in causalities and v.type in types}
         for item in declared:
-            found = fit.get(self.theirs(item.name))
-            if found is None:
+            variable = fit.get(self.theirs(item.name))
+            if variable is None:
                 kinds, has = " or ".join(causalities), ", ".join(sorted(fit))
                 raise ValueError(f"{self.path}: {self.theirs(item.name)} is no {kinds}; it has {has}")
-            if found.unit is not None and found.unit != item.unit:
-                raise ValueError(f"{self.path}: {item.name} is in {found.unit}, declared in {item.unit}")
+            if variable.unit is not None and variable.unit != item.unit:
+                raise ValueError(f"{self.path}: {item.name} is in {variable.unit}, declared in {item.unit}")
 
     def begin(self, references: Sequence[int], values: Sequence[float]) -> float:
         """Start anew at time 0 with these parameters: fixed ones may only be set before initialisation.
@@ -112,18 +112,18 @@ class FmuUnit:
         float
             When the next event is due, infinite where none is; NaN where the FMU ends the simulation. [s]
         """
-        while (found := self.fmu.newDiscreteStates())[0] and not found[1]:
+        while (update := self.fmu.newDiscreteStates())[0] and not update[1]:
             pass
-        if found[1]:
+        if update[1]:
             return float("nan")
         self.fmu.enterContinuousTimeMode()
-        return float(found[5]) if found[4] else float("inf")
+        return float(update[5]) if update[4] else float("inf")
 
 
 def lossless(values: Mapping[str, Any], losses: Mapping[str, str]) -> dict[str, Array]:
     """Parameters as an FMU knows them, which has no losses: each less the share that its loss takes."""
-    taken = {of: values[of] * (1.0 - values[loss]) for loss, of in losses.items()}
-    return {name: taken.get(name, value) for name, value in values.items() if name not in losses}
+    remaining = {of: values[of] * (1.0 - values[loss]) for loss, of in losses.items()}
+    return {name: remaining.get(name, value) for name, value in values.items() if name not in losses}
 
 
 def check_losses(losses: Mapping[str, str], params: Sequence[Param]) -> None:

@@ -73,22 +73,22 @@ def _tables(
 ) -> dict[str, list[dict[str, Any]]]:
     params = [next(p for p in model.params if p.name == name) for name in free]
     n = max(len(values) for values in measured.values())
-    held = {name: np.broadcast_to(np.asarray(values, float), n) for name, values in inputs.items()}
-    if model.states and any(np.ptp(values) > 0.0 for values in held.values()):
+    input_columns = {name: np.broadcast_to(np.asarray(values, float), n) for name, values in inputs.items()}
+    if model.states and any(np.ptp(values) > 0.0 for values in input_columns.values()):
         raise ValueError(f"{model.name} has states and its inputs change: PEtab has no table for a record of inputs")
     if prior is not None and np.any(prior.cov[~np.eye(len(params), dtype=bool)]):
         raise ValueError("a PEtab prior has no correlations")
-    seen = [s for s in model.outputs if s.name in measured and s.sigma is not None]
+    observables = [s for s in model.outputs if s.name in measured and s.sigma is not None]
     fixed = {p.name: p.nominal for p in model.params if p.name not in free}
     texts = formulas(model.equations, _open(model, free), fixed)
     outputs = dict(zip((s.name for s in model.outputs), texts, strict=True))
     at = range(1) if model.states else range(n)
     return {
         "parameter": [_parameter(p, i, prior) for i, p in enumerate(params)],
-        "condition": [{"conditionId": f"c{i}"} | {name: v[i] for name, v in held.items()} for i in at],
+        "condition": [{"conditionId": f"c{i}"} | {name: v[i] for name, v in input_columns.items()} for i in at],
         "observable": [
             {"observableId": f"seen_{s.name}", "observableFormula": outputs[s.name], "noiseFormula": s.sigma}
-            for s in seen
+            for s in observables
         ],
         "measurement": [
             {
@@ -97,7 +97,7 @@ def _tables(
                 "measurement": value,
                 "time": i * dt_s if model.states else 0.0,
             }
-            for s in seen
+            for s in observables
             for i, value in enumerate(np.asarray(measured[s.name], float).tolist())
             if not np.isnan(value)
         ],
@@ -113,10 +113,10 @@ def _parameter(param: Param, i: int, prior: Belief | None) -> dict[str, Any]:
     row |= {"lowerBound": param.bounds[0], "upperBound": param.bounds[1], "estimate": 1}
     row["nominalValue"] = param.nominal if prior is None else prior.mean[i]
     if prior is not None:
-        known = np.isfinite(prior.cov[i, i])
-        row["objectivePriorType"] = "normal" if known else ""
-        believed = f"{float(prior.mean[i])!r};{float(prior.sd[i])!r}"
-        row["objectivePriorParameters"] = believed if known else ""
+        has_prior = np.isfinite(prior.cov[i, i])
+        row["objectivePriorType"] = "normal" if has_prior else ""
+        moments = f"{float(prior.mean[i])!r};{float(prior.sd[i])!r}"
+        row["objectivePriorParameters"] = moments if has_prior else ""
     return row
 
 
@@ -137,12 +137,12 @@ def _sbml(model: PhysicsModel, free: Sequence[str]) -> str:
     """SBML with inputs, free parameters, and states under rate rules."""
     libsbml = _libsbml()
     document = libsbml.SBMLDocument(3, 1)
-    written = document.createModel()
-    written.setId(model.name)
+    sbml = document.createModel()
+    sbml.setId(model.name)
     nominal = model.nominal
     values = {s.name: 0.0 for s in model.inputs} | {name: nominal[name] for name in free}
     for name, value in (values | {s.name: s.initial for s in model.states}).items():
-        parameter = written.createParameter()
+        parameter = sbml.createParameter()
         parameter.setId(name)
         parameter.setValue(float(value))
         parameter.setConstant(name in values)
@@ -150,7 +150,7 @@ def _sbml(model: PhysicsModel, free: Sequence[str]) -> str:
         fixed = {p.name: p.nominal for p in model.params if p.name not in free}
         texts = formulas(model.rates, _open(model, free), fixed)
         for state, text in zip(model.states, texts, strict=True):
-            rule = written.createRateRule()
+            rule = sbml.createRateRule()
             rule.setVariable(state.name)
             rule.setMath(libsbml.parseL3Formula(text))
     return str(libsbml.writeSBMLToString(document))
@@ -170,16 +170,16 @@ def read_petab(path: Path) -> Problem:
     _libsbml()
     from petab.v1 import Problem as Petab
 
-    given = Petab.from_yaml(str(path))
-    free, prior = _free(given)
-    model = _model(given, free)
-    conditions = list(given.condition_df.index)
-    rows = given.measurement_df
+    petab = Petab.from_yaml(str(path))
+    free, prior = _free(petab)
+    model = _model(petab, free)
+    conditions = list(petab.condition_df.index)
+    rows = petab.measurement_df
     times = np.unique(rows["time"].to_numpy(float))
     if model.states and (len(conditions) > 1 or times.size < 2 or np.ptp(np.diff(times)) > 1e-9 * times[-1]):
         raise ValueError(f"{path}: states are read under one condition, at evenly spaced times")
     n = times.size if model.states else len(conditions)
-    inputs = {s.name: np.broadcast_to(given.condition_df[s.name].to_numpy(float), n) for s in model.inputs}
+    inputs = {s.name: np.broadcast_to(petab.condition_df[s.name].to_numpy(float), n) for s in model.inputs}
     measured = {s.name: np.full(n, np.nan) for s in model.outputs}
     places = {c: i for i, c in enumerate(conditions)}
     for row in rows.itertuples():
@@ -189,13 +189,13 @@ def read_petab(path: Path) -> Problem:
     return declared_problem(model, [p.name for p in free], inputs, measured, prior=prior, dt_s=step)
 
 
-def _free(given: Any) -> tuple[list[Param], Belief]:
-    table = given.parameter_df
-    chosen = table[table["estimate"] == 1]
-    if (chosen["parameterScale"] != "lin").any():
+def _free(petab: Any) -> tuple[list[Param], Belief]:
+    table = petab.parameter_df
+    rows = table[table["estimate"] == 1]
+    if (rows["parameterScale"] != "lin").any():
         raise ValueError("only linear parameter scales are read")
-    mean, sd = chosen["nominalValue"].to_numpy(float).copy(), np.full(len(chosen), np.inf)
-    for i, row in enumerate(chosen.to_dict("records")):
+    mean, sd = rows["nominalValue"].to_numpy(float).copy(), np.full(len(rows), np.inf)
+    for i, row in enumerate(rows.to_dict("records")):
         kind = row.get("objectivePriorType")
         if isinstance(kind, str) and kind:
             if kind not in ("normal", "parameterScaleNormal"):
@@ -209,21 +209,21 @@ def _free(given: Any) -> tuple[list[Param], Belief]:
             (row.lowerBound, row.upperBound),
             "design",
         )
-        for name, m, row in zip(chosen.index, mean, chosen.itertuples(), strict=True)
+        for name, m, row in zip(rows.index, mean, rows.itertuples(), strict=True)
     ]
     return params, Belief(mean, np.diag(sd**2))
 
 
-def _model(given: Any, free: Sequence[Param]) -> PhysicsModel:
+def _model(petab: Any, free: Sequence[Param]) -> PhysicsModel:
     import sympy
     from petab.v1.math import sympify_petab
 
-    libsbml, sbml = _libsbml(), given.model.sbml_model
+    libsbml, sbml = _libsbml(), petab.model.sbml_model
     if sbml.getNumReactions() or sbml.getNumSpecies():
         raise ValueError("reactions and species are not read, only parameters under rate rules")
     rules = {r.getVariable(): libsbml.formulaToL3String(r.getMath()) for r in sbml.getListOfRules() if r.isRate()}
-    table = given.observable_df
-    inputs = [c for c in given.condition_df.columns if c != "conditionName"]
+    table = petab.observable_df
+    inputs = [c for c in petab.condition_df.columns if c != "conditionName"]
     fixed = {p.getId(): p.getValue() for p in sbml.getListOfParameters()}
     names = [*inputs, *(p.name for p in free), *rules]
     constants = {sympy.Symbol(k, real=True): v for k, v in fixed.items() if k not in names}

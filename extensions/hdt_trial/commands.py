@@ -111,20 +111,20 @@ def verify_trial(
 
     with _one_line():
         folder = log_folder(home_folder(home))
-        found = list(faults(folder, digest or (), head))
-        if not found and authority:
-            found = faults_of_stamps(folder, entries(folder), authority)
-    for fault in found:
+        problems = list(faults(folder, digest or (), head))
+        if not problems and authority:
+            problems = faults_of_stamps(folder, entries(folder), authority)
+    for fault in problems:
         err.print(f"FAULT: {fault}", markup=False, soft_wrap=True)
-    if found:
+    if problems:
         raise typer.Exit(1)
     log = entries(folder)
     outside = [e.number for e in log if e.digest in [d.lower() for d in (*(digest or ()), head or "")]]
     outside += [int(s.stem) for s in stamps(folder)] if authority else []
-    told = (
+    proof = (
         f"up to entry {max(outside)} by what was kept outside" if outside else "by nothing from outside: give --digest"
     )
-    out.print(f"{len(log)} entries, none changed, added or cut off; proved {told}.", soft_wrap=True)
+    out.print(f"{len(log)} entries, none changed, added or cut off; proved {proof}.", soft_wrap=True)
 
 
 @trial.command("page")
@@ -147,13 +147,13 @@ def write_page(
         where = home_folder(home)
         if fault := next(faults(log_folder(where)), None):
             raise StopError(f"{fault}; no page is made of a log that is not what was sealed")
-        told = evaluate(where)
+        evaluation = evaluate(where)
         with replacing(target.resolve()) as temporary:
-            temporary.write_text(page(told), "utf-8")
+            temporary.write_text(page(evaluation), "utf-8")
     if as_json:
-        out.print_json(json.dumps(told.as_json()))
+        out.print_json(json.dumps(evaluation.as_json()))
     else:
-        out.print(f"{told.nights} nights, {told.flights:,} flights: {target}", soft_wrap=True)
+        out.print(f"{evaluation.nights} nights, {evaluation.flights:,} flights: {target}", soft_wrap=True)
 
 
 @app.command()
@@ -172,9 +172,9 @@ def dossier(
     from pipelines.storage.files import replacing
 
     with _one_line():
-        told = write_dossier(home_folder(home), attach or ())
+        html = write_dossier(home_folder(home), attach or ())
         with replacing(target.resolve()) as temporary:
-            temporary.write_text(told, "utf-8")
+            temporary.write_text(html, "utf-8")
     out.print(f"Dossier: {target}", soft_wrap=True)
 
 

@@ -74,14 +74,14 @@ def read_declaration(text: str) -> Declaration:
         It is no TOML, names something unknown, or a value can't be.
     """
     try:
-        given = parse_toml(text)
+        entries = parse_toml(text)
     except ValueError as error:
         raise TrialError(f"the declaration is {error}") from None
-    if not isinstance(given.get("rule", {}), dict):
+    if not isinstance(entries.get("rule", {}), dict):
         raise TrialError("rules stand below [rule.NAME]")
-    rules = tuple(_rule(name, entry) for name, entry in given.pop("rule", {}).items())
+    rules = tuple(_rule(name, entry) for name, entry in entries.pop("rule", {}).items())
     default = parse_toml(DEFAULT)
-    flat = _filled(default, given, "")
+    flat = _filled(default, entries, "")
     sections = {name: flat.pop(name) for name in ("event", "alert", "prognosis", "minimum", "cost")}
     declared = Declaration(
         **_tuples(flat | sections["event"] | sections["alert"] | sections["prognosis"]),
@@ -93,25 +93,27 @@ def read_declaration(text: str) -> Declaration:
     return declared
 
 
-def _filled(default: dict[str, Any], given: dict[str, Any], where: str) -> dict[str, Any]:
-    for name, value in given.items():
-        known = default.get(name)
-        if known is None:
+def _filled(default: dict[str, Any], entries: dict[str, Any], where: str) -> dict[str, Any]:
+    for name, value in entries.items():
+        default_value = default.get(name)
+        if default_value is None:
             raise TrialError(f"the declaration has no {where}{name}; known are {', '.join(default)}")
-        if not (_alike(value, known)):
-            raise TrialError(f"{where}{name} in the declaration is {value!r} and ought to be like {known!r}")
+        if not (_alike(value, default_value)):
+            raise TrialError(f"{where}{name} in the declaration is {value!r} and ought to be like {default_value!r}")
     return {
-        name: _filled(known, given.get(name, {}), f"{name}.") if isinstance(known, dict) else given.get(name, known)
-        for name, known in default.items()
+        name: _filled(default_value, entries.get(name, {}), f"{name}.")
+        if isinstance(default_value, dict)
+        else entries.get(name, default_value)
+        for name, default_value in default.items()
     }
 
 
-def _alike(value: Any, known: Any) -> bool:
-    if isinstance(known, int | float) and not isinstance(value, bool):
-        return isinstance(value, int | (float if isinstance(known, float) else int)) and 0 <= value <= MOST
-    if isinstance(known, list):
+def _alike(value: Any, default: Any) -> bool:
+    if isinstance(default, int | float) and not isinstance(value, bool):
+        return isinstance(value, int | (float if isinstance(default, float) else int)) and 0 <= value <= MOST
+    if isinstance(default, list):
         return isinstance(value, list) and all(isinstance(v, str) for v in value)
-    return isinstance(value, type(known))
+    return isinstance(value, type(default))
 
 
 def _tuples(entries: dict[str, Any]) -> dict[str, Any]:
@@ -119,10 +121,10 @@ def _tuples(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rule(name: str, entry: Any) -> Rule:
-    given = entry if isinstance(entry, dict) else {}
-    if len(given) != 1 or set(given) - {"sql", "file"} or not isinstance(next(iter(given.values())), str):
+    fields = entry if isinstance(entry, dict) else {}
+    if len(fields) != 1 or set(fields) - {"sql", "file"} or not isinstance(next(iter(fields.values())), str):
         raise TrialError(f"rule.{name} has either `sql` or `file`, a text")
-    return Rule(name, given.get("sql"), given.get("file"))
+    return Rule(name, fields.get("sql"), fields.get("file"))
 
 
 def _check(d: Declaration) -> None:

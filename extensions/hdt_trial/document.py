@@ -26,8 +26,8 @@ def heading(title: str) -> Part:
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], empty: str = "None.") -> Part:
     """A table; a sentence where it has no row."""
-    told = list(rows)
-    return {"kind": "table", "columns": columns, "rows": told} if told else empty
+    body = list(rows)
+    return {"kind": "table", "columns": columns, "rows": body} if body else empty
 
 
 def bullets(items: Iterable[Any]) -> Part:

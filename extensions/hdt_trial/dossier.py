@@ -79,7 +79,7 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
         Texts that go along whole: limits, validation reports, a trial's page as text.
     """
     with connect(home) as con:
-        told = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
+        tables = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
         checks = [(name, _rows_of(con, sql)) for name, sql in _checks()]
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         configuration = frozen(con, home)
@@ -87,33 +87,35 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
         f"Dossier of a prognostic system, {datetime.now(UTC):%Y-%m-%d}",
         section("Purpose and limits of use", _PURPOSE),
         section("Where to find what", _contents()),
-        section("1 Data lineage", told["lineage"], told["rows"], *_named("Stages, in order", _stages())),
+        section("1 Data lineage", tables["lineage"], tables["rows"], *_subsection("Stages, in order", _stages())),
         section(
             "2 Data quality",
-            *_named("Set aside, by reason", told["quarantine"]),
-            *_named("Gaps", told["gaps"]),
-            *_named("Legs fit to calibrate from", told["legs"]),
+            *_subsection("Set aside, by reason", tables["quarantine"]),
+            *_subsection("Gaps", tables["gaps"]),
+            *_subsection("Legs fit to calibrate from", tables["legs"]),
         ),
         section(
             "3 Limits",
-            *_named("Components and the loss at which they fail", told["components"]),
-            *_named("What the data identify of the design", told["design"]),
-            *_named("How estimates ended", told["status"]),
+            *_subsection("Components and the loss at which they fail", tables["components"]),
+            *_subsection("What the data identify of the design", tables["design"]),
+            *_subsection("How estimates ended", tables["status"]),
         ),
         section(
             "4 Validation",
-            *_named("Model card; scores are of aircraft that the model did not learn from", _card(cards)),
-            *_named("What came of alerts", told["outcomes"]),
-            *_named("Lead before the aircraft's message", told["lead"]),
-            *_named("Checks of the catalog", table(("check", "rows at fault"), checks)),
+            *_subsection("Model card; scores are of aircraft that the model did not learn from", _card(cards)),
+            *_subsection("What came of alerts", tables["outcomes"]),
+            *_subsection("Lead before the aircraft's message", tables["lead"]),
+            *_subsection("Checks of the catalog", table(("check", "rows at fault"), checks)),
             *_trial(home),
         ),
         section("5 Configuration", _configuration(configuration)),
-        section("6 Changes", *_named("Nights", _nights(home)), *_named("Models that spoke", told["models"])),
+        section(
+            "6 Changes", *_subsection("Nights", _nights(home)), *_subsection("Models that spoke", tables["models"])
+        ),
         section(
             "7 Known failures",
-            *_named("Messages that no alert foretold", told["missed"]),
-            *_named("Alerts without a finding, a message or a removal", told["false_alarms"]),
+            *_subsection("Messages that no alert foretold", tables["missed"]),
+            *_subsection("Alerts without a finding, a message or a removal", tables["false_alarms"]),
         ),
         *(_attachment(path) for path in (*_own_papers(), *attached)),
     )
@@ -135,10 +137,10 @@ def _contents() -> Part:
 def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Part:
     answer = con.sql(sql)
     columns, rows = [c.replace("_", " ") for c in answer.columns], answer.fetchall()
-    return table(columns, ([_said(v) for v in row] for row in rows))
+    return table(columns, ([_format_value(v) for v in row] for row in rows))
 
 
-def _said(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, datetime):
         return f"{value.astimezone(UTC):%Y-%m-%d %H:%M}"
     if isinstance(value, float):
@@ -146,7 +148,7 @@ def _said(value: object) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _named(title: str, content: Part) -> tuple[Part, Part]:
+def _subsection(title: str, content: Part) -> tuple[Part, Part]:
     return heading(title), content
 
 
@@ -183,27 +185,28 @@ def _configuration(now: dict[str, object]) -> Part:
     for name, value in now.items():
         inner = value if isinstance(value, dict) else {"": value}
         rows += [
-            (f"{name} {key}".strip(), _said(v) if not isinstance(v, list) else ", ".join(v)) for key, v in inner.items()
+            (f"{name} {key}".strip(), _format_value(v) if not isinstance(v, list) else ", ".join(v))
+            for key, v in inner.items()
         ]
     return table(("what", "as it is"), rows)
 
 
 def _nights(home: Path) -> Part:
     """The last hundred nights, and every one that failed."""
-    told = Ledger(home, read_only=True).nights().rows()
-    kept = [row for k, row in enumerate(told) if k >= len(told) - 100 or row[-1] not in ("{}", "")]
-    return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), kept)
+    nights = Ledger(home, read_only=True).nights().rows()
+    rows = [row for k, row in enumerate(nights) if k >= len(nights) - 100 or row[-1] not in ("{}", "")]
+    return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), rows)
 
 
 def _trial(home: Path) -> tuple[Part, ...]:
     """What a shadow trial sealed, where there is one."""
     log = entries(log_folder(home))
     if not log:
-        return _named("Shadow trial", "None was held.")
+        return _subsection("Shadow trial", "None was held.")
     faults = list(faults_of_log(log_folder(home)))
-    said = f"{len(log)} entries since {log[0].sealed_at:%Y-%m-%d}; last digest {log[-1].digest}."
+    summary = f"{len(log)} entries since {log[0].sealed_at:%Y-%m-%d}; last digest {log[-1].digest}."
     changes = [f"{e.sealed_at:%Y-%m-%d}: {line}" for e in log for line in e.body.get("changes", [])]
-    return heading("Shadow trial"), said, bullets(faults or changes or ["nothing changed since it began"])
+    return heading("Shadow trial"), summary, bullets(faults or changes or ["nothing changed since it began"])
 
 
 def _own_papers() -> list[Path]:

@@ -67,12 +67,12 @@ def evaluate(home: Path) -> Evaluation:
     declared = declaration_of(log)
     with connect(home) as con:
         outcomes = read_outcomes(con, log, declared)
-    rules = {rule.name: _believed(rule, outcomes, log) for rule in declared.rules if rule.file}
+    rules = {rule.name: _alerts_of_file(rule, outcomes, log) for rule in declared.rules if rule.file}
     return evaluated(log, declared, outcomes, rules)
 
 
 def evaluated(
-    log: Sequence[LogEntry], declared: Declaration, outcomes: Outcomes, believed: dict[str, list[SealedAlert]]
+    log: Sequence[LogEntry], declared: Declaration, outcomes: Outcomes, unsealed: dict[str, list[SealedAlert]]
 ) -> Evaluation:
     """Judge a log.
 
@@ -88,12 +88,12 @@ def evaluated(
         Alerts of rules that were not sealed, as their file has them.
     """
     judge = Judge(declared, outcomes)
-    judged = {OURS: judge_alerts(log, judge)}
-    judged |= {r.name: judge_alerts(log, judge, r.name, believed.get(r.name)) for r in declared.rules}
+    scores = {OURS: judge_alerts(log, judge)}
+    scores |= {r.name: judge_alerts(log, judge, r.name, unsealed.get(r.name)) for r in declared.rules}
     prognoses = judge_prognoses(log, judge)
-    figures = {source: Teller(judge, found).alert_figures() for source, found in judged.items()}
-    figures[OURS] += Teller(judge, judged[OURS]).prognosis_figures(prognoses)
-    least, own = declared.minimum.count, judged[OURS]
+    figures = {source: Teller(judge, score).alert_figures() for source, score in scores.items()}
+    figures[OURS] += Teller(judge, scores[OURS]).prognosis_figures(prognoses)
+    least, own = declared.minimum.count, scores[OURS]
     foretold = [e for e in own.events if e.verdict in ("hit", "too_late", "too_early") and e.sealed_at]
     after = kept_back({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
     return Evaluation(
@@ -113,8 +113,8 @@ def evaluated(
         prognoses=sum(len(e.body.get("prognoses", [])) for e in log),
         without_pack=outcomes.without_pack,
         figures=figures,
-        verdicts={source: kept_back(found.verdicts, least) for source, found in judged.items()},
-        agreement={r.name: kept_back(_agreement(own, judged[r.name]), least) for r in declared.rules},
+        verdicts={source: kept_back(score.verdicts, least) for source, score in scores.items()},
+        agreement={r.name: kept_back(_agreement(own, scores[r.name]), least) for r in declared.rules},
     )
 
 
@@ -130,22 +130,22 @@ def _agreement(ours: ScoredAlerts, theirs: ScoredAlerts) -> dict[str, int]:
     return {name: pairs.count(pair) for pair, name in names.items()}
 
 
-def _believed(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> list[SealedAlert]:
+def _alerts_of_file(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> list[SealedAlert]:
     """Alerts of a file, taken at their word: known from the last flight before they were raised."""
     file, span = Path(str(rule.file)), sealed_span(log)
     try:
-        given = pl.read_csv(file, try_parse_dates=True, schema_overrides={"tail": pl.String, "operator": pl.String})
-        frame = as_alerts(given, f"{file}")
+        table = pl.read_csv(file, try_parse_dates=True, schema_overrides={"tail": pl.String, "operator": pl.String})
+        frame = as_alerts(table, f"{file}")
     except (OSError, pl.exceptions.PolarsError) as error:
         raise TrialError(f"rule {rule.name}: {file} can't be read: {str(error).splitlines()[0]}") from None
-    told = []
+    alerts = []
     for row in frame.iter_rows(named=True):
-        place, raised = place_of(row), row["raised_at"]
+        place, raised_at = place_of(row), row["raised_at"]
         times, began = outcomes.departed.get(place[:2], []), span.get(place[:2])
-        if began and raised <= began[1] and (k := bisect_right(times, raised)):
-            known, standing = times[k - 1], raised <= began[0]
-            told.append(SealedAlert(rule.name, place, max(known, began[0]), raised, row["closed_at"], standing))
-    return [a for a in told if not (a.closed_at and a.closed_at <= span[a.place[:2]][0])]
+        if began and raised_at <= began[1] and (k := bisect_right(times, raised_at)):
+            known_at, standing = times[k - 1], raised_at <= began[0]
+            alerts.append(SealedAlert(rule.name, place, max(known_at, began[0]), raised_at, row["closed_at"], standing))
+    return [a for a in alerts if not (a.closed_at and a.closed_at <= span[a.place[:2]][0])]
 
 
 def _sealed_late(entry: LogEntry) -> bool:

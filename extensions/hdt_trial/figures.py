@@ -31,7 +31,7 @@ class Figure:
     name: str
     label: str
     unit: str
-    told: Interval | None
+    interval: Interval | None
     """None where it may not leave or can't be told."""
     n: int | None
     of: str
@@ -49,7 +49,7 @@ class ScoredAlerts:
     """Flights of each aircraft that were sealed and followed for long enough to call an alert false."""
     sealed: dict[Tail, int]
     """Flights of each aircraft while nights were sealed."""
-    asked: dict[Tail, int]
+    predictable: dict[Tail, int]
     """Those of them whose events could have been foretold in time."""
 
     @property
@@ -59,7 +59,7 @@ class ScoredAlerts:
 
 
 def judge_alerts(
-    log: Sequence[LogEntry], judge: Judge, source: str = OURS, believed: Sequence[SealedAlert] | None = None
+    log: Sequence[LogEntry], judge: Judge, source: str = OURS, unsealed: Sequence[SealedAlert] | None = None
 ) -> ScoredAlerts:
     """Alerts of one source, and the events they ought to have foretold.
 
@@ -75,8 +75,8 @@ def judge_alerts(
         Alerts that were not sealed; else those that the log holds.
     """
     span, parts = sealed_span(log), judge.declared.components
-    given = sealed_alerts(log, parts) if believed is None else [a for a in believed if a.place[3] in parts]
-    alerts = [a for a in given if a.source == source and a.place[:2] in span]
+    candidates = sealed_alerts(log, parts) if unsealed is None else [a for a in unsealed if a.place[3] in parts]
+    alerts = [a for a in candidates if a.source == source and a.place[:2] in span]
     by_place = defaultdict(list)
     for alert in alerts:
         by_place[alert.place].append(alert)
@@ -84,8 +84,8 @@ def judge_alerts(
     sealed = {tail: judge.flown(tail, first, last) for tail, (first, last) in span.items()}
     late = judge.declared.early_flights
     followed = {tail: max(0, min(sealed[tail], judge.flown(tail, first) - late)) for tail, (first, _) in span.items()}
-    asked = {tail: max(0, n - judge.declared.late_flights + 1) for tail, n in sealed.items()}
-    return ScoredAlerts([judge.alert(a) for a in alerts], events, followed, sealed, asked)
+    predictable = {tail: max(0, n - judge.declared.late_flights + 1) for tail, n in sealed.items()}
+    return ScoredAlerts([judge.alert(a) for a in alerts], events, followed, sealed, predictable)
 
 
 def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognosis]:
@@ -93,8 +93,8 @@ def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognos
     rows = (
         row for entry in log for row in entry.body.get("prognoses", []) if row["component"] in judge.declared.components
     )
-    told = (judge.prognosis(row) for row in rows if judge.outcomes.departed.get(place_of(row)[:2]))
-    return [t for t in told if t is not None]
+    prognoses = (judge.prognosis(row) for row in rows if judge.outcomes.departed.get(place_of(row)[:2]))
+    return [t for t in prognoses if t is not None]
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,13 @@ class Teller:
     """Figures of one source, with what may leave."""
 
     judge: Judge
-    judged: ScoredAlerts
+    scores: ScoredAlerts
 
     def alert_figures(self) -> list[Figure]:
         """False alarms, events foretold, lead, alerts that were right, cost."""
-        new = [a for a in self.judged.alerts if not a.alert.standing]
+        new = [a for a in self.scores.alerts if not a.alert.standing]
         followed = [a for a in new if a.followed and a.verdict not in ("removed", "after_event")]
-        events, leads = self.judged.events, [e for e in self.judged.events if e.lead_flights]
+        events, leads = self.scores.events, [e for e in self.scores.events if e.lead_flights]
         right = [(a.alert.place[:2], a.verdict == "hit") for a in followed]
         return [
             self._false_alarms(followed),
@@ -133,8 +133,8 @@ class Teller:
         def of(field: str) -> list[tuple[Tail, bool]]:
             return [(p.tail, bool(v)) for p in prognoses if (v := getattr(p, field)) is not None]
 
-        said = [p.p_event_50 for p in prognoses if p.event_50 is not None and p.p_event_50 is not None]
-        mean = f"; said {np.mean(said):.3f}" if said else ""
+        chances = [p.p_event_50 for p in prognoses if p.event_50 is not None and p.p_event_50 is not None]
+        mean = f"; said {np.mean(chances):.3f}" if chances else ""
         return [
             self._share("coverage", "Remaining life within its 90 % interval", of("within"), "prognoses"),
             self._share("too_low", "Event before its lower end (5 % said)", of("too_low"), "prognoses"),
@@ -143,13 +143,13 @@ class Teller:
 
     def _false_alarms(self, followed: Sequence[JudgedAlert]) -> Figure:
         wrong = Counter(a.alert.place[:2] for a in followed if a.verdict == "false_alarm")
-        exposure = {tail: n for tail, n in self.judged.followed.items() if n}
+        exposure = {tail: n for tail, n in self.scores.followed.items() if n}
         flights = sum(exposure.values())
         entry = ("false_alarms", "False alarms", "per 1,000 flights")
         if why := self._too_few(flights, len(exposure)):
             return Figure(*entry, None, None, "flights", why)
         counts = [wrong[tail] for tail in exposure]
-        told = intervals.rate(counts, [n / 1000.0 for n in exposure.values()], self.judge.declared.confidence)
+        interval = intervals.rate(counts, [n / 1000.0 for n in exposure.values()], self.judge.declared.confidence)
         least = self.judge.declared.minimum.count
         if 0 < sum(counts) < least:
             return Figure(
@@ -159,53 +159,55 @@ class Teller:
                 "flights",
                 f"fewer than {least} false alarms: below {least * 1000.0 / flights:.2f}",
             )
-        return Figure(*entry, told, flights, "flights")
+        return Figure(*entry, interval, flights, "flights")
 
     def _share(self, name: str, label: str, rows: Sequence[tuple[Tail, bool]], of: str) -> Figure:
         tails, least = {tail for tail, _ in rows}, self.judge.declared.minimum.count
         few = f"fewer than {least} {of}" * (len(rows) < least)
-        if why := few or self._too_few(sum(self.judged.sealed.values()), len(tails)):
+        if why := few or self._too_few(sum(self.scores.sealed.values()), len(tails)):
             return Figure(name, label, "%", None, None, of, why)
-        asked = Counter(tail for tail, _ in rows)
-        hits = Counter(tail for tail, hit in rows if hit)
-        told = intervals.share([hits[tail] for tail in asked], list(asked.values()), self.judge.declared.confidence)
-        return Figure(name, label, "%", told, len(rows), of)
+        trials = Counter(tail for tail, _ in rows)
+        hits = Counter(tail for tail, is_hit in rows if is_hit)
+        interval = intervals.share(
+            [hits[tail] for tail in trials], list(trials.values()), self.judge.declared.confidence
+        )
+        return Figure(name, label, "%", interval, len(rows), of)
 
     def _point(self, name: str, label: str, events: Sequence[JudgedEvent], level: float) -> Figure:
         """A point of the lead; of an alert that stood at the start the lead is known to be so long or longer."""
         least = self.judge.declared.minimum.count
         few = f"fewer than {least} events" * (len(events) < least)
-        if why := few or self._too_few(sum(self.judged.sealed.values()), len({e.place[:2] for e in events})):
+        if why := few or self._too_few(sum(self.scores.sealed.values()), len({e.place[:2] for e in events})):
             return Figure(name, label, "flights", None, None, "events", why)
         leads, standing = [float(e.lead_flights or 0) for e in events], [e.standing for e in events]
-        told = intervals.point(leads, standing, level, self.judge.declared.confidence)
-        why = "" if told else "most alerts stood when the trial began"
-        return Figure(name, label, "flights", told, len(events), "events", why)
+        interval = intervals.point(leads, standing, level, self.judge.declared.confidence)
+        why = "" if interval else "most alerts stood when the trial began"
+        return Figure(name, label, "flights", interval, len(events), "events", why)
 
     def _costs(self, followed: Iterable[JudgedAlert]) -> list[Figure]:
         """Money by aircraft: saved over the flights that were sealed, spent over those that were followed as well."""
         cost, saved, spent = self.judge.declared.cost, defaultdict[Tail, float](float), defaultdict[Tail, float](float)
-        for event in self.judged.events:
+        for event in self.scores.events:
             saved[event.place[:2]] += (cost.unscheduled_event - cost.scheduled_removal) * (event.verdict == "hit")
         by = {"false_alarm": cost.false_alarm, "too_early": cost.too_early}
         for alert in followed:
             spent[alert.alert.place[:2]] += by.get(alert.verdict, 0.0)
         return [
-            self._cost("cost_avoided", "Cost avoided", saved, self.judged.asked),
-            self._cost("cost_caused", "Cost caused", spent, self.judged.followed),
+            self._cost("cost_avoided", "Cost avoided", saved, self.scores.predictable),
+            self._cost("cost_caused", "Cost caused", spent, self.scores.followed),
         ]
 
     def _cost(self, name: str, label: str, sums: Mapping[Tail, float], over: Mapping[Tail, int]) -> Figure:
         """Money per 1,000 flights, an aircraft a cluster."""
         unit, least = f"{self.judge.declared.cost.currency} per 1,000 flights", self.judge.declared.minimum.count
         exposure = {tail: n for tail, n in over.items() if n}
-        flights, paid = sum(exposure.values()), sum(v > 0.0 for v in sums.values())
-        few = f"rests on fewer than {least} aircraft" if 0 < paid < least else ""
+        flights, affected = sum(exposure.values()), sum(v > 0.0 for v in sums.values())
+        few = f"rests on fewer than {least} aircraft" if 0 < affected < least else ""
         if why := self._too_few(flights, len(exposure)) or few:
             return Figure(name, label, unit, None, None, "flights", why)
         thousands = [n / 1000.0 for n in exposure.values()]
-        told = intervals.ratio([sums.get(t, 0.0) for t in exposure], thousands, self.judge.declared.confidence)
-        return Figure(name, label, unit, told, flights, "flights")
+        interval = intervals.ratio([sums.get(t, 0.0) for t in exposure], thousands, self.judge.declared.confidence)
+        return Figure(name, label, unit, interval, flights, "flights")
 
     def _too_few(self, flights: int, aircraft: int) -> str:
         least = self.judge.declared.minimum

@@ -43,14 +43,14 @@ def frozen(con: duckdb.DuckDBPyConnection, home: Path) -> dict[str, Any]:
 
 def changes(before: dict[str, Any], now: dict[str, Any], where: str = "") -> list[str]:
     """What differs, one line each."""
-    told = []
+    lines = []
     for name in sorted({*before, *now}):
         a, b = before.get(name), now.get(name)
         if isinstance(a, dict) and isinstance(b, dict):
-            told += changes(a, b, f"{where}{name} ")
+            lines += changes(a, b, f"{where}{name} ")
         elif a != b:
-            told.append(f"{where}{name}: {_short(a)} is now {_short(b)}")
-    return told
+            lines.append(f"{where}{name}: {_short(a)} is now {_short(b)}")
+    return lines
 
 
 @cache
@@ -62,15 +62,15 @@ def constants() -> tuple[tuple[str, str], ...]:
 def _constants() -> Iterator[tuple[str, str]]:
     for root, file in _sources("hdt_core"):
         for node in ast.parse(file.read_text("utf-8")).body:
-            named = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
-            if not (isinstance(named, ast.Name) and named.id.isupper() and getattr(node, "value", None)):
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            if not (isinstance(target, ast.Name) and target.id.isupper() and getattr(node, "value", None)):
                 continue
             try:
                 value = ast.literal_eval(node.value)  # type: ignore[attr-defined]
             except ValueError:
                 continue
             if _is_number(value):
-                yield f"{file.relative_to(root)} {named.id}", repr(value)
+                yield f"{file.relative_to(root)} {target.id}", repr(value)
 
 
 def _is_number(value: Any) -> bool:
@@ -91,10 +91,10 @@ def _digest() -> str:
 def _sources(package: str) -> Iterator[tuple[Path, Path]]:
     spec = importlib.util.find_spec(package)
     for place in spec.submodule_search_locations or () if spec else ():
-        found = (f for f in Path(place).rglob("*") if f.suffix in {".py", ".sql", ".toml", ".skops"})
-        yield from ((Path(place), f) for f in sorted(found))
+        files = (f for f in Path(place).rglob("*") if f.suffix in {".py", ".sql", ".toml", ".skops"})
+        yield from ((Path(place), f) for f in sorted(files))
 
 
 def _short(value: Any) -> str:
-    said = "nothing" if value is None else str(value)
-    return said if len(said) <= 60 else f"{said[:57]}..."
+    text = "nothing" if value is None else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -46,7 +46,7 @@ def rate(counts: ArrayLike, exposure: ArrayLike, confidence: float) -> Interval:
     return Interval(total / over, low * effect / over, high * effect / over)
 
 
-def share(hits: ArrayLike, asked: ArrayLike, confidence: float) -> Interval:
+def share(hits: ArrayLike, trials: ArrayLike, confidence: float) -> Interval:
     """Hits over asked, a cluster an entry; exact for a binomial count (Clopper and Pearson).
 
     Examples
@@ -55,7 +55,7 @@ def share(hits: ArrayLike, asked: ArrayLike, confidence: float) -> Interval:
     >>> found.value, round(found.low, 3), found.high
     (1.0, 0.398, 1.0)
     """
-    y, n = np.asarray(hits, dtype=float), np.asarray(asked, dtype=float)
+    y, n = np.asarray(hits, dtype=float), np.asarray(trials, dtype=float)
     p, alpha = y.sum() / n.sum(), 1.0 - confidence
     effect = _design_effect(y, n, n.sum() * p * (1.0 - p))
     k, m = y.sum() / effect, n.sum() / effect
@@ -90,8 +90,8 @@ def ratio(sums: ArrayLike, exposure: ArrayLike, confidence: float) -> Interval:
 
 def _reached(values: Array, surviving: Array, share: float) -> float | None:
     """First value at which no more than a share survives."""
-    found = np.flatnonzero(surviving <= share + 1e-12)
-    return float(values[found[0]]) if found.size else None
+    below = np.flatnonzero(surviving <= share + 1e-12)
+    return float(values[below[0]]) if below.size else None
 
 
 def _design_effect(y: Array, x: Array, independent: float) -> float:

@@ -28,7 +28,7 @@ class SealedAlert:
 
     source: str
     place: Place
-    known: datetime
+    known_at: datetime
     """Departure of the aircraft's last flight that was known when it was sealed."""
     sealed_at: datetime
     closed_at: datetime | None
@@ -87,28 +87,30 @@ class Judge:
     def alert(self, alert: SealedAlert) -> JudgedAlert:
         """What came of an alert."""
         d, place, tail = self.declared, alert.place, alert.place[:2]
-        followed = self.flown(tail, alert.known) >= d.early_flights
-        removed = _next(self.outcomes.removals, place, alert.known)
-        if self.event_of_unit(place, alert.known) is not None:
+        followed = self.flown(tail, alert.known_at) >= d.early_flights
+        removed = _next(self.outcomes.removals, place, alert.known_at)
+        if self.event_of_unit(place, alert.known_at) is not None:
             return JudgedAlert(alert, "after_event", followed, None)
-        event = _next(self.outcomes.events, place, alert.known)
+        event = _next(self.outcomes.events, place, alert.known_at)
         if event and (removed is None or event <= removed) and not self.lapsed(alert, event):
-            lead = self.flown(tail, alert.known, event)
+            lead = self.flown(tail, alert.known_at, event)
             if not lead:  # it came on the last flight that was known: the outcome could have been, too
                 return JudgedAlert(alert, "after_event", followed, None)
             return JudgedAlert(alert, self.in_time(lead), followed, lead)
-        cleared = _next(self.outcomes.no_faults, place, alert.known)
+        cleared = _next(self.outcomes.no_faults, place, alert.known_at)
         if cleared and (removed is None or cleared <= removed):
             return JudgedAlert(alert, "false_alarm", followed, None)
-        if removed and self.flown(tail, alert.known, removed) < d.early_flights:
+        if removed and self.flown(tail, alert.known_at, removed) < d.early_flights:
             return JudgedAlert(alert, "removed", followed, None)
         return JudgedAlert(alert, "false_alarm" if followed else "open", followed, None)
 
     def event(self, place: Place, at: datetime, alerts: Sequence[SealedAlert]) -> JudgedEvent:
         """Whether an event was foretold, by the first alert of its unit that was sealed before it."""
         begun = _last(self.outcomes.removals, place, at)
-        before = [a for a in alerts if a.known < at and (begun is None or a.known >= begun) and not self.lapsed(a, at)]
-        leads = [(lead, a) for a in before if (lead := self.flown(place[:2], a.known, at))]
+        before = [
+            a for a in alerts if a.known_at < at and (begun is None or a.known_at >= begun) and not self.lapsed(a, at)
+        ]
+        leads = [(lead, a) for a in before if (lead := self.flown(place[:2], a.known_at, at))]
         timely = [(lead, a) for lead, a in leads if lead <= self.declared.early_flights]
         if not leads:
             return JudgedEvent(place, at, "missed", None, False, None)
@@ -125,36 +127,36 @@ class Judge:
         """Whether an alert had closed long before the event."""
         return alert.closed_at is not None and alert.closed_at < event - timedelta(days=self.declared.lapse_days)
 
-    def event_of_unit(self, place: Place, known: datetime) -> datetime | None:
-        """The event that the unit fitted at `known` had had by then."""
-        begun, event = (_last(when, place, known) for when in (self.outcomes.removals, self.outcomes.events))
+    def event_of_unit(self, place: Place, at: datetime) -> datetime | None:
+        """The event that the unit fitted at `at` had had by then."""
+        begun, event = (_last(when, place, at) for when in (self.outcomes.removals, self.outcomes.events))
         return event if event and (begun is None or event > begun) else None
 
     def prognosis(self, row: dict[str, Any]) -> JudgedPrognosis | None:
         """How a prognosis fared; None where nothing of it can be told yet."""
-        place, said = place_of(row), datetime.fromisoformat(row["departed_at"])
-        if row["rul_low"] is None or self.event_of_unit(place, said):
+        place, departed_at = place_of(row), datetime.fromisoformat(row["departed_at"])
+        if row["rul_low"] is None or self.event_of_unit(place, departed_at):
             return None
-        removed = _next(self.outcomes.removals, place, said)
-        event = _next(self.outcomes.events, place, said)
-        left = self.flown(place[:2], said, event) if event and (removed is None or event <= removed) else None
-        seen = self.flown(place[:2], said)
-        alive = seen if left is not None or removed is None else self.flown(place[:2], said, removed)
+        removed = _next(self.outcomes.removals, place, departed_at)
+        event = _next(self.outcomes.events, place, departed_at)
+        life = self.flown(place[:2], departed_at, event) if event and (removed is None or event <= removed) else None
+        flights_since = self.flown(place[:2], departed_at)
+        alive = flights_since if life is not None or removed is None else self.flown(place[:2], departed_at, removed)
         horizon = self.declared.horizon_flights
         low, high = (min(row[c], horizon) for c in ("rul_low", "rul_high"))
 
-        def known(
+        def followed_for(
             flights: float,
         ) -> bool:  # whoever is judged is chosen by how long it was followed, not by the outcome
-            return seen >= flights and (left is not None or alive >= flights)
+            return flights_since >= flights and (life is not None or alive >= flights)
 
-        within = left is not None and low <= left <= high
+        within = life is not None and low <= life <= high
         return JudgedPrognosis(
             place[:2],
-            within if high < horizon and known(high) else None,  # an end at the horizon says "so many or more"
-            left is not None and left < low if low < horizon and known(low) else None,
+            within if high < horizon and followed_for(high) else None,  # an end at the horizon says "so many or more"
+            life is not None and life < low if low < horizon and followed_for(low) else None,
             row["p_event_50"],
-            left is not None and left <= 50 if known(50) and row["p_event_50"] is not None else None,
+            life is not None and life <= 50 if followed_for(50) and row["p_event_50"] is not None else None,
         )
 
 
@@ -170,8 +172,8 @@ def sealed_alerts(log: Sequence[LogEntry], components: Sequence[str]) -> list[Se
                 first.setdefault(name, (row, entry, datetime.fromisoformat(at)))
                 closed[name] = row["closed_at"]
     return [
-        SealedAlert(name[0], place_of(row), known, entry.sealed_at, _time(closed[name]), entry.kind == "start")
-        for name, (row, entry, known) in first.items()
+        SealedAlert(name[0], place_of(row), known_at, entry.sealed_at, _time(closed[name]), entry.kind == "start")
+        for name, (row, entry, known_at) in first.items()
         # what had closed before the trial began says nothing about it
         if not (entry.kind == "start" and row["closed_at"])
     ]
@@ -200,16 +202,16 @@ def events_in(span: dict[Tail, tuple[datetime, datetime]], judge: Judge) -> Iter
 
 
 def _next(times: dict[Place, list[datetime]], place: Place, after: datetime) -> datetime | None:
-    held = times.get(place, [])
-    k = bisect_right(held, after)
-    return held[k] if k < len(held) else None
+    of_place = times.get(place, [])
+    k = bisect_right(of_place, after)
+    return of_place[k] if k < len(of_place) else None
 
 
 def _last(times: dict[Place, list[datetime]], place: Place, before: datetime) -> datetime | None:
     """The last one before a time."""
-    held = [t for t in times.get(place, []) if t < before]
-    return held[-1] if held else None
+    of_place = [t for t in times.get(place, []) if t < before]
+    return of_place[-1] if of_place else None
 
 
-def _time(said: str | None) -> datetime | None:
-    return datetime.fromisoformat(said) if said else None
+def _time(text: str | None) -> datetime | None:
+    return datetime.fromisoformat(text) if text else None

@@ -50,16 +50,16 @@ def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> LogE
         What lies there is not what was sealed: nothing is added to a broken log.
     """
     begins = kind == "start" and not any(folder.iterdir())
-    if not begins and (found := next(faults(folder, spare=1), None)):
-        raise TrialError(f"the trial's log is not what was sealed: {found}; nothing was added")
-    held = entries(folder)
-    previous = held[-1].digest if held else NOTHING
-    told = {"number": len(held), "kind": kind, "sealed_at": now.isoformat(), "previous": previous, "body": body}
-    path = folder / f"{len(held):05}.json"
+    if not begins and (fault := next(faults(folder, spare=1), None)):
+        raise TrialError(f"the trial's log is not what was sealed: {fault}; nothing was added")
+    log = entries(folder)
+    previous = log[-1].digest if log else NOTHING
+    record = {"number": len(log), "kind": kind, "sealed_at": now.isoformat(), "previous": previous, "body": body}
+    path = folder / f"{len(log):05}.json"
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(told, indent=1, allow_nan=False, ensure_ascii=False) + "\n", "utf-8")
+        temporary.write_text(json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False) + "\n", "utf-8")
     entry = _read(path)
-    heads = [*(e.digest for e in held), entry.digest]
+    heads = [*(e.digest for e in log), entry.digest]
     with replacing(folder / HEADS) as temporary:
         temporary.write_text("".join(f"{n:05} {digest}\n" for n, digest in enumerate(heads)), "utf-8")
     return entry
@@ -79,10 +79,10 @@ def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *
     spare : int
         Entries that may be there without a line in `heads.txt`: a kill between the two leaves one.
     """
-    found, previous, before, chain = _files(folder), NOTHING, None, []
-    if not found:
+    files, previous, before, chain = _files(folder), NOTHING, None, []
+    if not files:
         yield f"no entry in {folder}"
-    for number, file in enumerate(found):
+    for number, file in enumerate(files):
         if file.name != f"{number:05}.json":
             yield f"entry {number} is missing"
             return
@@ -108,16 +108,16 @@ def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *
 
 def _of_heads(file: Path, chain: list[str], spare: int) -> Iterator[str]:
     lines = file.read_text("utf-8", errors="replace").splitlines() if file.is_file() else []
-    kept = [f"{n:05} {digest}" for n, digest in enumerate(chain)]
-    if lines == kept or (spare and kept[:-spare] == lines):
+    expected = [f"{n:05} {digest}" for n, digest in enumerate(chain)]
+    if lines == expected or (spare and expected[:-spare] == lines):
         return
-    differs = next((n for n, (a, b) in enumerate(zip(lines, kept, strict=False)) if a != b), None)
+    differs = next((n for n, (a, b) in enumerate(zip(lines, expected, strict=False)) if a != b), None)
     if differs is not None:
         yield f"entry {differs} is not the one whose digest {file.name} holds"
-    elif len(lines) > len(kept):
-        yield f"{len(lines) - len(kept)} entries were cut off at the end: {file.name} holds {len(lines)}"
+    elif len(lines) > len(expected):
+        yield f"{len(lines) - len(expected)} entries were cut off at the end: {file.name} holds {len(lines)}"
     else:
-        yield f"{len(kept) - len(lines)} entries at the end are not in {file.name}"
+        yield f"{len(expected) - len(lines)} entries at the end are not in {file.name}"
 
 
 def _files(folder: Path) -> list[Path]:
@@ -127,9 +127,9 @@ def _files(folder: Path) -> list[Path]:
 def _read(file: Path) -> LogEntry:
     data = file.read_bytes()
     try:
-        told = json.loads(data)
-        at = datetime.fromisoformat(told["sealed_at"])
+        record = json.loads(data)
+        at = datetime.fromisoformat(record["sealed_at"])
         digest = hashlib.sha256(data).hexdigest()
-        return LogEntry(int(told["number"]), told["kind"], at, told["previous"], dict(told["body"]), digest)
+        return LogEntry(int(record["number"]), record["kind"], at, record["previous"], dict(record["body"]), digest)
     except (ValueError, KeyError, TypeError):
         raise TrialError(f"{file.name} can't be read as an entry") from None

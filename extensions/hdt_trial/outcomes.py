@@ -49,20 +49,20 @@ def read_outcomes(con: duckdb.DuckDBPyConnection, log: Sequence[LogEntry], decla
     own = [row for entry in log if entry.kind == "outcomes" for row in entry.body["rows"]]
     if own:
         at = pl.col("at").str.to_datetime(time_unit="us", time_zone="UTC")
-        given = pl.DataFrame(own, infer_schema_length=None).with_columns(at, pl.col("pack").cast(pl.Int32))
-        logged = pl.concat([logged, given.select(*COLUMNS[:7])], how="vertical_relaxed")
-    placed = logged.filter(pl.col("pack").is_not_null()).sort("at")
+        sealed = pl.DataFrame(own, infer_schema_length=None).with_columns(at, pl.col("pack").cast(pl.Int32))
+        logged = pl.concat([logged, sealed.select(*COLUMNS[:7])], how="vertical_relaxed")
+    with_pack = logged.filter(pl.col("pack").is_not_null()).sort("at")
     departed = {(o, t): times for o, t, times in con.sql(_FLIGHTS).pl().iter_rows()}
-    return outcomes_of(placed, departed, declared, logged.height - placed.height)
+    return outcomes_of(with_pack, departed, declared, logged.height - with_pack.height)
 
 
 def outcomes_of(
-    placed: pl.DataFrame, departed: dict[tuple[str, str], list[datetime]], declared: Declaration, without_pack: int = 0
+    rows: pl.DataFrame, departed: dict[tuple[str, str], list[datetime]], declared: Declaration, without_pack: int = 0
 ) -> Outcomes:
     """Events, removals and findings without a fault, of rows `COLUMNS[:7]` in order of time."""
     removals, no_faults, events = (dict[Place, list[datetime]]() for _ in range(3))
     open_events: set[Place] = set()
-    for *place, at, kind, finding in placed.iter_rows():
+    for *place, at, kind, finding in rows.iter_rows():
         key = (place[0], place[1], place[2], place[3])
         if finding in declared.no_fault:
             no_faults.setdefault(key, []).append(at)
@@ -84,20 +84,20 @@ def take_in(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
         A column is missing or a value can't be; told with file, row and column.
     """
     try:
-        given = pl.read_csv(file, infer_schema=False)
+        table = pl.read_csv(file, infer_schema=False)
     except pl.exceptions.PolarsError as error:
         raise TrialError(f"{file} is no CSV: {str(error).splitlines()[0]}") from None
-    if missing := [c for c in COLUMNS[:6] if c not in given.columns]:
+    if missing := [c for c in COLUMNS[:6] if c not in table.columns]:
         raise TrialError(f"{file} has no column {missing[0]}; it has {', '.join(COLUMNS)}, the last two may be empty")
-    rows = [_checked(file, n, row) for n, row in enumerate(given.iter_rows(named=True), start=2)]
+    rows = [_checked(file, n, row) for n, row in enumerate(table.iter_rows(named=True), start=2)]
     folder = log_folder(home)
     declaration_of(entries(folder))
     return append(folder, "outcomes", {"file": file.name, "rows": rows}, now or datetime.now(UTC))
 
 
 def _checked(file: Path, number: int, row: dict[str, str | None]) -> dict[str, Any]:
-    def refuse(column: str, wanted: str) -> TrialError:
-        return TrialError(f"{file} row {number} column {column}: {row.get(column)!r} is not {wanted}")
+    def refuse(column: str, expected: str) -> TrialError:
+        return TrialError(f"{file} row {number} column {column}: {row.get(column)!r} is not {expected}")
 
     for column in ("operator", "tail", "component"):
         if not row[column]:
@@ -111,5 +111,5 @@ def _checked(file: Path, number: int, row: dict[str, str | None]) -> dict[str, A
     except ValueError:
         raise refuse("at", "a time as 2026-03-01T14:05:00Z") from None
     at = at.replace(tzinfo=at.tzinfo or UTC).astimezone(UTC)
-    named = {c: row[c] for c in PLACE if c != "pack"} | {"pack": int(row["pack"] or 0)}
-    return named | {"at": at.isoformat(), "kind": row["kind"]} | {c: row.get(c) or None for c in COLUMNS[6:]}
+    key = {c: row[c] for c in PLACE if c != "pack"} | {"pack": int(row["pack"] or 0)}
+    return key | {"at": at.isoformat(), "kind": row["kind"]} | {c: row.get(c) or None for c in COLUMNS[6:]}

@@ -24,7 +24,7 @@ def page(e: Evaluation) -> str:
         f"{e.flights:,} flights of {e.aircraft} aircraft, {e.nights} nights sealed. Version {e.version}.",
         section("How it went", _figures(e, OURS), f"{share}; flights of one aircraft are not taken for independent."),
         *(section(f"The operator's rule {name}", _figures(e, name), _agreement(e, name)) for name in e.agreement),
-        section("What came of the alerts", table(("", *e.verdicts), _verdict_rows(e)), *_left(e)),
+        section("What came of the alerts", table(("", *e.verdicts), _verdict_rows(e)), *_exclusions(e)),
         section("What changed during the trial", bullets(e.changes) if e.changes else "Nothing.", _models(e)),
         section("What was declared before the first night", verbatim(e.text)),
         section("What proves it", *_proof(e)),
@@ -37,21 +37,21 @@ def _figures(e: Evaluation, source: str) -> Part:
 
 
 def _row(f: Figure) -> tuple[str, str, str, str]:
-    if f.told is None:
+    if f.interval is None:
         return f.label, "not told", f.why_not, ""
-    low, high = (_said(f, v) if v is not None else "open" for v in (f.told.low, f.told.high))
+    low, high = (_format_value(f, v) if v is not None else "open" for v in (f.interval.low, f.interval.high))
     n = f"{f.n:,} {f.of}" if f.n is not None else ""
-    return f.label, f"{_said(f, f.told.value)} {f.unit}", f"{low} to {high}", n
+    return f.label, f"{_format_value(f, f.interval.value)} {f.unit}", f"{low} to {high}", n
 
 
-def _said(f: Figure, value: float) -> str:
+def _format_value(f: Figure, value: float) -> str:
     if f.unit == "%":
         return f"{100.0 * value:.1f}"
     return f"{value:,.2f}" if f.name == "false_alarms" else f"{value:,.0f}"
 
 
 def _verdict_rows(e: Evaluation) -> list[tuple[str, ...]]:
-    return [(said, *(_count(told[name]) for told in e.verdicts.values())) for name, said in _VERDICTS.items()]
+    return [(label, *(_count(counts[name]) for counts in e.verdicts.values())) for name, label in _VERDICTS.items()]
 
 
 def _count(n: int | None) -> str:
@@ -59,16 +59,16 @@ def _count(n: int | None) -> str:
 
 
 def _agreement(e: Evaluation, rule: str) -> Part:
-    told = [(who, _count(n)) for who, n in e.agreement[rule].items()]
-    return table(("events foretold in time by", "events"), told)
+    rows = [(who, _count(n)) for who, n in e.agreement[rule].items()]
+    return table(("events foretold in time by", "events"), rows)
 
 
-def _left(e: Evaluation) -> list[str]:
+def _exclusions(e: Evaluation) -> list[str]:
     """What could not be judged."""
-    told = [f"Judged are alerts and prognoses of {', '.join(e.declared.components)}."]
+    lines = [f"Judged are alerts and prognoses of {', '.join(e.declared.components)}."]
     if e.without_pack:
-        told.append("Messages or works that name no pack belong to no unit and were left out.")
-    return told
+        lines.append("Messages or works that name no pack belong to no unit and were left out.")
+    return lines
 
 
 def _models(e: Evaluation) -> str:
@@ -76,16 +76,18 @@ def _models(e: Evaluation) -> str:
 
 
 def _proof(e: Evaluation) -> list[str]:
-    told = [
+    lines = [
         f"Digest of the log's last entry: {e.head}.",
         "Each night's alerts and prognoses were written to a chain of digests before their outcomes were known; who "
         "holds the log can check it with `hdt trial verify` or with sha256sum.",
     ]
     if e.late_nights:
-        told.append(f"{e.late_nights} entries were sealed more than {LATE_SEAL_DAYS:.0f} days after their last flight.")
+        lines.append(
+            f"{e.late_nights} entries were sealed more than {LATE_SEAL_DAYS:.0f} days after their last flight."
+        )
     if e.after_the_fact != 0:
-        told.append("A rehearsal on old flights: outcomes lay before the time of the seal. It proves nothing.")
-    return told
+        lines.append("A rehearsal on old flights: outcomes lay before the time of the seal. It proves nothing.")
+    return lines
 
 
 def _kept_back(e: Evaluation) -> str:

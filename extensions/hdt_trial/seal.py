@@ -53,7 +53,7 @@ def start(home: Path, declaration: str, now: datetime | None = None) -> LogEntry
     declared = read_declaration(declaration)
     with connect(home) as con:
         body = {"declaration": declaration, "frozen": frozen(con, home)}
-        body |= _said(con, declared, {}, {})
+        body |= _collect_changes(con, declared, {}, {})
     folder.mkdir(parents=True, exist_ok=True)
     return append(folder, "start", body, now or datetime.now(UTC))
 
@@ -74,8 +74,10 @@ def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
     if now >= log[0].sealed_at + timedelta(days=declared.days):
         return None
     with connect(home) as con:
-        told = changes(_last_frozen(log), is_now := frozen(con, home))
-        body = ({"changes": told, "frozen": is_now} if told else {}) | _said(con, declared, *_state(log))
+        differences = changes(_last_frozen(log), is_now := frozen(con, home))
+        body = ({"changes": differences, "frozen": is_now} if differences else {}) | _collect_changes(
+            con, declared, *_state(log)
+        )
     return append(folder, "night", body, now)
 
 
@@ -101,7 +103,7 @@ def declaration_of(log: Sequence[LogEntry]) -> Declaration:
     return read_declaration(log[0].body["declaration"])
 
 
-def _said(
+def _collect_changes(
     con: duckdb.DuckDBPyConnection,
     declared: Declaration,
     alerts: dict[str, dict[str, dict[str, Any]]],
@@ -110,13 +112,13 @@ def _said(
     """What is said now and was not said so before: flights known, alerts by source, prognoses."""
     sources = {OURS: con.sql(_ALERTS).pl()}
     sources |= {rule.name: _by_rule(con, rule) for rule in declared.rules if rule.sql}
-    new, gone = {}, {}
+    new, withdrawn = {}, {}
     for source, frame in sources.items():
         before, now = alerts.get(source, {}), {row["alert_id"]: row for row in _rows(frame)}
         new[source] = [row for name, row in now.items() if before.get(name) != row]
-        gone[source] = sorted(set(before) - set(now))
+        withdrawn[source] = sorted(set(before) - set(now))
     outlook = [row for row in _rows(con.sql(_PROGNOSES).pl()) if prognoses.get(place_of(row)) != row]
-    return {"flown": _rows(con.sql(_FLOWN).pl()), "alerts": new, "withdrawn": gone, "prognoses": outlook}
+    return {"flown": _rows(con.sql(_FLOWN).pl()), "alerts": new, "withdrawn": withdrawn, "prognoses": outlook}
 
 
 def _by_rule(con: duckdb.DuckDBPyConnection, rule: Rule) -> pl.DataFrame:
@@ -133,11 +135,11 @@ def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
     if missing := [c for c in (*PLACE, "raised_at") if c not in frame.columns]:
         raise TrialError(f"{where} has no column {missing[0]}; alerts have {', '.join((*PLACE, 'raised_at'))}")
     times = [pl.col(c) if c in frame.columns else pl.lit(None).alias(c) for c in ("raised_at", "closed_at")]
-    kept = frame.select(*PLACE, *(t.cast(pl.Datetime("us", "UTC")) for t in times))
-    if kept.select(pl.any_horizontal(pl.col(*PLACE, "raised_at").is_null().any())).item():
+    alerts = frame.select(*PLACE, *(t.cast(pl.Datetime("us", "UTC")) for t in times))
+    if alerts.select(pl.any_horizontal(pl.col(*PLACE, "raised_at").is_null().any())).item():
         raise TrialError(f"{where} has an alert without {', '.join(PLACE)} or raised_at")
     name = pl.concat_str(*PLACE, pl.col("raised_at").dt.to_string("iso:strict"), separator=" ")
-    return kept.with_columns(alert_id=name).unique("alert_id", keep="first", maintain_order=True).sort("alert_id")
+    return alerts.with_columns(alert_id=name).unique("alert_id", keep="first", maintain_order=True).sort("alert_id")
 
 
 def _state(

@@ -30,17 +30,17 @@ def faults(folder: Path, log: list[LogEntry], authority: Path) -> list[str]:
     authority : Path
         The authority's certificate, PEM.
     """
-    found = []
+    messages = []
     for answer in stamps(folder):
         number = int(answer.stem) if answer.stem.isdecimal() else len(log)
         if number >= len(log):
-            found.append(f"{answer.name} is of no entry")
+            messages.append(f"{answer.name} is of no entry")
             continue
         try:
             _openssl("ts", "-verify", "-digest", log[number].digest, "-in", str(answer), "-CAfile", str(authority))
         except TrialError:
-            found.append(f"{answer.name} does not stamp entry {number} as it is")
-    return found
+            messages.append(f"{answer.name} does not stamp entry {number} as it is")
+    return messages
 
 
 def stamps(folder: Path) -> list[Path]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.promise import best_objective, main
-from benchmarks.random_problems import FAMILIES, drawn, exact, loud, van_der_pol
+from benchmarks.random_problems import FAMILIES, draw_problems, exact, loud, van_der_pol
 from hdt_core.estimation import Belief, NonlinearLeastSquares, UnscentedKalman, estimators
 from hdt_estimators import DifferentialEvolution
 
@@ -22,7 +22,7 @@ def test_every_method_keeps_its_promise_and_none_raises():
 
 def test_a_local_optimum_is_called_one_and_the_better_is_named():
     local = []
-    for family, problem, _ in drawn(4 * len(FAMILIES), seed=5):
+    for family, problem, _ in draw_problems(4 * len(FAMILIES), seed=5):
         if family == "wave":
             estimate = NonlinearLeastSquares().estimate(problem)
             if estimate.status == "local_optimum":

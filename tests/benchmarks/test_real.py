@@ -53,7 +53,7 @@ def test_a_valve_that_shuts_is_found_while_it_is_shut(rig):
     assert f1.value > 0.9
     assert false.value < 0.1
     assert missed.value < 0.05
-    assert skab.RECIPE.found(rig.parent) == rig
+    assert skab.RECIPE.find_folder(rig.parent) == rig
 
 
 def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
@@ -100,9 +100,9 @@ def test_turbines_that_fail_are_told_from_those_that_do_not(turbines):
 
 def test_the_care_score_of_those_who_say_nothing_and_of_those_who_always_cry():
     """By the paper: 0 where nothing is found; the accuracy itself where it is no better than chance."""
-    silent = [events.Judged(k % 2 == 1, False, 1.0, 0.0, 0.0, np.nan) for k in range(4)]
-    loud = [events.Judged(k % 2 == 1, True, 0.0, 0.5, 1.0, 100.0) for k in range(4)]
-    perfect = [events.Judged(k % 2 == 1, k % 2 == 1, 1.0, 1.0, 1.0, 100.0) for k in range(4)]
+    silent = [events.EventScore(k % 2 == 1, False, 1.0, 0.0, 0.0, np.nan) for k in range(4)]
+    loud = [events.EventScore(k % 2 == 1, True, 0.0, 0.5, 1.0, 100.0) for k in range(4)]
+    perfect = [events.EventScore(k % 2 == 1, k % 2 == 1, 1.0, 1.0, 1.0, 100.0) for k in range(4)]
     assert (events.care(silent), events.care(loud), events.care(perfect)) == (0.0, 0.0, 1.0)
 
 
@@ -230,12 +230,12 @@ def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
     ],
 )
 def test_a_goal_is_held_or_not(goal, value, held):
-    assert Score("", value, 0.0, 1.0, goal).held is held
+    assert Score("", value, 0.0, 1.0, goal).is_met is held
 
 
 def test_what_is_absent_is_told_with_where_to_get_it(tmp_path):
     for recipe in (r for r in RECIPES if r.wants):
-        assert recipe.found(tmp_path) is None
+        assert recipe.find_folder(tmp_path) is None
         told = described(recipe, None)
         assert recipe.source in told
         assert "Not run here" in told

@@ -103,7 +103,7 @@ def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone)
     assert (done.failed, done.runs) == ({}, alone[1])
     assert fingerprint(fleet.home("night")) == alone[0]
     assert fleet.made_twice(began) == []
-    assert all("execute_job" in fleet.said(name).split(" ready.")[-1] for name in ("one", "two"))
+    assert all("execute_job" in fleet.read_log(name).split(" ready.")[-1] for name in ("one", "two"))
     assert not (fleet.home("night") / "ledger.sqlite").exists()
 
 
@@ -118,7 +118,7 @@ def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
     assert done.failed == {}
     assert fingerprint(fleet.home("night")) == alone[0]
     # lost at work, or between the broker and the run's first word
-    assert any(why in fleet.said("daemon") for why in ("no worker has been at it", "seconds to start."))
+    assert any(why in fleet.read_log("daemon") for why in ("no worker has been at it", "seconds to start."))
 
 
 def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypatch):
@@ -170,4 +170,4 @@ def test_without_a_daemon_it_is_said(fleet):
 
 
 def test_the_processes_said_no_password(elsewhere):
-    assert "guest:guest" not in "".join(elsewhere.said(name) for name in ("one", "two", "daemon"))
+    assert "guest:guest" not in "".join(elsewhere.read_log(name) for name in ("one", "two", "daemon"))

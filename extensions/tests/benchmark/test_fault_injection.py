@@ -31,8 +31,8 @@ def page() -> dict[str, Any]:
 def rows(page) -> pl.DataFrame:
     """Snapshots of one aircraft, with a ram outlet sensor that reads what the heat balance says at 1.5 kg/s."""
     cooled = pl.col("hx_in_degc") - pl.col("hx_out_degc")
-    seen = page["rows"]["A9-BAC"].drop("ram_out_degc", strict=False)
-    return seen.with_columns(
+    snapshots = page["rows"]["A9-BAC"].drop("ram_out_degc", strict=False)
+    return snapshots.with_columns(
         (pl.col("tat_degc") + cooled * pl.col("pack_flow_lbpm") * LB_PER_MIN / 1.5).alias("ram_out_degc")
     )
 
@@ -45,66 +45,66 @@ def cruise(frame: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
 
 @pytest.mark.parametrize("fault", [Fouling(0.0), Fouling(0.0, masked=False), DoorLimit(1.0)], ids=str)
 def test_no_fault_changes_nothing(page, rows, fault):
-    made = inject(rows, fault, pack=PACK, first_flight=page["first"])
+    injected = inject(rows, fault, pack=PACK, first_flight=page["first"])
     # the door is found by bisection, to a ten-millionth of its travel
-    assert_frame_equal(made.rows, rows, check_exact=False, abs_tol=1e-4)
+    assert_frame_equal(injected.rows, rows, check_exact=False, abs_tol=1e-4)
 
 
 @pytest.mark.parametrize("fault", [Fouling(0.3), DoorLimit(0.2), SensorFault("hx_out_degc", "step", 5.0)], ids=str)
 def test_other_pack_earlier_flights_and_other_columns_stay(page, rows, fault):
-    made = inject(rows, fault, pack=PACK, first_flight=page["first"])
-    assert_frame_equal(made.rows.drop(TOUCHED), rows.drop(TOUCHED))
-    sound = made.truth.filter(pl.col("since").is_null())["flight_id"].implode()
+    injected = inject(rows, fault, pack=PACK, first_flight=page["first"])
+    assert_frame_equal(injected.rows.drop(TOUCHED), rows.drop(TOUCHED))
+    sound = injected.truth.filter(pl.col("since").is_null())["flight_id"].implode()
     spared = (pl.col("pack") != PACK) | pl.col("flight_id").is_in(sound)
-    assert_frame_equal(made.rows.filter(spared), rows.filter(spared))
-    assert not made.rows.filter(~spared).equals(rows.filter(~spared))
+    assert_frame_equal(injected.rows.filter(spared), rows.filter(spared))
+    assert not injected.rows.filter(~spared).equals(rows.filter(~spared))
 
 
 def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
-    made = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
-    both = cruise(made.rows, made.truth).join(
+    injected = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
+    both = cruise(injected.rows, injected.truth).join(
         rows.select("flight_id", "pack", "report_time", "ram_door_pct", "hx_out_degc"),
         on=["flight_id", "pack", "report_time"],
         suffix="_before",
     )
-    known = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
-    door, before = known["ram_door_pct"], known["ram_door_pct_before"]
-    warmer = known["hx_out_degc"] - known["hx_out_degc_before"]
+    complete = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
+    door, before = complete["ram_door_pct"], complete["ram_door_pct_before"]
+    warmer = complete["hx_out_degc"] - complete["hx_out_degc_before"]
     assert (door >= before - 1e-9).all()
-    held = door < 99.99
-    assert 0.3 < held.mean() < 0.99
-    assert warmer.filter(held).abs().max() < 1e-3
-    assert warmer.filter(~held).min() > -1e-3
-    assert warmer.filter(~held).max() > 0.5
+    modulating = door < 99.99
+    assert 0.3 < modulating.mean() < 0.99
+    assert warmer.filter(modulating).abs().max() < 1e-3
+    assert warmer.filter(~modulating).min() > -1e-3
+    assert warmer.filter(~modulating).max() > 0.5
 
 
 def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
     fault = Fouling(0.3, masked=False)
-    made = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
+    injected = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
     key = ["flight_id", "pack", "report_time"]
-    both = cruise(made.rows, made.truth).join(
+    both = cruise(injected.rows, injected.truth).join(
         rows.select(*key, "hx_out_degc", "ram_out_degc"), on=key, suffix="_before"
     )
-    known = both.drop_nulls(["hx_in_degc", "hx_out_degc", "ram_out_degc"])
+    complete = both.drop_nulls(["hx_in_degc", "hx_out_degc", "ram_out_degc"])
     air = {
-        "total_pressure_pa": 6894.757293168 * known["pt_psia"].to_numpy(),
-        "tat_k": known["tat_degc"].to_numpy() + 273.15,
-        "altitude_m": 0.3048 * known["altitude_ft"].to_numpy(),
-        "mach": known["mach"].to_numpy(),
-        "ram_door_open": 0.01 * known["ram_door_pct"].to_numpy(),
+        "total_pressure_pa": 6894.757293168 * complete["pt_psia"].to_numpy(),
+        "tat_k": complete["tat_degc"].to_numpy() + 273.15,
+        "altitude_m": 0.3048 * complete["altitude_ft"].to_numpy(),
+        "mach": complete["mach"].to_numpy(),
+        "ram_door_open": 0.01 * complete["ram_door_pct"].to_numpy(),
     }
     ram_kg_s = page["ours"]["duct"].predict({}, air)["ram_flow_kg_s"]
     out_k, before_k, ram_k, ram_before_k = (
-        known[c].to_numpy() + 273.15
+        complete[c].to_numpy() + 273.15
         for c in ("hx_out_degc", "hx_out_degc_before", "ram_out_degc", "ram_out_degc_before")
     )
-    hot_w_k = known["pack_flow_lbpm"].to_numpy() * LB_PER_MIN * mean_specific_heat_j_kg_k(before_k, out_k)
-    kept = hot_w_k * (out_k - before_k)
+    hot_w_k = complete["pack_flow_lbpm"].to_numpy() * LB_PER_MIN * mean_specific_heat_j_kg_k(before_k, out_k)
+    hot_w = hot_w_k * (out_k - before_k)
     lacks = ram_kg_s * mean_specific_heat_j_kg_k(ram_k, ram_before_k) * (ram_before_k - ram_k)
-    clear = np.isfinite(kept) & np.isfinite(lacks)
+    clear = np.isfinite(hot_w) & np.isfinite(lacks)
     assert clear.sum() > 1000
     # changes are laid over recorded temperatures, whose specific heats are not quite those of the physics'
-    np.testing.assert_allclose(lacks[clear], kept[clear], rtol=3e-3, atol=1e-3)
+    np.testing.assert_allclose(lacks[clear], hot_w[clear], rtol=3e-3, atol=1e-3)
 
 
 def test_the_twin_recovers_the_injected_loss(page):
@@ -123,11 +123,17 @@ def test_the_health_track_rises_by_it(page):
     """
     tail, first = page["TAIL"], page["first"]
     flown = page["as_flown"].filter(pl.col("tail") == tail)
-    looked = {"operator": flown["operator"][0], "tail": tail, "pack": PACK, "component": "HX", "action": "INSPECTED"}
+    inspection = {
+        "operator": flown["operator"][0],
+        "tail": tail,
+        "pack": PACK,
+        "component": "HX",
+        "action": "INSPECTED",
+    }
     day = flown["departed_at"].dt.date().min()
-    log = pl.concat([page["no_work"], pl.DataFrame([looked | {"done_on": day}])], how="diagonal_relaxed")
-    made = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
-    after = estimate_flights(page["admitted_legs"](made.rows, tail)[1], page["dsm"])
+    log = pl.concat([page["no_work"], pl.DataFrame([inspection | {"done_on": day}])], how="diagonal_relaxed")
+    injected = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
+    after = estimate_flights(page["admitted_legs"](injected.rows, tail)[1], page["dsm"])
     both = [track(f, log, page["dsm"]).health for f in (after, flown)]
     late, before = (
         t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
@@ -148,12 +154,12 @@ def test_a_short_door_is_no_loss(page):
 
 @pytest.mark.parametrize(("kind", "late"), [("step", 3.0), ("drift", 6.0)])
 def test_sensor_faults_have_the_size_they_are_given(page, rows, kind, late):
-    made = inject(rows, SensorFault("tat_degc", kind, 3.0), pack=PACK, first_flight=page["first"])
-    moved = made.rows.with_columns(error=made.rows["tat_degc"] - rows["tat_degc"])
-    error = moved.join(made.truth, on=["flight_id", "pack"]).drop_nulls(["since", "error"])
+    injected = inject(rows, SensorFault("tat_degc", kind, 3.0), pack=PACK, first_flight=page["first"])
+    shifts = injected.rows.with_columns(error=injected.rows["tat_degc"] - rows["tat_degc"])
+    error = shifts.join(injected.truth, on=["flight_id", "pack"]).drop_nulls(["since", "error"])
     np.testing.assert_allclose(error.filter(pl.col("since") >= 50)["error"], late)
     np.testing.assert_allclose(error.filter(pl.col("since") == 25)["error"], 3.0)
-    assert made.truth["sensor_fault"].unique().sort().to_list() == ["", "tat_degc"]
+    assert injected.truth["sensor_fault"].unique().sort().to_list() == ["", "tat_degc"]
 
 
 def test_a_stuck_sensor_repeats_itself_and_a_dropout_leaves_gaps(page, rows):

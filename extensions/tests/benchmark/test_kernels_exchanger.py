@@ -25,8 +25,10 @@ def snapshots(lengths, loss, sigma_k=0.5, seed=0):
     hot_in, cold_in = 390.0 + 5.0 * rng.normal(size=n), 250.0 + 3.0 * rng.normal(size=n)
     clean = clean_conductance_w_k(hot, ram, **DESIGN)
     hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, clean * (1.0 - np.repeat(loss, lengths)))
-    seen = hot_out + sigma_k * rng.normal(size=n)
-    return ExchangerSamples(hot, ram, hot_in, seen, cold_in, np.full(n, 1.0 / max(sigma_k, 0.01) ** 2), starts), clean
+    measured_k = hot_out + sigma_k * rng.normal(size=n)
+    return ExchangerSamples(
+        hot, ram, hot_in, measured_k, cold_in, np.full(n, 1.0 / max(sigma_k, 0.01) ** 2), starts
+    ), clean
 
 
 def lumped(lengths, h_w_k, sigma_k=0.5, seed=0):
@@ -39,10 +41,16 @@ def lumped(lengths, h_w_k, sigma_k=0.5, seed=0):
         "cold_in_k": samples.cold_in_k,
     }
     hot_out, _ = steady_outlets_k(**inputs, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
-    seen = hot_out + sigma_k * np.random.default_rng(seed + 1).normal(size=len(h))
+    measured_k = hot_out + sigma_k * np.random.default_rng(seed + 1).normal(size=len(h))
     weight = np.full(len(h), 1.0 / max(sigma_k, 0.01) ** 2)
     return ExchangerSamples(
-        samples.hot_flow_kg_s, samples.ram_flow_kg_s, samples.hot_in_k, seen, samples.cold_in_k, weight, samples.starts
+        samples.hot_flow_kg_s,
+        samples.ram_flow_kg_s,
+        samples.hot_in_k,
+        measured_k,
+        samples.cold_in_k,
+        weight,
+        samples.starts,
     )
 
 
@@ -174,14 +182,14 @@ def test_samples_that_say_nothing_are_passed_over(path):
     spoiled = samples.hot_out_k.copy()
     spoiled[::2] = 999.0
     weight = np.where(np.arange(30) % 2 == 0, 0.0, 4.0)
-    kept = ExchangerSamples(
+    every_other = ExchangerSamples(
         *(getattr(samples, n)[1::2] for n in ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k")),
         np.full(15, 4.0),
         np.array([0, 15]),
     )
     left_out = fit_conductance_scale(changed(samples, hot_out_k=spoiled, weight_per_k2=weight), clean, path)
     assert left_out.n_used[0] == 15
-    assert left_out.mean[0] == pytest.approx(fit_conductance_scale(kept, clean[1::2], path).mean[0], abs=1e-12)
+    assert left_out.mean[0] == pytest.approx(fit_conductance_scale(every_other, clean[1::2], path).mean[0], abs=1e-12)
 
 
 @both_paths

@@ -99,9 +99,9 @@ def test_error_is_that_of_the_cramer_rao_bound(estimator):
 
 def test_bound_is_the_published_one():
     # derived once by hand: sd of damping 0.0121 and of stiffness 0.0171, nearly uncorrelated
-    seen = fisher(oscillator_problem(0), TRUTH)
-    np.testing.assert_allclose(seen.bound_sd, [0.0121, 0.0171], rtol=5e-3)
-    assert abs(seen.correlation[0, 1]) < 0.01
+    bound = fisher(oscillator_problem(0), TRUTH)
+    np.testing.assert_allclose(bound.bound_sd, [0.0121, 0.0171], rtol=5e-3)
+    assert abs(bound.correlation[0, 1]) < 0.01
 
 
 def test_position_error_of_least_squares_against_the_truth():

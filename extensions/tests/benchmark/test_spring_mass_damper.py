@@ -12,8 +12,8 @@ FORCE_N = np.sin(2.0 * np.pi * 0.5 * TIME_S)
 @pytest.mark.parametrize("params", [(0.5, 2.0, 1.0), (0.0, 5.0, 2.0), (3.0, 0.5, 0.7)])
 def test_filter_is_the_euler_loop(params):
     damping, stiffness, mass = params
-    named = {"damping_n_s_m": damping, "stiffness_n_m": stiffness, "mass_kg": mass}
-    loop = SPRING_MASS_DAMPER.simulate(named, {"force_n": FORCE_N}, 0.01)["measured_m"]
+    values = {"damping_n_s_m": damping, "stiffness_n_m": stiffness, "mass_kg": mass}
+    loop = SPRING_MASS_DAMPER.simulate(values, {"force_n": FORCE_N}, 0.01)["measured_m"]
     np.testing.assert_allclose(euler_position_m(FORCE_N, 0.01, *params), loop, atol=1e-11)
 
 

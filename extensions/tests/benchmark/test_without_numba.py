@@ -42,14 +42,14 @@ def samples():
 def answers():
     """Estimates of every kernel, by the path this process takes."""
     flights, problem = samples(), oscillator_problem(0)
-    found = {
+    estimates = {
         "conductance": fit_conductance_scale(flights, np.full(24, 1500.0)).mean,
         "resistance": fit_lumped_resistance(flights).mean,
         "log": fit_lumped_log(flights, 1.0, 8.0, 8.0).mean,
         "nls": NonlinearLeastSquares().estimate(problem).belief.mean,
         "ekf": ExtendedKalman().estimate(problem).belief.mean,
     }
-    return {name: value.tolist() for name, value in found.items()}
+    return {name: value.tolist() for name, value in estimates.items()}
 
 
 def fits_compiled():
@@ -62,8 +62,8 @@ def without(request):
     """What a process without numba found."""
     folder = str(request.path.parent)
     code = f"import sys; sys.path.insert(0, {folder!r})\n{BLOCKED}"
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return json.loads(ran.stdout)
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return json.loads(process.stdout)
 
 
 def test_the_numpy_path_is_chosen(without):

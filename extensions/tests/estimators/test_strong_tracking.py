@@ -43,8 +43,10 @@ def test_without_a_jump_it_is_the_plain_filter():
 
 def test_classification_tells_the_jump_and_its_time():
     problem = gain_record(2)
-    found = classify(problem.names, StrongTracking().estimate(problem), Belief(np.array([1.0]), np.array([[0.02**2]])))
-    first = found.first()["gain"]
+    classification = classify(
+        problem.names, StrongTracking().estimate(problem), Belief(np.array([1.0]), np.array([[0.02**2]]))
+    )
+    first = classification.first()["gain"]
     assert first is not None
     assert JUMP_AT <= first <= JUMP_AT + 20
     quiet = gain_record(3, after=1.0)
@@ -71,8 +73,8 @@ def test_recursive_least_squares_is_the_weighted_sum_of_the_textbook():
     estimate = RecursiveLeastSquares(forgetting=forgetting).estimate(problem)
     assert estimate.belief.mean[0] == pytest.approx(expected, abs=2e-6)
     # what it states is the scatter that such weights leave, not what the faded covariance says
-    left = np.sqrt((weight**2 * u**2 * 0.01).sum()) / information
-    assert estimate.belief.sd[0] == pytest.approx(left, rel=1e-3)
+    scatter = np.sqrt((weight**2 * u**2 * 0.01).sum()) / information
+    assert estimate.belief.sd[0] == pytest.approx(scatter, rel=1e-3)
 
 
 @pytest.mark.parametrize("estimator", [RecursiveLeastSquares(forgetting=0.97), StrongTracking()], ids=lambda e: e.name)

@@ -28,12 +28,12 @@ NAMES = {"oil_flow_w_k": "inlet.flow", "oil_in_k": "inlet.T", "hc_ua_w_k": "ua"}
 def packed(folder: Path, description: str, binary: Path | None) -> Path:
     import fmpy
 
-    made = folder / "oil_tank.fmu"
-    with zipfile.ZipFile(made, "w") as archive:
+    path = folder / "oil_tank.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
         if binary is not None:
             archive.write(binary, f"binaries/{fmpy.platform}/oil_tank{fmpy.sharedLibraryExtension}")
-    return made
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -89,11 +89,11 @@ def test_states_are_the_fmus_own(tank):
 def test_it_relaxes_as_the_closed_form_does(tank):
     """From 300 K to the mean of both streams weighted by their conductances, with time constant heat / (flow + UA)."""
     n, dt_s = 200, 2.0
-    held = {"oil_flow_w_k": 250.0, "oil_in_k": np.full(n, 330.0), "air_in_k": 295.0}
-    seen = tank.simulate({"hc_fouling": 0.5}, held, dt_s)["return_k"]
+    inputs = {"oil_flow_w_k": 250.0, "oil_in_k": np.full(n, 330.0), "air_in_k": 295.0}
+    return_k = tank.simulate({"hc_fouling": 0.5}, inputs, dt_s)["return_k"]
     final = (250.0 * 330.0 + 85.0 * 295.0) / 335.0
     time_s = dt_s * np.arange(n)
-    np.testing.assert_allclose(seen, final + (300.0 - final) * np.exp(-time_s * 335.0 / 40_000.0), atol=1e-5)
+    np.testing.assert_allclose(return_k, final + (300.0 - final) * np.exp(-time_s * 335.0 / 40_000.0), atol=1e-5)
 
 
 def record(tank, loss, n=120):
@@ -113,16 +113,16 @@ def record(tank, loss, n=120):
 def test_estimators_recover_its_loss(tank, estimator):
     inputs, measured = record(tank, 0.35)
     problem = declared_problem(tank, ["hc_fouling"], inputs, measured, prior=unknown(np.array([0.0])), dt_s=5.0)
-    found = estimator.estimate(problem)
-    assert found.status == "converged"
-    assert abs(found.belief.mean[0] - 0.35) < 4.0 * found.belief.sd[0]
-    assert found.belief.sd[0] < 0.02
+    estimate = estimator.estimate(problem)
+    assert estimate.status == "converged"
+    assert abs(estimate.belief.mean[0] - 0.35) < 4.0 * estimate.belief.sd[0]
+    assert estimate.belief.sd[0] < 0.02
 
 
 def test_a_point_that_it_rejects_is_missing_and_the_next_is_not(tank):
     at = {"oil_flow_w_k": np.array([250.0, -1.0, np.nan, 250.0]), "oil_in_k": 330.0, "air_in_k": 295.0}
-    seen = tank.predict({}, at)["return_k"]
-    np.testing.assert_array_equal(np.isnan(seen), [False, True, True, False])
+    return_k = tank.predict({}, at)["return_k"]
+    np.testing.assert_array_equal(np.isnan(return_k), [False, True, True, False])
 
 
 def test_names_kinds_and_units_are_checked(fmu):
@@ -135,14 +135,14 @@ def test_names_kinds_and_units_are_checked(fmu):
 
 
 def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
-    asked = {"inputs": INPUTS, "outputs": OUTPUTS, "params": (UA, HEAT), "variables": NAMES}
+    declaration = {"inputs": INPUTS, "outputs": OUTPUTS, "params": (UA, HEAT), "variables": NAMES}
     with pytest.raises(ValueError, match="no FMU"):
-        fmu_model(SOURCE / "oil_tank.c", **asked)
+        fmu_model(SOURCE / "oil_tank.c", **declaration)
     with pytest.raises(ValueError, match="no binary for"):
-        fmu_model(packed(tmp_path, description, None), **asked)
+        fmu_model(packed(tmp_path, description, None), **declaration)
     hidden = description.replace("<ModelExchange", "<CoSimulation").replace(' numberOfEventIndicators="0"', "")
     with pytest.raises(ValueError, match=r"FMI 2.0, coSimulation; needs FMI 2.0, modelExchange"):
-        fmu_model(packed(tmp_path, hidden, None), **asked)
+        fmu_model(packed(tmp_path, hidden, None), **declaration)
 
 
 def test_a_run_over_time_takes_no_inputs(fmu):

@@ -48,55 +48,55 @@ def description(name: str, states: tuple[str, ...], constants: tuple[str, ...], 
     )
 
 
-def built(folder: Path, name: str, number: int, text: str) -> Path:
+def build_fmu(folder: Path, name: str, number: int, text: str) -> Path:
     fmpy = pytest.importorskip("fmpy", reason="the extra `fmi` is not installed")
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler to build the FMUs of the tests with")
-    binary, made = folder / f"{name}.so", folder / f"{name}.fmu"
+    binary, path = folder / f"{name}.so", folder / f"{name}.fmu"
     headers = Path(fmpy.__file__).parent / "c-code"
     command = [compiler, "-shared", "-fPIC", "-O1", f"-DMODEL={number}", f"-I{headers}", str(SOURCE), "-o", str(binary)]
     subprocess.run(command, check=True, capture_output=True)
-    with zipfile.ZipFile(made, "w") as archive:
+    with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
         archive.write(binary, f"binaries/{fmpy.platform}/{name}{fmpy.sharedLibraryExtension}")
-    return made
+    return path
 
 
 def loaded(folder: Path, name: str):
     number, states, constant = CONTINUOUS[name]
-    made = built(folder, name, number, description(name, states, (constant.name,), 0))
+    path = build_fmu(folder, name, number, description(name, states, (constant.name,), 0))
     outputs = tuple(Signal(state, "-", sigma=0.01) for state in states)
-    return made, fmu_model(made, inputs=(), outputs=outputs, params=(constant,))
+    return path, fmu_model(path, inputs=(), outputs=outputs, params=(constant,))
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_without_inputs_it_simulates_as_fmpy_does(tmp_path, name):
     import fmpy
 
-    made, model = loaded(tmp_path, name)
-    seen = model.simulate({}, {}, 0.01, n_samples=1001)
+    path, model = loaded(tmp_path, name)
+    ours = model.simulate({}, {}, 0.01, n_samples=1001)
     theirs = fmpy.simulate_fmu(
-        str(made), stop_time=10.0, output_interval=0.01, relative_tolerance=1e-9, fmi_type="ModelExchange"
+        str(path), stop_time=10.0, output_interval=0.01, relative_tolerance=1e-9, fmi_type="ModelExchange"
     )
     for output in model.outputs:
-        np.testing.assert_allclose(seen[output.name], theirs[output.name][:1001], atol=2e-5)
+        np.testing.assert_allclose(ours[output.name], theirs[output.name][:1001], atol=2e-5)
 
 
 def test_its_parameter_is_estimated(tmp_path):
     _, model = loaded(tmp_path, "van_der_pol")
-    seen = {k: v[:120] for k, v in model.simulate({"mu": 1.5}, {}, 0.05, n_samples=120).items()}
+    outputs = {k: v[:120] for k, v in model.simulate({"mu": 1.5}, {}, 0.05, n_samples=120).items()}
     rng = np.random.default_rng(0)
-    measured = {name: values + 0.01 * rng.standard_normal(120) for name, values in seen.items()}
+    measured = {name: values + 0.01 * rng.standard_normal(120) for name, values in outputs.items()}
     problem = declared_problem(model, ["mu"], {}, measured, prior=unknown(np.array([1.0])), dt_s=0.05)
-    found = NonlinearLeastSquares().estimate(problem)
-    assert found.status == "converged"
-    assert abs(found.belief.mean[0] - 1.5) < 4.0 * found.belief.sd[0]
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.status == "converged"
+    assert abs(estimate.belief.mean[0] - 1.5) < 4.0 * estimate.belief.sd[0]
 
 
 @pytest.fixture(scope="module")
 def ball_fmu(tmp_path_factory):
-    return built(tmp_path_factory.mktemp("ball"), "ball", 3, description("ball", ("h", "v"), ("g", "e"), 1))
+    return build_fmu(tmp_path_factory.mktemp("ball"), "ball", 3, description("ball", ("h", "v"), ("g", "e"), 1))
 
 
 @pytest.fixture(scope="module")
@@ -106,14 +106,14 @@ def ball(ball_fmu):
 
 @pytest.fixture(scope="module")
 def stairs_fmu(tmp_path_factory):
-    return built(tmp_path_factory.mktemp("stairs"), "stairs", 4, description("stairs", (), (), 0))
+    return build_fmu(tmp_path_factory.mktemp("stairs"), "stairs", 4, description("stairs", (), (), 0))
 
 
-def theirs_of(made, end_s, dt_s):
+def theirs_of(path, end_s, dt_s):
     import fmpy
 
     return fmpy.simulate_fmu(
-        str(made),
+        str(path),
         stop_time=end_s,
         output_interval=dt_s,
         relative_tolerance=1e-9,
@@ -138,39 +138,39 @@ def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
 
 def test_a_ball_bounces_as_in_closed_form_and_as_fmpy_has_it(ball_fmu, ball):
     time_s = 0.01 * np.arange(401)
-    seen = ball.predict({}, {"time_s": time_s})
-    np.testing.assert_allclose(seen["h"], bounced(time_s, 9.81, 0.7), atol=1e-6)
+    ours = ball.predict({}, {"time_s": time_s})
+    np.testing.assert_allclose(ours["h"], bounced(time_s, 9.81, 0.7), atol=1e-6)
     theirs = theirs_of(ball_fmu, 4.0, 0.01)
-    np.testing.assert_allclose(seen["h"], theirs["h"], atol=1e-6)
-    np.testing.assert_allclose(seen["v"], theirs["v"], atol=1e-5)
-    assert seen["h"][-1] == pytest.approx(0.0, abs=1e-9)  # lies still: a memory that is none of its states
+    np.testing.assert_allclose(ours["h"], theirs["h"], atol=1e-6)
+    np.testing.assert_allclose(ours["v"], theirs["v"], atol=1e-5)
+    assert ours["h"][-1] == pytest.approx(0.0, abs=1e-9)  # lies still: a memory that is none of its states
 
 
 def test_stairs_climb_by_the_clock_and_end(stairs_fmu):
     stairs = fmu_over_time(stairs_fmu, outputs=(Signal("count", "-"),), params=())
     time_s = 0.25 * np.arange(45)
-    seen = stairs.predict({}, {"time_s": time_s})["count"]
-    np.testing.assert_array_equal(seen, np.where(time_s < 9.0, 1.0 + np.floor(time_s), np.nan))
+    ours = stairs.predict({}, {"time_s": time_s})["count"]
+    np.testing.assert_array_equal(ours, np.where(time_s < 9.0, 1.0 + np.floor(time_s), np.nan))
     theirs = theirs_of(stairs_fmu, 8.75, 0.25)
-    np.testing.assert_array_equal(seen[:36], theirs["count"])
+    np.testing.assert_array_equal(ours[:36], theirs["count"])
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
-    made, model = loaded(tmp_path, name)
-    over_time = fmu_over_time(made, outputs=model.outputs, params=model.params)
+    path, model = loaded(tmp_path, name)
+    over_time = fmu_over_time(path, outputs=model.outputs, params=model.params)
     constant = model.params[0].name
     expected = model.simulate({constant: 1.7}, {}, 0.05, n_samples=101)
-    seen = over_time.predict({constant: 1.7}, {"time_s": 0.05 * np.arange(101)})
+    ours = over_time.predict({constant: 1.7}, {"time_s": 0.05 * np.arange(101)})
     for output in model.outputs:
-        np.testing.assert_allclose(seen[output.name], expected[output.name], atol=2e-5)
+        np.testing.assert_allclose(ours[output.name], expected[output.name], atol=2e-5)
 
 
 def test_instants_come_in_any_order_and_parameters_broadcast(ball):
     time_s, e = np.array([1.3, 0.2, np.nan, -1.0, 0.2]), np.array([[0.7], [0.5]])
-    seen = ball.predict({"e": e}, {"time_s": time_s})["h"]
+    heights = ball.predict({"e": e}, {"time_s": time_s})["h"]
     expected = [[bounced(np.array([t]), 9.81, x)[0] if t > 0.0 else np.nan for t in time_s] for x in (0.7, 0.5)]
-    np.testing.assert_allclose(seen, expected, atol=1e-6)
+    np.testing.assert_allclose(heights, expected, atol=1e-6)
 
 
 def test_gravity_and_bounce_are_estimated_from_a_record(ball):
@@ -178,10 +178,10 @@ def test_gravity_and_bounce_are_estimated_from_a_record(ball):
     rng = np.random.default_rng(0)
     measured = {"h": bounced(time_s, 9.5, 0.65) + 0.01 * rng.standard_normal(150)}
     problem = declared_problem(ball, ["g", "e"], {"time_s": time_s}, measured, prior=unknown(np.array([-9.81, 0.7])))
-    found = NonlinearLeastSquares().estimate(problem)
-    assert found.status == "converged"
-    np.testing.assert_array_less(np.abs(found.belief.mean - [-9.5, 0.65]), 4.0 * found.belief.sd)
-    assert found.belief.sd[1] < 0.005
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.status == "converged"
+    np.testing.assert_array_less(np.abs(estimate.belief.mean - [-9.5, 0.65]), 4.0 * estimate.belief.sd)
+    assert estimate.belief.sd[1] < 0.005
 
 
 def test_a_model_with_events_is_no_component_of_states(ball_fmu, stairs_fmu):

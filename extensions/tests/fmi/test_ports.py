@@ -32,13 +32,13 @@ WIRES = {
 def one_after_another(params):
     cc = COMPRESSOR.predict(params, FLIGHT)
     duct = RAM_DUCT.predict(params, FLIGHT)
-    seen = {
+    inputs = {
         "hot_in_k": cc["cc_out_k"],
         "hot_flow_kg_s": cc["cc_flow_kg_s"],
         "ram_flow_kg_s": duct["ram_flow_kg_s"],
         "cold_in_k": FLIGHT["tat_k"],
     }
-    return cc | duct | HEAT_EXCHANGER.predict(params, seen)
+    return cc | duct | HEAT_EXCHANGER.predict(params, inputs)
 
 
 @pytest.mark.parametrize("worn", ["hx_fouling", "ram_flow_loss", "cc_efficiency_loss", "cc_diameter_loss"])
@@ -65,8 +65,8 @@ def test_pack_declares_only_what_nothing_feeds():
 def test_states_travel_with_their_component():
     """With the storing core in the pack, a long hold ends where the steady pack is."""
     pack = compose("pack", (COMPRESSOR, RAM_DUCT, CORE_EXCHANGER), WIRES)
-    held = FLIGHT | {"ram_door_open": np.full(200, 0.3)}
-    simulated = pack.simulate({}, held, 1.0)
+    hold = FLIGHT | {"ram_door_open": np.full(200, 0.3)}
+    simulated = pack.simulate({}, hold, 1.0)
     steady = PACK.predict({}, FLIGHT | {"ram_door_open": 0.3})
     assert abs(simulated["hot_out_k"][0] - steady["hot_out_k"]) > 1.0
     np.testing.assert_allclose(simulated["hot_out_k"][-1], steady["hot_out_k"], rtol=1e-9)

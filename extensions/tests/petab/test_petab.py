@@ -87,8 +87,10 @@ def test_there_and_back_is_the_same_question(tmp_path, model, free, record, more
     ours, back = declared_problem(model, free, *record, **more), read_petab(path)
     thetas = ours.origin * np.array([[0.9], [1.0], [1.2]])
     np.testing.assert_allclose(back.objective(thetas), ours.objective(thetas), rtol=1e-9)
-    found = [NonlinearLeastSquares().estimate(p) for p in (ours, back)]
-    np.testing.assert_allclose(found[0].belief.mean, found[1].belief.mean, atol=1e-6 * found[0].belief.sd.min())
+    estimates = [NonlinearLeastSquares().estimate(p) for p in (ours, back)]
+    np.testing.assert_allclose(
+        estimates[0].belief.mean, estimates[1].belief.mean, atol=1e-6 * estimates[0].belief.sd.min()
+    )
 
 
 def test_pypesto_reproduces_the_fit(tmp_path):
@@ -103,36 +105,36 @@ def test_pypesto_reproduces_the_fit(tmp_path):
     from petab.v1.calculate import calculate_chi2
     from petab.v1.math import sympify_petab
 
-    given = Petab.from_yaml(str(path))
-    names = list(given.x_free_ids)
-    columns = list(given.condition_df.columns)
-    row = given.observable_df.iloc[0]
+    petab = Petab.from_yaml(str(path))
+    names = list(petab.x_free_ids)
+    columns = list(petab.condition_df.columns)
+    row = petab.observable_df.iloc[0]
     symbols = [sympy.Symbol(name, real=True) for name in (*columns, *names)]
     outlet = sympy.lambdify(symbols, sympify_petab(row["observableFormula"]), "numpy")
-    table = given.measurement_df
-    flows = given.condition_df.loc[table["simulationConditionId"], columns[0]].to_numpy()
-    beliefs = np.array([v.split(";") for v in given.parameter_df.loc[names, "objectivePriorParameters"]], float)
+    table = petab.measurement_df
+    flows = petab.condition_df.loc[table["simulationConditionId"], columns[0]].to_numpy()
+    beliefs = np.array([v.split(";") for v in petab.parameter_df.loc[names, "objectivePriorParameters"]], float)
 
     def simulated(x):
         return outlet(flows, *x)
 
     def half_objective(x):
-        left = (table["measurement"].to_numpy() - simulated(x)) / float(row["noiseFormula"])
-        return 0.5 * (left @ left + np.sum(((x - beliefs[:, 0]) / beliefs[:, 1]) ** 2))
+        residuals = (table["measurement"].to_numpy() - simulated(x)) / float(row["noiseFormula"])
+        return 0.5 * (residuals @ residuals + np.sum(((x - beliefs[:, 0]) / beliefs[:, 1]) ** 2))
 
     problem = pypesto.Problem(
         objective=pypesto.Objective(fun=half_objective),
-        lb=given.lb, ub=given.ub, x_names=names, x_guesses=[given.parameter_df.loc[names, "nominalValue"].to_numpy()],
+        lb=petab.lb, ub=petab.ub, x_names=names, x_guesses=[petab.parameter_df.loc[names, "nominalValue"].to_numpy()],
     )  # fmt: skip
     optimizer = optimize.ScipyOptimizer("Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-13, "maxiter": 4000})
-    found = optimize.minimize(problem, optimizer=optimizer, n_starts=1, progress_bar=False, filename=None)
+    optimum = optimize.minimize(problem, optimizer=optimizer, n_starts=1, progress_bar=False, filename=None)
     ours = NonlinearLeastSquares().estimate(
         declared_problem(STATIC, ["conductance_kg_s", "lift_k"], *record, prior=PRIOR)
     )
-    np.testing.assert_allclose(found.optimize_result[0].x, ours.belief.mean, atol=1e-6)
+    np.testing.assert_allclose(optimum.optimize_result[0].x, ours.belief.mean, atol=1e-6)
     simulation = table.copy()
     simulation["simulation"] = simulated(ours.belief.mean)
-    chi2 = calculate_chi2(table, simulation, given.observable_df, given.parameter_df)
+    chi2 = calculate_chi2(table, simulation, petab.observable_df, petab.parameter_df)
     assert chi2 == pytest.approx(ours.fit.chi2, rel=1e-9)
 
 

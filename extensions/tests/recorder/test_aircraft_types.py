@@ -41,11 +41,11 @@ def test_an_error_names_file_line_and_key(tmp_path, change):
 
 
 def test_what_a_type_lacks_is_told_for_each_parameter():
-    told = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
-    assert told["b787_767"]["hx_fouling"] == told["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
-    assert told["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
-    assert told["a330_717"]["hxt_loss"][0] == "recorded"
-    assert told["a330_717"]["hx_fouling"] == ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")
+    coverage = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
+    assert coverage["b787_767"]["hx_fouling"] == coverage["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
+    assert coverage["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
+    assert coverage["a330_717"]["hxt_loss"][0] == "recorded"
+    assert coverage["a330_717"]["hx_fouling"] == ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")
 
 
 def test_a_unit_of_the_recorder_becomes_the_columns():

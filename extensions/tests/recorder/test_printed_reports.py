@@ -59,12 +59,12 @@ def test_damage_is_told_by_line_and_costs_no_other_report(tmp_path, reason):
     bad = GOOD.replace(*DAMAGE[reason])
     texts = (bad,) if reason == "no_report" else (bad, GOOD.replace("12.30", "14.30"))
     log = read_printed(delivered(tmp_path, message_file(*texts)), NOW, "v")
-    told = {r["reason"]: r for r in log.quarantine.rows(named=True)}
-    assert reason in told
+    by_reason = {r["reason"]: r for r in log.quarantine.rows(named=True)}
+    assert reason in by_reason
     assert balances(log)
     assert AT.replace(hour=14) in log.rows["reported_at"].to_list() or reason == "no_report"
     if reason != "no_report":
-        assert "\n".join(texts).splitlines()[told[reason]["row"] - 1][:2] in {"C1", "C3"}
+        assert "\n".join(texts).splitlines()[by_reason[reason]["row"] - 1][:2] in {"C1", "C3"}
 
 
 def test_an_archive_is_read_by_its_message_file(tmp_path):
@@ -78,8 +78,8 @@ def test_an_archive_is_read_by_its_message_file(tmp_path):
 def test_a_type_may_bring_its_own_layouts(tmp_path):
     (tmp_path / "types").mkdir()
     (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,X-1,2,MINE\n")
-    told = 'type = "MINE"\nmap = "m.toml"\nreports = "mine.reports"\n[component.HXT]\ntat_degc = "TAT"\n'
-    (tmp_path / "types/mine.toml").write_text(told)
+    description = 'type = "MINE"\nmap = "m.toml"\nreports = "mine.reports"\n[component.HXT]\ntat_degc = "TAT"\n'
+    (tmp_path / "types/mine.toml").write_text(description)
     layouts = "<**>\nC1 {acid:s} {date:7s} {utc:8s} {alt:5} {bleed_1:1}\n<91> PACK SURVEY\nN1 {flow:4}\n"
     (tmp_path / "types/mine.reports").write_text(layouts)
     text = "  A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nC1 .X-1 05MAR26 12.30.05 31000 0\n"
@@ -92,10 +92,10 @@ def test_a_type_may_bring_its_own_layouts(tmp_path):
 
 
 def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_path, monkeypatch):
-    landing, read = tmp_path / "landing", []
+    landing, read_files = tmp_path / "landing", []
 
     def watched(file: LandingFile, now: datetime, version: str) -> FileIntake:
-        read.append(file.name)
+        read_files.append(file.name)
         return read_printed(file, now, version)
 
     monkeypatch.setattr(hdt_recorder.reader, "read_printed", watched)
@@ -104,10 +104,10 @@ def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_pat
     run(landing, tmp_path / "home")
     delivered(landing, message_file(GOOD.replace("12.30", "14.30")), "two.dat")
     run(landing, tmp_path / "home")
-    assert read == ["one.dat", "two.dat"]
+    assert read_files == ["one.dat", "two.dat"]
     Path(first.full_path).unlink()
     delivered(landing, message_file(GOOD.replace("12.30", "15.30")), "two.dat")
     run(landing, tmp_path / "home")
-    assert read == ["one.dat", "two.dat", "two.dat"]
+    assert read_files == ["one.dat", "two.dat", "two.dat"]
     with connect(tmp_path / "home") as con:
         assert con.sql("select reported_at from reports order by 1").fetchall() == [(AT,), (AT.replace(hour=15),)]

@@ -21,8 +21,8 @@ def hdt(monkeypatch, capsys, *words: object) -> tuple[int, str, str]:
     monkeypatch.setattr("sys.argv", ["hdt", *map(str, words)])
     with pytest.raises(SystemExit) as ended:
         main()
-    told = capsys.readouterr()
-    return int(ended.value.code or 0), told.out, told.err
+    output = capsys.readouterr()
+    return int(ended.value.code or 0), output.out, output.err
 
 
 @pytest.fixture
@@ -40,12 +40,12 @@ def recording(tmp_path):
 def test_a_recording_is_decoded_into_a_table(recording, tmp_path, monkeypatch, capsys):
     path, raw = recording
     target = tmp_path / "flight.parquet"
-    code, told, _ = hdt(
+    code, stdout, _ = hdt(
         monkeypatch, capsys, "recorder", "decode", path, "--map", DATA / "demo_717.toml", "--out", target
     )
     assert code == 0
-    assert "11 parameters" in told
-    assert "Subframes: 190 whole, 2 damaged, 0 missing" in told
+    assert "11 parameters" in stdout
+    assert "Subframes: 190 whole, 2 damaged, 0 missing" in stdout
     rows = pl.read_parquet(target)
     assert rows.schema == {"parameter": pl.String, "t_s": pl.Float64, "value": pl.Float64, "text": pl.String}
     assert rows["value"].is_finite().all()  # null is null, not NaN
@@ -67,24 +67,24 @@ def test_only_the_parameters_that_are_named_are_decoded(recording, tmp_path, mon
 
 def test_an_archive_is_read_by_its_largest_file(recording, tmp_path, monkeypatch, capsys):
     archive = tmp_path / "flight.zip"
-    with zipfile.ZipFile(archive, "w") as held:
-        held.writestr("log.txt", "short")
-        held.write(recording[0], "raw.dat")
-    code, told, _ = hdt(monkeypatch, capsys, "recorder", "list", archive, "--map", DATA / "demo_717.xml")
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("log.txt", "short")
+        file.write(recording[0], "raw.dat")
+    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "list", archive, "--map", DATA / "demo_717.xml")
     assert code == 0
-    assert "no value: its conversion is told in words: Teledyne Synchro" in told
-    assert "ALTITUDE" in told
+    assert "no value: its conversion is told in words: Teledyne Synchro" in stdout
+    assert "ALTITUDE" in stdout
 
 
 def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
     raw = random_raw(DEMO_767, np.random.default_rng(5), 200)
     path = tmp_path / "flight.767"
     path.write_bytes(frames_767(DEMO_767, {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()}))
-    code, told, _ = hdt(monkeypatch, capsys, "recorder", "list", path, "--map", DATA / "demo_767.toml", "--json")
+    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "list", path, "--map", DATA / "demo_767.toml", "--json")
     assert code == 0
-    said = json.loads(told)
-    assert said["damage"] | {"unit": "frames", "damaged": 0, "missing": 0} == said["damage"]
-    rates = {p["parameter"]: (p["unit"], p["rate_hz"], p["kind"]) for p in said["parameters"]}
+    listing = json.loads(stdout)
+    assert listing["damage"] | {"unit": "frames", "damaged": 0, "missing": 0} == listing["damage"]
+    rates = {p["parameter"]: (p["unit"], p["rate_hz"], p["kind"]) for p in listing["parameters"]}
     assert rates["OUTLET_TEMP"] == ("degC", 1.0, "binary")
     assert rates["RATE"] == ("deg/s", 5.0, "binary")
     assert rates["DIGIT"] == ("", 0.25, "bcd")
@@ -95,17 +95,17 @@ def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypa
     (tmp_path / "message.dat").write_bytes(message_file(text))
     (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
     words = ("--layouts", tmp_path / "own.txt", "--out", tmp_path / "r.parquet")
-    code, told, _ = hdt(monkeypatch, capsys, "recorder", "reports", tmp_path / "message.dat", *words)
+    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "reports", tmp_path / "message.dat", *words)
     assert code == 0
-    assert "<91> PACK SURVEY: 1 reports, 2 lines" in told
-    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in told
+    assert "<91> PACK SURVEY: 1 reports, 2 lines" in stdout
+    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in stdout
     rows = pl.read_parquet(tmp_path / "r.parquet")
     assert rows.filter(name="flow")["value"].to_list() == [1.31, None]
     assert rows.filter(name="state")["text"].to_list() == ["OFF", "ON"]
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("list", "{rec}", "--map", "{tmp}/none.toml"), "No such file"),
         (("list", "{tmp}/none.dat", "--map", DATA / "demo_717.toml"), "No such file"),
@@ -131,18 +131,18 @@ def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypa
         (("decode", "{rec}", "--map", DATA / "demo_717.toml", "--out", "{tmp}"), "is not overwritten"),
     ],
 )
-def test_what_does_not_go_together_is_told_in_one_line(words, says, recording, tmp_path, monkeypatch, capsys):
+def test_what_does_not_go_together_is_told_in_one_line(words, message, recording, tmp_path, monkeypatch, capsys):
     (tmp_path / "wide.toml").write_text('format = "ARINC 717"\nwords_per_second = 128\n')
     (tmp_path / "empty.dat").touch()
-    with zipfile.ZipFile(tmp_path / "broken.zip", "w") as held:
-        held.writestr("raw.dat", recording[0].read_bytes())
+    with zipfile.ZipFile(tmp_path / "broken.zip", "w") as file:
+        file.writestr("raw.dat", recording[0].read_bytes())
     whole = (tmp_path / "broken.zip").read_bytes()
     (tmp_path / "broken.zip").write_bytes(whole[:200] + b"xxxx" + whole[204:])
-    named = [str(w).format(rec=recording[0], tmp=tmp_path) for w in words]
-    code, told, said = hdt(monkeypatch, capsys, "recorder", *named)
-    assert (code, told) == (2, "")
-    assert says in said
-    assert len(said.strip().splitlines()) == 1
+    arguments = [str(w).format(rec=recording[0], tmp=tmp_path) for w in words]
+    code, stdout, stderr = hdt(monkeypatch, capsys, "recorder", *arguments)
+    assert (code, stdout) == (2, "")
+    assert message in stderr
+    assert len(stderr.strip().splitlines()) == 1
     assert not (tmp_path / "x").exists()
 
 
@@ -151,9 +151,9 @@ def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_pa
     monkeypatch.setattr("hdt_recorder.recordings.MOST_BYTES", 1 << 20)
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("message.dat", bytes((1 << 20) + 1))
-    code, _, said = hdt(monkeypatch, capsys, "recorder", words[0], tmp_path / "bomb.zip", *words[1:])
+    code, _, stderr = hdt(monkeypatch, capsys, "recorder", words[0], tmp_path / "bomb.zip", *words[1:])
     assert code == 2
-    assert "1,048,577 bytes; 1,048,576 are allowed" in said
+    assert "1,048,577 bytes; 1,048,576 are allowed" in stderr
 
 
 def test_the_command_and_the_night_have_one_bound():
@@ -173,9 +173,9 @@ DEEP = "[" * 20_000 + "]" * 20_000
 ])  # fmt: skip
 def test_a_map_that_is_none_is_one_line(recording, tmp_path, monkeypatch, capsys, name, text):
     (tmp_path / name).write_text(text)
-    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", recording[0], "--map", tmp_path / name)
-    assert (code, said.count("\n")) == (2, 1), said
-    assert said.startswith(f"hdt: {name}: ")
+    code, _, stderr = hdt(monkeypatch, capsys, "recorder", "list", recording[0], "--map", tmp_path / name)
+    assert (code, stderr.count("\n")) == (2, 1), stderr
+    assert stderr.startswith(f"hdt: {name}: ")
 
 
 @pytest.mark.parametrize("member", ["a map", "a recording"])
@@ -189,6 +189,6 @@ def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, monkeypatch
     files = (
         (recording[0], tmp_path / "bad.zip") if member == "a map" else (tmp_path / "bad.zip", DATA / "demo_717.toml")
     )
-    code, _, said = hdt(monkeypatch, capsys, "recorder", "list", files[0], "--map", files[1])
-    assert (code, said.count("\n")) == (2, 1), said
-    assert "bad.zip: " in said
+    code, _, stderr = hdt(monkeypatch, capsys, "recorder", "list", files[0], "--map", files[1])
+    assert (code, stderr.count("\n")) == (2, 1), stderr
+    assert "bad.zip: " in stderr

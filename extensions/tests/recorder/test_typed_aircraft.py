@@ -79,16 +79,18 @@ def world(tmp_path_factory) -> dict[str, Any]:
     cruise = flown.filter(pl.col("altitude_ft") == pl.col("altitude_ft").max())
     crossfed = {"flight": cruise["flight_id"][0], "at": cruise["report_time"][0]}
     (landing / "SAB/AA-0000/reports").mkdir()
-    told = printed_report("AA-0000", crossfed["at"], 35_000, "1.20 111 11 1 00 111 1.20")
-    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(message_file(told, told.replace("AA-0000", "AA-0001")))
+    report = printed_report("AA-0000", crossfed["at"], 35_000, "1.20 111 11 1 00 111 1.20")
+    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(
+        message_file(report, report.replace("AA-0000", "AA-0001"))
+    )
     night = run(landing, top / "home")
     assert not night.failed, night.failed
     return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed
 
 
 def test_both_types_reach_the_catalog(world):
-    told = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
-    assert told == [("SAA", "cpl", 2), ("SAB", "component", 2)]
+    counts = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
+    assert counts == [("SAA", "cpl", 2), ("SAB", "component", 2)]
     health = ask(world["home"], "select distinct operator, parameter, status from health_parameters order by all")
     assert ("SAA", "hxt_effectiveness", "measured") in health
     assert ("SAA", "cac_efficiency_seen", "measured") in health
@@ -107,8 +109,8 @@ def test_two_flights_calibrate_nothing_and_the_prior_carries_them(world):
 
 
 def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
-    told = ask(world["home"], "select file, reason, detail from quarantine")
-    reasons = {(Path(file).name, reason): detail for file, reason, detail in told}
+    rows = ask(world["home"], "select file, reason, detail from quarantine")
+    reasons = {(Path(file).name, reason): detail for file, reason, detail in rows}
     assert "frames: " in reasons[world["damaged"], "recording_damaged"]
     assert "no ARINC 717 frame" in (detail := reasons[world["stranger"], "map_does_not_fit"]) or "ARINC 767" in detail
     assert "[pack] mahc: no such column; mach is near" in reasons["slip.toml", "bad_type"]
@@ -132,10 +134,10 @@ def test_what_can_not_be_estimated_is_said(world):
     lacks = dict(ask(world["home"], "select parameter, missing from coverage where operator = 'SAB' "
                                     "and status = 'not_recorded'"))  # fmt: skip
     assert lacks["hx_fouling"] == "ram_door_pct, pack_flow_lbpm"
-    said = {c.name: c for c in examine(world["landing"], None)}
-    assert said["type A330-717"].well
-    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in said["type A330-717"].message
-    assert not said["type slip.toml"].well
+    checks = {c.name: c for c in examine(world["landing"], None)}
+    assert checks["type A330-717"].well
+    assert "can't estimate hx_fouling (no ram_door_pct, pack_flow_lbpm)" in checks["type A330-717"].message
+    assert not checks["type slip.toml"].well
 
 
 def test_every_status_is_explained(world):
@@ -178,35 +180,35 @@ def read_by_another(recording: str, *names: str) -> list[np.ndarray]:
 
 
 def test_real_recordings_reach_the_catalog(real):
-    told = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
+    health = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
         real, "select tail, pack, parameter, value, sd, status from health_parameters")}  # fmt: skip
     hot_in, hot_out, outside, speed = read_by_another(
         "767", "CASRPACKCOTEMPMP__01", "CASRSECHXOTEMPMP__01", "ENGTATSEL_EECGER", "CASRCAC2RPMPM_CTL_01"
     )
     right = (hot_in - hot_out) / (hot_in - outside.mean())
-    assert told["B-6789", 2, "hxt_effectiveness"] == (
+    assert health["B-6789", 2, "hxt_effectiveness"] == (
         pytest.approx(right.mean(), abs=0.001), pytest.approx(right.std(), abs=0.0005), "measured")  # fmt: skip
-    assert told["B-6789", 1, "hxt_effectiveness"] == (
+    assert health["B-6789", 1, "hxt_effectiveness"] == (
         pytest.approx(1.0, abs=0.001), pytest.approx(0.005, abs=0.001), "one_or_more")  # fmt: skip
-    assert told["B-6789", 4, "cac_speed_rpm"][0] == pytest.approx(speed.mean(), rel=1e-3)
+    assert health["B-6789", 4, "cac_speed_rpm"][0] == pytest.approx(speed.mean(), rel=1e-3)
     for unit in (3, 4):
-        assert 0.785 < told["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
-        assert told["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
+        assert 0.785 < health["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
+        assert health["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
     for pack in (1, 2):
-        assert 0.85 < told["B-8888", pack, "hxt_effectiveness_slow"][0] < 0.90
-        assert told["B-8888", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
-        assert told["B-8888", pack, "hxt_fan_rpm"][2] == "not_recorded"
-        assert told["B-6789", pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
-        assert told["B-8888", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
-    assert told["B-6789", 1, "hx_fouling"][2] == "predicted"
+        assert 0.85 < health["B-8888", pack, "hxt_effectiveness_slow"][0] < 0.90
+        assert health["B-8888", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
+        assert health["B-8888", pack, "hxt_fan_rpm"][2] == "not_recorded"
+        assert health["B-6789", pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
+        assert health["B-8888", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
+    assert health["B-6789", 1, "hx_fouling"][2] == "predicted"
     assert ask(real, "select count(*) from alerts") == [(0,)]
     assert ask(real, "select distinct reason from quarantine order by 1") == [("unknown_report",)]
-    assert np.isfinite([v for v, _, s in told.values() if s in {"prior_only", "measured"}]).all()
+    assert np.isfinite([v for v, _, s in health.values() if s in {"prior_only", "measured"}]).all()
 
 
 def test_the_heads_of_real_reports_are_stored_and_turn_no_leg_away(real):
-    told = ask(real, "select report, count(*), bool_or(crossfeed_open) from reports group by 1 order by 1")
-    assert [r for r, _, _ in told] == ["08", "10", "13", "15", "18", "37", "50"]
-    assert {r: c for r, _, c in told}["10"]  # an engine is started by the other's air
+    rows = ask(real, "select report, count(*), bool_or(crossfeed_open) from reports group by 1 order by 1")
+    assert [r for r, _, _ in rows] == ["08", "10", "13", "15", "18", "37", "50"]
+    assert {r: c for r, _, c in rows}["10"]  # an engine is started by the other's air
     assert ask(real, "select * from component_legs where reason = 'BLEED'") == []
     assert ask(real, "select * from quarantine where file like '%reports%' and scope <> 'note'") == []

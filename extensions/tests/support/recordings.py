@@ -34,8 +34,8 @@ def frames_717(
                 rows = starts + piece.frame
                 inside = rows < n
                 part = place[: starts.size, i][inside] >> np.uint64(piece.into) & np.uint64(mask)
-                held = words[rows[inside], piece.word] & ~np.uint64(mask << piece.low)
-                words[rows[inside], piece.word] = held | part << np.uint64(piece.low)
+                other_bits = words[rows[inside], piece.word] & ~np.uint64(mask << piece.low)
+                words[rows[inside], piece.word] = other_bits | part << np.uint64(piece.low)
     words = words.astype(np.uint16)
     words.reshape(n, per_frame, -1)[:, :, 0] = layout.sync_words
     return words
@@ -54,7 +54,7 @@ def pack(words: np.ndarray, packing: Packing, before_bits: int = 0) -> bytes:
 def frames_767(layout: Map767, raw: dict[str, np.ndarray], begin_ms: int = 1_012_050) -> bytes:
     """A recording: its head, then all frames in order of time; `raw` holds a value a frame."""
     head = _frame(1, 0, f"647A-00 {layout.revision}".ljust(130).encode())
-    found = []
+    frames = []
     for number, kind in layout.frames.items():
         own = [p for p in layout.parameters.values() if p.frame_id == number]
         for i in range(min(len(raw[p.name]) for p in own)):
@@ -63,8 +63,8 @@ def frames_767(layout: Map767, raw: dict[str, np.ndarray], begin_ms: int = 1_012
                 (piece,) = p.samples[0].pieces
                 body |= int(raw[p.name][i]) << ((kind.size - 12) * 8 - piece.low - piece.bits)
             time_ms = begin_ms + number + round(1000 * i / kind.rate_hz)
-            found.append((time_ms, number, body.to_bytes(kind.size - 12, "big")))
-    return head + b"".join(_frame(number, time_ms, body) for time_ms, number, body in sorted(found))
+            frames.append((time_ms, number, body.to_bytes(kind.size - 12, "big")))
+    return head + b"".join(_frame(number, time_ms, body) for time_ms, number, body in sorted(frames))
 
 
 def _frame(number: int, time_ms: int, body: bytes) -> bytes:
@@ -108,21 +108,23 @@ def message_file(*texts: str) -> bytes:
     return b"".join(head + b"\x11" + block + b"\x12" for head, block in zip(heads, blocks, strict=True)) + b"\r\n"
 
 
-def printed_report(aircraft: str, at: datetime, altitude_ft: float, fed: str = "1.20 111 11 0 11 111 1.20") -> str:
-    """A report of the A330 that is a head and no more; `fed` is what it says of flow, valves and cross-feed."""
+def printed_report(
+    aircraft: str, at: datetime, altitude_ft: float, bleed_state: str = "1.20 111 11 0 11 111 1.20"
+) -> str:
+    """A report of the A330 that is a head and no more; `bleed_state` is what it says of flow, valves and cross-feed."""
     return f"""
                A330 ENGINE TRIM BALANCE REPORT <08>       PAGE 01 OF 01
 
 C1 .{aircraft} {at:%d%b%y} {at:%H.%M.%S} ZJHK ZGSZ TST1234    4000 114
 C2 010 06.0 000000 D1033PW04C_TST       000 000 000
-C3 -21.7 {altitude_ft:05.0f} 0.801 11- {fed} 0
+C3 -21.7 {altitude_ft:05.0f} 0.801 11- {bleed_state} 0
 """.upper()
 
 
 def vec(**files: str) -> bytes:
     """A ground station's archive: each file in UTF-16, `par`, `fra` or `frd` its ending."""
-    held = io.BytesIO()
-    with zipfile.ZipFile(held, "w") as archive:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
         for ending, text in files.items():
             archive.writestr(f"000001.{ending}", text.replace("\n", "\r\n").encode("utf-16"))
-    return held.getvalue()
+    return buffer.getvalue()

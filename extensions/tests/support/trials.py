@@ -65,8 +65,8 @@ def _wear(unit: Unit, rng: np.random.Generator, _: float) -> None:
 
 def _cry(unit: Unit, rng: np.random.Generator, rate: float) -> None:
     unit.installed.append(-BEFORE)
-    said = np.flatnonzero(rng.random(FOLLOWED + BEFORE) < rate) - BEFORE
-    unit.alerts += [(int(k), None) for k in said]
+    alarms = np.flatnonzero(rng.random(FOLLOWED + BEFORE) < rate) - BEFORE
+    unit.alerts += [(int(k), None) for k in alarms]
 
 
 def sealed_by(flight: int) -> int:
@@ -78,7 +78,7 @@ def lead(alert: int, event: int) -> int:
     return event - sealed_by(alert)
 
 
-def said(age: int) -> list[float]:
+def rul_interval(age: int) -> list[float]:
     """Points of what is left of a life of this age."""
     points = (SCALE * ((age / SCALE) ** SHAPE - np.log1p(-p)) ** (1.0 / SHAPE) - age for p in LEVELS)
     return [min(300.0, float(x)) for x in points]
@@ -96,26 +96,26 @@ def log(units: list[Unit], every: int = 6) -> list[LogEntry]:
     """The start and a seal each night, as `seal.py` would write them; prognoses each `every` nights, for speed."""
     tails = sorted({u.tail for u in units})
     seals = range(-1, SEALED, A_DAY)
-    entries, told = [], set()
+    entries, sealed = [], set()
     for n, last in enumerate(seals):
         rows, prognoses = [], []
         for u in units:
             key = {"operator": "AAA", "tail": u.tail, "pack": u.pack, "component": "HX"}
             for at, event in u.alerts:
                 name = f"{u.tail}{u.pack}{at}"
-                gone = event is not None and event <= last
-                if at <= last and name not in told and not (n == 0 and gone):
-                    told.add(name)
-                    closed = departure(event).isoformat() if gone else None
+                ended = event is not None and event <= last
+                if at <= last and name not in sealed and not (n == 0 and ended):
+                    sealed.add(name)
+                    closed = departure(event).isoformat() if ended else None
                     times = {"raised_at": departure(at).isoformat(), "closed_at": closed}
                     rows.append(key | {"alert_id": name} | times)
             if n % every:
                 continue
             age = last - max(i for i in u.installed if i <= last)
-            low, middle, high = said(age) if u.wears else (300.0, 300.0, 300.0)
-            left = {"rul_low": low, "rul_flights": middle, "rul_high": high, "model_version": "m"}
+            low, middle, high = rul_interval(age) if u.wears else (300.0, 300.0, 300.0)
+            outlook = {"rul_low": low, "rul_flights": middle, "rul_high": high, "model_version": "m"}
             chance = chance_50(age) if u.wears else 0.0
-            prognoses.append(key | left | {"departed_at": departure(last).isoformat(), "p_event_50": chance})
+            prognoses.append(key | outlook | {"departed_at": departure(last).isoformat(), "p_event_50": chance})
         flown = [{"operator": "AAA", "tail": t, "until": departure(last).isoformat()} for t in tails]
         body = {"flown": flown, "alerts": {"hdt": rows}, "withdrawn": {}, "prognoses": prognoses}
         if n == 0:
@@ -144,23 +144,25 @@ def truth(units: list[Unit], declared: Declaration) -> dict[str, float]:
     for u in units:
         by_event = {event: at for at, event in u.alerts if event is not None}
         for event in (e for e in u.events if 0 <= e < FOLLOWED):
-            known = lead(by_event[event], event) if event in by_event else 0
+            lead_flights = lead(by_event[event], event) if event in by_event else 0
             events += 1
-            leads += [known] if known > 0 else []
-            hits += declared.late_flights <= known <= declared.early_flights
+            leads += [lead_flights] if lead_flights > 0 else []
+            hits += declared.late_flights <= lead_flights <= declared.early_flights
         false += sum(at >= 0 for at, event in u.alerts if event is None)
         for k in range(A_DAY - 1, FOLLOWED, A_DAY):
             if not u.wears:
                 soon.append(False)
                 continue
             age = k - max(i for i in u.installed if i <= k)
-            left, (a, _, b) = min(e for e in u.events if e > k) - k, said(age)
-            within.append(a <= left <= b)
-            low.append(left < a)
-            soon.append(left <= 50)
+            life, (a, _, b) = min(e for e in u.events if e > k) - k, rul_interval(age)
+            within.append(a <= life <= b)
+            low.append(life < a)
+            soon.append(life <= 50)
     new = [event and lead(at, event) for u in units for at, event in u.alerts if 0 <= at < SEALED]
     right = [
-        declared.late_flights <= (known or 0) <= declared.early_flights for known in new if known is None or known > 0
+        declared.late_flights <= (lead_flights or 0) <= declared.early_flights
+        for lead_flights in new
+        if lead_flights is None or lead_flights > 0
     ]
     return {
         "false_alarms": 1000.0 * false / flown,

@@ -31,9 +31,9 @@ def chain(files, start=0):
     heads = []
     for n, file in enumerate(files):
         if n >= start:
-            told = json.loads(file.read_text())
-            told |= {"number": n, "previous": heads[-1] if heads else "0" * 64}
-            file.write_text(json.dumps(told, indent=1) + "\n")
+            entry = json.loads(file.read_text())
+            entry |= {"number": n, "previous": heads[-1] if heads else "0" * 64}
+            file.write_text(json.dumps(entry, indent=1) + "\n")
         heads.append(hashlib.sha256(file.read_bytes()).hexdigest())
     (files[0].parent / HEADS).write_text("".join(f"{n:05} {h}\n" for n, h in enumerate(heads)))
 
@@ -67,9 +67,9 @@ def cut_off(files, rng):
 
 
 def add(files, rng):
-    told = json.loads(files[-1].read_text()) | {"number": len(files)}
-    told["previous"] = hashlib.sha256(files[-1].read_bytes()).hexdigest()
-    files[0].with_name(f"{len(files):05}.json").write_text(json.dumps(told))
+    entry = json.loads(files[-1].read_text()) | {"number": len(files)}
+    entry["previous"] = hashlib.sha256(files[-1].read_bytes()).hexdigest()
+    files[0].with_name(f"{len(files):05}.json").write_text(json.dumps(entry))
 
 
 def cut_heads(files, rng):
@@ -79,8 +79,8 @@ def cut_heads(files, rng):
 
 def rewrite_and_chain(files, rng):
     n = rng.randrange(len(files))
-    told = json.loads(files[n].read_text()) | {"body": {"alerts": ["forged"]}}
-    files[n].write_text(json.dumps(told, indent=1) + "\n")
+    entry = json.loads(files[n].read_text()) | {"body": {"alerts": ["forged"]}}
+    files[n].write_text(json.dumps(entry, indent=1) + "\n")
     chain(files, n + 1)
 
 
@@ -115,7 +115,7 @@ CAREFUL = (rewrite_and_chain, cut_off_and_chain, insert_and_chain)
 
 def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, tmp_path):
     """The careful rewrite the whole chain: only the digest that was printed and kept elsewhere shows it."""
-    printed, rng, found = entries(sealed)[-1].digest, random.Random(3), 0
+    printed, rng, detections = entries(sealed)[-1].digest, random.Random(3), 0
     folder = tmp_path / "log"
     whole = {file.name: file.read_bytes() for file in sealed.iterdir()}
     folder.mkdir()
@@ -124,8 +124,8 @@ def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, tmp
         way = (*CLUMSY, *CAREFUL)[k % 10]
         way(sorted(folder.glob("*.json")), rng)
         head = printed if way in CAREFUL else None
-        found += next(faults(folder, head=head), None) is not None
-    assert found == 1000
+        detections += next(faults(folder, head=head), None) is not None
+    assert detections == 1000
 
 
 def test_an_untouched_log_has_no_fault_with_any_digest_that_was_printed(sealed):

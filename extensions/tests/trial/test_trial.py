@@ -35,24 +35,24 @@ class World:
     @contextmanager
     def connect(self, _home):
         until = START + dt.timedelta(days=self.now, hours=12)
-        said = [a for a in self.tables["features_alerts"] if a["raised_at"] <= until]
-        seen = {
+        alerts = [a for a in self.tables["features_alerts"] if a["raised_at"] <= until]
+        rows = {
             "features_alerts": [
-                a | {"closed_at": a["closed_at"] if (a["closed_at"] or until) < until else None} for a in said
+                a | {"closed_at": a["closed_at"] if (a["closed_at"] or until) < until else None} for a in alerts
             ],
             "raw_messages": [m for m in self.tables["raw_messages"] if m["message_time"] <= until],
             "raw_maintenance": [w for w in self.tables["raw_maintenance"] if w["counts_from"] <= until],
             "raw_flights": [flight(n) for n in range(self.now + 1)],
             "prognoses": [prognosis(self.now)],
         }
-        fill(self.con, **seen)
+        fill(self.con, **rows)
         yield self.con
 
     def night(self, day):
         self.now = day
         return seal_night(self.home, START + dt.timedelta(days=day, hours=14))
 
-    def judged(self, source="hdt"):
+    def score_alerts(self, source="hdt"):
         log = entries(self.home / "trial")
         declared = declaration_of(log)
         with self.connect(self.home) as con:
@@ -61,8 +61,8 @@ class World:
 
 
 def prognosis(day):
-    said = {"rul_low": 30.0, "rul_flights": 60.0, "rul_high": 120.0, "p_event_50": 0.3, "model_version": "m"}
-    return flight(day) | {"pack": 1, "component": "HX", "split": "live"} | said
+    figures = {"rul_low": 30.0, "rul_flights": 60.0, "rul_high": 120.0, "p_event_50": 0.3, "model_version": "m"}
+    return flight(day) | {"pack": 1, "component": "HX", "split": "live"} | figures
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +97,10 @@ def test_alerts_are_judged_by_the_night_that_sealed_them(world):
     }
     begin(world)
     sealed_through(world, 20, 40, 70, 125, LAST)
-    found = {a.alert.known.date(): (a.verdict, a.lead_flights) for a in world.judged().alerts}
+    verdicts = {a.alert.known_at.date(): (a.verdict, a.lead_flights) for a in world.score_alerts().alerts}
     day = {n: (START + dt.timedelta(days=n)).date() for n in (20, 70, 125)}
-    assert found == {day[20]: ("hit", 30), day[125]: ("after_event", None), day[70]: ("false_alarm", None)}
-    assert [e.verdict for e in world.judged().events] == ["hit", "missed"]
+    assert verdicts == {day[20]: ("hit", 30), day[125]: ("after_event", None), day[70]: ("false_alarm", None)}
+    assert [e.verdict for e in world.score_alerts().events] == ["hit", "missed"]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_a_removal_is_judged_by_its_finding(world, finding, verdict):
     world.tables |= {"features_alerts": [alert("one", 20)], "raw_maintenance": [replaced(50, finding)]}
     begin(world)
     sealed_through(world, 20, 80)
-    assert [a.verdict for a in world.judged().alerts] == [verdict]
+    assert [a.verdict for a in world.score_alerts().alerts] == [verdict]
 
 
 def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_open(world):
@@ -120,7 +120,7 @@ def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_o
     del world.tables["features_alerts"][0]
     entry = world.night(91)
     assert entry.body["withdrawn"]["hdt"] == ["gone"]
-    assert [a.verdict for a in world.judged().alerts] == ["false_alarm", "open"]
+    assert [a.verdict for a in world.score_alerts().alerts] == ["false_alarm", "open"]
 
 
 def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
@@ -132,11 +132,11 @@ def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
     file.write_text(f"operator,tail,pack,component,at,kind,finding\nAAA,T-1,1,HX,{at.isoformat()},REPLACED,FOULED\n")
     take_in(world.home, file, START + dt.timedelta(days=46))
     world.night(80)
-    assert [(a.verdict, a.lead_flights) for a in world.judged().alerts] == [("hit", 25)]
+    assert [(a.verdict, a.lead_flights) for a in world.score_alerts().alerts] == [("hit", 25)]
 
 
 @pytest.mark.parametrize(
-    ("row", "says"),
+    ("row", "message"),
     [
         ("AAA,T-1,one,HX,2026-01-01,MESSAGE", "row 2 column pack: 'one'"),
         ("AAA,T-1,1,HX,yesterday,MESSAGE", "row 2 column at: 'yesterday'"),
@@ -144,10 +144,10 @@ def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
         ("AAA,,1,HX,2026-01-01,MESSAGE", "row 2 column tail: None"),
     ],
 )
-def test_an_outcome_that_can_not_be_is_told_by_row_and_column(world, tmp_path, row, says):
+def test_an_outcome_that_can_not_be_is_told_by_row_and_column(world, tmp_path, row, message):
     file = tmp_path / "shop.csv"
     file.write_text(f"operator,tail,pack,component,at,kind\n{row}\n")
-    with pytest.raises(TrialError, match=says):
+    with pytest.raises(TrialError, match=message):
         take_in(world.home, file)
 
 
@@ -159,14 +159,14 @@ def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
     world.tables |= {"features_alerts": [alert("one", 20)], "raw_messages": [message(50)]}
     begin(world, f'[rule.trend]\nsql = "{sql}"\n[rule.maker]\nfile = "{file}"\n')
     sealed_through(world, 20, 45, 130)
-    told = evaluation.evaluate(world.home)
-    assert set(told.figures) == {"hdt", "trend", "maker"}
-    assert [a.verdict for a in world.judged("trend").alerts] == ["hit", "hit", "too_late", "after_event"]
-    assert "[rule.maker]" in told.text
-    assert str(file) not in told.text
-    assert "max(departed_at)" not in told.text
-    assert told.verdicts["maker"]["too_late"] is None  # one alert: kept back
-    assert told.agreement["maker"]["ours alone"] is None
+    result = evaluation.evaluate(world.home)
+    assert set(result.figures) == {"hdt", "trend", "maker"}
+    assert [a.verdict for a in world.score_alerts("trend").alerts] == ["hit", "hit", "too_late", "after_event"]
+    assert "[rule.maker]" in result.text
+    assert str(file) not in result.text
+    assert "max(departed_at)" not in result.text
+    assert result.verdicts["maker"]["too_late"] is None  # one alert: kept back
+    assert result.agreement["maker"]["ours alone"] is None
 
 
 def test_what_changes_after_the_start_is_told(world, monkeypatch):
@@ -195,7 +195,7 @@ def test_nights_are_sealed_for_as_long_as_was_declared(world):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("days = 0", "days"),
         ("weeks = 3", "no weeks"),
@@ -205,8 +205,8 @@ def test_nights_are_sealed_for_as_long_as_was_declared(world):
         ("days =", "no TOML"),
     ],
 )
-def test_a_declaration_that_can_not_be_is_told(text, says):
-    with pytest.raises(TrialError, match=says):
+def test_a_declaration_that_can_not_be_is_told(text, message):
+    with pytest.raises(TrialError, match=message):
         read_declaration(text)
 
 
@@ -238,8 +238,8 @@ def test_the_command(own_home, tmp_path, capsys):
         return code or 0, capsys.readouterr()
 
     assert hdt("trial", "start")[0] == 0
-    code, said = hdt("nightly", "--landing", str(landing), "--json")
-    digest = json.loads(said.out)["trial_digest"]
+    code, output = hdt("nightly", "--landing", str(landing), "--json")
+    digest = json.loads(output.out)["trial_digest"]
     assert (code, len(digest)) == (0, 64)
     assert hdt("trial", "page", "--out", str(tmp_path / "page.html"))[0] == 0
     assert "Shadow trial" in (tmp_path / "page.html").read_text()
@@ -253,8 +253,8 @@ def test_the_command(own_home, tmp_path, capsys):
     } == set()
     entry = home / "trial/00001.json"
     entry.write_bytes(entry.read_bytes().replace(b"AQX", b"AQY"))
-    code, said = hdt("trial", "verify")
-    assert (code, said.err) == (1, "FAULT: entry 1 is not the one whose digest heads.txt holds\n")
-    code, said = hdt("nightly", "--landing", str(landing))
+    code, output = hdt("trial", "verify")
+    assert (code, output.err) == (1, "FAULT: entry 1 is not the one whose digest heads.txt holds\n")
+    code, output = hdt("nightly", "--landing", str(landing))
     assert code == 1
-    assert "the trial was not sealed" in said.err
+    assert "the trial was not sealed" in output.err

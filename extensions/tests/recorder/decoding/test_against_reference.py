@@ -28,8 +28,8 @@ LISTED_TWICE = {"CMC_FAIL"}
 
 
 def members(name: str) -> dict[str, bytes]:
-    with zipfile.ZipFile(REFERENCE / name) as held:
-        return {n: held.read(n) for n in held.namelist()}
+    with zipfile.ZipFile(REFERENCE / name) as archive:
+        return {n: archive.read(n) for n in archive.namelist()}
 
 
 def read(map_file: str, archive: str) -> dict:
@@ -55,19 +55,19 @@ def theirs(name: str) -> dict[str, pl.DataFrame]:
 
 
 def disagreements(ours: dict, reference: dict[str, pl.DataFrame]) -> list[str]:
-    found = []
+    lines = []
     for name, frame in reference.items():
         series = ours[name]
         if series.t_s.size != frame.height or not np.allclose(series.t_s, frame["t_s"], atol=1e-6):
-            found.append(f"{name}: other times")
+            lines.append(f"{name}: other times")
         elif frame["value"].null_count() == frame.height:
             text = [series.text.names[c] for c in series.text.codes]
             # a character of a frame that is not in the file is null here, and a zero there
-            known = zip(text, frame["text"], series.valid, strict=True)
-            found += [] if all(a == b for a, b, k in known if k) else [f"{name}: text"]
+            texts = zip(text, frame["text"], series.valid, strict=True)
+            lines += [] if all(a == b for a, b, k in texts if k) else [f"{name}: text"]
         elif not (series.valid.all() and np.array_equal(series.value, frame["value"])):
-            found.append(f"{name}: values")
-    return found
+            lines.append(f"{name}: values")
+    return lines
 
 
 def test_every_arinc_717_parameter_equals_the_independent_decoders(a330):
@@ -115,8 +115,8 @@ def test_the_examples_of_arinc_647a_are_read():
     assert (minutes.cycle, [s.pieces[0].frame for s in minutes.samples]) == (16, [1, 9])
     assert len(frame_717.parameters["Radio Altitude"].samples) == 2
     assert len(frame_717.parameters["Control Column Position"].samples) == 16
-    told = {n: p.unreadable for n, p in frame_717.parameters.items() if p.unreadable}
-    assert set(told) == {"Rudder Ped Pos", "Lateral Range"}
+    unreadable = {n: p.unreadable for n, p in frame_717.parameters.items() if p.unreadable}
+    assert set(unreadable) == {"Rudder Ped Pos", "Lateral Range"}
     assert [(f.title, f.rate_hz) for f in frame_767.frames.values()] == [
         ("1 Hz Parameters", 1.0),
         ("Rudder Exceedance Parameters", None),

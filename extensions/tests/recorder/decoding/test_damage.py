@@ -27,19 +27,19 @@ def recording(seed: int, frames: int = 40) -> np.ndarray:
 
 
 def arranged(data: bytes) -> Recording717:
-    held = np.frombuffer(data, np.uint8)
-    return arrange(held, find_packing(held, 64) or PACKINGS[0], DEMO_717)
+    raw = np.frombuffer(data, np.uint8)
+    return arrange(raw, find_packing(raw, 64) or PACKINGS[0], DEMO_717)
 
 
-def assert_true(found: Recording717, words: np.ndarray) -> None:
+def assert_true(arrangement: Recording717, words: np.ndarray) -> None:
     """Every whole subframe holds, word for word, what the frame with its count holds."""
-    for i in np.flatnonzero(found.whole.any(axis=0)):
-        frame = int(found.count[i]) % 4096 - 100
+    for i in np.flatnonzero(arrangement.whole.any(axis=0)):
+        frame = int(arrangement.count[i]) % 4096 - 100
         assert 0 <= frame < len(words), frame
-        for subframe in np.flatnonzero(found.whole[:, i]):
+        for subframe in np.flatnonzero(arrangement.whole[:, i]):
             part = slice(64 * subframe, 64 * (subframe + 1))
-            assert np.array_equal(found.words[part, i], words[frame, part]), (frame, subframe)
-    assert np.all(np.diff(found.t_s) > 0)
+            assert np.array_equal(arrangement.words[part, i], words[frame, part]), (frame, subframe)
+    assert np.all(np.diff(arrangement.t_s) > 0)
 
 
 def damage(words: np.ndarray, packing: Packing, rng: np.random.Generator) -> tuple[bytes, np.ndarray]:
@@ -69,55 +69,55 @@ def damage(words: np.ndarray, packing: Packing, rng: np.random.Generator) -> tup
 
 @pytest.mark.parametrize("packing", PACKINGS, ids=lambda p: f"{'aligned' if p.aligned else 'stream'} {p.order}")
 def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
-    kept = 0
+    n_whole = 0
     for seed in range(FILES // len(PACKINGS)):
         rng = np.random.default_rng([seed, PACKINGS.index(packing)])
         words = recording(seed)
         data, flipped = damage(words, packing, rng)
         flipped[:, COUNTER] = words[:, COUNTER]  # a frame whose counter was flipped may not be told at all
-        found = arranged(data)
-        assert_true(found, flipped)
-        for series in decode(found, DEMO_717.parameters.values()):
+        arrangement = arranged(data)
+        assert_true(arrangement, flipped)
+        for series in decode(arrangement, DEMO_717.parameters.values()):
             assert series.value is None or np.isfinite(series.value[series.valid]).all()
-        kept += int(found.whole.sum()) / (4 * 40)
-    assert kept / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
+        n_whole += int(arrangement.whole.sum()) / (4 * 40)
+    assert n_whole / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
 
 
 def test_a_flipped_sync_word_costs_the_subframes_on_both_its_sides():
     words = recording(0)
     words[10, SYNCS[2]] ^= 4
-    found = arranged(pack(words, PACKINGS[0]))
-    assert np.argwhere(~found.whole).tolist() == [[1, 10], [2, 10]]
-    assert found.damage.damaged == 2
-    (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
+    arrangement = arranged(pack(words, PACKINGS[0]))
+    assert np.argwhere(~arrangement.whole).tolist() == [[1, 10], [2, 10]]
+    assert arrangement.damage.damaged == 2
+    (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
     assert np.flatnonzero(~series.valid).tolist() == [41, 42]
 
 
 def test_frames_that_are_missing_are_null_at_their_time():
     words = recording(1)
-    found = arranged(pack(np.delete(words, np.s_[12:17], axis=0), PACKINGS[0]))
-    assert found.damage.missing == 20
-    np.testing.assert_allclose(found.t_s, 4.0 * np.arange(40))
+    arrangement = arranged(pack(np.delete(words, np.s_[12:17], axis=0), PACKINGS[0]))
+    assert arrangement.damage.missing == 20
+    np.testing.assert_allclose(arrangement.t_s, 4.0 * np.arange(40))
     # the subframes between the two counters may be spliced
-    assert np.flatnonzero(~found.whole.any(axis=0)).tolist() == list(range(11, 17))
-    (series,) = decode(found, [DEMO_717.parameters["PACK_TEMP"]])
-    lost = np.flatnonzero(~series.valid)
-    assert (lost.min(), lost.max()) == (44, 68)
+    assert np.flatnonzero(~arrangement.whole.any(axis=0)).tolist() == list(range(11, 17))
+    (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
+    invalid = np.flatnonzero(~series.valid)
+    assert (invalid.min(), invalid.max()) == (44, 68)
 
 
 def test_a_word_lost_within_a_subframe_costs_that_subframe():
     data = pack(recording(2), PACKINGS[2])
-    cut = 64 * 12 // 8 * 30 + 21
-    found = arranged(data[:cut] + data[cut + 3 :])
-    assert np.argwhere(~found.whole).tolist() == [[2, 7]]
+    position = 64 * 12 // 8 * 30 + 21
+    arrangement = arranged(data[:position] + data[position + 3 :])
+    assert np.argwhere(~arrangement.whole).tolist() == [[2, 7]]
 
 
 def test_a_recorder_that_stood_still_leaves_a_gap_and_no_rows():
     words = recording(3)
     words[20:, COUNTER] += 1000
-    found = arranged(pack(words, PACKINGS[0]))
-    assert len(found.t_s) == 40
-    assert found.t_s[20] - found.t_s[19] == 4004.0
+    arrangement = arranged(pack(words, PACKINGS[0]))
+    assert len(arrangement.t_s) == 40
+    assert arrangement.t_s[20] - arrangement.t_s[19] == 4004.0
 
 
 def test_a_superframe_with_a_frame_missing_has_no_value():
@@ -126,9 +126,9 @@ def test_a_superframe_with_a_frame_missing_has_no_value():
     whole = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
     assert whole["CITY"].valid.all()
     words[begins + 1, SYNCS[2]] ^= 1  # CITY has a letter in subframe 3 of each of its first four frames
-    cut = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
-    assert cut["CITY"].valid.tolist() == [False, True, True, True]
-    assert cut["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
+    damaged = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
+    assert damaged["CITY"].valid.tolist() == [False, True, True, True]
+    assert damaged["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
 
 
 def raw_767(seed: int) -> dict[str, np.ndarray]:
@@ -138,7 +138,7 @@ def raw_767(seed: int) -> dict[str, np.ndarray]:
 
 def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():
     """Bytes within a frame's data can't be told from good ones: all else is damaged here."""
-    kept = 0.0
+    whole_frames = 0.0
     for seed in range(FILES):
         rng = np.random.default_rng([seed, 767])
         data = bytearray(frames_767(DEMO_767, raw_767(seed)))
@@ -149,26 +149,26 @@ def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():
         for _ in range(rng.integers(0, 4)):
             at, size = int(rng.integers(len(data))), int(rng.integers(1, 300))
             data[at : at + size] = b"" if rng.integers(2) else rng.bytes(size) + data[at : at + size]
-        found = arranged_767(data[: int(rng.integers(len(data) // 2, len(data) + 1))])
-        for number, frames in found.frames.items():
+        arrangement = arranged_767(data[: int(rng.integers(len(data) // 2, len(data) + 1))])
+        for number, frames in arrangement.frames.items():
             for t_s, body in zip(frames.t_s[frames.whole], frames.data[frames.whole], strict=True):
                 assert truth[number][t_s] == bytes(body)
-            kept += frames.whole.sum() / sum(map(len, truth.values()))
-        list(decode(found, DEMO_767.parameters.values()))
-    assert kept / FILES > 0.5
+            whole_frames += frames.whole.sum() / sum(map(len, truth.values()))
+        list(decode(arrangement, DEMO_767.parameters.values()))
+    assert whole_frames / FILES > 0.5
 
 
 def arranged_767(data: bytes):
-    held = np.frombuffer(bytes(data), np.uint8)
-    return arrange_767(held, find_frames(held), DEMO_767.frames)
+    raw = np.frombuffer(bytes(data), np.uint8)
+    return arrange_767(raw, find_frames(raw), DEMO_767.frames)
 
 
 def test_a_lost_arinc_767_frame_is_null_at_its_time():
     data = frames_767(DEMO_767, raw_767(0))
-    found = find_frames(np.frombuffer(data, np.uint8))
-    third = np.flatnonzero(found.number == 3)[20]
-    cut = data[: found.place[third]] + data[found.place[third] + found.size[third] :]
-    recorded = arranged_767(cut)
+    frames = find_frames(np.frombuffer(data, np.uint8))
+    third = np.flatnonzero(frames.number == 3)[20]
+    shortened = data[: frames.place[third]] + data[frames.place[third] + frames.size[third] :]
+    recorded = arranged_767(shortened)
     assert recorded.damage.missing == 1
     (series,) = decode(recorded, [DEMO_767.parameters["SPEED"]])
     # the frame before it may be the beginning of the one and the end of the other
@@ -179,8 +179,8 @@ def test_a_lost_arinc_767_frame_is_null_at_its_time():
 def test_a_recorder_whose_times_jitter_loses_nothing():
     rng = np.random.default_rng(9)
     data = bytearray(frames_767(DEMO_767, raw_767(9)))
-    found = find_frames(np.frombuffer(data, np.uint8))
-    for place, number, time_ms in zip(found.place, found.number, found.time_ms, strict=True):
+    frames = find_frames(np.frombuffer(data, np.uint8))
+    for place, number, time_ms in zip(frames.place, frames.number, frames.time_ms, strict=True):
         if number == 4:
             data[place + 4 : place + 8] = int(time_ms + rng.integers(3)).to_bytes(4, "big")
     assert arranged_767(data).frames[4].whole.all()

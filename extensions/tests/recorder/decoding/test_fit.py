@@ -53,15 +53,15 @@ def test_a_frame_counter_elsewhere_is_told():
 def test_impossible_values_are_told():
     """All parameters a few words further on: the counter counts, but minutes, digits and temperatures can't be."""
     names = ["ALTITUDE", "PACK_TEMP", "FREQUENCY", "UTC"]
-    chosen = {f"{n}{i}": replace(DEMO_717.parameters[n], name=f"{n}{i}") for n in names for i in range(4)}
+    parameters = {f"{n}{i}": replace(DEMO_717.parameters[n], name=f"{n}{i}") for n in names for i in range(4)}
 
-    def moved(p, by: int):
+    def shift(p, by: int):
         samples = tuple(Sample(s.at_s, tuple(replace(x, word=x.word + by) for x in s.pieces)) for s in p.samples)
         return replace(p, samples=samples)
 
     data = written_717()
-    recognise(data, replace(DEMO_717, parameters=chosen))
-    elsewhere = {n: moved(p, 12) for n, p in chosen.items()}
+    recognise(data, replace(DEMO_717, parameters=parameters))
+    elsewhere = {n: shift(p, 12) for n, p in parameters.items()}
     with pytest.raises(MapError, match=r"impossible values in \d+ of 16 parameters that tell \("):
         recognise(data, replace(DEMO_717, parameters=elsewhere))
 
@@ -98,9 +98,9 @@ def test_another_revision_is_told():
 
 def test_floats_cut_at_the_wrong_bit_are_told():
     wide = DEMO_767.parameters["PRESSURE"]
-    moved = {
+    misaligned = {
         f"P{i}": replace(wide, name=f"P{i}", samples=(Sample(0.0, (Piece(0, 33 + i % 7, 32),)),)) for i in range(1, 17)
     }
-    moved = {n: p for n, p in moved.items() if p.samples[0].pieces[0].low != 33}
+    misaligned = {n: p for n, p in misaligned.items() if p.samples[0].pieces[0].low != 33}
     with pytest.raises(MapError, match="impossible values"):
-        recognise(written_767(), replace(DEMO_767, parameters=moved))
+        recognise(written_767(), replace(DEMO_767, parameters=misaligned))

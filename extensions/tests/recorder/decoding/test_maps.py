@@ -22,11 +22,11 @@ XML = (DATA / "demo_717.xml").read_bytes()
 
 def row(name: str, kind: str, msb: int, bits: int, **more: str) -> str:
     """Line 1 of a `.par`, and the lines below it."""
-    said = {"sign": "", "offset": "", "computation": "", "format": "6.0", "unit": "", "below": "", **more}
-    head = [name, f"what {name} is", kind, "A/1/00", "//", "0", said["sign"], str(msb), str(bits), "2", "N"]
+    fields = {"sign": "", "offset": "", "computation": "", "format": "6.0", "unit": "", "below": "", **more}
+    head = [name, f"what {name} is", kind, "A/1/00", "//", "0", fields["sign"], str(msb), str(bits), "2", "N"]
     head += [
-        said["offset"],
-        said["computation"],
+        fields["offset"],
+        fields["computation"],
         "0",
         "1",
         "-90000",
@@ -34,13 +34,13 @@ def row(name: str, kind: str, msb: int, bits: int, **more: str) -> str:
         "DECIMAL",
         "",
         "",
-        said["format"],
-        said["unit"],
+        fields["format"],
+        fields["unit"],
     ]
     return "\n".join(
         [
             "1|" + "\t".join([*head, "ABC", "2009-01-01", "1", "Float", ""]),
-            *said["below"].split(";"),
+            *fields["below"].split(";"),
             "12|-1",
             "13|" + name,
         ]
@@ -81,8 +81,8 @@ FRA = "\n".join([
 
 
 def archive(data: bytes) -> dict[str, bytes]:
-    with zipfile.ZipFile(io.BytesIO(data)) as held:
-        return {name: held.read(name) for name in held.namelist()}
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        return {name: file.read(name) for name in file.namelist()}
 
 
 VEC = read_vec(archive(vec(par=PAR, fra=FRA)))
@@ -166,21 +166,21 @@ def test_a_garbled_map_is_read_or_told_of():
 
 
 def garble(text: str, rng: np.random.Generator) -> str:
-    held = list(text)
+    chars = list(text)
     for _ in range(rng.integers(1, 5)):
-        at, size = int(rng.integers(len(held))), int(rng.integers(1, 8))
+        at, size = int(rng.integers(len(chars))), int(rng.integers(1, 8))
         match rng.integers(5):
             case 0:
-                del held[at : at + size]
+                del chars[at : at + size]
             case 1:
-                held[at] = chr(rng.integers(32, 127))
+                chars[at] = chr(rng.integers(32, 127))
             case 2:
-                held[at:at] = str(rng.integers(-5, 99999))
+                chars[at:at] = str(rng.integers(-5, 99999))
             case 3:
-                held[at:at] = held[: 40 * size][-40:]
+                chars[at:at] = chars[: 40 * size][-40:]
             case _:
-                held[int(rng.choice([i for i, c in enumerate(held) if c.isdigit()]))] = str(rng.integers(10))
-    return "".join(held)
+                chars[int(rng.choice([i for i, c in enumerate(chars) if c.isdigit()]))] = str(rng.integers(10))
+    return "".join(chars)
 
 
 def test_what_only_a_person_can_convert_is_listed_with_the_reason():
@@ -222,7 +222,7 @@ def test_conversions_are_what_they_say():
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         (("words_per_second = 64\n", ""), "no words_per_second in the head"),
         (('"ARINC 717"', '"ARINC 573"'), "'ARINC 717' or 'ARINC 767'"),
@@ -236,14 +236,14 @@ def test_conversions_are_what_they_say():
         (("[[parameter]]", "[[parameter"), "no TOML"),
     ],
 )
-def test_a_toml_that_cannot_be_read_says_where(change, says):
+def test_a_toml_that_cannot_be_read_says_where(change, message):
     assert change[0] in TOML
-    with pytest.raises(MapError, match=says.replace("[", r"\[")):
+    with pytest.raises(MapError, match=message.replace("[", r"\[")):
         read_toml(TOML.replace(*change, 1))
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ((b"<Words_Per_Subframe>64</Words_Per_Subframe>", b""), "no Words_Per_Subframe"),
         ((b"Signed Binary", b"Signed Ternary"), "parameter ALTITUDE"),
@@ -253,14 +253,14 @@ def test_a_toml_that_cannot_be_read_says_where(change, says):
         ((b"<FREDFile", b"<!DOCTYPE x [<!ENTITY y 'z'>]><FREDFile"), "no entities"),
     ],
 )
-def test_an_xml_that_cannot_be_read_says_where(change, says):
+def test_an_xml_that_cannot_be_read_says_where(change, message):
     assert change[0] in XML
-    with pytest.raises(MapError, match=says):
+    with pytest.raises(MapError, match=message):
         read_xml(XML.replace(*change, 1))
 
 
 @pytest.mark.parametrize(
-    ("files", "says"),
+    ("files", "message"),
     [
         ({}, "no .par"),
         ({"par": PAR}, "neither .fra nor .frd"),
@@ -271,6 +271,6 @@ def test_an_xml_that_cannot_be_read_says_where(change, says):
         ({"par": PAR, "frd": "2|3\tx\t1\t1\n3|3\t1\tNOWHERE\tX"}, "does not define NOWHERE"),
     ],
 )
-def test_a_vec_that_cannot_be_read_says_where(files, says):
-    with pytest.raises(MapError, match=says):
+def test_a_vec_that_cannot_be_read_says_where(files, message):
+    with pytest.raises(MapError, match=message):
         read_vec(archive(vec(**files)))

@@ -48,14 +48,14 @@ def read(*texts: str):
 
 
 def test_a_report_says_what_its_layout_declares():
-    found = read(OTHER, REPORT, REPORT)
-    assert found.rejected == ()
-    assert found.undeclared == ("A999 DOOR REPORT(TST)",)
-    assert [(x.report, x.row) for x in found.lines[:7]] == [
+    result = read(OTHER, REPORT, REPORT)
+    assert result.rejected == ()
+    assert result.undeclared == ("A999 DOOR REPORT(TST)",)
+    assert [(x.report, x.row) for x in result.lines[:7]] == [
         (1, r) for r in ("C1", "N1", "N2", "S1", "S2", "E1", "REASON:")
     ]
-    assert {x.report for x in found.lines} == {1, 2}
-    values = {x.row: x.values for x in found.lines}
+    assert {x.report for x in result.lines} == {1, 2}
+    values = {x.row: x.values for x in result.lines}
     assert values["C1"] == {"acid": ".X-ABCD", "date": "05MAR26", "flight": "TST1234"}
     assert values["N1"] == {"flow": 1.31, "outlet": 12.5, "valve": "11"}
     assert values["N2"] == {"flow": None, "outlet": -3.0, "valve": "1X"}
@@ -82,39 +82,39 @@ def test_plain_text_is_read_as_a_file_of_blocks_is():
 def test_a_damaged_line_is_set_aside_with_its_reason_and_costs_no_other(change, reason):
     assert change[0] in REPORT
     damaged = REPORT.replace(*change)
-    found = read(damaged)
-    (rejected,) = found.rejected
+    result = read(damaged)
+    (rejected,) = result.rejected
     assert reason in rejected.reason
     assert damaged.splitlines()[rejected.line - 1].startswith(rejected.text[:5])
-    assert len(found.lines) == 6
+    assert len(result.lines) == 6
 
 
 def test_a_message_that_lost_characters_is_told():
     data = message_file(REPORT, REPORT)
     at = data.index(b"   ACID")
-    found = read_reports(data[:at] + data[at + 3 :], LAYOUTS)
-    assert any("characters, by its end" in r.reason for r in found.rejected)
+    result = read_reports(data[:at] + data[at + 3 :], LAYOUTS)
+    assert any("characters, by its end" in r.reason for r in result.rejected)
 
 
 def test_three_hundred_damaged_files_are_read_or_set_aside():
     whole = {(x.row, tuple(x.values.values())) for x in read(REPORT).lines}
     data = message_file(*[REPORT] * 4)
-    kept = 0
+    n_intact = 0
     for seed in range(300):
         rng = np.random.default_rng(seed)
         damaged = bytearray(data)
         for _ in range(rng.integers(1, 6)):
             at, size = int(rng.integers(len(damaged))), int(rng.integers(1, 60))
             damaged[at : at + size] = b"" if rng.integers(2) else rng.integers(128, 256, size, np.uint8).tobytes()
-        found = read_reports(bytes(damaged[: int(rng.integers(len(data) // 2, len(data) + 1))]), LAYOUTS)
-        kept += sum((x.row, tuple(x.values.values())) in whole for x in found.lines)
-        numbers = [v for x in found.lines for n, v in x.values.items() if n in {"flow", "outlet", "speed", "ratio"}]
+        result = read_reports(bytes(damaged[: int(rng.integers(len(data) // 2, len(data) + 1))]), LAYOUTS)
+        n_intact += sum((x.row, tuple(x.values.values())) in whole for x in result.lines)
+        numbers = [v for x in result.lines for n, v in x.values.items() if n in {"flow", "outlet", "speed", "ratio"}]
         assert all(v is None or np.isfinite(v) for v in numbers)
-    assert kept > 300 * 7
+    assert n_intact > 300 * 7
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("N1 {a}", "line 1: a report begins with"),
         ("<91> X\nN1 nothing", "line 2: fields are"),
@@ -122,8 +122,8 @@ def test_three_hundred_damaged_files_are_read_or_set_aside():
         ("<91> X\nN1 {a:x}", "line 2: fields are"),
     ],
 )
-def test_a_layout_that_cannot_be_read_says_where(text, says):
-    with pytest.raises(LayoutError, match=says):
+def test_a_layout_that_cannot_be_read_says_where(text, message):
+    with pytest.raises(LayoutError, match=message):
         read_layouts(text)
 
 

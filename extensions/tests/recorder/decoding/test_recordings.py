@@ -81,13 +81,13 @@ def test_any_bits_of_any_frame_come_back(words, packing, before_bits, parameters
     """Parameters in random bits of random words, at random rates."""
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     free = rng.permutation(np.arange(2, words))
-    held = {}
+    by_name = {}
     for i, word in enumerate(free[:parameters]):
         bits, rate = int(rng.integers(1, 13)), int(rng.choice([1, 2, 4]))
         low = int(rng.integers(0, 13 - bits))
         samples = tuple(Sample(float(s), (Piece(s * words + int(word), low, bits),)) for s in range(0, 4, 4 // rate))
-        held[f"P{i}"] = Parameter(f"P{i}", Coding("binary", bits=bits), samples, rate / 4)
-    layout = Map717(words, held, Counter(Piece(words + 1, 0, 12)))
+        by_name[f"P{i}"] = Parameter(f"P{i}", Coding("binary", bits=bits), samples, rate / 4)
+    layout = Map717(words, by_name, Counter(Piece(words + 1, 0, 12)))
     raw = random_raw(layout, rng, 5)
     before = before_bits // 8 * 8 if packing.aligned else before_bits
     series = read(pack(frames_717(layout, raw, first_count=4094), packing, before), layout)
@@ -131,7 +131,7 @@ def demo_767(seed: int, seconds: int) -> dict[str, np.ndarray]:
 )
 def test_bits_that_are_no_value_are_null(name, raw):
     """A digit of ten, second or minute 60, hour 24, not a number."""
-    held = random_raw(DEMO_717, np.random.default_rng(1), 32)
-    held[name][5] = raw
-    series = read(pack(frames_717(DEMO_717, held, first_count=0), PACKINGS[0]), DEMO_717)
+    samples = random_raw(DEMO_717, np.random.default_rng(1), 32)
+    samples[name][5] = raw
+    series = read(pack(frames_717(DEMO_717, samples, first_count=0), PACKINGS[0]), DEMO_717)
     assert np.flatnonzero(~series[name].valid).tolist() == [5]
