@@ -75,7 +75,7 @@ $(READY): requirements.lock pyproject.toml extensions/pyproject.toml
 # setuptools builds this project from the same pinned set, so it is named here and not in the dependencies
 lock:
 	$(BIN)/uv pip compile --quiet --custom-compile-command 'make lock' --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-strip-extras --no-emit-package hybrid-digital-twin \
-	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra serve --extra s3 --extra notebook --extra fmi --extra genetic --extra metrics --extra dev pyproject.toml extensions/pyproject.toml build-requirements.in -o requirements.lock
+	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra serve --extra s3 --extra notebook --extra dashboard --extra fmi --extra genetic --extra metrics --extra dev pyproject.toml extensions/pyproject.toml build-requirements.in -o requirements.lock
 
 # every message of code, templates and declarations, into the catalog of each language
 words: $(READY)

@@ -19,14 +19,22 @@ from pipelines.storage.publication import order_views, publish, views
 
 _TITLE = """# Data dictionary
 
-Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and the
-headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing value
-is NULL, never NaN. A column is explained where it first occurs; later sections name it under "As above". Columns that
-differ by a number are explained once. Behind a type of a table, `?` says that it may be NULL, `0..1` its least and
-greatest value. Six views to start with are in [the catalog](catalog.md); every column's meaning is also its comment
-there, and `describe tables.features` lists the columns of components of your own.
+Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and
+the headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing
+value is NULL, never NaN. Start with the six views that `select * from start_here` names. Each column is explained
+where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
+describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended; both are
+listed only where there is more to say. A column without a type is a `double`. In tables, `?` behind a type says that
+it may be NULL, `0..1` its least and greatest value. Every meaning is a comment in the catalog, too, and `describe
+tables.features` lists the columns of components of your own.
 """
+_KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
+"""Columns of the view `prognoses` that most views and tables have: explained once, on top."""
 
+_DESCRIBES = re.compile(r"^.*(?=_(?:lost_share|still)$)")
+_SIDES = re.compile(r"(?:dsm|sensor)_minus_(?:dsm|twin)")
+_BY_NAME = re.compile(r"(standard deviation of it|its standard deviation|how that estimate ended)( \[.*\])?$")
+"""Meanings that a column's name has already."""
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
 
 
@@ -35,6 +43,8 @@ def dictionary() -> str:
     sections: dict[str, set[tuple[str, str]]] = {}
     parts = [
         _TITLE,
+        "## Keys, wherever they occur\n",
+        _columns("keys", [row for row in view_columns()["prognoses"] if row[0] in _KEYS], sections),
         "## Views\n",
         *_views(sections),
         "## Tables\n",
@@ -66,7 +76,7 @@ def _views(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
         notes = f" {header.notes}" if header.notes else ""
         parts.append(f"### {name}\n\n{header.question}{notes}\n")
         parts.append(f"Grain: {header.grain}.\n")
-        parts.append(_columns(name, columns[name], sections))
+        parts.append(_columns(name, [row for row in columns[name] if row[0] not in _KEYS], sections))
     return parts
 
 
@@ -81,23 +91,22 @@ def _tables(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
                 describe_column(c),
             )
             for column, c in entry.schema.columns().items()
+            if column not in _KEYS
         ]
         parts.append(_columns(f"tables.{name}", rows, sections))
     return parts
 
 
 def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[str, set[tuple[str, str]]]) -> str:
-    """Write a line for each column that no section above explains in the same words, and the names of the others.
-
-    Neighbouring columns that differ by a number share a line, with the words of the first.
-    """
+    """Write a line for each column that no section above explains in the same words, and the names of the others."""
     present = {(name, meaning) for name, _, meaning in rows}
     columns_above = set().union(*sections.values())
     subset = max((s for s in sections if sections[s] <= present), key=lambda s: len(sections[s]), default="")
-    new_rows = [row for row in rows if (row[0], row[2]) not in columns_above]
+    new_rows = [row for row in rows if (row[0], row[2]) not in columns_above and not _BY_NAME.match(row[2])]
     families = [list(group) for _, group in groupby(new_rows, key=_family)]
     lines = [
-        f"- {', '.join(f'`{name}`' for name, _, _ in group)} ({_type(group[0][1])}): {group[0][2].removesuffix(' [-]')}"
+        f"- {', '.join(f'`{name}`' for name, _, _ in group)}{_of_type(group[0][1])}: "
+        + (group[0][2] if len(group) == 1 else _generalise(*group[0][::2])[1]).removesuffix(" [-]")
         for group in families
     ]
     by_name = columns_above - sections.get(subset, set())
@@ -108,10 +117,24 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[
 
 
 def _family(row: tuple[str, str, str]) -> tuple[str, ...]:
-    """Return the key of columns with the same meaning, or with names that differ by a number."""
+    """Return the key of columns with the same meaning, or that differ by a number or by the column they describe."""
     name, kind, meaning = row
-    bare = re.sub(r"\d+", "", meaning)
-    return (kind, meaning) if bare == meaning else (kind, bare, re.sub(r"\d+", "", name))
+    stem, general = _generalise(name, meaning)
+    if general == meaning and re.sub(r"\d+", "", meaning) == meaning:
+        return kind, meaning
+    return kind, re.sub(r"\d+", "", general), re.sub(r"\d+", "", stem)
+
+
+def _generalise(name: str, meaning: str) -> tuple[str, str]:
+    """Put `*` for the column that another one describes, and for the two sides of a residual."""
+    stem = _DESCRIBES.sub("*", name)
+    if stem != name:
+        return stem, meaning.replace(name.removesuffix(stem[1:]), "*")
+    return _SIDES.sub("*", name), re.sub(r": \w+ less \w+", ": what the names say", meaning)
+
+
+def _of_type(kind: str) -> str:
+    return "" if _type(kind) == "double" else f" ({_type(kind)})"
 
 
 def _type(kind: str) -> str:

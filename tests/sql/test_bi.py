@@ -1,7 +1,9 @@
 """What BI tools ask of a database when it is connected, asked as they ask it."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import duckdb
 import pytest
@@ -50,3 +52,11 @@ def test_attached_elsewhere_it_is_told_where_the_tables_are(sample_home, tmp_pat
         con.execute(f"set variable tables_folder = '{sample_home}/tables/'")
         con.execute(f"attach '{sample_home / CATALOG}' as hdt (read_only)")
         assert con.sql("select count(*) from hdt.main.flights").fetchall()[0][0] > 0
+
+
+def test_catalog_and_page_name_the_same_six_views_to_start_with(opened):
+    page = (Path(__file__).parents[2] / "docs/catalog.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| ([a-z][^|]*\?) \| `(\w+)`", page, re.MULTILINE)
+    assert len(table) == 6
+    assert opened.sql("select question, view_name from start_here order by place").fetchall() == table
+    assert {name for _, name in table} <= set(views())

@@ -1,0 +1,102 @@
+-- What did work after an alert save, by the log and the cost table?
+-- One row a spell of removal_leads that had an alert and then work. Whether a message would have come had the unit
+-- stayed is in no record: saving_at_most takes it as certain, saving_expected as likely as the prognosis before the
+-- work. The work itself would have come later anyway, so its cost is not set against that; delays, spares and
+-- consequential damage are in no log.
+-- outcome: message (it came before the work: nothing saved), no_message (the work came first), needless (the work came
+-- first and found no fault)
+-- p_event_50: chance of a message within 50 flights before the work: median of ten flights, the six before the log's
+-- moment left out [-]
+-- work_cost: of the replacement or wash at the next stop [currency]
+-- message_cost: of one message [currency]
+-- saving_at_most: message_cost where the work came first and found a fault or says nothing; else 0 [currency]
+-- saving_expected: saving_at_most times p_event_50 [currency]
+-- needless_cost: work_cost where the outcome is needless, else 0 [currency]
+-- cost_source: costs.toml, or default where a figure of the row is a round one of ours
+-- Grain: operator, tail, pack, component, spell (from 0). Reads: removal_leads, prognoses, tables.raw_costs.
+create or replace view realised_savings as
+with answered as (
+    select
+        *,
+        case
+            when first_message_at is not null then 'message'
+            when work_finding = 'NO_FAULT_FOUND' then 'needless'
+            else 'no_message'
+        end as outcome
+    from removal_leads
+    where flights_to_work is not null
+),
+
+placed as (
+    select
+        a.operator,
+        a.tail,
+        a.pack,
+        a.component,
+        a.spell,
+        p.p_event_50,
+        row_number() over (
+            partition by a.operator, a.tail, a.pack, a.component, a.spell order by p.departed_at desc
+        ) as n_before
+    from answered as a
+    inner join prognoses as p
+        on
+            a.operator = p.operator
+            and a.tail = p.tail
+            and a.pack = p.pack
+            and a.component = p.component
+            and a.work_at > p.departed_at
+            and coalesce(a.begins_at, '-infinity') <= p.departed_at
+),
+
+foretold as (
+    select
+        operator,
+        tail,
+        pack,
+        component,
+        spell,
+        median(p_event_50) as p_event_50
+    from placed
+    where n_before between 7 and 16
+    group by operator, tail, pack, component, spell
+),
+
+priced as (
+    select
+        a.operator,
+        a.tail,
+        a.pack,
+        a.component,
+        a.spell,
+        a.alert_id,
+        a.diagnosis,
+        a.first_raised_at,
+        a.work_action,
+        a.work_on,
+        a.work_finding,
+        a.outcome,
+        f.p_event_50,
+        w.cost as work_cost,
+        m.cost as message_cost,
+        if(a.outcome = 'no_message', m.cost, m.cost * 0) as saving_at_most,
+        if(a.outcome = 'needless', w.cost, w.cost * 0) as needless_cost,
+        m.currency,
+        greatest(w.source, m.source) as cost_source
+    from answered as a
+    left join foretold as f
+        on
+            a.operator = f.operator
+            and a.tail = f.tail
+            and a.pack = f.pack
+            and a.component = f.component
+            and a.spell = f.spell
+    left join tables.raw_costs as m on a.component = m.component and m.item = 'message'
+    left join tables.raw_costs as w
+        on a.component = w.component and w.item = if(a.work_action = 'CLEANED', 'wash', 'replace')
+)
+
+select
+    *,
+    saving_at_most * p_event_50 as saving_expected
+from priced;

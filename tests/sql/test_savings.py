@@ -1,0 +1,152 @@
+"""Leads to removals, savings, seasons and costs: fleets counted on fingers, and the sample counted again in Python."""
+
+import datetime as dt
+from collections import defaultdict
+
+import duckdb
+import pytest
+from answers import rows
+from made_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
+
+from pipelines.storage.catalog import CATALOG
+
+COSTS = {"wash": 100.0, "replace": 1000.0, "at_check": 50.0, "message": 4000.0}
+PRICES = [
+    {"component": "HX", "item": k, "cost": v, "currency": "EUR", "horizon_days": 30, "source": "costs.toml"}
+    for k, v in COSTS.items()
+]
+DAYS = 100
+
+
+def prognosis(n: int, chance: float) -> dict:
+    points = dict.fromkeys((f"p_event_{k}" for k in (25, 50, 100, 200, 300)), chance)
+    return flight(n) | points | {"pack": 1, "component": "HX", "rul_flights": 90.0, "rul_low": 9.0, "rul_high": 300.0}
+
+
+def fleet(**more: list[dict]) -> duckdb.DuckDBPyConnection:
+    """A flight a day. Work counts from the end of its day: of days 20, 40, 60 and 80, the third a wash."""
+    log = [
+        replaced(20),
+        replaced(40, "NO_FAULT_FOUND"),
+        replaced(60) | {"action": "CLEANED"},
+        replaced(80, component="RAM_DOOR"),
+    ]
+    tables = {
+        "raw_flights": [flight(n) for n in range(DAYS)],
+        "twin_health": [fouling(n, 0.1) for n in range(DAYS)],
+        "prognoses": [prognosis(n, n / 100) for n in range(DAYS)],
+        "raw_maintenance": log,
+        "raw_messages": [message(15), message(16), message(90)],
+        "features_alerts": [alert("a", 5, 21), alert("a2", 7, 21), alert("b", 30, 41), alert("c", 50, 61)],
+        "raw_costs": PRICES,
+    }
+    return catalog(**tables | more)
+
+
+def test_leads_run_from_the_first_alert_of_the_spell():
+    asked = "spell, alert_id, work_action, flights_to_work, days_to_work, flights_to_message, days_to_message"
+    hours = 18 / 24  # flights leave at six, work counts from midnight
+    assert rows(fleet(), f"select {asked} from removal_leads where component = 'HX' order by spell") == [
+        (0, "a", "REPLACED", 15, 15 + hours, 10, pytest.approx(10 + 1 / 24)),
+        (1, "b", "REPLACED", 10, 10 + hours, None, None),
+        (2, "c", "CLEANED", 10, 10 + hours, None, None),
+        (3, None, None, None, None, None, None),
+    ]
+    assert rows(fleet(), "select spell, work_action from removal_leads where component = 'RAM_DOOR'") == [
+        (0, "REPLACED")
+    ]
+
+
+def test_a_message_before_the_alert_has_a_negative_lead_in_days_and_none_in_flights():
+    con = fleet(raw_messages=[message(2)])
+    asked = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
+    assert rows(con, asked) == [(None, pytest.approx(-3 + 1 / 24))]
+
+
+def test_a_message_that_came_saves_nothing_and_work_that_found_nothing_costs():
+    asked = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
+    chance = (60 - 10.5) / 100  # flights 45 to 54: the last of them is the seventh before the end of day 60
+    assert rows(fleet(), f"select {asked} from realised_savings order by spell") == [
+        (0, "message", 0.0, 0.0, 0.0, "EUR", "costs.toml"),
+        (1, "needless", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
+        (2, "no_message", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
+    ]
+
+
+def test_without_a_price_what_happened_is_known_and_the_saving_is_not():
+    con = fleet(raw_costs=[])
+    assert rows(con, "select outcome, saving_at_most, saving_expected from realised_savings where spell = 2") == [
+        ("no_message", None, None)
+    ]
+    assert rows(con, "select * from operator_costs") == []
+
+
+def test_costs_of_an_operator_are_events_times_prices():
+    asked = """n_flights, n_messages, n_removals, n_washes, n_needless, total_cost, cost_per_1000_flights,
+        saving_at_most, expected_message_cost"""
+    ((*counts, expected),) = rows(fleet(), f"select {asked} from operator_costs")
+    total = 2 * 4000.0 + 2 * 1000.0 + 100.0
+    assert counts == [DAYS, 2, 2, 1, 1, total, 10 * total, 4000.0]
+    assert expected == pytest.approx(4000.0 * 0.99, rel=0.02)
+
+
+def test_an_operator_without_events_has_a_row_of_none():
+    con = fleet(raw_flights=[flight(n) for n in range(DAYS)] + [flight(3, tail="Z-1", operator="ZZZ")])
+    asked = "select n_flights, n_messages, total_cost, saving_at_most from operator_costs where operator = 'ZZZ'"
+    assert rows(con, asked) == [(1, 0, 0.0, 0.0)]
+
+
+def test_one_figure_of_ours_marks_the_row():
+    con = fleet(raw_costs=[p | ({"source": "default"} if p["item"] == "wash" else {}) for p in PRICES])
+    assert rows(con, "select distinct cost_source from operator_costs") == [("default",)]
+    assert rows(con, "select spell, cost_source from realised_savings order by spell") == [
+        (0, "costs.toml"), (1, "costs.toml"), (2, "default"),
+    ]  # fmt: skip
+
+
+def test_seasons_have_chance_and_margin():
+    margins = [flight(n) | {"pack": 1, "hx_margin_k": float(n)} for n in range(31)]
+    asked = "select p_event_50, margin_k, margin_worst_tenth_k from seasonality where calendar_month = 3"
+    assert rows(fleet(features=margins), asked) == [(pytest.approx(0.15), 15.0, 3.0)]
+
+
+def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
+    with duckdb.connect(str(sample_home / CATALOG), read_only=True) as con:
+        con.execute("set TimeZone = 'Pacific/Kiritimati'")
+        own = "operator, tail, pack, component"
+        works = rows(con, f"select {own}, counts_from, action from tables.raw_maintenance where pack is not null")
+        alerts = rows(con, f"select {own}, raised_at, alert_id from alerts")
+        codes = dict(rows(con, "select message_code, component from tables.components where message_code is not null"))
+        messages = rows(con, "select operator, tail, pack, code, message_time from tables.raw_messages")
+        flights = defaultdict(list)
+        for operator, tail, at in rows(con, "select operator, tail, departed_at from flights"):
+            flights[operator, tail].append(at)
+        columns = "work_at, alert_id, flights_to_work, days_to_work, flights_to_message, days_to_message"
+        answer = {r[:5]: r[5:] for r in rows(con, f"select {own}, spell, {columns} from removal_leads")}
+    never = dt.datetime.max.replace(tzinfo=START.tzinfo)
+    first = dt.datetime.min.replace(tzinfo=START.tzinfo)
+    units = {w[:4] for w in works} | {a[:4] for a in alerts}
+    again = {}
+    for unit in units:
+        ends = [*sorted({w[4] for w in works if w[:4] == unit and w[5] in ("REPLACED", "CLEANED")}), never]
+        for spell, (since, until) in enumerate(zip([first, *ends], ends, strict=False)):
+            raised = min((a[4:] for a in alerts if a[:4] == unit and since <= a[4] < until), default=(None, None))
+            heard = min((m[4] for m in messages if (*m[:3], codes.get(m[3])) == unit and since <= m[4] < until),
+                        default=None)  # fmt: skip
+            if (until, *raised, heard) == (never, None, None, None):
+                continue
+            departures = [d for d in flights[unit[:2]] if raised[0] and d > raised[0]]
+            work = None if until == never else until
+            again[*unit, spell] = (
+                work, raised[1],
+                sum(d < work for d in departures) if work and raised[0] else None,
+                (work - raised[0]).total_seconds() / 86400 if work and raised[0] else None,
+                sum(d <= heard for d in departures) if heard and raised[0] and heard >= raised[0] else None,
+                (heard - raised[0]).total_seconds() / 86400 if heard and raised[0] else None,
+            )  # fmt: skip
+    assert len(answer) >= 8
+    assert answer.keys() == again.keys()
+    assert OWN["operator"] not in {key[0] for key in answer}
+    for key, row in answer.items():
+        assert row[:3] == again[key][:3]
+        assert row[3:] == pytest.approx(again[key][3:])
