@@ -47,14 +47,14 @@ def test_the_top_level_is_as_agreed():
 
 def imported(module: str, path: Path, modules: Mapping[str, Path]) -> set[str]:
     """Modules of ours that a module imports, at whatever depth, and what only a type checker is shown."""
-    found = set()
+    names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, f"{module} imports relatively"
-            found.update({f"{node.module}.{a.name}" for a in node.names} & set(modules) or {str(node.module)})
-    return found & set(modules) - {module}
+            names.update({f"{node.module}.{a.name}" for a in node.names} & set(modules) or {str(node.module)})
+    return names & set(modules) - {module}
 
 
 def circle(graph: Mapping[str, set[str]]) -> list[str]:
@@ -80,8 +80,8 @@ def test_a_circle_would_be_found(tmp_path):
     paths["a"].write_text("import b\n")
     paths["b"].write_text("def late():\n    from c import thing\n")
     paths["c"].write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import a\n")
-    found = circle({name: imported(name, path, paths) for name, path in paths.items()})
-    assert set(found) == {"a", "b", "c"}
+    cycle = circle({name: imported(name, path, paths) for name, path in paths.items()})
+    assert set(cycle) == {"a", "b", "c"}
 
 
 def test_the_private_api_of_dagster_is_used_in_one_place():
@@ -107,9 +107,9 @@ def private(path: Path) -> set[str]:
 def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
     root = Path(__file__).parents[1]
     rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (root / "dagster_batched/README.md").read_text(), re.MULTILINE)
-    told = {name: set(re.findall(r"`(dagster\w*\.[\w.]+)`", said)) - {"dagster.yaml"} for name, said in rows}
+    listed = {name: set(re.findall(r"`(dagster\w*\.[\w.]+)`", cells)) - {"dagster.yaml"} for name, cells in rows}
     used = {p.stem: private(p) for p in (root / "dagster_batched").glob("*.py") if p.stem != "__init__"}
-    assert told == used
+    assert listed == used
     others = {str(p): private(p) for name in ("pipelines", "hdt_core") for p in (root / name).rglob("*.py")}
     assert {p: n for p, n in others.items() if n} == {}
 
@@ -137,9 +137,9 @@ def joins(tree: ast.AST) -> Iterator[tuple[int, str | None]]:
     """Line and declared cardinality of each join of frames that can multiply rows; one of texts has one argument."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "join":
-            given = {k.arg: k.value.value if isinstance(k.value, ast.Constant) else None for k in node.keywords}
-            if "on" in given and given.get("how") not in ("semi", "anti", "cross"):
-                yield node.lineno, given.get("validate")
+            arguments = {k.arg: k.value.value if isinstance(k.value, ast.Constant) else None for k in node.keywords}
+            if "on" in arguments and arguments.get("how") not in ("semi", "anti", "cross"):
+                yield node.lineno, arguments.get("validate")
 
 
 def test_a_join_without_its_cardinality_would_be_found():

@@ -82,9 +82,9 @@ def tree(tmp_path_factory) -> Path:
     ))  # fmt: skip
     with (top / "hdt_core/tables/raw.py").open("a") as tables:
         tables.write(TABLE)
-    kept = '    "raw_fleet": StoredTable('
-    replaced(top / "hdt_core/tables/__init__.py", kept, (
-        '    "flight_counts": StoredTable(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + kept
+    anchor = '    "raw_fleet": StoredTable('
+    replaced(top / "hdt_core/tables/__init__.py", anchor, (
+        '    "flight_counts": StoredTable(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + anchor
     ))  # fmt: skip
     replaced(top / "pipelines/lineage.py", '    Stage("prognosis_base",', (
         '    Stage("flight_counts", "raw", same_recipe("flight_counts", parents=("raw_flights",))),\n'

@@ -39,16 +39,16 @@ def blocks(page: Path) -> list[str]:
 
 def commands(page: Path) -> list[list[str]]:
     """Words of each `hdt` command in the code of a page, quotes over several lines joined."""
-    found = []
+    all_commands = []
     for block in blocks(page):
         for line in re.findall(r"^(?:\S*/)?hdt ((?:\"[^\"]*\"|[^\n\"])*)", block, flags=re.MULTILINE):
             words = shlex.split(line, comments=True)
-            found += [words[: words.index("&&")] if "&&" in words else words]
-    return found
+            all_commands += [words[: words.index("&&")] if "&&" in words else words]
+    return all_commands
 
 
 load_extensions()  # the pages name their commands, too
-SAID = [(page, words) for page in PAGES if page != CONTRACT for words in commands(page)]
+COMMANDS = [(page, words) for page in PAGES if page != CONTRACT for words in commands(page)]
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -56,7 +56,7 @@ def test_worked_examples_hold(name):
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
-@pytest.mark.parametrize(("page", "words"), SAID, ids=[" ".join(w[:1]) + f"-{p.stem}" for p, w in SAID])
+@pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(w[:1]) + f"-{p.stem}" for p, w in COMMANDS])
 def test_a_command_of_the_documentation_is_taken_as_it_stands(page, words):
     command = typer.main.get_command(app)
     name, sub, rest = command.resolve_command(typer.Context(command), words)
@@ -64,45 +64,45 @@ def test_a_command_of_the_documentation_is_taken_as_it_stands(page, words):
 
 
 def test_every_command_is_documented():
-    assert {words[0] for _, words in SAID} >= {c.name or c.callback.__name__ for c in app.registered_commands}
+    assert {words[0] for _, words in COMMANDS} >= {c.name or c.callback.__name__ for c in app.registered_commands}
 
 
 def test_the_queries_of_the_documentation_answer(sample_home):
     # a component of one's own is not in the sample: tests/pipelines/test_own_component.py asks that page's
-    asked = [w[-1] for p, w in SAID if w[0] == "query" and p.stem != "howto-component"]
+    queries = [w[-1] for p, w in COMMANDS if w[0] == "query" and p.stem != "howto-component"]
     with connect(sample_home) as con:
-        assert asked
-        assert all(con.sql(sql).fetchall() for sql in asked)
+        assert queries
+        assert all(con.sql(sql).fetchall() for sql in queries)
 
 
 def test_the_tutorials_python_runs(sample_home, monkeypatch):
     (code,) = [b for b in blocks(ROOT / "docs/tutorial.md") if b.startswith("import duckdb")]
     monkeypatch.chdir(sample_home)
-    held: dict[str, object] = {}
+    namespace: dict[str, object] = {}
     with duckdb.connect("catalog.duckdb", read_only=True):
-        exec(code.replace("hdt_home/", ""), held)
-    assert held["frame"].height > 0
+        exec(code.replace("hdt_home/", ""), namespace)
+    assert namespace["frame"].height > 0
 
 
 def test_the_tables_are_read_as_their_page_says(sample_home):
     page = (ROOT / "docs/storage.md").read_text(encoding="utf-8").split("## Read the tables")[1]
     code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
-    held: dict[str, object] = {}
-    exec(code.replace('"hdt_home"', repr(str(sample_home))), held)
+    namespace: dict[str, object] = {}
+    exec(code.replace('"hdt_home"', repr(str(sample_home))), namespace)
     with connect(sample_home) as con:
         flights = con.execute("select count(*) from flights").fetchone()[0]
-    assert held["as_arrow"].num_rows == flights
-    assert sum(n for _, n in held["per_tail"].fetchall()) == flights
-    assert held["worn"].width == 4
+    assert namespace["as_arrow"].num_rows == flights
+    assert sum(n for _, n in namespace["per_tail"].fetchall()) == flights
+    assert namespace["worn"].width == 4
 
 
 def site(target: Path) -> Path:
     """The site that `make check` has built, where nothing it is made of has changed since; else one in `target`."""
-    made = ROOT / ".site/sitemap.xml"
+    built = ROOT / ".site/sitemap.xml"
     sources = [ROOT / name for name in ("docs", "hdt_core", "extensions/hdt_recorder", "mkdocs.yml")]
     newest = max(f.stat().st_mtime for s in sources for f in (s, *s.rglob("*")) if "__pycache__" not in f.parts)
-    if made.exists() and made.stat().st_mtime > newest:
-        return made.parent
+    if built.exists() and built.stat().st_mtime > newest:
+        return built.parent
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(target)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -114,7 +114,7 @@ def test_the_site_is_whole_and_asks_nothing_of_the_network(tmp_path):
     pages = {p: p.read_text(encoding="utf-8") for p in site(tmp_path).rglob("*.html")}
     assert len(pages) > 15
     fetched = r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+"
-    assert {p.name: found for p, text in pages.items() if (found := re.findall(fetched, text))} == {}
+    assert {p.name: links for p, text in pages.items() if (links := re.findall(fetched, text))} == {}
 
 
 def test_links_of_the_readme_hold_on_a_forge():
@@ -125,5 +125,5 @@ def test_links_of_the_readme_hold_on_a_forge():
 
 def test_every_room_of_the_core_has_its_page_of_reference():
     rooms = {p.name for p in (ROOT / "hdt_core").iterdir() if (p / "__init__.py").exists()}
-    told = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/api").glob("*.md"))
-    assert rooms == set(re.findall(r"^::: hdt_core\.(\w+)$", told, flags=re.MULTILINE))
+    pages = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/api").glob("*.md"))
+    assert rooms == set(re.findall(r"^::: hdt_core\.(\w+)$", pages, flags=re.MULTILINE))

@@ -12,7 +12,7 @@ from hdt_core.tables.signals import SIGNALS
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
 TESTS = "tests/hdt_core"
-NUMBERED = {("eq", n) for n in range(1, 9)} | {("fig", n) for n in range(1, 17)} | {("table", n) for n in range(1, 4)}
+ITEMS = {("eq", n) for n in range(1, 9)} | {("fig", n) for n in range(1, 17)} | {("table", n) for n in range(1, 4)}
 
 
 class Row(NamedTuple):
@@ -38,8 +38,8 @@ def numbers(item: str) -> set[tuple[str, int]]:
     kind = re.match(r"(eq|fig|table)s?\b", item)
     if kind is None:
         return set()
-    found = [int(n) for n in re.findall(r"\d+", item)]
-    return {(kind[1], n) for n in (range(found[0], found[-1] + 1) if "-" in item else found)}
+    listed = [int(n) for n in re.findall(r"\d+", item)]
+    return {(kind[1], n) for n in (range(listed[0], listed[-1] + 1) if "-" in item else listed)}
 
 
 def named(cell: str, below: str) -> tuple[list[Path], list[str]]:
@@ -65,14 +65,14 @@ def defined(symbol: str, paths: list[Path]) -> bool:
 
 
 def test_every_equation_table_and_figure_has_a_row():
-    said = [numbers(row.item) for row in ROWS]
-    assert set().union(*said) == NUMBERED
-    assert sum(map(len, said)) == len(NUMBERED)
+    items = [numbers(row.item) for row in ROWS]
+    assert set().union(*items) == ITEMS
+    assert sum(map(len, items)) == len(ITEMS)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.item)
 def test_what_a_row_names_is_there(row):
-    (code, symbols), (tests, _), (plots, drawn) = (
+    (code, symbols), (tests, _), (plots, plotted) = (
         named(row.code, "hdt_core"),
         named(row.test, TESTS),
         named(row.plot, "."),
@@ -80,7 +80,7 @@ def test_what_a_row_names_is_there(row):
     assert code
     assert tests
     assert [s for s in symbols if not defined(s, code)] == []
-    assert [s for s in drawn if not defined(s, plots)] == []
+    assert [s for s in plotted if not defined(s, plots)] == []
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.item.startswith("eq")], ids=lambda row: row.item)

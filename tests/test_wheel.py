@@ -53,24 +53,26 @@ def wheel(tmp_path_factory) -> Path:
 
 
 def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
-    said = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert wheel.name.startswith(f"hybrid_digital_twin-{said['version']}-")
-    held = set(zipfile.ZipFile(wheel).namelist())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert wheel.name.startswith(f"hybrid_digital_twin-{project['version']}-")
+    names = set(zipfile.ZipFile(wheel).namelist())
     beside = [
         p
         for name in ("hdt_core", "pipelines", "dagster_batched", "sql")
         for p in (ROOT / name).rglob("*")
         if p.is_file()
     ]
-    wanted = {p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".toml", ".typed"}}
-    assert len(wanted) > 30
-    assert wanted <= held
-    assert not {h for h in held if h.startswith(("tests", "benchmarks", "docs"))}
+    expected = {
+        p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".toml", ".typed"}
+    }
+    assert len(expected) > 30
+    assert expected <= names
+    assert not {h for h in names if h.startswith(("tests", "benchmarks", "docs"))}
 
 
 def test_it_carries_every_page_that_a_message_points_at(wheel):
     """Messages say `hdt docs PAGE`; none names a file that only a checkout has."""
-    held = set(zipfile.ZipFile(wheel).namelist())
+    names = set(zipfile.ZipFile(wheel).namelist())
     sources = [*(ROOT / "hdt_core").rglob("*.py"), *(ROOT / "pipelines").rglob("*.py")]
     texts = [
         node.value
@@ -81,15 +83,15 @@ def test_it_carries_every_page_that_a_message_points_at(wheel):
     texts += [file.read_text(encoding="utf-8") for file in (ROOT / "pipelines").rglob("*.toml")]
     pages = {page for text in texts for page in re.findall(r"`hdt docs ([a-z0-9-]+)`", text)}
     assert pages >= {"raw-data", "howto-recorder"}
-    assert {f"pipelines/docs/{page}.md" for page in pages} <= held
-    assert {Path(h).suffix for h in held if h.startswith("pipelines/docs/")} == {".md"}
+    assert {f"pipelines/docs/{page}.md" for page in pages} <= names
+    assert {Path(h).suffix for h in names if h.startswith("pipelines/docs/")} == {".md"}
     assert [t for t in texts if re.search(r"\bsee docs/|\(docs/[a-z-]+\.md\)", t)] == []
 
 
 def _messages(tree: ast.Module) -> list[ast.Constant]:
     """Texts of a module that are no docstring."""
-    told = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-    return [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in told]
+    docstrings = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    return [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in docstrings]
 
 
 def test_its_demo_runs_outside_the_repository(wheel, sample_home, tmp_path):

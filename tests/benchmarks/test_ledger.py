@@ -10,7 +10,7 @@ from benchmarks.changed_source import changed, numbers
 from pipelines.storage.store import Store
 
 ROOMS = ("alerts", "calibration", "flight", "health", "margin", "prognosis", "records", "tracking")
-SAID = tomllib.loads(ledger.LEDGER.read_text())
+LEDGER = tomllib.loads(ledger.LEDGER.read_text())
 
 
 def module_file(module: str) -> Path:
@@ -21,18 +21,18 @@ def module_file(module: str) -> Path:
 def test_an_entry_can_be_changed(constant):
     """Halved and doubled sources differ from the present ones, and compile."""
     source = module_file(constant.module).read_text()
-    made = [changed(source, constant.path, factor, constant.scale) for factor in ledger.FACTORS]
-    for text in made:
+    variants = [changed(source, constant.path, factor, constant.scale) for factor in ledger.FACTORS]
+    for text in variants:
         compile(text, constant.module, "exec")
-    assert len({source, *made}) == 3
+    assert len({source, *variants}) == 3
     assert constant.source
 
 
 def test_every_number_of_these_rooms_stands_in_it():
     """As an entry, or among those that are settled, once."""
     entries = {f"{c.module.removeprefix('hdt_core.')}:{c.path}" for c in ledger.ledger()}
-    settled = {name for names in SAID["settled"].values() for name in names}
-    assert sum(len(names) for names in SAID["settled"].values()) == len(settled)
+    settled = {name for names in LEDGER["settled"].values() for name in names}
+    assert sum(len(names) for names in LEDGER["settled"].values()) == len(settled)
     there = set()
     for file in (f for room in ROOMS for f in (ledger.ROOT / "hdt_core" / room).glob("*.py")):
         module = f"{file.parent.name}.{file.stem}"
@@ -60,8 +60,8 @@ def _entered(name: str, entries: set[str]) -> bool:
 def test_what_is_named_is_doubled_and_nothing_else(source, path, scale, value):
     space: dict = {}
     exec(changed(source, path, 2.0, scale), space)
-    found = space["L"].A if "L." in path else space[path.split(".")[0]]
-    assert found == value
+    result = space["L"].A if "L." in path else space[path.split(".")[0]]
+    assert result == value
 
 
 def test_a_name_that_is_not_there_is_refused():
@@ -71,20 +71,20 @@ def test_a_name_that_is_not_there_is_refused():
 
 def test_the_chain_in_memory_is_the_night(sample_home):
     """Health, prognoses and alerts are those that the night stored."""
-    made, store = chain.run(samples.record(sample_home)), Store(sample_home)
+    tables, store = chain.run(samples.record(sample_home)), Store(sample_home)
     key = ["operator", "tail", "flight_id", "pack"]
-    health = made["health"].join(
+    health = tables["health"].join(
         store.read_table("twin_health"), on=[*key, "parameter"], suffix="_stored", validate="1:1"
     )
-    assert health.height == made["health"].height
+    assert health.height == tables["health"].height
     assert all((health[name] - health[f"{name}_stored"]).abs().max() < 1e-9 for name in ("value", "sd"))
-    said = made["prognoses"].join(
+    prognoses = tables["prognoses"].join(
         store.read_table("prognoses"), on=[*key, "component"], suffix="_stored", validate="1:1"
     )
-    assert said.height == made["prognoses"].height
-    assert (said["rul_flights"] - said["rul_flights_stored"]).abs().max() < 1e-6
+    assert prognoses.height == tables["prognoses"].height
+    assert (prognoses["rul_flights"] - prognoses["rul_flights_stored"]).abs().max() < 1e-6
     alerts = ("alert_id", "raised_flight_id", "diagnosis")
-    assert set(made["alerts"].select(alerts).iter_rows()) == set(
+    assert set(tables["alerts"].select(alerts).iter_rows()) == set(
         store.read_table("features_alerts").select(alerts).iter_rows()
     )
 
@@ -99,8 +99,8 @@ def test_a_cell_that_was_not_run_again_stays_as_the_page_has_it(tmp_path, monkey
     ledger._note(results, {"fleet": "A", "at": first, "factor": 0.5, "figures": base | {"lead": 50.0}})
     ledger.put("ledger", ledger.table(results), page)
     ledger._note(results, {"fleet": "A", "at": second, "factor": 0.5, "figures": base | {"lead": -50.0}})
-    kept = [row for row in results.read_text().splitlines(keepends=True) if first not in row]
-    results.write_text("".join(kept))
+    rows = [row for row in results.read_text().splitlines(keepends=True) if first not in row]
+    results.write_text("".join(rows))
     ledger.put("ledger", ledger.table(results), page)
-    told = page.read_text()
-    assert told.count("lead +49") == told.count("lead -51") == 1
+    text = page.read_text()
+    assert text.count("lead +49") == text.count("lead -51") == 1

@@ -23,8 +23,8 @@ def life(number: int, flights: int, risk: np.ndarray, loss: np.ndarray, failed: 
 
 def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends():
     loss = np.linspace(0.0, 0.4, 401)
-    said = pl.concat([life(n, 401, loss, loss) for n in range(4)])
-    median, tenth, early = lead_at_budget(said, early_per_1000=0.0)
+    risks = pl.concat([life(n, 401, loss, loss) for n in range(4)])
+    median, tenth, early = lead_at_budget(risks, early_per_1000=0.0)
     assert early == 0.0
     assert median == tenth
     # with no early alert allowed the best threshold is 15 % itself, 251 flights before the end
@@ -34,9 +34,9 @@ def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends():
 def test_a_risk_that_knows_nothing_gives_no_lead_within_the_budget():
     loss = np.linspace(0.0, 0.4, 401)
     noise = np.random.default_rng(0).random((4, 401))
-    said = pl.concat([life(n, 401, noise[n], loss) for n in range(4)])
+    risks = pl.concat([life(n, 401, noise[n], loss) for n in range(4)])
     informed = pl.concat([life(n, 401, loss, loss) for n in range(4)])
-    assert lead_at_budget(said)[0] < 0.7 * lead_at_budget(informed)[0]
+    assert lead_at_budget(risks)[0] < 0.7 * lead_at_budget(informed)[0]
 
 
 FLIGHTS = 600
@@ -58,12 +58,12 @@ def fleet(alerts: list[tuple], events: list[dict], **truth: pl.Expr) -> dict[str
     columns |= {"closed_at": rows.schema["departed_at"]}
     index = dict.fromkeys(("installed_index", "onset_index", "message_index", "removal_index"), pl.Int64)
     schema = {"tail": pl.String, "pack": pl.Int32, "component": pl.String} | index
-    found = {"tail": pl.String, "pack": pl.Int32, "component": pl.String, "done_on": pl.Date, "finding": pl.String}
+    log_schema = {"tail": pl.String, "pack": pl.Int32, "component": pl.String, "done_on": pl.Date, "finding": pl.String}
     return {
         "truth": rows,
         "alerts": pl.DataFrame(raised, schema=columns, orient="row"),
         "events": pl.DataFrame([{"tail": "T", "pack": 1} | e for e in events], schema=schema),
-        "maintenance": pl.DataFrame(schema=found),
+        "maintenance": pl.DataFrame(schema=log_schema),
     }
 
 
@@ -90,13 +90,13 @@ def test_a_failure_is_alerted_by_its_own_component_in_the_300_flights_before(ale
 def test_the_true_fault_of_its_component_makes_an_alert_right_and_another_does_not():
     worn = (pl.col("index") >= 300).cast(pl.Float64) * 0.16
     truth = {"apparent_ua_ratio": 1.0 - worn}
-    judged = tally(
+    scores = tally(
         fleet([("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)], [], **truth)
     )
-    assert judged.alerts["right"].to_list() == [False, True, False]
-    assert judged.alerts["own"].to_list() == [False, False, False]
-    assert judged.alerts["any_cause"].to_list() == [False, False, True]
-    assert judged.alerts["early"].to_list() == [True, True, False]
+    assert scores.alerts["right"].to_list() == [False, True, False]
+    assert scores.alerts["own"].to_list() == [False, False, False]
+    assert scores.alerts["any_cause"].to_list() == [False, False, True]
+    assert scores.alerts["early"].to_list() == [True, True, False]
 
 
 def test_rates_count_flights_of_the_aircraft_once():

@@ -70,30 +70,30 @@ def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
 def turbines(tmp_path_factory):
     """CARE's layout: two normal stretches, two faults that grow for a week."""
     farm = tmp_path_factory.mktemp("data") / "care" / "Wind Farm A"
-    told, train, asked = [], 3000, 1440
+    events, train, test = [], 3000, 1440
     for event in range(4):
-        fault, rows = event % 2 == 1, train + asked
+        fault, rows = event % 2 == 1, train + test
         begins = train + 432
         drift = np.where(np.arange(rows) >= begins, 2.0, 0.0) if fault else 0.0
         start = datetime(2022, 1, 1)
         frame = pl.DataFrame(
             {"time_stamp": [start + timedelta(minutes=10 * k) for k in range(rows)], "asset_id": 7, "id": range(rows)}
-            | {"train_test": ["train"] * train + ["prediction"] * asked, "status_type_id": 0}
+            | {"train_test": ["train"] * train + ["prediction"] * test, "status_type_id": 0}
             | table(process(rows, event, drift), [f"sensor_{k}_avg" for k in range(6)])
         )
         write_csv(frame, farm / "datasets" / f"{event}.csv")
         label = "anomaly" if fault else "normal"
-        told.append(
+        events.append(
             {"asset": 7, "event_id": event, "event_label": label, "event_start_id": begins, "event_end_id": rows - 1}
         )
-    write_csv(pl.DataFrame(told), farm / "event_info.csv")
+    write_csv(pl.DataFrame(events), farm / "event_info.csv")
     return farm.parent
 
 
 def test_turbines_that_fail_are_told_from_those_that_do_not(turbines):
-    care, by_event, found, accuracy, lead = events.CARE.run(turbines).scores
+    care, by_event, detected, accuracy, lead = events.CARE.run(turbines).scores
     assert care.value > 0.9
-    assert (by_event.value, found.value) == (1.0, 1.0)
+    assert (by_event.value, detected.value) == (1.0, 1.0)
     assert accuracy.value > 0.95
     assert 100.0 < lead.value < 168.0
 
@@ -110,9 +110,9 @@ def test_the_care_score_of_those_who_say_nothing_and_of_those_who_always_cry():
 def substations(tmp_path_factory):
     """PreDist's layout: one fault reported after five days of drift, one normal stretch."""
     maker = tmp_path_factory.mktemp("data") / "predist" / "Manufacturer 1"
-    start, train, asked = datetime(2021, 1, 1), 3000, 1008
+    start, train, test = datetime(2021, 1, 1), 3000, 1008
     for number in (1, 2):
-        rows = train + asked
+        rows = train + test
         drift = np.where(np.arange(rows) >= train + 288, 2.0, 0.0) if number == 1 else 0.0
         at = [f"{start + timedelta(minutes=10 * k):%Y-%m-%d %H:%M:%S}" for k in range(rows)]
         mode = {"s_control_unit_mode": ["Tag"] * rows}
@@ -120,7 +120,7 @@ def substations(tmp_path_factory):
         write_csv(
             pl.DataFrame({"timestamp": at} | mode | values), maker / "operational_data" / f"substation_{number}.csv"
         )
-    learned, end = (start + timedelta(minutes=10 * k) for k in (train - 1, train + asked - 1))
+    learned, end = (start + timedelta(minutes=10 * k) for k in (train - 1, train + test - 1))
     training = {"Training start": [start], "Training end": [learned]}
     fault = {"Event ID": [1], "substation ID": [1], "Report date": [end], "efd_possible": [True]}
     normal = {"Event ID": [2], "substation ID": [2], "Event start": [learned], "Event end": [end]}
@@ -130,8 +130,8 @@ def substations(tmp_path_factory):
 
 
 def test_a_substation_is_found_before_its_report(substations):
-    _, by_event, found, accuracy, lead = events.PREDIST.run(substations).scores
-    assert (by_event.value, found.value) == (1.0, 1.0)
+    _, by_event, detected, accuracy, lead = events.PREDIST.run(substations).scores
+    assert (by_event.value, detected.value) == (1.0, 1.0)
     assert accuracy.value > 0.95
     assert 60.0 < lead.value < 120.0
 
@@ -139,8 +139,8 @@ def test_a_substation_is_found_before_its_report(substations):
 @pytest.mark.parametrize("leave", [None, 900.0])
 def test_bounds_of_censored_lives_hold_as_often_as_they_say(leave):
     """By the law that the lives were drawn from, over 100 tables."""
-    told = [lives.of_law("", leave, units) for units in (600, 3000)] if leave is None else [lives.of_law("", leave)]
-    assert all(score.value == pytest.approx(0.9, abs=0.01) for score in told)
+    scores = [lives.of_law("", leave, units) for units in (600, 3000)] if leave is None else [lives.of_law("", leave)]
+    assert all(score.value == pytest.approx(0.9, abs=0.01) for score in scores)
 
 
 def test_a_table_of_lives_is_read_by_its_own_end(tmp_path):
@@ -155,8 +155,8 @@ def test_a_table_of_lives_is_read_by_its_own_end(tmp_path):
 
 
 def test_bounds_say_what_a_short_record_can_not_tell():
-    told = life_bounds(np.full(300, 50.0), np.zeros(300, bool), np.full(300, 50.0))
-    assert (told.low, told.high) == (50.0, np.inf)
+    bounds = life_bounds(np.full(300, 50.0), np.zeros(300, bool), np.full(300, 50.0))
+    assert (bounds.low, bounds.high) == (50.0, np.inf)
 
 
 def test_the_challenge_s_penalty_is_the_published_one():
@@ -218,7 +218,7 @@ def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("goal", "value", "held"),
+    ("goal", "value", "is_met"),
     [
         ("< 16.2", 16.2, False),
         ("<= 0.1", 0.1, True),
@@ -229,13 +229,13 @@ def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
         ("", 1.0, None),
     ],
 )
-def test_a_goal_is_held_or_not(goal, value, held):
-    assert Score("", value, 0.0, 1.0, goal).is_met is held
+def test_a_goal_is_held_or_not(goal, value, is_met):
+    assert Score("", value, 0.0, 1.0, goal).is_met is is_met
 
 
 def test_what_is_absent_is_told_with_where_to_get_it(tmp_path):
     for recipe in (r for r in RECIPES if r.wants):
         assert recipe.find_folder(tmp_path) is None
-        told = described(recipe, None)
-        assert recipe.source in told
-        assert "Not run here" in told
+        text = described(recipe, None)
+        assert recipe.source in text
+        assert "Not run here" in text

@@ -23,7 +23,7 @@ SERVICES = COMPOSE["services"]
 OURS = {name: s for name, s in SERVICES.items() if "build" in s}
 COMMANDS = {"dagster-webserver": create_dagster_webserver_cli, "dagster-daemon": create_dagster_daemon_cli,
             "dagster": create_dagster_cli, "hdt": lambda: typer.main.get_command(app)}  # fmt: skip
-GIVEN = {
+ARGUMENTS = {
     "webserver": {"listen": "0.0.0.0", "read_only": False},
     "daemon": {"module_name": ("pipelines.definitions",)},
     "night": {},
@@ -36,8 +36,8 @@ def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
     command = COMMANDS[program]()
     if hasattr(command, "commands") and words[0] in command.commands:
         command = command.commands[words.pop(0)]
-    taken = command.make_context(program, list(words)).params
-    assert {k: taken.get(k) for k in GIVEN[name]} == GIVEN[name]
+    params = command.make_context(program, list(words)).params
+    assert {k: params.get(k) for k in ARGUMENTS[name]} == ARGUMENTS[name]
 
 
 def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(monkeypatch):
@@ -50,8 +50,8 @@ def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(mon
     assert any(task.endswith("execute_job") for task in tasks), sorted(tasks)
     environment = OURS["worker"]["environment"]
     assert urlsplit(environment["HDT_BROKER_URL"]).hostname in OURS["worker"]["depends_on"]
-    wanted = set(re.findall(r"env: (\w+)", (ROOT / "deploy/celery.yaml").read_text()))
-    assert wanted <= set(environment)
+    variables = set(re.findall(r"env: (\w+)", (ROOT / "deploy/celery.yaml").read_text()))
+    assert variables <= set(environment)
 
 
 def test_nothing_of_the_workers_starts_unasked():
@@ -73,9 +73,9 @@ def test_the_page_is_published_to_this_machine_only():
 def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tmp_path, monkeypatch):
     text = (ROOT / "deploy" / name).read_text()
     (tmp_path / "dagster.yaml").write_text(text)
-    wanted = set(re.findall(r"env: (\w+)", text))
-    assert name != "dagster.yaml" or all(wanted <= set(s["environment"]) for s in OURS.values())
-    for variable in wanted:
+    variables = set(re.findall(r"env: (\w+)", text))
+    assert name != "dagster.yaml" or all(variables <= set(s["environment"]) for s in OURS.values())
+    for variable in variables:
         monkeypatch.setenv(variable, "postgresql://nobody@127.0.0.1:1/none")
     settings, _ = dagster_instance_config(str(tmp_path))
     assert settings["telemetry"] == {"enabled": False}
@@ -89,15 +89,15 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
 
 def test_what_a_cluster_is_given_fits_together():
     """Names that one manifest makes and another uses; the settings in it are those of the other engines but for one."""
-    found = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
-    made = {(d["kind"], d["metadata"]["name"]) for d in found}
+    documents = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
+    names = {(d["kind"], d["metadata"]["name"]) for d in documents}
     text = (ROOT / "deploy/kubernetes.yaml").read_text()
     for kind, key in (("ConfigMap", "configMap"), ("PersistentVolumeClaim", "claimName"), ("ServiceAccount", "")):
         pattern = {"configMap": r"(?:configMap|configMapRef): \{name: ([\w-]+)", "claimName": r"claimName: ([\w-]+)"}
         named = set(re.findall(pattern.get(key, r"service_?[aA]ccount_?[nN]ame: ([\w-]+)"), text))
         assert named
-        assert {(kind, name) for name in named} <= made
-    (inside,) = [d["data"]["dagster.yaml"] for d in found if "dagster.yaml" in d.get("data", {})]
+        assert {(kind, name) for name in named} <= names
+    (inside,) = [d["data"]["dagster.yaml"] for d in documents if "dagster.yaml" in d.get("data", {})]
     ours, celery = yaml.safe_load(inside), yaml.safe_load((ROOT / "deploy/celery.yaml").read_text())
     alike = ("event_log_storage", "run_storage", "schedule_storage", "run_coordinator", "run_monitoring", "run_retries")
     assert {k: ours[k] for k in alike} == {k: celery[k] for k in alike}

@@ -29,10 +29,10 @@ class Children:
 
     def night(self, landing: Path, home: Path, **how: Any) -> tuple[int | None, str]:
         """Signal that ended the child (0: none, it ended well; None: it failed) and what it said."""
-        asked = {"landing": str(landing), "home": str(home)} | how
+        request = {"landing": str(landing), "home": str(home)} | how
         assert self.zygote.stdin
         assert self.zygote.stdout
-        self.zygote.stdin.write(json.dumps(asked) + "\n")
+        self.zygote.stdin.write(json.dumps(request) + "\n")
         self.zygote.stdin.flush()
         answer = json.loads(self.zygote.stdout.readline())
         status = answer["status"]

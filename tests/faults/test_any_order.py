@@ -32,12 +32,12 @@ class AnyOrder(RuleBasedStateMachine):
     children: ClassVar
     intact: ClassVar
     root: ClassVar[Path]
-    made: ClassVar[int] = 0
+    count: ClassVar[int] = 0
 
     def __init__(self) -> None:
         super().__init__()
-        AnyOrder.made += 1
-        own = self.root / str(self.made)
+        AnyOrder.count += 1
+        own = self.root / str(self.count)
         self.landing, self.home = own / "landing", self.children.home(own / "home")
         self.acms = ZONE.folder(self.landing) / "acms"
         drop_fleet(self.landing, [ZONE])
@@ -80,7 +80,7 @@ class AnyOrder(RuleBasedStateMachine):
         for place, flight in enumerate(ZONE.flights):
             (self.good[flight].add if place < first else self.good[flight].discard)("history")
 
-    def held(self, until: str) -> dict[str, int]:
+    def rows_by_flight(self, until: str) -> dict[str, int]:
         flights = (f for f, files in self.good.items() if files and f <= until)
         return {f: ZONE.snapshots.filter(flight_id=f).height for f in flights}
 
@@ -93,7 +93,7 @@ class AnyOrder(RuleBasedStateMachine):
     @rule(until=FLIGHTS)
     def backfill(self, until: str) -> None:
         assert self.children.night(self.landing, self.home, steps=INTAKE, only=until) == (0, "")
-        self.stored |= self.held(until)
+        self.stored |= self.rows_by_flight(until)
         self.agree()
 
     @precondition(lambda self: self.stored)
@@ -107,19 +107,21 @@ class AnyOrder(RuleBasedStateMachine):
     @precondition(lambda self: any(self.good.values()))
     @rule(place=st.integers(1, 60))
     def kill_a_night(self, place: int) -> None:
-        ended, said = self.children.night(self.landing, self.home, steps=INTAKE, fault=f"any:{place}")
-        assert ended in (0, signal.SIGKILL), said
-        self.perhaps |= self.held(ZONE.flights[-1])
+        ended, message = self.children.night(self.landing, self.home, steps=INTAKE, fault=f"any:{place}")
+        assert ended in (0, signal.SIGKILL), message
+        self.perhaps |= self.rows_by_flight(ZONE.flights[-1])
         self.intact(self.home)
 
     def agree(self) -> None:
         self.intact(self.home)
         rows = Store(self.home).read_table("raw_snapshots")
-        found = dict(rows.group_by("flight_id").len().iter_rows())
-        assert self.stored.items() <= found.items() <= (self.perhaps | self.stored).items()
-        told = Store(self.home).read_table("raw_deliveries")
-        assert told.filter(pl.col("delivered") != pl.sum_horizontal("loaded", "quarantined", "duplicate")).is_empty()
-        assert told["loaded"].sum() == rows.height
+        counts = dict(rows.group_by("flight_id").len().iter_rows())
+        assert self.stored.items() <= counts.items() <= (self.perhaps | self.stored).items()
+        deliveries = Store(self.home).read_table("raw_deliveries")
+        assert deliveries.filter(
+            pl.col("delivered") != pl.sum_horizontal("loaded", "quarantined", "duplicate")
+        ).is_empty()
+        assert deliveries["loaded"].sum() == rows.height
 
     def teardown(self) -> None:
         if any(self.good.values()):
@@ -156,5 +158,5 @@ def test_what_a_killed_night_stored_is_accounted_for_though_its_file_goes(childr
     intact(home)
     assert Store(home).read_table("raw_snapshots").height == stored
     assert Store(home).read_table("raw_deliveries")["loaded"].sum() == stored
-    told = pl.concat(Store(home).read_table(t) for t in ("raw_quarantine", "raw_files_quarantine"))
-    assert told["reason"].to_list() == (["cannot_read_parquet"] if goes == "broken" else [])
+    quarantine = pl.concat(Store(home).read_table(t) for t in ("raw_quarantine", "raw_files_quarantine"))
+    assert quarantine["reason"].to_list() == (["cannot_read_parquet"] if goes == "broken" else [])

@@ -72,12 +72,12 @@ def whole(children, tmp_path_factory) -> Whole:
 
 def answers(home: Path) -> dict[str, int]:
     """What each promised view answers, as a sum over its rows."""
-    found = {}
+    sums = {}
     with connect(home) as con:
         for view in PROMISED:
             frame = con.sql(f"from {view}").pl().select(pl.exclude("received_at").cast(pl.String, strict=False))
-            found[view] = frame.hash_rows().sum()
-    return found
+            sums[view] = frame.hash_rows().sum()
+    return sums
 
 
 def targets(home: Path, kind: str) -> list[Path]:
@@ -126,7 +126,7 @@ def flip(file: Path, at: int, bits: int = 1, *, as_disks_do: bool = True) -> Non
         os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-def asked(home: Path) -> dict[str, int] | str:
+def query_views(home: Path) -> dict[str, int] | str:
     """What a home answers, or the one line in which it says why it doesn't."""
     try:
         return answers(home)
@@ -138,8 +138,8 @@ def noticed(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str],
     """What was done to a copy of the home, and the checks of `hdt doctor` that fail; no answer is wrong."""
     shutil.copytree(whole.home, home)
     done = damage(random.Random(trial), home, KINDS[trial % len(KINDS)])
-    said = asked(home)
-    assert isinstance(said, str) or said == whole.answers, done
+    result = query_views(home)
+    assert isinstance(result, str) or result == whole.answers, done
     wrong = [check.name for check in examine(None, home) if not check.well]
     assert wrong or done[0] in SILENT, done
     return done, wrong
@@ -159,14 +159,14 @@ def test_the_next_night_repairs_it(whole, children, tmp_path, first):
     for trial in range(first, first + len(KINDS)):
         home = tmp_path / f"home{trial}"
         done, wrong = noticed(whole, home, trial)
-        ended, told = children.night(whole.landing, home)
-        assert ended == 0, (done, told)
-        assert "Traceback" not in told
-        assert told or not wrong or done[0] in ("catalog", "history"), done
+        ended, message = children.night(whole.landing, home)
+        assert ended == 0, (done, message)
+        assert "Traceback" not in message
+        assert message or not wrong or done[0] in ("catalog", "history"), done
         if done[0] == "history" and wrong:  # a night without a run needs none; the line names `hdt tidy`
             assert replace_damaged_history(home)
-        assert fingerprint(home) == whole.stored, (done, told)
-        assert asked(home) == whole.answers, (done, told)
+        assert fingerprint(home) == whole.stored, (done, message)
+        assert query_views(home) == whole.answers, (done, message)
         assert children.night(whole.landing, home) == (0, ""), done
         assert all(check.well for check in examine(None, home)), done
         shutil.rmtree(home)
@@ -187,8 +187,8 @@ def test_what_the_doctor_finds_the_next_night_makes_again(whole, children, tmp_p
     (message,) = [check.message for check in examine(None, home) if not check.well]
     assert message.startswith("features/QQX/Z8/")
     assert message.endswith("`hdt nightly` writes it again")
-    ended, told = children.night(whole.landing, home)
-    assert (ended, told) == (0, "1 of 3 files of features were missing or changed: made again")
+    ended, report = children.night(whole.landing, home)
+    assert (ended, report) == (0, "1 of 3 files of features were missing or changed: made again")
     assert fingerprint(home) == whole.stored
     assert answers(home) == whole.answers
     assert children.night(whole.landing, home) == (0, "")
@@ -201,8 +201,8 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
     while not seal.due_files([name], ledger.nights().height + 1):
         ledger.note_night(ledger.nights().row(-1))
     assert children.night(whole.landing, home) == (0, "")
-    ended, told = children.night(whole.landing, home)
-    assert (ended, told) == (0, "1 of 3 files of features were missing or changed: made again")
+    ended, message = children.night(whole.landing, home)
+    assert (ended, message) == (0, "1 of 3 files of features were missing or changed: made again")
     assert fingerprint(home) == whole.stored
 
 
@@ -219,10 +219,10 @@ def test_a_night_that_meets_it_mends_it_and_goes_on(whole, children, tmp_path):
     rotten(whole, home, "raw_snapshots", "twin_health", "features_margin")
     (home / "tables/raw_flights" / LOG / "_last_checkpoint").write_text('{"version": 7, "size": 3}')  # was 1
     assert children.night(whole.later, clean) == (0, "")
-    ended, told = children.night(whole.later, home)
-    assert ended == 0, told
+    ended, message = children.night(whole.later, home)
+    assert ended == 0, message
     for table in ("raw_snapshots", "twin_health", "features_margin"):
-        assert f"of {table} were missing or changed: made again" in told
+        assert f"of {table} were missing or changed: made again" in message
     assert fingerprint(home) == fingerprint(clean)
     assert answers(home) == answers(clean)
 
@@ -232,13 +232,13 @@ def test_no_answer_is_given_from_a_rotten_file(whole, tmp_path):
     rotten(whole, home, "features")
     with connect(home) as con:
         assert con.sql("select count(*) from flights").fetchall() == [(8,)]
-        for asked in (
+        for query in (
             "select * from features",
             "from (select * from routes)",
             'select count(*) from tables."features"',
         ):
             with pytest.raises(StoreError, match="is not what was written; `hdt nightly` makes it again"):
-                con.execute(asked)
+                con.execute(query)
 
 
 def test_a_file_that_the_catalog_cant_open_is_named(whole, tmp_path):

@@ -30,9 +30,9 @@ FULL = 2
 def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit):
     """Parquet, SQLite and DuckDB writers all meet it; the smaller the limit, the earlier."""
     home = children.home(tmp_path / "home")
-    ended, said = children.night(tiny.landing, home, file_limit=limit)
+    ended, message = children.night(tiny.landing, home, file_limit=limit)
     assert ended is None
-    assert said
+    assert message
     intact(home)
     assert children.night(tiny.landing, home) == (0, "")
     assert faults(home, tiny.landing) == []
@@ -46,9 +46,9 @@ def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit
 def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path, fault, end):
     """A run whose parts have room is made in parts, and the night says so."""
     home = children.home(tmp_path / "home")
-    ended, said = children.night(tiny.landing, home, fault=f"{fault}:full", steps=3)
+    ended, message = children.night(tiny.landing, home, fault=f"{fault}:full", steps=3)
     assert ended == end
-    assert "No space left on device" in said
+    assert "No space left on device" in message
     intact(home)
     assert children.night(tiny.landing, home, steps=3) == (0, "")
     stored = fingerprint(home)
@@ -68,12 +68,12 @@ def test_a_home_that_may_not_be_written(tiny, children):
         before = {f: f.stat().st_mtime_ns for f in home.rglob("*")}
         for f in (home, *home.rglob("*")):
             f.chmod(0o555 if f.is_dir() else 0o444)
-        ended, said = children.night(landing, home, nobody=True)
+        ended, message = children.night(landing, home, nobody=True)
         for f in (home, *home.rglob("*")):
             f.chmod(0o755 if f.is_dir() else 0o644)
         assert ended is None
-        assert "Permission denied" in said
-        assert str(home) in said
+        assert "Permission denied" in message
+        assert str(home) in message
         assert {f: f.stat().st_mtime_ns for f in home.rglob("*")} == before
 
 
@@ -95,9 +95,9 @@ def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, l
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith(line)
-    assert len(said.splitlines()) == 1
+    message = capsys.readouterr().err.strip()
+    assert message.startswith(line)
+    assert len(message.splitlines()) == 1
 
 
 def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
@@ -140,11 +140,11 @@ def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path)
     home = children.home(tmp_path / "home")
     for place in count(3, 12):
         cut = {"lose_history": place % 24 == 3}
-        ended, said = children.night(tiny.landing, home, fault=f"any:{place}", cut=cut)
+        ended, message = children.night(tiny.landing, home, fault=f"any:{place}", cut=cut)
         intact(home)
         if ended != signal.SIGKILL:
             break
-    assert (ended, said) == (0, "")
+    assert (ended, message) == (0, "")
     assert place > 30
     assert faults(home, tiny.landing) == []
     assert fingerprint(home) == tiny.end
@@ -161,5 +161,5 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
 
 def test_every_fault_point_is_in_the_code():
     sources = "".join(p.read_text() for p in Path(files.__file__).parent.glob("*.py"))
-    told = set(re.findall(r'sys.audit\("hdt.(\w+)"\)', sources))
-    assert told == {*fault_points.POINTS, *fault_points.OF_OBJECTS}
+    points = set(re.findall(r'sys.audit\("hdt.(\w+)"\)', sources))
+    assert points == {*fault_points.POINTS, *fault_points.OF_OBJECTS}

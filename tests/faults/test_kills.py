@@ -25,11 +25,11 @@ def test_killed_at_one_place_further_on_each_time(tiny, children, intact, tmp_pa
     """Place by place through the whole night: the first night dies at its first place, the second at its second, ..."""
     home = children.home(tmp_path / "home")
     for place in count(1):
-        ended, said = children.night(tiny.landing, home, fault=f"any:{place}")
+        ended, message = children.night(tiny.landing, home, fault=f"any:{place}")
         intact(home)
         if ended != signal.SIGKILL:
             break
-    assert (ended, said) == (0, "")
+    assert (ended, message) == (0, "")
     assert place > 20
     assert faults(home, tiny.landing) == []
     assert fingerprint(home) == tiny.end
@@ -55,12 +55,12 @@ def test_killed_at_any_moment(tiny, children, intact, tmp_path):
         ended: int | None = signal.SIGKILL
         while ended == signal.SIGKILL:
             last = kills >= KILLS
-            ended, said = children.night(
+            ended, message = children.night(
                 tiny.landing, home, kill_after_s=600 if last else chance.uniform(0.05, 1.0) * 2 ** chance.randrange(4)
             )
             kills += ended == signal.SIGKILL
             intact(home)
-        assert (ended, said) == (0, "")
+        assert (ended, message) == (0, "")
         assert not list(home.glob("**/.*.part")), "what a killed writer left is swept"
         assert fingerprint(home) == tiny.end
         print(f"{kills} kills, {homes} nights ended: 0 lost, 0 doubled, 0 torn, all equal", flush=True)

@@ -14,9 +14,9 @@ def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_pa
     with lock_home(home), pytest.raises(BusyError, match="wait for it to end"), lock_home(home):
         pass
     with lock_home(home):
-        ended, said = children.night(tiny.landing, home)
+        ended, message = children.night(tiny.landing, home)
     assert ended is None
-    assert said.startswith("BusyError: another run (process ")
+    assert message.startswith("BusyError: another run (process ")
     assert not (home / "catalog.duckdb").exists()
 
 

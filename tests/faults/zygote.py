@@ -31,23 +31,23 @@ from pipelines.storage import files  # noqa: E402
 from pipelines.storage.publication import publish  # noqa: E402
 
 
-def work(asked: dict) -> None:
+def work(request: dict) -> None:
     """One child's life."""
-    landing, home = Path(asked["landing"]), Path(asked["home"])
-    if "fault" in asked:
-        fault_points.arm(asked["fault"], cut_of(home, **asked["cut"]) if "cut" in asked else None)
-    if "file_limit" in asked:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (asked["file_limit"],) * 2)
-    if asked.get("nobody") and os.geteuid() == 0:
+    landing, home = Path(request["landing"]), Path(request["home"])
+    if "fault" in request:
+        fault_points.arm(request["fault"], cut_of(home, **request["cut"]) if "cut" in request else None)
+    if "file_limit" in request:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (request["file_limit"],) * 2)
+    if request.get("nobody") and os.geteuid() == 0:
         os.setgid(65534)
         os.setuid(65534)
-    if "publish" in asked:
-        for _ in range(asked["publish"]):
+    if "publish" in request:
+        for _ in range(request["publish"]):
             publish(home)
         return
     # the empty flight_id of cells above flights comes before all others
-    only = polars.col("flight_id") <= asked["only"] if "only" in asked else None
-    nightly.STAGES = stages_of(0, asked.get("steps"))
+    only = polars.col("flight_id") <= request["only"] if "only" in request else None
+    nightly.STAGES = stages_of(0, request.get("steps"))
     with around_night.lock_home(home):
         night, _ = nightly.complete_night(landing, home, Silent(), only)
     os.write(2, "\n".join(night.repairs).encode())
@@ -63,12 +63,12 @@ def cut_of(home: Path, lose_history: bool = False, sync: bool = True) -> Callabl
     return lambda: disk.cut(lose_history)
 
 
-def child(asked: dict, told: int) -> None:
+def child(request: dict, output: int) -> None:
     """Run `work` and end, whatever it raises, without the parent's clean-up."""
-    os.dup2(told, 2)
+    os.dup2(output, 2)
     code = 0
     try:
-        work(asked)
+        work(request)
     except SystemExit as stop:
         code = 1
         os.write(2, str(stop.code).encode())
@@ -81,21 +81,21 @@ def child(asked: dict, told: int) -> None:
 def main() -> None:
     """Fork, wait, answer."""
     for line in sys.stdin:
-        asked = json.loads(line)
+        request = json.loads(line)
         reader, writer = os.pipe()
         pid = os.fork()
         if pid == 0:
             os.close(reader)
-            child(asked, writer)
+            child(request, writer)
         os.close(writer)
-        timer = threading.Timer(asked.get("kill_after_s", 600), os.kill, (pid, signal.SIGKILL))
+        timer = threading.Timer(request.get("kill_after_s", 600), os.kill, (pid, signal.SIGKILL))
         timer.start()
         with os.fdopen(reader, errors="replace") as stream:
-            said = stream.read()
+            message = stream.read()
         timer.cancel()
         timer.join()
         _, status = os.waitpid(pid, 0)
-        print(json.dumps({"status": status, "said": said[-2000:]}), flush=True)
+        print(json.dumps({"status": status, "said": message[-2000:]}), flush=True)
 
 
 if __name__ == "__main__":

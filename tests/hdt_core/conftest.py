@@ -31,7 +31,7 @@ def flights(fleet, model):
 
 
 @pytest.fixture(scope="session")
-def made():
+def fleets():
     """Module `made`: constants, `group_flow` and `made_fleet`."""
     import made as support
 

@@ -18,12 +18,12 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_pack_has_its_two_and_recorders_two_more():
-    told = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
-    assert {c: k.message_code for c, k in components().items()} == told
+    codes = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
+    assert {c: k.message_code for c, k in components().items()} == codes
 
 
 @pytest.mark.parametrize(
-    ("module", "code", "says"),
+    ("module", "code", "message"),
     [
         ("broken", "raise RuntimeError('no licence')", "can't be loaded: RuntimeError: no licence"),
         ("other", "X = 1", "is no Component"),
@@ -31,7 +31,7 @@ def test_the_pack_has_its_two_and_recorders_two_more():
         ("absent", "", "can't be loaded: AttributeError"),
     ],
 )
-def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code, says):
+def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code, message):
     install(tmp_path, module, code, f"mine = {module}:X")
     env = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
     command = [str(Path(sys.executable).parent / "hdt"), "nightly", "--landing", str(ROOT / "data_samples")]
@@ -40,12 +40,12 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
     )
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-    assert says in done.stderr.replace("\n", " ")
+    assert message in done.stderr.replace("\n", " ")
     assert f"mine ({module}:X, of the package {module})" in done.stderr.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"code": "hx"}, "two to eight capital letters"),
         ({"loss": "hx_ua_reference_w_k"}, "no health parameter of installed_exchanger"),
@@ -55,16 +55,16 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
         ({"record": Record((Channel("a", "hx_in_k", "K", "a"),))}, "no channel and no derivation gives altitude_m"),
     ],
 )
-def test_a_declaration_that_contradicts_itself_is_refused(change, says):
-    with pytest.raises(ValueError, match=says):
+def test_a_declaration_that_contradicts_itself_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
         replace(HX, **change)
 
 
 def test_its_version_follows_all_that_it_says_and_nothing_else():
     assert replace(CC).version == CC.version
     assert replace(CC, warn_loss=0.06).version != CC.version
-    told = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
-    assert replace(CC, model=told).version != CC.version
+    model = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
+    assert replace(CC, model=model).version != CC.version
     script = "from hdt_core.components import components; print(components()['HX'].version)"
     other = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == HX.version

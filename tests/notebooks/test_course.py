@@ -9,11 +9,13 @@ import pytest
 
 COURSE = Path(__file__).parents[2] / "notebooks/course"
 LESSONS = {
-    "one_flight": lambda held: held["health"].height > 5 and held["compared"].height > 3,
-    "one_packs_life": lambda held: held["held"].len() > 50 and held["fouling"].height > 100,
-    "own_component": lambda held: (abs(held["found"]["hc_fouling"] - held["truth"]) < 4 * held["found"]["sd"]).all(),
-    "what_an_alert_rests_on": lambda held: held["outcome"].height == 1 and held["witnesses"].height > 100,
-    "a_query": lambda held: held["answer"].height == 4 and held["learn"].height > 100,
+    "one_flight": lambda cells: cells["health"].height > 5 and cells["compared"].height > 3,
+    "one_packs_life": lambda cells: cells["held"].len() > 50 and cells["fouling"].height > 100,
+    "own_component": lambda cells: (
+        abs(cells["found"]["hc_fouling"] - cells["truth"]) < 4 * cells["found"]["sd"]
+    ).all(),
+    "what_an_alert_rests_on": lambda cells: cells["outcome"].height == 1 and cells["witnesses"].height > 100,
+    "a_query": lambda cells: cells["answer"].height == 4 and cells["learn"].height > 100,
 }
 
 
@@ -23,10 +25,10 @@ def test_a_lesson_runs(lesson, sample_home, monkeypatch):
     spec = importlib.util.spec_from_file_location(f"course_{lesson}", COURSE / f"{lesson}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    _, held = module.app.run()
-    assert LESSONS[lesson](held)
-    if "con" in held:
-        held["con"].close()
+    _, cells = module.app.run()
+    assert LESSONS[lesson](cells)
+    if "con" in cells:
+        cells["con"].close()
 
 
 def test_every_lesson_is_run_and_marimo_finds_nothing_to_mend():

@@ -24,27 +24,27 @@ def at_home(sample_home, monkeypatch):
 
 
 def test_every_cell_runs(notebook, at_home):
-    _, held = notebook.app.run()
-    assert set(held["ranking"]["tail"]) == {"LX-AAB", "A9-BAC"}
-    assert held["health"].height > 100
-    assert held["lives"].height >= held["ranking"].height
-    assert held["said"]["on_date"].unique().to_list() == [held["last"]]
-    assert held["heard"].height == 16
-    held["con"].close()
+    _, cells = notebook.app.run()
+    assert set(cells["ranking"]["tail"]) == {"LX-AAB", "A9-BAC"}
+    assert cells["health"].height > 100
+    assert cells["lives"].height >= cells["ranking"].height
+    assert cells["said"]["on_date"].unique().to_list() == [cells["last"]]
+    assert cells["heard"].height == 16
+    cells["con"].close()
 
 
 def test_tables_and_track_follow_the_pack(notebook, at_home):
     class Picked:
         value = ("BZR", "A9-BAC", 1)
 
-    _, held = notebook.app.run(defs={"pick": Picked, "packs": {}})
-    asked = "where operator = 'BZR' and tail = 'A9-BAC' and pack = 1"
-    assert held["alerts"].height == held["con"].sql(f"from alerts {asked}").pl().height > 0
-    figure = notebook.track(held["health"], held["alerts"], held["work"])
-    fouling = held["health"].filter(parameter="hx_fouling")
-    drawn = figure.axes[0].lines[0].get_ydata()
-    assert drawn.tolist() == pytest.approx((100 * fouling["value"]).to_list())
-    held["con"].close()
+    _, cells = notebook.app.run(defs={"pick": Picked, "packs": {}})
+    condition = "where operator = 'BZR' and tail = 'A9-BAC' and pack = 1"
+    assert cells["alerts"].height == cells["con"].sql(f"from alerts {condition}").pl().height > 0
+    figure = notebook.track(cells["health"], cells["alerts"], cells["work"])
+    fouling = cells["health"].filter(parameter="hx_fouling")
+    curve = figure.axes[0].lines[0].get_ydata()
+    assert curve.tolist() == pytest.approx((100 * fouling["value"]).to_list())
+    cells["con"].close()
 
 
 def test_marimo_finds_nothing_to_mend():

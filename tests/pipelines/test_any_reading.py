@@ -48,30 +48,30 @@ def models(store):
 def recorded(store):
     """Three flights of one aircraft."""
     raw = store.read_table("raw_snapshots", [("BZR", "A9-BAC")])
-    wanted = raw["flight_id"].unique().sort()[20:23]
-    return raw.filter(pl.col("flight_id").is_in(wanted.implode()))
+    flights = raw["flight_id"].unique().sort()[20:23]
+    return raw.filter(pl.col("flight_id").is_in(flights.implode()))
 
 
 def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     """Every table that is made of recorded rows."""
     verdicts, samples = judge_legs(raw, NO_WORK, NO_MESSAGES)
-    signs, seen = leg_indicators(samples, norm), cross_checks(samples, laws)
+    signs, checks = leg_indicators(samples, norm), cross_checks(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
     health, chapters = track(flights, NO_WORK, dsm)
-    told = features(health, apart, verdicts, NO_WORK, twin_flights=flights, cross_checks=seen)
+    described = features(health, apart, verdicts, NO_WORK, twin_flights=flights, cross_checks=checks)
     return {
         "legs_samples": samples,
         "legs_verdicts": verdicts,
         "legs_indicators": signs,
-        "features_cross_checks": seen,
+        "features_cross_checks": checks,
         "twin_flights": flights,
         "residuals": apart,
         "twin_health": health,
         "twin_checkpoints": chapters,
         "legs_admitted": admit(norm, verdicts, signs, NO_WORK, NO_MESSAGES, health),
-        "features": told,
-        "features_alerts": raise_alerts(told, health, NO_WORK),
+        "features": described,
+        "features_alerts": raise_alerts(described, health, NO_WORK),
     }
 
 
@@ -87,9 +87,9 @@ def test_any_finite_or_missing_readings_give_finite_or_null_results(spoiled, rec
         raw = raw.with_columns(pl.when(here).then(pl.lit(value, pl.Float64)).otherwise(signal).alias(signal))
     for table, frame in chain(raw.drop("place"), *models).items():
         entry = TABLES[table]
-        made = entry.conform(frame)
-        assert entry.schema.faults(made) == [], table
-        assert all(column.is_finite().all() for column in made.select(pl.selectors.float())), table
+        conformed = entry.conform(frame)
+        assert entry.schema.faults(conformed) == [], table
+        assert all(column.is_finite().all() for column in conformed.select(pl.selectors.float())), table
 
 
 def test_a_flow_that_reads_nothing_leaves_the_others_as_they_were(recorded, models):

@@ -24,7 +24,7 @@ def flight(n_snapshots: int) -> pl.DataFrame:
     return TABLES["raw_flights"].conform(pl.DataFrame([row]))
 
 
-def said(con) -> int:
+def snapshots_of(con) -> int:
     with con:
         return con.execute("select n_snapshots from flights").fetchone()[0]
 
@@ -49,9 +49,9 @@ def names(home: Path) -> list[str]:
 
 
 def test_each_night_says_what_it_said(four):
-    assert [said(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
-    assert said(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
-    assert said(connect(four)) == NIGHTS - 1
+    assert [snapshots_of(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
+    assert snapshots_of(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
+    assert snapshots_of(connect(four)) == NIGHTS - 1
 
 
 def test_a_reader_of_an_earlier_night_can_reach_nothing_else(four):
@@ -68,23 +68,23 @@ def test_before_the_first_night_nothing_was_said(four):
 
 def test_the_last_night_by_a_day_or_an_hour_is_meant():
     nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
-    for asked, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2)):
-        assert find_night(nights, asked)[0] == list(nights)[meant]
+    for day, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2)):
+        assert find_night(nights, day)[0] == list(nights)[meant]
 
 
 def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
     store, ledger, before = Store(home), Ledger(home), names(home)
     remove_expired(store, ledger, Retention(keep_days=0, hold=(before[1],)))
     assert names(home) == [before[1]]
-    assert said(connect_as_of(home, before[1])) == 1
-    assert said(connect(home)) == NIGHTS - 1
+    assert snapshots_of(connect_as_of(home, before[1])) == 1
+    assert snapshots_of(connect(home)) == NIGHTS - 1
     files = list((home / "tables/raw_flights/AQX/LX-AAA").glob("*.parquet"))
     assert len(files) == 2  # the night that is held, and now
     with pytest.raises(StoreError, match="no night at or before"):
         connect_as_of(home, before[0])
     store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(9))
     publish(home)
-    assert said(connect(home)) == 9
+    assert snapshots_of(connect(home)) == 9
 
 
 def test_a_long_log_is_read_from_a_checkpoint_on(home):

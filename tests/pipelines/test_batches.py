@@ -16,15 +16,15 @@ def room_for_ten(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 10)
 
 
-def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:
+def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
     index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
-    rows = [(*k.split(":"), "") for k in wanted]
+    rows = [(*k.split(":"), "") for k in keys]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
     return [tuple(batch.aircraft) for batch in index.batches("aircraft", cells, ranges=True)]
 
 
 @pytest.mark.parametrize(
-    ("each", "found"),
+    ("each", "expected"),
     [
         (5, [("AAA:T1", "AAA:T2"), ("AAA:T3", "BBB:T4")]),
         (6, [("AAA:T1",), ("AAA:T2",), ("AAA:T3",), ("BBB:T4",)]),
@@ -32,8 +32,8 @@ def shared(flights: dict[str, int], wanted: list[str]) -> list[tuple[str, ...]]:
         (1, [tuple(KEYS)]),
     ],
 )
-def test_aircraft_share_a_run_up_to_a_number_of_flights(each, found):
-    assert shared(dict.fromkeys(KEYS, each), KEYS) == found
+def test_aircraft_share_a_run_up_to_a_number_of_flights(each, expected):
+    assert shared(dict.fromkeys(KEYS, each), KEYS) == expected
 
 
 def test_processes_share_runs_evenly():
@@ -52,19 +52,19 @@ def test_an_aircraft_that_is_not_wanted_parts_the_range():
 def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
     flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
-    wanted = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
-    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
+    expected_cells = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in expected_cells]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    asked = [cell for batch in index.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
-    assert sorted(asked) == sorted(f"{a}|{f}" for a, f in wanted)
+    batch_cells = [cell for batch in index.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
+    assert sorted(batch_cells) == sorted(f"{a}|{f}" for a, f in expected_cells)
 
 
 def test_a_long_history_takes_several_runs(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
     index = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
-    found = list(index.batches("flight", cells))
-    assert [(*b.flights, b.size) for b in found] == [
+    runs = list(index.batches("flight", cells))
+    assert [(*b.flights, b.size) for b in runs] == [
         (FLIGHTS[0], FLIGHTS[1], 2),
         (FLIGHTS[2], FLIGHTS[3], 2),
         (FLIGHTS[4], FLIGHTS[4], 1),
@@ -74,12 +74,12 @@ def test_a_long_history_takes_several_runs(monkeypatch):
 def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alone():
     flown = {key: {*FLIGHTS} for key in KEYS}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
-    wanted = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
-    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in wanted]
+    pairs = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in pairs]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
     assert len(list(index.batches("flight", cells, ranges=True))) == 4
     (one,) = index.batches("flight", cells)
-    assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in wanted)
+    assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in pairs)
     assert one.ends() == (f"{KEYS[0]}|{FLIGHTS[0]}", f"{KEYS[-1]}|{FLIGHTS[4]}")
     assert [part.aircraft for part in one.parts()] == [[key] for key in KEYS]
 
@@ -98,8 +98,8 @@ def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown(
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
     cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
-    found = [batch.partition_keys() for batch in index.batches("flight", cells, ranges=True)]
-    assert found == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
+    keys = [batch.partition_keys() for batch in index.batches("flight", cells, ranges=True)]
+    assert keys == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
 
 
 def test_a_batch_of_one_aircraft_is_parted_into_halves_and_a_single_cell_not_at_all():

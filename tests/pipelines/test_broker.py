@@ -10,22 +10,22 @@ AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def watched_launcher(monkeypatch):
     """A launcher, what its workers answer, and the time."""
     launcher = celery.WatchedCeleryRunLauncher(default_queue="dagster", broker="memory://", grace_s=60)
-    told = {"answer": AT_WORK, "now": 1000.0}
+    workers = {"answer": AT_WORK, "now": 1000.0}
 
     class Inspect:
         def __init__(self, timeout: float) -> None: ...
 
         def active(self):
-            if isinstance(told["answer"], Exception):
-                raise told["answer"]
-            return told["answer"]
+            if isinstance(workers["answer"], Exception):
+                raise workers["answer"]
+            return workers["answer"]
 
     monkeypatch.setattr(launcher.celery.control, "inspect", Inspect)
-    monkeypatch.setattr(celery.time, "monotonic", lambda: told["now"])
-    return launcher, told
+    monkeypatch.setattr(celery.time, "monotonic", lambda: workers["now"])
+    return launcher, workers
 
 
 def run_of(task: str | None) -> dg.DagsterRun:
@@ -36,53 +36,53 @@ def status(launcher, run):
     return launcher.check_run_worker_health(run).status
 
 
-def test_a_run_that_a_worker_is_at_lives(asked):
-    launcher, _ = asked
+def test_a_run_that_a_worker_is_at_lives(watched_launcher):
+    launcher, _ = watched_launcher
     assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
 
 
-def test_a_run_that_nobody_is_at_is_lost_after_a_while(asked):
-    launcher, told = asked
+def test_a_run_that_nobody_is_at_is_lost_after_a_while(watched_launcher):
+    launcher, workers = watched_launcher
     run = run_of("task-2")
     assert status(launcher, run) == WorkerStatus.RUNNING
-    told["now"] += 59
+    workers["now"] += 59
     assert status(launcher, run) == WorkerStatus.RUNNING
-    told["now"] += 2
-    found = launcher.check_run_worker_health(run)
-    assert found.status == WorkerStatus.NOT_FOUND
-    assert found.msg == "no worker has been at it for 61 s"
+    workers["now"] += 2
+    health = launcher.check_run_worker_health(run)
+    assert health.status == WorkerStatus.NOT_FOUND
+    assert health.msg == "no worker has been at it for 61 s"
 
 
 @pytest.mark.parametrize("silence", [None, celery.OperationalError("refused"), ConnectionResetError()])
-def test_while_nobody_answers_nothing_is_lost_and_the_while_begins_anew(asked, silence):
-    launcher, told = asked
+def test_while_nobody_answers_nothing_is_lost_and_the_while_begins_anew(watched_launcher, silence):
+    launcher, workers = watched_launcher
     run = run_of("task-2")
     assert status(launcher, run) == WorkerStatus.RUNNING
-    told |= {"answer": silence, "now": told["now"] + 100}
+    workers |= {"answer": silence, "now": workers["now"] + 100}
     assert status(launcher, run) == WorkerStatus.RUNNING
-    told |= {"answer": AT_WORK, "now": told["now"] + 100}
+    workers |= {"answer": AT_WORK, "now": workers["now"] + 100}
     assert status(launcher, run) == WorkerStatus.RUNNING
-    told["now"] += 61
+    workers["now"] += 61
     assert status(launcher, run) == WorkerStatus.NOT_FOUND
 
 
-def test_workers_are_asked_once_for_all_runs_of_a_look(asked):
-    launcher, told = asked
+def test_workers_are_asked_once_for_all_runs_of_a_look(watched_launcher):
+    launcher, workers = watched_launcher
     status(launcher, run_of("task-1"))
-    told["answer"] = RuntimeError("asked again")
+    workers["answer"] = RuntimeError("asked again")
     assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
 
 
-def test_a_run_that_was_never_sent_out_is_not_the_workers(asked):
-    launcher, told = asked
+def test_a_run_that_was_never_sent_out_is_not_the_workers(watched_launcher):
+    launcher, workers = watched_launcher
     run = run_of(None)
     for _ in range(3):
-        told["now"] += 100
+        workers["now"] += 100
         assert status(launcher, run) == WorkerStatus.RUNNING
 
 
-def test_what_is_sent_is_acknowledged_when_it_begins_and_asks_for_no_result(asked):
-    launcher, _ = asked
+def test_what_is_sent_is_acknowledged_when_it_begins_and_asks_for_no_result(watched_launcher):
+    launcher, _ = watched_launcher
     conf = launcher.celery.conf
     assert (conf.task_acks_late, conf.task_ignore_result, conf.result_backend) == (False, True, None)
     assert conf.worker_prefetch_multiplier == 1

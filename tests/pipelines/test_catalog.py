@@ -39,8 +39,8 @@ def con(sample_home):
 
 @pytest.mark.parametrize("view", contract())
 def test_contract_columns_are_there_and_filled(con, view):
-    held = {c[0] for c in con.execute(f"describe {view}").fetchall()}
-    assert set(contract()[view]) <= held
+    columns = {c[0] for c in con.execute(f"describe {view}").fetchall()}
+    assert set(contract()[view]) <= columns
     if view not in {"alerts", "quarantine", "silent_columns"}:  # a sound fleet has none of the last two
         assert con.execute(f"select count(*) from {view}").fetchone()[0] > 0
 
@@ -85,9 +85,9 @@ def test_every_delivered_row_is_accounted_for(con):
 
 
 def test_health_parameters_hold_what_the_contract_names(con):
-    held = {p for (p,) in con.execute("select distinct parameter from health_parameters").fetchall()}
-    wanted = {"hx_fouling", "hx_h_hot_w_k", "hx_h_cold_w_k", "cc_effective_diameter_m", "cc_efficiency_loss"}
-    assert wanted <= held
+    parameters = {p for (p,) in con.execute("select distinct parameter from health_parameters").fetchall()}
+    expected = {"hx_fouling", "hx_h_hot_w_k", "hx_h_cold_w_k", "cc_effective_diameter_m", "cc_efficiency_loss"}
+    assert expected <= parameters
     silent = "select count(*) from health_parameters where value is null and status in ('', 'ok', 'converged')"
     assert con.execute(silent).fetchone()[0] == 0
     assert (
@@ -133,10 +133,10 @@ def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeyp
 
     monkeypatch.setattr(duckdb, "connect", connect_slowly)
     with connect(home) as con:
-        told = con.execute(
+        comment = con.execute(
             "select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'"
         ).fetchone()
-    assert told == ("new",)
+    assert comment == ("new",)
     assert len(opened) == 2
 
 
@@ -152,8 +152,8 @@ def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
 
 def opened(path: Path | str, cwd: Path) -> str:
     """What DuckDB by itself counts in a catalog that is opened from some folder, or why it can't."""
-    asks = f"import duckdb; print(duckdb.connect({str(path)!r}, read_only=True).execute({COUNT!r}).fetchone()[0])"
-    done = subprocess.run([sys.executable, "-c", asks], cwd=cwd, capture_output=True, text=True, check=False)
+    code = f"import duckdb; print(duckdb.connect({str(path)!r}, read_only=True).execute({COUNT!r}).fetchone()[0])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, check=False)
     return done.stdout.strip() or done.stderr
 
 
@@ -275,7 +275,7 @@ def test_views_come_after_what_they_read():
     assert order.index("fleet_ranking") > max(order.index(v) for v in ("health_parameters", "prognoses", "alerts"))
 
 
-def told(home: Path) -> list[str]:
+def view_texts(home: Path) -> list[str]:
     """Every view with its text, and every comment."""
     with connect(home) as con:
         views = con.execute("select schema_name, view_name, sql, comment from duckdb_views() where not internal")
@@ -297,9 +297,9 @@ def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(sample_home,
     elif spoiled:
         (home / HASH).write_text("another")
     publish(home)
-    found = told(home)
+    expected = view_texts(home)
     with connect(home) as con:
         assert con.execute("select count(*) from tables.features_alerts where tail = 'LX-AAB'").fetchone() == (1,)
     (home / HASH).unlink()
     publish(home)
-    assert told(home) == found
+    assert view_texts(home) == expected

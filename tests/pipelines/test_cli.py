@@ -29,7 +29,7 @@ def test_every_command_has_help(command):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("nightly",), "--landing DIR or set HDT_LANDING"),
         (("nightly", "--landing", "/no/such", "--home", "/tmp/x"), "no landing zone at /no/such"),
@@ -41,10 +41,10 @@ def test_every_command_has_help(command):
         (("nigthly",), "nightly"),
     ],
 )
-def test_a_wrong_argument_gives_one_line_that_says_what_to_do(words, says):
+def test_a_wrong_argument_gives_one_line_that_says_what_to_do(words, message):
     done = hdt(*words)
     assert done.returncode == 2
-    assert says in done.stderr
+    assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert "Traceback" not in done.stderr
 
@@ -69,7 +69,7 @@ def _another_folder(zone: Path) -> str:
 @pytest.mark.parametrize("command", [("nightly",), ("nightly", "--dry-run"), ("backfill",), ("ui",)], ids=" ".join)
 def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make):
     """For a home that knows files too: nothing is taken for a night without flights."""
-    says = make(tmp_path / "zone")
+    message = make(tmp_path / "zone")
     Ledger(tmp_path / "home").register([("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": ["T1_20240101_01"]})
     before = sorted((tmp_path / "home").iterdir())
     times = [os.times().children_user]
@@ -77,7 +77,7 @@ def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make):
     times.append(os.times().children_user)
     done = hdt(*command, "--landing", str(tmp_path / "zone"), "--home", str(tmp_path / "home"))
     assert (done.returncode, done.stdout) == (2, "")
-    assert says in done.stderr
+    assert message in done.stderr
     assert len(done.stderr.splitlines()) == 1
     help_s, own_s = np.diff([*times, os.times().children_user])
     assert own_s < 2.0 * help_s  # of its own work: other tests run beside this one, and machines differ
@@ -126,9 +126,9 @@ def test_an_idle_night_says_so_in_a_line(own_home):
     done = hdt("nightly", "--landing", str(landing), "--home", str(home))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("Nothing new")
-    told = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
-    assert told["idle"]
-    assert told["seconds"] < 5
+    summary = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
+    assert summary["idle"]
+    assert summary["seconds"] < 5
 
 
 def test_an_idle_night_mends_the_catalog(own_home):
@@ -143,8 +143,8 @@ def test_an_idle_night_mends_the_catalog(own_home):
     done = hdt("nightly", "--landing", str(landing), "--home", str(home))
     assert "Catalog written again, for it could not be read" in done.stdout
     assert hdt("query", "--home", str(home), "select count(*) from flights").returncode == 0
-    told = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
-    assert told["catalog_fault"] is None
+    summary = json.loads(hdt("nightly", "--landing", str(landing), "--home", str(home), "--json").stdout)
+    assert summary["catalog_fault"] is None
 
 
 def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
@@ -167,19 +167,19 @@ def test_query_answers_and_says_what_is_wrong(sample_home):
 def test_a_dry_run_names_the_new_files_and_takes_nothing_in(sample_landing, tmp_path):
     home = tmp_path / "home"
     done = hdt("nightly", "--landing", str(sample_landing), "--home", str(home), "--dry-run", "--json")
-    told = json.loads(done.stdout)
-    assert len(told["new_files"]) == told["files"] > 100
+    plan = json.loads(done.stdout)
+    assert len(plan["new_files"]) == plan["files"] > 100
     assert not (home / "tables").exists()
     again = hdt("nightly", "--landing", str(sample_landing), "--home", str(home), "--dry-run", "--json")
-    assert json.loads(again.stdout) == told
+    assert json.loads(again.stdout) == plan
 
 
 def test_status_counts_what_waits(own_home):
     landing, home = own_home
-    told = json.loads(hdt("status", "--home", str(home), "--json").stdout)
-    assert all(a["waiting"] == 0 and a["cells"] == a["up_to_date"] for a in told["assets"].values())
-    assert told["last_good_run"] == told["last_run"] is not None
-    assert told["last_run_failed"] is None
+    status = json.loads(hdt("status", "--home", str(home), "--json").stdout)
+    assert all(a["waiting"] == 0 and a["cells"] == a["up_to_date"] for a in status["assets"].values())
+    assert status["last_good_run"] == status["last_run"] is not None
+    assert status["last_run_failed"] is None
     from pipelines.intake.scan import scan
     from pipelines.storage.ledger import Ledger
 
@@ -197,12 +197,12 @@ def test_an_alert_is_explained_with_its_evidence_and_what_to_do(sample_home):
 
     columns = "alert_id, evidence, evidence_now, recommended_action"
     with connect(sample_home) as con:
-        found = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
-    assert found is not None
-    said = " ".join(hdt("explain", found[0][:8], "--home", str(sample_home)).stdout.split())
-    assert finding(found[1]) in said
-    assert tidy(found[2]) in said
-    assert found[3] in said
+        alert = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
+    assert alert is not None
+    text = " ".join(hdt("explain", alert[0][:8], "--home", str(sample_home)).stdout.split())
+    assert finding(alert[1]) in text
+    assert tidy(alert[2]) in text
+    assert alert[3] in text
     none = hdt("explain", "nosuchalert", "--home", str(sample_home))
     assert none.returncode == 2
     assert "lists them" in none.stderr
@@ -241,12 +241,12 @@ def test_a_backfill_by_date_takes_in_those_flights_and_no_other(sample_landing, 
     where = ("--landing", str(sample_landing), "--home", str(home))
     done = hdt("backfill", *where, "--tail", "LX-AAB", "--since", "2024-03-10", "--until", "2024-03-12", "--json")
     assert done.returncode == 0, done.stderr + done.stdout
-    asked = "select distinct tail, substr(flight_id, 8, 8) as day from flights order by day"
+    sql = "select distinct tail, substr(flight_id, 8, 8) as day from flights order by day"
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        found = con.execute(asked).fetchall()
-    assert found == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
+        days = con.execute(sql).fetchall()
+    assert days == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
 
 
 def test_no_librarys_warning_reaches_the_terminal():

@@ -43,6 +43,8 @@ def test_the_shell_completes_commands_and_options(typed, offered):
     assert hdt(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
 
 
-@pytest.mark.parametrize(("shell", "says"), [("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")])
-def test_the_shell_is_told_how_to_complete(shell, says):
-    assert says in hdt(_HDT_COMPLETE=f"source_{shell}")
+@pytest.mark.parametrize(
+    ("shell", "script"), [("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")]
+)
+def test_the_shell_is_told_how_to_complete(shell, script):
+    assert script in hdt(_HDT_COMPLETE=f"source_{shell}")

@@ -21,7 +21,7 @@ from pipelines.storage.store import Store
 CHAIN = ["raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"]
 
 
-def told(instance: dg.DagsterInstance, table: str) -> list[dg.EventLogRecord]:
+def records_of(instance: dg.DagsterInstance, table: str) -> list[dg.EventLogRecord]:
     """The events of an asset's page, newest first."""
     return list(instance.fetch_materializations(dg.AssetKey(table), limit=5_000).records)
 
@@ -35,7 +35,7 @@ def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, 
     frame = Store(sample_home).read_table(table)
     rows = {tuple(key): n for *key, n in frame.group_by(*cell).len().rows()}
     with open_instance(sample_home) as instance:
-        events = told(instance, table)
+        events = records_of(instance, table)
     assert len({round(1000 * e.timestamp) for e in events}) == len(events) == len(rows)
     for event in events:
         tail, _, flight = event.partition_key.split(":")[1].partition("|")
@@ -44,7 +44,7 @@ def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, 
 
 def test_the_last_flight_of_a_run_stands_first(sample_home):
     with open_instance(sample_home) as instance:
-        events = told(instance, "raw_flights")
+        events = records_of(instance, "raw_flights")
     for run_id in {e.run_id for e in events}:
         own = [e for e in events if e.run_id == run_id]
         flights = [e.partition_key.split("|")[1] for e in own]
@@ -87,7 +87,7 @@ def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_hom
                     break
         assert ended.status == BulkActionStatus.COMPLETED_SUCCESS, ended.error
         for key in keys:
-            newest = {e.partition_key: numbers(e) for e in told(instance, key.path[-1])[:3]}
+            newest = {e.partition_key: numbers(e) for e in records_of(instance, key.path[-1])[:3]}
             assert newest[never] == {"rows": 0, "expected": 0}
             assert all(newest[cell]["rows"] for cell in flown)
             assert never in instance.get_materialized_partitions(key)
@@ -124,8 +124,8 @@ def test_after_a_night_nothing_is_left_for_dagster_and_what_follows_a_newer_pare
         newer = dg.evaluate_automation_conditions(defs, instance, cursor=night.cursor)
         assert newer.get_requested_partitions(residuals) == {cell}
         assert newer.get_num_requested(report) == 0
-        made = dg.AssetMaterialization("features_alerts", partition=cell.split("|")[0])
-        instance.report_runless_asset_event(made)
+        event = dg.AssetMaterialization("features_alerts", partition=cell.split("|")[0])
+        instance.report_runless_asset_event(event)
         published = dg.evaluate_automation_conditions(defs, instance, cursor=newer.cursor)
         assert {published.get_num_requested(key) for key in (report, *(view.key for view in VIEWS))} == {1}
 

@@ -20,8 +20,10 @@ def numbers(version: str) -> tuple[int, ...]:
 
 def supported() -> tuple[str, str]:
     """The oldest version that is supported, and the first that is not."""
-    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    (bounds,) = (re.fullmatch(r"dagster>=([\d.]+),<([\d.]+)", line) for line in asked if line.startswith("dagster>"))
+    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    (bounds,) = (
+        re.fullmatch(r"dagster>=([\d.]+),<([\d.]+)", line) for line in dependencies if line.startswith("dagster>")
+    )
     return bounds[1], bounds[2]
 
 
@@ -40,6 +42,6 @@ def test_what_holds_against_the_pinned_dagster_holds_against_another():
     assert numbers(oldest) <= numbers(other) < numbers(beyond)
     assert other != dagster.__version__
     own = {**os.environ, "PYTHONPATH": str(ROOT), "HDT_TEST_DAGSTER": ""}
-    asked = [OTHER, "-m", "pytest", *TESTS]
-    done = subprocess.run(asked, cwd=ROOT, env=own, capture_output=True, text=True, check=False)
+    command = [OTHER, "-m", "pytest", *TESTS]
+    done = subprocess.run(command, cwd=ROOT, env=own, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:]

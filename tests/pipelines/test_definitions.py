@@ -178,10 +178,10 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
     assert not night.failed
     graph = build_defs(landing=landing, home=home).resolve_asset_graph()
     with open_instance(home) as instance:
-        asked = CachingStaleStatusResolver(instance, graph, LoadingContextForTest(instance))
+        resolver = CachingStaleStatusResolver(instance, graph, LoadingContextForTest(instance))
         for key in (dg.AssetKey(t) for t in ("features", "features_alerts", "legs_verdicts", "prognoses")):
             cells = instance.get_materialized_partitions(key) if graph.get(key).is_partitioned else [None]
-            assert {asked.get_status(key, cell) for cell in cells} == {StaleStatus.FRESH}
+            assert {resolver.get_status(key, cell) for cell in cells} == {StaleStatus.FRESH}
 
 
 def test_a_cells_key_is_the_one_that_dagster_makes():

@@ -81,8 +81,8 @@ class Log:
         """Stock's or ours, over the same tables."""
         module, cls = who[self.kept_in]
         where = {"log": "event_log_storage", "module": module, "class": cls}
-        said = "{log}:\n  module: {module}\n  class: {class}\n  config:\n    ".format(**where)
-        (self.base / "dagster.yaml").write_text(f"{said}{self.settings}\n")
+        head = "{log}:\n  module: {module}\n  class: {class}\n  config:\n    ".format(**where)
+        (self.base / "dagster.yaml").write_text(f"{head}{self.settings}\n")
         instance = dg.DagsterInstance.from_config(str(self.base))
         assert type(instance.event_log_storage).__name__ == cls
         return instance
@@ -121,7 +121,7 @@ def ran(log: Log, who, monkeypatch, batch: str):
 
 def shape(log: Log):
     """What the tables hold, less what must differ between two runs: ids, times, hashes of the run."""
-    asked = {
+    queries = {
         "event_logs": "select dagster_event_type, step_key, asset_key, partition, count(*) from event_logs"
         " group by 1, 2, 3, 4",
         "asset_keys": "select asset_key, last_materialization is not null, last_run_id is not null, wipe_timestamp"
@@ -133,24 +133,24 @@ def shape(log: Log):
         "dynamic_partitions": "select partitions_def_name, partition from dynamic_partitions",
     }
     with log.tables.connect() as con:
-        found = {name: sorted(map(str, con.exec_driver_sql(sql))) for name, sql in asked.items()}
+        rows = {name: sorted(map(str, con.exec_driver_sql(sql))) for name, sql in queries.items()}
         events = con.exec_driver_sql(
             "select event from event_logs where asset_key = '[\"third\"]' and partition is not null"
         )
-        found["events"] = sorted(UNLIKE.sub("", bare(text)) for (text,) in events)
-    return found
+        rows["events"] = sorted(UNLIKE.sub("", bare(text)) for (text,) in events)
+    return rows
 
 
 def bare(event: str) -> str:
     """An event, less what ours tell once a run, and what is null or empty, which ours leave out."""
-    said = json.loads(event)
+    record = json.loads(event)
     once = ("logging_tags", "step_handle", "solid_handle", "message", "pid", "step_kind_value")
-    said["dagster_event"] = {k: v for k, v in said["dagster_event"].items() if k not in once}
-    told = said["dagster_event"]["event_specific_data"]
-    told["materialization"]["metadata_entries"] = []
-    told["materialization"] = {k: v for k, v in told["materialization"].items() if v}
-    said["dagster_event"]["event_specific_data"] = {k: v for k, v in told.items() if v}
-    return json.dumps(said)
+    record["dagster_event"] = {k: v for k, v in record["dagster_event"].items() if k not in once}
+    data = record["dagster_event"]["event_specific_data"]
+    data["materialization"]["metadata_entries"] = []
+    data["materialization"] = {k: v for k, v in data["materialization"].items() if v}
+    record["dagster_event"]["event_specific_data"] = {k: v for k, v in data.items() if v}
+    return json.dumps(record)
 
 
 def test_tables_equal_those_of_stock_dagster(new_log, monkeypatch):
@@ -170,26 +170,26 @@ def test_stock_dagster_reads_what_the_batch_wrote(new_log, monkeypatch):
     assert {p: r.asset_materialization.tags["dagster/partition/flight"] for p, r in newest.items()} == {
         f"{a}|{f}": f for a in "AB" for f in "123"
     }
-    told = [r.asset_materialization.metadata["rows"].value for r in newest.values()]
-    assert sorted(told) == [10, 11, 12, 13, 14, 15]  # each its own, the first too
+    values = [r.asset_materialization.metadata["rows"].value for r in newest.values()]
+    assert sorted(values) == [10, 11, 12, 13, 14, 15]  # each its own, the first too
     assert len({round(1000 * r.timestamp) for r in newest.values()}) == 6, "a page tells events by their milliseconds"
     instance.dispose()
 
 
 def test_keys_that_a_page_counts_are_those_that_stock_finds():
     """Of cells that are there, of others, and of texts that are no cells; each key tells its parts by dimension."""
-    found = dg.MultiPartitionsDefinition.filter_valid_partition_keys
-    stock_keys = getattr(found, "__wrapped__", found)  # another test may have opened an instance of ours
-    asked = {"A|1", "B|2", "C|1", "A|9", "A", "A|1|2", ""}
+    stock_filter = dg.MultiPartitionsDefinition.filter_valid_partition_keys
+    stock_keys = getattr(stock_filter, "__wrapped__", stock_filter)  # another test may have opened an instance of ours
+    candidates = {"A|1", "B|2", "C|1", "A|9", "A", "A|1|2", ""}
     with dg.DagsterInstance.ephemeral() as instance, partition_loading_context(dynamic_partitions_store=instance):
         instance.add_dynamic_partitions("aircraft", ["A", "B"])
         instance.add_dynamic_partitions("flight", ["1", "2"])
-        for some in (asked, {"C|1"}, {"A"}, set()):
+        for some in (candidates, {"C|1"}, {"A"}, set()):
             ours, stock = valid_keys(both, some), stock_keys(both, some)
             parts = {key: both.get_partition_key_from_str(key).keys_by_dimension for key in stock}  # 1.12 finds texts
             assert {key: key.keys_by_dimension for key in ours} == parts
             assert {type(key) for key in ours} <= {dg.MultiPartitionKey}
-        assert valid_keys(both, asked) == {"A|1", "B|2"}
+        assert valid_keys(both, candidates) == {"A|1", "B|2"}
 
 
 @dg.asset(partitions_def=both)
@@ -206,10 +206,10 @@ def broken() -> None:
 def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
     """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
-    cells, found = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
+    cells, attempts = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
     tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
     for who in (STOCK, OURS):
-        with new_log(f"log{len(found)}").instance(who) as instance:
+        with new_log(f"log{len(attempts)}").instance(who) as instance:
             instance.add_dynamic_partitions("aircraft", ["A", "B"])
             instance.add_dynamic_partitions("flight", ["1", "2"])
             done = dg.materialize([sound, broken], instance=instance, tags=tags, raise_on_error=False)
@@ -217,13 +217,13 @@ def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
             if who is OURS:
                 log.mark_failed_partitions(done.run_id, cells)
             in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
-            found.append(
+            attempts.append(
                 {
                     name: {cell: run_id == done.run_id for cell, (run_id, _) in in_vain(dg.AssetKey(name)).items()}
                     for name in ("sound", "broken")
                 }
             )
-    stock, ours = found
+    stock, ours = attempts
     assert ours == stock == {"sound": {}, "broken": dict.fromkeys(cells, True)}
 
 
@@ -253,16 +253,16 @@ def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, 
         instance.report_runless_asset_event(dg.AssetMaterialization("fickle", partition="B|2"))
         with log.tables.connect() as con:
             newest = int(con.exec_driver_sql("select max(id) from event_logs").scalar())
-    found = []
+    attempts = []
     for who in (STOCK, OURS):
         with log.instance(who) as instance:
             ask = getattr(instance.event_log_storage, in_vain)
-            asked = ((dg.AssetKey(name), after) for name in ("fickle", "sound") for after in (None, *range(newest + 1)))
-            found.append([ask(key, after) for key, after in asked])
+            calls = ((dg.AssetKey(name), after) for name in ("fickle", "sound") for after in (None, *range(newest + 1)))
+            attempts.append([ask(key, after) for key, after in calls])
             if who is OURS:
                 instance.wipe_assets([dg.AssetKey("fickle")])
                 assert ask(dg.AssetKey("fickle")) == {}
-    stock, ours = found
+    stock, ours = attempts
     assert ours == stock
     assert set(stock[0]) == {"B|1"}
 
@@ -273,16 +273,16 @@ def test_the_page_of_a_run_tells_what_stock_tells(new_log, assets, monkeypatch):
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
     tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
-    told = []
+    pages = []
     for who in (STOCK, OURS):
-        with new_log(f"log{len(told)}").instance(who) as instance:
+        with new_log(f"log{len(pages)}").instance(who) as instance:
             instance.add_dynamic_partitions("aircraft", ["A", "B"])
             instance.add_dynamic_partitions("flight", ["1", "2"])
             keeper = {"one": OneStandsForAll()}
             done = dg.materialize(assets, resources=keeper, instance=instance, tags=tags, raise_on_error=False)
             lines = [(e.dagster_event_type, e.step_key) for e in instance.all_logs(done.run_id) if e.is_dagster_event]
-            told.append([line for line, _ in groupby(lines)])
-    stock, ours = told
+            pages.append([line for line, _ in groupby(lines)])
+    stock, ours = pages
     assert ours == stock
     assert len(ours) > 10
 
@@ -298,13 +298,13 @@ def test_every_run_has_a_shard_like_stocks(tmp_path, monkeypatch):
         history = log.base / "history"
         assert {f.stem for f in history.glob("*.db")} >= {*runs, "index"}
         assert not list(history.glob(".*"))
-        return [held(history / f"{run_id}.db", run_id) for run_id in runs]
+        return [read_shard(history / f"{run_id}.db", run_id) for run_id in runs]
 
-    def held(shard: Path, run_id: str) -> tuple:
+    def read_shard(shard: Path, run_id: str) -> tuple:
         with closing(sqlite3.connect(shard)) as con:
             assert con.execute("select distinct run_id from event_logs").fetchall() == [(run_id,)]
-            asked = ("select name, sql from sqlite_master order by 1", "select * from alembic_version")
-            return *(con.execute(sql).fetchall() for sql in asked), con.execute("pragma journal_mode").fetchone()
+            queries = ("select name, sql from sqlite_master order by 1", "select * from alembic_version")
+            return *(con.execute(sql).fetchall() for sql in queries), con.execute("pragma journal_mode").fetchone()
 
     ours, stock = shards("ours", OURS), shards("stock", STOCK)
     assert ours == stock
@@ -336,16 +336,16 @@ def plain() -> None:
     """No partition."""
 
 
-@pytest.mark.parametrize("made", [(), ("event_logs", "secondary_indexes")])
-def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, made):
+@pytest.mark.parametrize("present", [(), ("event_logs", "secondary_indexes")])
+def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, present):
     log = Log(tmp_path / "log", "sqlite", "")
     log.instance(OURS).dispose()
     with closing(sqlite3.connect(log.base / "history/index.db")) as con:
         tables = [name for (name,) in con.execute("select name from sqlite_master where type = 'table'")]
-        assert {*made, "dynamic_partitions", "alembic_version"} <= {*tables}
-        for name in {*tables} - {*made}:
+        assert {*present, "dynamic_partitions", "alembic_version"} <= {*tables}
+        for name in {*tables} - {*present}:
             con.execute(f"drop table {name}")
-        if made:
+        if present:
             con.execute("delete from secondary_indexes")
         con.commit()
     with log.instance(OURS) as instance:

@@ -111,18 +111,18 @@ def test_the_contract_is_read_whole():
 def test_a_recorded_column_arrives(name, nth, column, zone, home):
     """From CSV, from history, from a continuous log."""
     flight = zone.flights[nth]
-    given = zone.cpl[flight] if name == "raw_logs" else zone.snapshots.filter(flight_id=flight)
-    if column not in given.columns:
+    delivered = zone.cpl[flight] if name == "raw_logs" else zone.snapshots.filter(flight_id=flight)
+    if column not in delivered.columns:
         assert column == "phase_code"
         return
-    given = given.sort("report_time", "pack")[column]
-    found = table(home, name).filter(flight_id=flight).sort("time_utc", "pack")[si_name(column)]
-    assert given.len() > 30
-    if given.dtype.is_float():
+    delivered = delivered.sort("report_time", "pack")[column]
+    stored = table(home, name).filter(flight_id=flight).sort("time_utc", "pack")[si_name(column)]
+    assert delivered.len() > 30
+    if delivered.dtype.is_float():
         convert = UNITS.get(column.rpartition("_")[2], lambda v: v)
-        assert_series_equal(found, convert(given), check_names=False, rel_tol=1e-6)
+        assert_series_equal(stored, convert(delivered), check_names=False, rel_tol=1e-6)
     else:
-        assert found.cast(given.dtype).to_list() == [v or None for v in given]  # an empty word is none
+        assert stored.cast(delivered.dtype).to_list() == [v or None for v in delivered]  # an empty word is none
 
 
 def test_where_a_flight_went_is_in_the_catalog(zone, home):
@@ -133,11 +133,11 @@ def test_where_a_flight_went_is_in_the_catalog(zone, home):
 
 @pytest.mark.parametrize(("log", "column"), [(log, c) for log, columns in LOGS.items() for c in columns])
 def test_a_column_of_a_log_arrives(log, column, zone, home):
-    given = getattr(zone, log)[column].item()
-    found = table(home, f"raw_{log}")[column].item()
-    if isinstance(found, datetime):
-        found = found.astimezone(UTC)
-    assert found == given
+    delivered = getattr(zone, log)[column].item()
+    stored = table(home, f"raw_{log}")[column].item()
+    if isinstance(stored, datetime):
+        stored = stored.astimezone(UTC)
+    assert stored == delivered
 
 
 def test_what_a_message_says_is_read_in_the_report_as_it_was_written(home, tmp_path):

@@ -34,20 +34,20 @@ class Zone:
     def night(self) -> pl.DataFrame:
         """Take in what lies there; the stored rows. Accounts balance, and hold what is stored and set aside."""
         scan(self.landing, self.ledger)
-        taken = ingest_flights(self.landing, self.store, self.ledger, AIRCRAFT, [FLIGHT])
+        intake = ingest_flights(self.landing, self.store, self.ledger, AIRCRAFT, [FLIGHT])
         for table, frame in (
-            ("raw_snapshots", taken.rows),
-            ("raw_deliveries", taken.deliveries),
-            ("raw_quarantine", taken.quarantine),
+            ("raw_snapshots", intake.rows),
+            ("raw_deliveries", intake.deliveries),
+            ("raw_quarantine", intake.quarantine),
         ):
             self.store.merge(table, {AIRCRAFT: [FLIGHT]}, frame)
         account, quarantine = self.store.read_table("raw_deliveries"), self.quarantine
         assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
         assert account.select(pl.col("duplicate").min()).item() >= 0
-        assert account["loaded"].sum() == taken.rows.height
+        assert account["loaded"].sum() == intake.rows.height
         aside = quarantine.group_by("file").agg(pl.col("n_rows").sum()).filter(pl.col("n_rows") > 0)
-        told = account.filter(pl.col("quarantined") > 0).select("file", "quarantined")
-        assert aside.sort("file").rows() == told.sort("file").rows()
+        per_file = account.filter(pl.col("quarantined") > 0).select("file", "quarantined")
+        assert aside.sort("file").rows() == per_file.sort("file").rows()
         assert quarantine["received_at"].null_count() == 0
         return self.store.read_table("raw_snapshots")
 

@@ -45,11 +45,11 @@ class Zone:
         cells = stale(self.ledger, STAGE["raw"]).rows()
         for operator, tail, flight, _ in cells:
             aircraft = (operator, tail)
-            taken = ingest_flights(self.landing, self.store, self.ledger, aircraft, [flight])
+            intake = ingest_flights(self.landing, self.store, self.ledger, aircraft, [flight])
             frames = {
-                "raw_snapshots": taken.rows,
-                "raw_deliveries": taken.deliveries,
-                "raw_quarantine": taken.quarantine,
+                "raw_snapshots": intake.rows,
+                "raw_deliveries": intake.deliveries,
+                "raw_quarantine": intake.quarantine,
             }
             frames |= {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables if t not in frames}
             io, scope = FrameIO(self.store, self.ledger), PartitionScope({aircraft: [flight]})

@@ -24,7 +24,7 @@ from pipelines.storage.ledger_tables import NAMES
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
          ("b/1.csv", *B, "acms", 1, 1, "d3")]  # fmt: skip
-HELD = {"a/1.csv": ["LX-AAA_20240101_01", "LX-AAA_20240102_01"], "b/1.csv": ["LX-AAB_20240101_01"]}
+HOLDINGS = {"a/1.csv": ["LX-AAA_20240101_01", "LX-AAA_20240102_01"], "b/1.csv": ["LX-AAB_20240101_01"]}
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -44,7 +44,7 @@ def ledger(request, tmp_path, monkeypatch) -> Iterator[Ledger]:
 
 def _filled(home: Path) -> Ledger:
     ledger = Ledger(home)
-    ledger.register(FILES, HELD)
+    ledger.register(FILES, HOLDINGS)
     return ledger
 
 
@@ -65,9 +65,9 @@ def test_what_is_registered_is_known(ledger):
 def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
     ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
     assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
-    held = ledger.holdings().filter(pl.col("tail") == A[1])
-    assert held["line"].unique().to_list() == ["a/1.csv=new"]
-    assert held.height == 3
+    holdings = ledger.holdings().filter(pl.col("tail") == A[1])
+    assert holdings["line"].unique().to_list() == ["a/1.csv=new"]
+    assert holdings.height == 3
 
 
 def test_a_cell_marked_again_has_its_last_version(ledger):
@@ -104,19 +104,19 @@ def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
     assert ledger.cells("raw_flights").is_empty()
 
 
-def _hold(home: Path, held, over) -> None:
+def _hold(home: Path, ready, over) -> None:
     with around_night.lock_home(home):
-        held.set()
+        ready.set()
         over.wait()
 
 
 def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_process(ledger, tmp_path):
     """A second home stands for a second machine; without a common database each home is a fleet of its own."""
     spawn = multiprocessing.get_context("spawn")
-    held, over = spawn.Event(), spawn.Event()
-    first = spawn.Process(target=_hold, args=(tmp_path / "one", held, over))
+    ready, over = spawn.Event(), spawn.Event()
+    first = spawn.Process(target=_hold, args=(tmp_path / "one", ready, over))
     first.start()
-    assert held.wait(30)
+    assert ready.wait(30)
     other = tmp_path / ("two" if ledger.url else "one")
     with (
         pytest.raises(around_night.BusyError, match=rf"process {first.pid}\b.*wait for it to end"),
@@ -138,33 +138,33 @@ SECRET = "s3cr3t-word"
 
 
 @pytest.mark.parametrize(
-    ("url", "says"),
+    ("url", "message"),
     [
         (f"postgresql://hdt:{SECRET}@127.0.0.1:1/none", r"ledger's database at 127\.0\.0\.1:1/none .* does not answer"),
         (f"postgres//hdt:{SECRET}@somewhere", "no address of the form postgresql://"),
         (f"postgresql://hdt:{SECRET}@127.0.0.1:none/x", "no address of the form postgresql://|does not answer"),
     ],
 )
-def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, says, tmp_path, monkeypatch):
+def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, message, tmp_path, monkeypatch):
     pytest.importorskip("psycopg2")
     monkeypatch.setenv(postgres.URL, url)
     ledger = Ledger(tmp_path)
-    with pytest.raises(postgres.DatabaseError, match=says) as told:
+    with pytest.raises(postgres.DatabaseError, match=message) as error:
         ledger.file_records()
     with pytest.raises(postgres.DatabaseError), around_night.lock_home(tmp_path):
         pass
-    assert SECRET not in f"{told.value!r} {ledger!r}"
-    assert "\n" not in str(told.value)
+    assert SECRET not in f"{error.value!r} {ledger!r}"
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("variable", "says"),
+    ("variable", "message"),
     [
         (postgres.URL, "hdt: the ledger's database at 127.0.0.1:1/none"),
         ("HDT_POSTGRES_URL", "hdt: the database of Dagster's history (dagster.yaml) does not answer: connection to"),
     ],
 )
-def test_the_command_says_it_in_one_line(variable, says, tmp_path):
+def test_the_command_says_it_in_one_line(variable, message, tmp_path):
     pytest.importorskip("psycopg2")
     for folder in ("landing", "home/dagster"):
         (tmp_path / folder).mkdir(parents=True)
@@ -175,7 +175,7 @@ def test_the_command_says_it_in_one_line(variable, says, tmp_path):
     wrong = os.environ | {variable: f"postgresql://hdt:{SECRET}@127.0.0.1:1/none"}
     done = subprocess.run(command, env=wrong, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith(says)
+    assert done.stderr.splitlines()[-1].startswith(message)
     assert "Traceback" not in done.stderr
     assert SECRET not in done.stderr + done.stdout
 
@@ -218,8 +218,8 @@ def test_an_aircrafts_cells_come_as_one_text(ledger):
     for tail in ("T1", "T10"):
         cells = pl.DataFrame({"operator": "AAA", "tail": tail, "flight_id": list("ba"), "version": list("12")})
         ledger.mark("raw_flights", cells)
-    said = {tail: sorted(lines.split("|")) for _, tail, lines in ledger.lines("raw_flights").rows()}
-    assert said == {tail: [f"AAA={tail}=a=2", f"AAA={tail}=b=1"] for tail in ("T1", "T10")}
+    by_tail = {tail: sorted(lines.split("|")) for _, tail, lines in ledger.lines("raw_flights").rows()}
+    assert by_tail == {tail: [f"AAA={tail}=a=2", f"AAA={tail}=b=1"] for tail in ("T1", "T10")}
     assert ledger.of([("AAA", "T1")]).lines("raw_flights")["tail"].to_list() == ["T1"]
     assert ledger.lines("legs_samples").is_empty()
 

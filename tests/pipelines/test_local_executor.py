@@ -46,16 +46,16 @@ print(*sorted({open(f"/proc/self/task/{t}/comm").read().strip() for t in os.list
 
 def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_path, small_blocks, monkeypatch):
     """To the last digit: no flight's numbers hang on those it shares a run with."""
-    told = {}
+    counts = {}
     for jobs in (1, 2):
         with around_night.lock_home(tmp_path / f"{jobs}"):
             night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
-        told[jobs] = (night.runs, night.cells, night.failed)
-    assert told[2] == told[1]
-    assert not told[1][2]
+        counts[jobs] = (night.runs, night.cells, night.failed)
+    assert counts[2] == counts[1]
+    assert not counts[1][2]
     monkeypatch.setattr(batches, "CELLS_A_RUN", 5)
     with around_night.lock_home(tmp_path / "cut"):
-        assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > told[1][0]
+        assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > counts[1][0]
     assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
 
@@ -97,13 +97,13 @@ def _night(landing: Path, home: Path) -> None:
 def test_workers_die_with_a_killed_night(landing, tmp_path):
     night = multiprocessing.get_context("spawn").Process(target=_night, args=(landing, tmp_path))
     night.start()
-    told = tmp_path / "workers"
-    while not (told.exists() and told.read_text()):
+    pid_file = tmp_path / "workers"
+    while not (pid_file.exists() and pid_file.read_text()):
         assert night.is_alive()
         time.sleep(0.05)
     os.kill(night.pid, signal.SIGKILL)
     night.join()
-    pids = [int(pid) for pid in told.read_text().split()]
+    pids = [int(pid) for pid in pid_file.read_text().split()]
     assert len(pids) == 2
     deadline = time.monotonic() + 10.0
     while any(_lives(pid) for pid in pids):

@@ -103,15 +103,15 @@ def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
 
 def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):
     """Each commit adds a pair, of which a reader sees both or none."""
-    ledger, over, seen = Ledger(tmp_path), threading.Event(), []
+    ledger, over, n_files = Ledger(tmp_path), threading.Event(), []
     ledger.register([], {})
 
     def read() -> None:
         while not over.is_set():
             try:
-                seen.append(len(Ledger(tmp_path, read_only=True).file_records()))
+                n_files.append(len(Ledger(tmp_path, read_only=True).file_records()))
             except sqlite3.Error as error:
-                seen.append(error)
+                n_files.append(error)
 
     reader = threading.Thread(target=read)
     reader.start()
@@ -119,6 +119,6 @@ def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):
         ledger.register([(f"{n}/{k}" * 50, "", "", "acms", 1, 1, "") for k in range(2)], {})
     over.set()
     reader.join()
-    assert {n % 2 if isinstance(n, int) else n for n in seen} == {0}
-    assert seen == sorted(seen)
-    assert max(seen) > 2
+    assert {n % 2 if isinstance(n, int) else n for n in n_files} == {0}
+    assert n_files == sorted(n_files)
+    assert max(n_files) > 2

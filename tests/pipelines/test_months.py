@@ -20,15 +20,15 @@ FLIGHTS = [f"LX-AAA_{month}{day:02}_01" for month in MONTHS for day in (3, 17)]
 def rows(ids: list[str], n: int) -> pl.DataFrame:
     at = datetime(2024, 5, 1, tzinfo=UTC)
     own = {"operator": "AQX", "tail": "LX-AAA", "departed_at": at, "landed_at": at, "source": "acms", "n_seconds": 0}
-    told = pl.DataFrame({"flight_id": ids}, schema={"flight_id": pl.String}).with_columns(n_snapshots=n)
-    return TABLES["raw_flights"].conform(told.with_columns(pl.lit(value).alias(name) for name, value in own.items()))
+    frame = pl.DataFrame({"flight_id": ids}, schema={"flight_id": pl.String}).with_columns(n_snapshots=n)
+    return TABLES["raw_flights"].conform(frame.with_columns(pl.lit(value).alias(name) for name, value in own.items()))
 
 
 def merge(store: Store, ids: list[str], n: int = 0) -> None:
     store.merge("raw_flights", {AIRCRAFT: ids}, rows(ids, n))
 
 
-def held(store: Store) -> list[tuple[str, int]]:
+def stored_rows(store: Store) -> list[tuple[str, int]]:
     return sorted(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
@@ -39,7 +39,7 @@ def names(store: Store) -> list[str]:
 def test_years_take_in_all_months_but_the_newest(tmp_path):
     merge(store := Store(tmp_path), FLIGHTS)
     assert names(store) == ["2022", "2023", "2024", "2024-10", "2024-11", "2024-12"]
-    assert held(store) == [(flight, 0) for flight in FLIGHTS]
+    assert stored_rows(store) == [(flight, 0) for flight in FLIGHTS]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -53,16 +53,16 @@ def test_and_so_it_is_over_objects(tmp_path, s3_url):
 
 def check_any_order(store: Store, seed: int, nights: int) -> None:
     """Nights in order, late flights, whole histories and flights that vanish, against a plain dictionary."""
-    drawn, known = random.Random(seed), dict[str, int]()
+    rng, expected = random.Random(seed), dict[str, int]()
     for n in range(nights):
-        asked = drawn.sample(FLIGHTS, drawn.choice((1, 2, 5, 30)))
-        gone = set(asked) if drawn.random() < 0.1 else set()
-        store.merge("raw_flights", {AIRCRAFT: asked}, rows(sorted(set(asked) - gone), n))
-        known = {f: k for f, k in known.items() if f not in gone} | dict.fromkeys(set(asked) - gone, n)
-        assert held(store) == sorted(known.items())
-        looked = drawn.sample(FLIGHTS, 3)
-        found = store.scan("raw_flights", [AIRCRAFT], looked).collect()["flight_id"]
-        assert set(found) >= set(looked) & set(known)
+        flights = rng.sample(FLIGHTS, rng.choice((1, 2, 5, 30)))
+        removed = set(flights) if rng.random() < 0.1 else set()
+        store.merge("raw_flights", {AIRCRAFT: flights}, rows(sorted(set(flights) - removed), n))
+        expected = {f: k for f, k in expected.items() if f not in removed} | dict.fromkeys(set(flights) - removed, n)
+        assert stored_rows(store) == sorted(expected.items())
+        sample = rng.sample(FLIGHTS, 3)
+        result = store.scan("raw_flights", [AIRCRAFT], sample).collect()["flight_id"]
+        assert set(result) >= set(sample) & set(expected)
     assert len([name for name in names(store) if "-" in name]) <= OPEN
 
 
@@ -71,18 +71,18 @@ def test_a_flight_of_an_open_month_reads_no_other_file(tmp_path):
     assert set(store.scan("raw_flights", [AIRCRAFT], FLIGHTS[-2:]).collect()["flight_id"]) == set(FLIGHTS[-2:])
 
 
-@pytest.mark.parametrize("lost", [["2024-12"], ["2024-11", "2024-12"], ["2024"], ["2024-10", "2024-11", "2024-12"]])
-def test_months_that_were_lost_come_back_once(tmp_path, lost):
+@pytest.mark.parametrize("months", [["2024-12"], ["2024-11", "2024-12"], ["2024"], ["2024-10", "2024-11", "2024-12"]])
+def test_months_that_were_lost_come_back_once(tmp_path, months):
     """With the newest months gone, others are the newest: they stay in the year that has taken them in."""
     merge(store := Store(tmp_path), FLIGHTS)
     files = store.tables.shards("raw_flights")
-    store.tables.remove_files("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in lost])
+    store.tables.remove_files("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in months])
     late = [f for f in FLIGHTS if "_202409" in f]
     merge(store, late, n=1)
     left = set(store.read_table("raw_flights")["flight_id"])
     merge(store, [f for f in FLIGHTS if f not in left], n=2)
-    assert [flight for flight, _ in held(store)] == FLIGHTS
-    assert {n for flight, n in held(store) if flight in late} == {1}
+    assert [flight for flight, _ in stored_rows(store)] == FLIGHTS
+    assert {n for flight, n in stored_rows(store) if flight in late} == {1}
 
 
 def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
@@ -95,7 +95,7 @@ def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
     (store.place.root / "raw_flights" / file).write_bytes(b"torn")
     repair_home(tmp_path / "landing", store, ledger)
     assert sorted(ledger.cells("raw_flights")["flight_id"]) == [f for f in FLIGHTS if "_2023" not in f]
-    assert [flight for flight, _ in held(store)] == [f for f in FLIGHTS if "_2023" not in f]
+    assert [flight for flight, _ in stored_rows(store)] == [f for f in FLIGHTS if "_2023" not in f]
 
 
 def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
@@ -106,4 +106,4 @@ def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
     for commit in (store.place.root / "raw_flights/_delta_log").iterdir():
         commit.unlink()
     repair_home(tmp_path / "landing", store, ledger)
-    assert [flight for flight, _ in held(store)] == FLIGHTS
+    assert [flight for flight, _ in stored_rows(store)] == FLIGHTS

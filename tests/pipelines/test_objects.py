@@ -44,12 +44,15 @@ def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_pa
     store = Store(tmp_path, s3_url)
     write(store, "old")
     row = json.dumps([{"model_version": "new", "card": "{}", "model": ""}])
-    told, armed = os.environ | {URL: s3_url}, f"from benchmarks.fault_points import arm; arm('{point}:1'); {WRITE}"
-    died = subprocess.run([sys.executable, "-c", armed, str(tmp_path), row], env=told, check=False)
+    environment, armed = (
+        os.environ | {URL: s3_url},
+        f"from benchmarks.fault_points import arm; arm('{point}:1'); {WRITE}",
+    )
+    died = subprocess.run([sys.executable, "-c", armed, str(tmp_path), row], env=environment, check=False)
     assert died.returncode == -signal.SIGKILL
     assert version(store) == ["new" if point == "after_commit" else "old"]
-    held = [key for key in store.place.sizes(TABLE) if key.endswith(".parquet")]
-    assert len(held) == (1 if point == "before_write" else 2)
+    files = [key for key in store.place.sizes(TABLE) if key.endswith(".parquet")]
+    assert len(files) == (1 if point == "before_write" else 2)
 
 
 def test_a_catalog_reads_the_objects_of_its_hour(s3_url, tmp_path, monkeypatch):
@@ -128,7 +131,7 @@ def _counts(home: Path) -> dict[str, int]:
 
 def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "a-wrong-secret")
-    with pytest.raises(StoreError, match="privileges") as told:
+    with pytest.raises(StoreError, match="privileges") as error:
         Store(tmp_path, s3_url).read_table(TABLE)
-    assert "\n" not in str(told.value)
-    assert "a-wrong-secret" not in str(told.value)
+    assert "\n" not in str(error.value)
+    assert "a-wrong-secret" not in str(error.value)

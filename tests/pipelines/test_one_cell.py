@@ -29,11 +29,11 @@ class Page:
     instance: dg.DagsterInstance
     home: Path
 
-    def materialize(self, stages: list[str], **asked: Any) -> None:
+    def materialize(self, stages: list[str], **options: Any) -> None:
         """Run some stages for a `partition_key` or a range's `tags`."""
         keys = {dg.AssetKey(table) for name in stages for table in STAGE[name].tables}
         job = self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
-        assert job.execute_in_process(instance=self.instance, **asked).success
+        assert job.execute_in_process(instance=self.instance, **options).success
 
 
 def stored(home) -> dict[str, tuple[list[str], pl.DataFrame]]:

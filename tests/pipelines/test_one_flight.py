@@ -48,12 +48,12 @@ def test_a_flight_that_makes_a_stage_fail_is_found_and_named(error, zone, folder
 
     monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
     night = run(landing, home)
-    (told,) = (why for where, why in night.failed.items() if where == "operational twins: QQX:Z9")
-    assert told.startswith(f"{sick} (QQX/Z9/acms/{sick}.csv): ")
-    assert "matrix is singular" in told
+    (reason,) = (why for where, why in night.failed.items() if where == "operational twins: QQX:Z9")
+    assert reason.startswith(f"{sick} (QQX/Z9/acms/{sick}.csv): ")
+    assert "matrix is singular" in reason
     assert stored(home) == set(zone.flights) - {sick}
     again = run(landing, home)
-    assert [why for where, why in again.failed.items() if where.startswith("operational")] == [told]
+    assert [why for where, why in again.failed.items() if where.startswith("operational")] == [reason]
     assert again.cells < 3 * FLIGHTS  # its own, and what follows from it
 
 

@@ -23,8 +23,8 @@ def land(source: Path, landing: Path, end: str) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         if file.name in ("messages.csv", "maintenance.csv"):
             head, *lines = file.read_text().splitlines()
-            known = [line for line in lines if line[:10].replace("-", "") < end]
-            target.write_text("\n".join([head, *known]) + "\n")
+            earlier = [line for line in lines if line[:10].replace("-", "") < end]
+            target.write_text("\n".join([head, *earlier]) + "\n")
         elif _day(file) < end:
             shutil.copy2(file, target)
 
@@ -43,8 +43,8 @@ def read(home: Path) -> Tables:
     """All views, and all tables as `tables.NAME`; which files hold them is no matter."""
     with connect(home) as con:
         names = con.execute("select table_schema, table_name from information_schema.tables").fetchall()
-        held = {(s, n): con.sql(f'select * from {s}."{n}"').pl() for s, n in names if (s, n) != ("tables", "files")}
-    return {name if schema == "main" else f"{schema}.{name}": frame for (schema, name), frame in held.items()}
+        frames = {(s, n): con.sql(f'select * from {s}."{n}"').pl() for s, n in names if (s, n) != ("tables", "files")}
+    return {name if schema == "main" else f"{schema}.{name}": frame for (schema, name), frame in frames.items()}
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +55,13 @@ def at_once(sample_home) -> Tables:
 @pytest.fixture(scope="module")
 def nights(sample_landing, tmp_path_factory) -> dict[str, Tables]:
     """What each night's catalog held."""
-    root, held = tmp_path_factory.mktemp("nights"), {}
+    root, catalogs = tmp_path_factory.mktemp("nights"), {}
     for end in NIGHTS:
         land(sample_landing, root / "landing", end)
         night = run(root / "landing", root / "home")
         assert not night.failed, night.failed
-        held[end] = read(root / "home")
-    return held
+        catalogs[end] = read(root / "home")
+    return catalogs
 
 
 def differences(one: pl.DataFrame, other: pl.DataFrame) -> list[str]:
@@ -85,8 +85,8 @@ def test_in_the_end_every_table_and_view_is_the_same(nights, at_once):
     assert last.keys() == at_once.keys()
     assert len(at_once) > 80
     free = {n: at_once[n].drop(AT_HOME.get(n, [])) for n in at_once}
-    found = {n: differences(last[n].select(frame.columns), frame) for n, frame in free.items()}
-    assert not {n: columns for n, columns in found.items() if columns}
+    by_table = {n: differences(last[n].select(frame.columns), frame) for n, frame in free.items()}
+    assert not {n: columns for n, columns in by_table.items() if columns}
     assert last["prognoses"].height > 2500
 
 
@@ -95,25 +95,25 @@ def test_what_a_night_left_stands(nights, at_once):
     version = at_once["tables.calibration_dsm"]["dsm_version"]
     settled = [end for end in NIGHTS[:-1] if nights[end]["tables.calibration_dsm"]["dsm_version"].equals(version)]
     assert settled == list(NIGHTS[1:-1])
-    found, compared = {}, set()
+    by_night, compared = {}, set()
     for end in settled:
         for name, whole in at_once.items():
-            told = _told(name, whole) if name != "open_alerts" else None  # those of tonight
-            if told is not None:
+            day = _day_of_row(name, whole) if name != "open_alerts" else None  # those of tonight
+            if day is not None:
                 compared.add(name)
-                one, other = (_standing(name, frame.filter(told < end)) for frame in (nights[end][name], whole))
+                one, other = (_standing(name, frame.filter(day < end)) for frame in (nights[end][name], whole))
                 if name == "prognosis_outcomes":  # its rows end where an event's came to be on record
                     one = one.join(other, on=KEY, how="semi")
                     assert one.height > 0.9 * other.height
                     other = other.join(one, on=KEY, how="semi")
-                found[end, name] = differences(one, other)
-    assert not {place: columns for place, columns in found.items() if columns}
+                by_night[end, name] = differences(one, other)
+    assert not {place: columns for place, columns in by_night.items() if columns}
     assert compared >= {"prognoses", "features", "health_parameters", "residuals", "alerts", "training_set", "as_of"}
     assert compared >= {"prognosis_outcomes", "unit_lives", "tables.prognosis_model", "tables.raw_messages"}
     assert {name.removeprefix("tables.") for name in compared} >= {t for r in REVISIONS for t in r.tables}
 
 
-def _told(name: str, frame: pl.DataFrame) -> pl.Expr | None:
+def _day_of_row(name: str, frame: pl.DataFrame) -> pl.Expr | None:
     """The day that a row speaks of, as YYYYMMDD; None where it speaks of no flight, alert, life or month."""
     if "on_date" in frame.columns:
         return pl.col("on_date").dt.strftime("%Y%m%d")

@@ -47,21 +47,21 @@ def tables(tail: str) -> dict[str, list[dict]]:
     health, prognoses, alerts = [], [], []
     for (own, pack), loss in LOSSES.items():
         for n, value, p in zip((THEN, NOW), loss, CHANCES[own, pack], strict=True):
-            said = flight(tail, n) | {"pack": pack, "component": "HX"}
-            health.append(said | {"parameter": "hx_fouling", "value": value, "sd": 0.01, "unit": "-", "status": "ok"})
+            row = flight(tail, n) | {"pack": pack, "component": "HX"}
+            health.append(row | {"parameter": "hx_fouling", "value": value, "sd": 0.01, "unit": "-", "status": "ok"})
             left = {"rul_flights": 200 * (1 - p), "rul_low": 100 * (1 - p), "rul_high": 300 * (1 - p)}
-            prognoses.append(said | left | {"p_event_50": p, "model_version": "m", "split": "live"})
+            prognoses.append(row | left | {"p_event_50": p, "model_version": "m", "split": "live"})
         if own != tail:
             del health[-2:], prognoses[-2:]
     for name, own, pack, component, diagnosis, then, now, closed in ALERTS:
         if own == tail:
-            told = {"alert_id": name, "pack": pack, "component": component, "diagnosis": diagnosis}
+            identity = {"alert_id": name, "pack": pack, "component": component, "diagnosis": diagnosis}
             ends = None if closed is None else START + dt.timedelta(days=closed)
-            said = {"raised_severity": then, "severity": now, "evidence": f"Then {name}.", "closed_at": ends}
-            said |= {"evidence_now": f"Now {name}. Supports: a. Against: b.", "recommended_action": f"Do {name}."}
+            row = {"raised_severity": then, "severity": now, "evidence": f"Then {name}.", "closed_at": ends}
+            row |= {"evidence_now": f"Now {name}. Supports: a. Against: b.", "recommended_action": f"Do {name}."}
             raised = flight(tail, THEN)
             times = {"raised_flight_id": raised["flight_id"], "raised_at": raised["departed_at"]}
-            alerts.append(raised | told | said | times | {"now_flight_id": flight(tail, NOW)["flight_id"]})
+            alerts.append(raised | identity | row | times | {"now_flight_id": flight(tail, NOW)["flight_id"]})
     flights = [flight(tail, n) | {"landed_at": START, "source": "acms"} for n in range(NOW + 1)]
     return {"raw_flights": flights, "twin_health": health, "features_alerts": alerts, "prognoses": prognoses}
 
@@ -89,8 +89,8 @@ def report(home: Path) -> str:
 
 def part(report: str, name: str) -> str:
     """Text of a section, tags taken out."""
-    found = re.sub(r"<[^>]+>", " ", report.partition(f'id="{name}"')[2].partition("</section>")[0])
-    return found.replace("\N{NO-BREAK SPACE}", " ")
+    text = re.sub(r"<[^>]+>", " ", report.partition(f'id="{name}"')[2].partition("</section>")[0])
+    return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
@@ -155,8 +155,10 @@ def test_a_card_tells_then_from_now(report):
     """What was true when it was raised and what is true now, each with its date, in the same words."""
     card = part(report, "alerts").split("AAA, case aaaa1111")[0]
     then, now = re.split(r"\bNow\b", card.partition("When raised")[2], maxsplit=1)
-    assert all(said in then for said in ("2024-03-11 06:00 UTC", "16 % (14 to 18)", "more than 97", "3 %", "medium"))
-    assert all(said in now for said in ("2024-04-10 06:00 UTC", "34 % (32 to 36)", "24 (12 to 36)", "88 %", "high"))
+    assert all(
+        phrase in then for phrase in ("2024-03-11 06:00 UTC", "16 % (14 to 18)", "more than 97", "3 %", "medium")
+    )
+    assert all(phrase in now for phrase in ("2024-04-10 06:00 UTC", "34 % (32 to 36)", "24 (12 to 36)", "88 %", "high"))
     tonight = part(report, "tonight")
     row = tonight[tonight.index("T-1 pack 1") : tonight.index("T-2 pack 2")]
     assert all(text in row for text in ("34 % (32 to 36)", "24 (12 to 36)", "88 %", "fouling since 2024-03-11"))
@@ -165,20 +167,20 @@ def test_a_card_tells_then_from_now(report):
     assert [role for role in ("Supports:", "Neutral:", "Against:") if role in card] == ["Supports:", "Against:"]
 
 
-@pytest.mark.parametrize("asked", ["T-1", "t-1", "T-1 1", "T-1/1", "AAA T-1", "AAA T-1 1", "T-1 pack 1 (left)"])
-def test_a_pack_may_be_named_as_night_and_report_name_it(home, asked):
-    told = str(explain(home, asked))
-    assert told.startswith("AAA T-1 pack 1 (left): Act now. UA lost 34 % (32 to 36), flights left 24 (12 to 36)")
-    then, now = told.split("When raised (2024-03-11 06:00 UTC, after T-1_20240311_01, medium)")[1].split("Now (after")
+@pytest.mark.parametrize("words", ["T-1", "t-1", "T-1 1", "T-1/1", "AAA T-1", "AAA T-1 1", "T-1 pack 1 (left)"])
+def test_a_pack_may_be_named_as_night_and_report_name_it(home, words):
+    answer = str(explain(home, words))
+    assert answer.startswith("AAA T-1 pack 1 (left): Act now. UA lost 34 % (32 to 36), flights left 24 (12 to 36)")
+    then, now = answer.split("When raised (2024-03-11 06:00 UTC, after T-1_20240311_01, medium)")[1].split("Now (after")
     assert "flights left (90 %) more than 97; message in 50 flights 3 %. Then aaaa1111." in then
     assert "flights left (90 %) 24 (12 to 36); message in 50 flights 88 %. Now aaaa1111." in now
 
 
 def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
-    told = str(explain(home, "T-2"))
-    assert told.startswith("AAA T-2 pack 2 (right): Act now.")
-    assert "Do bbbb2222." in told
-    assert "Also T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in told
+    answer = str(explain(home, "T-2"))
+    assert answer.startswith("AAA T-2 pack 2 (right): Act now.")
+    assert "Do bbbb2222." in answer
+    assert "Also T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in answer
     other = str(explain(home, "T-2 1"))
     assert other.index("Do bbbb1111.") < other.index("Do aaaa2222."), "of one pack the most urgent alert first"
     assert "Do bbbb2222." not in other
@@ -193,20 +195,21 @@ def test_what_the_night_prints_can_be_asked_for(home, capsys):
 
 
 def test_a_pack_without_an_open_alert_says_so(home):
-    told = str(explain(home, "T-1 2"))
-    assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in told
+    answer = str(explain(home, "T-1 2"))
+    assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in answer
     closed = str(explain(home, "cccc1111"))
     assert "closed 2024-03-21 06:00 UTC" in closed
     assert "At its end (after" in closed
 
 
 @pytest.mark.parametrize(
-    ("asked", "says"), [("bbbb", "2 alerts begin with bbbb"), ("T-1 3", "no pack or alert"), ("", "no pack or alert")]
+    ("words", "message"),
+    [("bbbb", "2 alerts begin with bbbb"), ("T-1 3", "no pack or alert"), ("", "no pack or alert")],
 )
-def test_what_names_nothing_ends_in_one_line(home, asked, says, capsys):
-    done = CliRunner().invoke(app, ["explain", asked, "--home", str(home)])
+def test_what_names_nothing_ends_in_one_line(home, words, message, capsys):
+    done = CliRunner().invoke(app, ["explain", words, "--home", str(home)])
     assert done.exit_code != 0
-    assert says in str(done.exception)
+    assert message in str(done.exception)
 
 
 def test_words_without_quotes_are_one_name(home):

@@ -140,7 +140,7 @@ def hdt(world: dict[str, Any], *words: object) -> subprocess.CompletedProcess[st
     return subprocess.run(command, env=world["env"], capture_output=True, text=True, timeout=300, check=False)
 
 
-def asked(world: dict[str, Any], sql: str) -> list[tuple[Any, ...]]:
+def query_rows(world: dict[str, Any], sql: str) -> list[tuple[Any, ...]]:
     with connect(world["home"]) as con:
         return con.sql(sql).fetchall()
 
@@ -149,29 +149,29 @@ def test_the_page_says_what_the_night_found(world):
     (promised,) = blocks("text")
     assert hdt(world, "explain", "COOLER 1").stdout.startswith(promised.strip())
     assert "Other components most in need of attention" in world["said"]
-    raised = asked(world, "select raised_flight_id, raised_severity from alerts where component = 'HC'")
+    raised = query_rows(world, "select raised_flight_id, raised_severity from alerts where component = 'HC'")
     assert raised == [("CYCLE-0745", "high")]
-    ((loss,),) = asked(
+    ((loss,),) = query_rows(
         world, "select value from health_parameters where parameter = 'hc_fouling' and flight_id = 'CYCLE-0745'"
     )
     assert 0.45 < loss < 0.55
     for command in blocks("")[1:]:
         for sql in re.findall(r'hdt query --home home "(.*)"', command):
-            assert asked(world, sql)
+            assert query_rows(world, sql)
 
 
 def test_the_loss_is_known_as_it_was_made(world):
     """Within four of its own standard deviations, and 0.01 in the mean."""
     sql = "select tail, flight_id, value, sd from health_parameters where parameter = 'ng_efficiency_loss' order by all"
     for tail in TRUTH:
-        said = {f: (v, sd) for t, f, v, sd in asked(world, sql) if t == tail}
-        off = [(said[flight_id(tail, k)][0] - TRUTH[tail][k]) for k in range(FLIGHTS)]
+        estimates = {f: (v, sd) for t, f, v, sd in query_rows(world, sql) if t == tail}
+        off = [(estimates[flight_id(tail, k)][0] - TRUTH[tail][k]) for k in range(FLIGHTS)]
         assert np.abs(off).mean() < 0.01
-        assert np.mean([abs(e) < 4 * said[flight_id(tail, k)][1] + 0.005 for k, e in enumerate(off)]) > 0.97
+        assert np.mean([abs(e) < 4 * estimates[flight_id(tail, k)][1] + 0.005 for k, e in enumerate(off)]) > 0.97
 
 
 def test_the_alert_comes_before_the_message_and_ends_with_the_unit(world):
-    alerts = asked(
+    alerts = query_rows(
         world, "select tail, raised_flight_id, closed_at, recommended_action from alerts where component = 'NG'"
     )
     ((tail, raised, closed, action),) = alerts
@@ -179,41 +179,43 @@ def test_the_alert_comes_before_the_message_and_ends_with_the_unit(world):
     assert flight_id(tail, 60) < raised < flight_id(tail, 130)  # 8 % are lost at flight 94
     assert closed.date() == (datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED)).date()
     assert action.startswith("Borescope")
-    assert asked(world, "select outcome from alert_outcomes where component = 'NG'") == [("confirmed",)]
-    ((lead,),) = asked(world, "select lead_flights from alert_lead_times where component = 'NG'")
+    assert query_rows(world, "select outcome from alert_outcomes where component = 'NG'") == [("confirmed",)]
+    ((lead,),) = query_rows(world, "select lead_flights from alert_lead_times where component = 'NG'")
     assert 60 < lead < 130
 
 
 def test_remaining_life_holds_the_truth(world):
     """From the flight that the wear shows on: nine of ten intervals hold, and the middle is near."""
     what = "flight_id, rul_low, rul_flights, rul_high, p_event_50"
-    said = {f: row for f, *row in asked(world, f"select {what} from prognoses where tail = 'AQ-WORN'")}
+    prognoses = {f: row for f, *row in query_rows(world, f"select {what} from prognoses where tail = 'AQ-WORN'")}
     left = {k: FAILS - k for k in range(80, FAILS)}
-    rows = [(left[k], *said[flight_id("AQ-WORN", k)]) for k in left]
-    held = np.mean([low <= truth <= high for truth, low, _, high, _ in rows])
-    assert held > 0.85
+    rows = [(left[k], *prognoses[flight_id("AQ-WORN", k)]) for k in left]
+    coverage = np.mean([low <= truth <= high for truth, low, _, high, _ in rows])
+    assert coverage > 0.85
     assert np.mean([abs(truth - middle) for truth, _, middle, _, _ in rows]) < 25
     assert rows[0][4] < 0.1
     assert rows[-1][4] > 0.5
-    ((sound,),) = asked(world, "select max(p_event_50) from prognoses where component = 'NG' and tail = 'AQ-SOUND'")
+    ((sound,),) = query_rows(
+        world, "select max(p_event_50) from prognoses where component = 'NG' and tail = 'AQ-SOUND'"
+    )
     assert sound < 0.1
 
 
 def test_bad_rows_are_told_and_cost_nothing_else(world):
     sql = "select row, column_name, reason from quarantine where file like '%AQ-SOUND/ng/%' order by all"
-    found = set(asked(world, sql))
+    entries = set(query_rows(world, sql))
     assert {
         (3, "exit_degc", "out_of_range"),
         (4, "exit_degc", "not_a_number"),
         (5, None, "bad_cycle_id"),
         (6, None, "bad_pack"),
         (None, None, "unexpected_name"),
-    } == found
-    ((delivered, loaded, kept),) = asked(
+    } == entries
+    ((delivered, loaded, quarantined),) = query_rows(
         world,
         "select sum(delivered), sum(loaded), sum(quarantined) from deliveries where file like '%AQ-SOUND/ng/%.csv'",
     )
-    assert (delivered, loaded, kept) == (20 * FLIGHTS, 20 * FLIGHTS - 2, 2)
+    assert (delivered, loaded, quarantined) == (20 * FLIGHTS, 20 * FLIGHTS - 2, 2)
 
 
 def test_the_catalog_is_sound_and_the_report_has_their_section(world, tmp_path):
@@ -227,14 +229,14 @@ def test_the_catalog_is_sound_and_the_report_has_their_section(world, tmp_path):
 
 
 def test_a_second_night_takes_in_what_is_new_of_one_aircraft_alone(world):
-    before = dict(asked(world, "select tail, count(*) from component_features group by tail"))
+    before = dict(query_rows(world, "select tail, count(*) from component_features group by tail"))
     late = flight_id("AQ-SOUND", FLIGHTS)
     TRUTH["AQ-SOUND"] = np.append(TRUTH["AQ-SOUND"], 0.0)
     compressor_flight("AQ-SOUND", FLIGHTS).write_csv(world["landing"] / "AQX/AQ-SOUND/ng" / f"{late}.csv")
     done = hdt(world, "nightly", "--landing", world["landing"])
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"1 new of \d+ files, 2 cells in 2 runs", done.stdout), done.stdout
-    assert dict(asked(world, "select tail, count(*) from component_features group by tail")) == before | {
+    assert dict(query_rows(world, "select tail, count(*) from component_features group by tail")) == before | {
         "AQ-SOUND": before["AQ-SOUND"] + 1
     }
     assert "Nothing new" in hdt(world, "nightly", "--landing", world["landing"]).stdout

@@ -23,9 +23,9 @@ def frame(table: str, rows: list[dict]) -> pl.DataFrame:
 def flights(tail: str, loss_per_flight: float) -> list[dict]:
     """A flight a day; a new exchanger on day `REPLACED`."""
     losses = [loss_per_flight * (n if n <= REPLACED else n - REPLACED) for n in range(80)]
-    said = {"hx_fouling_sd": 0.01, "hx_out_sensor_minus_twin_k": 0.0}
+    fixed = {"hx_fouling_sd": 0.01, "hx_out_sensor_minus_twin_k": 0.0}
     return [
-        OWN | said | {"tail": tail, "flight_id": f"{tail}_{n}", "departed_at": START + dt.timedelta(days=n),
+        OWN | fixed | {"tail": tail, "flight_id": f"{tail}_{n}", "departed_at": START + dt.timedelta(days=n),
                       "hx_fouling": loss, "hx_fouling_flight": loss, "hx_out_sensor_minus_dsm_k": 20 * loss}
         for n, loss in enumerate(losses)
     ]  # fmt: skip
@@ -34,12 +34,14 @@ def flights(tail: str, loss_per_flight: float) -> list[dict]:
 @pytest.fixture
 def night() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     tails = {f"T-{k}": 0.001 * k for k in range(1, 9)}
-    said = [OWN | {"tail": t, "component": "HX", "departed_at": START, "p_event_50": 50 * v} for t, v in tails.items()]
+    prognoses = [
+        OWN | {"tail": t, "component": "HX", "departed_at": START, "p_event_50": 50 * v} for t, v in tails.items()
+    ]
     day = (START + dt.timedelta(days=REPLACED)).date()
     work = [OWN | {"tail": t, "component": "HX", "action": "REPLACED", "done_on": day} for t in tails]
     return (
         frame("features", [f for t, v in tails.items() for f in flights(t, v)]),
-        frame("prognoses", said),
+        frame("prognoses", prognoses),
         frame("raw_maintenance", work),
     )
 
@@ -49,19 +51,19 @@ def names(figure) -> list[str]:
 
 
 def test_the_six_packs_most_in_need_are_drawn_worst_first(night):
-    found = night_figures(*night)
+    figures = night_figures(*night)
     worst = [f"T-{k} pack 1" for k in (8, 7, 6, 5, 4, 3)]
-    assert names(found["health_over_flights"]) == names(found["outlet_residuals"]) == worst
-    assert names(found["figure_16"]) == ["Figure 16: T-8 pack 1, exchanger replaced 2024-04-10"]
+    assert names(figures["health_over_flights"]) == names(figures["outlet_residuals"]) == worst
+    assert names(figures["figure_16"]) == ["Figure 16: T-8 pack 1, exchanger replaced 2024-04-10"]
 
 
 def test_a_picture_keeps_its_size_whatever_the_fleet_flew(night):
     features, prognoses, maintenance = night
     later = pl.concat([features.with_columns(pl.col("departed_at") + pl.duration(days=80 * k)) for k in range(30)])
-    for said in night_pictures(later, prognoses, maintenance).values():
-        found = re.fullmatch(r"!\[figure\]\(data:image/png;base64,(.*)\)", said.md_str)
-        assert base64.b64decode(found[1]).startswith(b"\x89PNG")
-        assert len(said.md_str) < 60_000
+    for picture in night_pictures(later, prognoses, maintenance).values():
+        match = re.fullmatch(r"!\[figure\]\(data:image/png;base64,(.*)\)", picture.md_str)
+        assert base64.b64decode(match[1]).startswith(b"\x89PNG")
+        assert len(picture.md_str) < 60_000
 
 
 def test_flights_are_counted_from_the_first_after_the_replacement(night):

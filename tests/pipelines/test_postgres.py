@@ -40,14 +40,14 @@ def test_a_night_is_recorded_as_in_the_embedded_default(database: str, tmp_path:
     (tmp_path / "production/dagster").mkdir(parents=True)
     (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.read_text())
     monkeypatch.setenv("HDT_POSTGRES_URL", database)
-    made = []
+    recorded = []
     for home in (tmp_path / "embedded", tmp_path / "production"):
         night = nightly.run_night(tmp_path / "landing", home, Silent())
         assert not night.failed, night.failed
         instance = open_instance(home)
-        made.append((type(instance.event_log_storage).__name__, cells(instance)))
+        recorded.append((type(instance.event_log_storage).__name__, cells(instance)))
         instance.dispose()
-    (embedded, first), (postgres, second) = made
+    (embedded, first), (postgres, second) = recorded
     assert (embedded, postgres) == ("BatchedSqliteEventLogStorage", "BatchedPostgresEventLogStorage")
     assert first == second
     assert all(len(c) >= 20 for name, c in first.items() if name in {"raw_snapshots", "legs_samples", "twin_flights"})

@@ -44,14 +44,14 @@ def drop(landing: Path, spoils: list[Spoil], folder: str = "AQX/LX-AAA") -> None
 def night(landing: Path, home: Path) -> frozenset[str]:
     """Take in and publish what lies there, as far as the raw stage; the files that came."""
     store, ledger, aircraft = Store(home), Ledger(home), ("AQX", "LX-AAA")
-    came = scan(landing, ledger).new_paths
+    new_paths = scan(landing, ledger).new_paths
     flights = ledger.flights_on_file()["flight_id"].to_list()
-    taken = ingest_flights(landing, store, ledger, aircraft, flights)
-    frames = {"raw_snapshots": taken.rows, "raw_deliveries": taken.deliveries, "raw_quarantine": taken.quarantine}
+    intake = ingest_flights(landing, store, ledger, aircraft, flights)
+    frames = {"raw_snapshots": intake.rows, "raw_deliveries": intake.deliveries, "raw_quarantine": intake.quarantine}
     for table, frame in frames.items():
         store.merge(table, {aircraft: flights}, frame)
     publish(home)
-    return came
+    return new_paths
 
 
 @pytest.fixture
@@ -97,14 +97,14 @@ def test_whole_rows_refused_are_silence_and_a_spike_is_none(zone):
 def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
     landing, home = zone
     drop(landing, [as_it_is, LATE])
-    came = night(landing, home)
+    new_paths = night(landing, home)
     with connect(home) as con:
-        said = quarantine_line(con, came)
+        line = quarantine_line(con, new_paths)
         assert quarantine_line(con, frozenset()) == ""
-    assert said.startswith(
+    assert line.startswith(
         "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
     )
-    assert 'hdt query "select * from quarantine where n_rows > 0"' in said
+    assert 'hdt query "select * from quarantine where n_rows > 0"' in line
 
 
 def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
@@ -168,6 +168,6 @@ def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):
     drop(landing, [as_it_is, KNOTS, KNOTS, KNOTS])
     (landing / "AQX" / "odd.txt").write_text("")
     app(["nightly", "--landing", str(landing), "--home", str(home)], standalone_mode=False)
-    said = capfd.readouterr().err
-    assert "silent: AQX LX-AAA: mach refused in 100 %" in said
-    assert "not read: AQX/odd.txt" in said
+    stderr = capfd.readouterr().err
+    assert "silent: AQX LX-AAA: mach refused in 100 %" in stderr
+    assert "not read: AQX/odd.txt" in stderr

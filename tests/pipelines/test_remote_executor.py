@@ -40,11 +40,11 @@ def elsewhere(tmp_path_factory, landing) -> Iterator:
     """Daemon and two workers."""
     from benchmarks.site import site
 
-    with site(tmp_path_factory.mktemp("site"), landing, SERVER, BROKER) as made:
-        made.daemon()
+    with site(tmp_path_factory.mktemp("site"), landing, SERVER, BROKER) as machines:
+        machines.daemon()
         for name in ("one", "two"):
-            made.worker(name)
-        yield made
+            machines.worker(name)
+        yield machines
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +150,8 @@ def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_no
     began, other = fleet.now(), fleet.home("other")
     first = multiprocessing.get_context("spawn").Process(target=_night, args=(fleet.landing, other))
     first.start()
-    made = "select count(distinct tail) from done where asset = 'raw_flights'"
-    wait(lambda: fleet.rows(made) >= [(1,)] or not first.is_alive(), 60, "the first night does not begin")
+    query = "select count(distinct tail) from done where asset = 'raw_flights'"
+    wait(lambda: fleet.rows(query) >= [(1,)] or not first.is_alive(), 60, "the first night does not begin")
     with pytest.raises(around_night.BusyError, match=rf"process {first.pid}\b"):
         night_over(fleet)
     first.kill()

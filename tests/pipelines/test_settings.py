@@ -86,9 +86,9 @@ def test_a_night_says_so_before_it_does_anything(sample_landing, tmp_path, monke
     monkeypatch.setattr("sys.argv", ["hdt", "nightly", "--landing", str(sample_landing), "--home", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = capsys.readouterr().err.strip().splitlines()
-    assert (ended.value.code, len(said)) == (2, 1), said
-    assert re.match(rf"hdt: .*{re.escape(name)}", said[0])
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert (ended.value.code, len(lines)) == (2, 1), lines
+    assert re.match(rf"hdt: .*{re.escape(name)}", lines[0])
     assert not (tmp_path / "tables").exists()
 
 
@@ -117,12 +117,12 @@ def test_a_private_file_is_closed_though_it_was_open(tmp_path):
 def test_a_narrower_mask_stays(before, after):
     import os
 
-    kept = os.umask(before)
+    mask = os.umask(before)
     try:
         assert narrow_umask() == before
         assert os.umask(before) == after
     finally:
-        os.umask(kept)
+        os.umask(mask)
 
 
 @pytest.mark.parametrize(("text", "fault"), [

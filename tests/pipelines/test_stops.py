@@ -56,8 +56,8 @@ def asked_to_stop(process: subprocess.Popen, number: signal.Signals, group: bool
     """Seconds it took and the last line it said."""
     began = time.monotonic()
     (os.killpg if group else os.kill)(process.pid, number)
-    _, said = process.communicate(timeout=60)
-    return time.monotonic() - began, said.decode().splitlines(keepends=True)[-1]
+    _, stderr = process.communicate(timeout=60)
+    return time.monotonic() - began, stderr.decode().splitlines(keepends=True)[-1]
 
 
 @pytest.mark.parametrize(
@@ -90,13 +90,13 @@ def test_a_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, aft
 @pytest.mark.parametrize("number", CODES)
 def test_a_question_ends_at_once(sample_home, tmp_path, number):
     endless = "select count(*) from range(1000000) a, range(1000000) b where sin(a.range) > b.range + 2"
-    asked = begun("query", "--home", str(sample_home), endless, env=os.environ | {"TMPDIR": str(tmp_path)})
+    process = begun("query", "--home", str(sample_home), endless, env=os.environ | {"TMPDIR": str(tmp_path)})
     while not list(tmp_path.glob("hdt-*")):  # its catalog is open
-        assert asked.poll() is None, asked.communicate()
+        assert process.poll() is None, process.communicate()
         time.sleep(0.1)
     time.sleep(0.5)
-    took_s, line = asked_to_stop(asked, number)
-    assert (asked.returncode, line) == (CODES[number], "hdt: stopped\n")
+    took_s, line = asked_to_stop(process, number)
+    assert (process.returncode, line) == (CODES[number], "hdt: stopped\n")
     assert took_s < QUICK_S
     assert list(tmp_path.iterdir()) == []
 
@@ -153,8 +153,8 @@ def test_a_command_that_writes_a_file_tidies_up(number):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def _wait_for_a_stop(said) -> None:
-    said.send(signal.sigpending() | signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+def _wait_for_a_stop(connection) -> None:
+    connection.send(signal.sigpending() | signal.pthread_sigmask(signal.SIG_BLOCK, ()))
     time.sleep(60)
 
 

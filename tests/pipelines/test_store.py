@@ -33,14 +33,14 @@ def flights(*ids: str, n: int = 1) -> pl.DataFrame:
     return TABLES["raw_flights"].conform(frame)
 
 
-def held(store: Store) -> dict[str, int]:
+def stored_counts(store: Store) -> dict[str, int]:
     return dict(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
 def test_merge_replaces_the_flights_named_and_keeps_the_others(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY, MAY_TOO, JUNE]}, flights(MAY, MAY_TOO, JUNE))
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=7))
-    assert held(store) == {MAY: 7, MAY_TOO: 1, JUNE: 1}
+    assert stored_counts(store) == {MAY: 7, MAY_TOO: 1, JUNE: 1}
     assert len(store.tables.sources("raw_flights")) == 2  # a shard a month
 
 
@@ -85,7 +85,7 @@ def test_two_writers_of_one_month_lose_nothing(store):
         thread.start()
     for thread in both:
         thread.join()
-    assert sorted(held(store)) == sorted(days[0] + days[1])
+    assert sorted(stored_counts(store)) == sorted(days[0] + days[1])
 
 
 def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
@@ -153,7 +153,7 @@ def test_rows_of_what_was_not_asked_for_are_refused(store):
             store.merge("raw_flights", {AIRCRAFT: [MAY]}, frame)
     with pytest.raises(StoreError, match="twin_health: 1 rows are of nothing that was asked for, such as BZR LX-AAA"):
         store.replace("twin_health", [AIRCRAFT], TABLES["twin_health"].conform(other))
-    assert held(store) == {MAY: 1}
+    assert stored_counts(store) == {MAY: 1}
 
 
 def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there(store):
@@ -165,14 +165,14 @@ def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there
     with pytest.raises(StoreError, match="more than once"):
         store.merge("raw_flights", {AIRCRAFT: [MAY_TOO]}, flights(MAY_TOO))
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
-    assert held(store) == {MAY: 1}
+    assert stored_counts(store) == {MAY: 1}
 
 
 @pytest.mark.parametrize("table", TABLES)
 def test_what_is_declared_is_what_delta_lake_can_keep(table):
     empty = TABLES[table].schema.create_empty()
-    kept = pl.from_arrow(pa.schema(Schema.from_arrow(empty.to_arrow().schema).to_arrow()).empty_table())
-    assert kept.schema == empty.schema
+    read_back = pl.from_arrow(pa.schema(Schema.from_arrow(empty.to_arrow().schema).to_arrow()).empty_table())
+    assert read_back.schema == empty.schema
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -181,8 +181,8 @@ def test_every_table_opens_with_polars_pyarrow_and_duckdb(sample_home, table):
     delta = DeltaTable(path)
     assert pl.read_delta(path).height == pl.scan_delta(path).collect().height == rows
     assert delta.to_pyarrow_table().num_rows == delta.to_pyarrow_dataset().count_rows() == rows
-    asked = "select count(columns(*)) from read_parquet($files)", {"files": delta.file_uris()}
-    assert max(duckdb.sql(asked[0], params=asked[1]).fetchall()[0]) == rows
+    query = "select count(columns(*)) from read_parquet($files)", {"files": delta.file_uris()}
+    assert max(duckdb.sql(query[0], params=query[1]).fetchall()[0]) == rows
 
 
 def test_an_earlier_version_stays_readable(store):
@@ -197,17 +197,17 @@ def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp
     """A log of years takes a while to read; another process may have written meanwhile."""
     opened, open_ = [], Deltas.open
     Store(tmp_path).declare("raw_flights")
-    monkeypatch.setattr(Deltas, "open", lambda *asked: opened.append(asked) or open_(*asked))
+    monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
     for n in (1, 2):
         Store(tmp_path).merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=n))
-        assert held(Store(tmp_path)) == {MAY: n, JUNE: n}
+        assert stored_counts(Store(tmp_path)) == {MAY: n, JUNE: n}
         assert Store(tmp_path).declare("raw_flights").number == n
     assert opened == []
     elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
     Store(elsewhere).merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=3))
     shutil.copytree(elsewhere / "tables", tmp_path / "tables", dirs_exist_ok=True)  # as another process would write
     opened.clear()
-    assert held(Store(tmp_path)) == {MAY: 3, JUNE: 2}
+    assert stored_counts(Store(tmp_path)) == {MAY: 3, JUNE: 2}
     assert len(opened) == 1
 
 

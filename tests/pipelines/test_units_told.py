@@ -36,10 +36,10 @@ def test_what_is_written_otherwise_than_agreed_is_told(sample_home, tmp_path):
     assert run(landing, home).failed == {}
     assert faults(home, landing) == []
     with connect(home) as con:
-        told = con.execute(
+        entries = con.execute(
             "select distinct file, reason, column_name from quarantine where scope != 'value'"
         ).fetchall()
-    assert set(told) == {
+    assert set(entries) == {
         (f"QQX/Z9/acms/{swapped}.csv", "swapped_columns", "hx_in_degc, hx_out_degc"),
         (f"QQX/Z9/acms/{fahrenheit}.csv", "wrong_unit", "tat_degc"),
         ("QQX/Z9/maintenance.csv", "too_early", "done_on"),

@@ -72,9 +72,9 @@ def test_a_track_is_stale_for_the_aircraft_of_a_changed_flight_only(ledger):
     make(ledger, "twin_health")
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b2")
     make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
-    wanted = stale_cells_of(ledger, ["twin_health"])
+    stale = stale_cells_of(ledger, ["twin_health"])
     # both aircraft are within the commissioning window, so the model itself has changed with the flight
-    assert set(wanted["tail"]) == {"LX-AAA", "LX-AAB"}
+    assert set(stale["tail"]) == {"LX-AAA", "LX-AAB"}
 
 
 def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
@@ -93,13 +93,13 @@ def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_pat
     deliver(ledger, A, "x.csv", ["LX-AAA_20240501_01"], "d")
     make(ledger, "raw_flights", "legs_samples")
     before = set(expected_versions(ledger, "calibration_dsm")["version"])
-    seen = []
+    versions = []
     for day in (dt.date(2024, 5, 2), dt.date(2024, 5, 1)):
         row = {"operator": "AQX", "tail": "LX-AAA", "done_on": day, "pack": 1, "component": "HX", "action": "REPLACED"}
         store.replace("raw_maintenance", [A], TABLES["raw_maintenance"].conform(pl.DataFrame([row])))
-        seen.append(set(expected_versions(ledger, "calibration_dsm")["version"]))
-    assert seen[0] == before
-    assert seen[1] != before
+        versions.append(set(expected_versions(ledger, "calibration_dsm")["version"]))
+    assert versions[0] == before
+    assert versions[1] != before
 
 
 @pytest.mark.parametrize("table", LINEAGE)
@@ -125,8 +125,8 @@ ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.o
 @pytest.mark.parametrize("table", ["twin_health", "prognoses"])
 def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(ledger, monkeypatch, table):
     """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
-    made = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
-    make(ledger, *made, "raw_maintenance")
+    tables = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
+    make(ledger, *tables, "raw_maintenance")
     assert ledger.cells("features_margin").height == 3
     answers, as_asked = Ledger.lines, expected_versions(ledger, table)
 

@@ -46,8 +46,8 @@ def test_there_is_a_language_beside_english():
 @pytest.mark.parametrize("language", OTHERS)
 def test_no_message_is_missing_and_none_is_left_over(language):
     """`python -m pipelines.translations` finds them anew."""
-    said, kept = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
-    assert kept == said
+    collected, translated = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
+    assert translated == collected
 
 
 @pytest.mark.parametrize("language", OTHERS)
@@ -56,9 +56,9 @@ def test_every_message_is_translated_with_all_its_values(language):
         if message.id:
             assert not message.fuzzy
             assert all(forms(message.string)), message.id
-            for one, told in zip(forms(message.id), forms(message.string), strict=True):
-                assert fields(told) == fields(one), message.id
-                assert told.count("%") == one.count("%"), message.id
+            for one, translation in zip(forms(message.id), forms(message.string), strict=True):
+                assert fields(translation) == fields(one), message.id
+                assert translation.count("%") == one.count("%"), message.id
 
 
 @pytest.mark.parametrize("language", OTHERS)
@@ -74,9 +74,9 @@ def filled(phrase: str) -> str:
 
 @pytest.mark.parametrize("phrase", PHRASES)
 def test_a_phrase_is_known_again_with_its_values(phrase):
-    found = pattern_of(phrase).fullmatch(filled(phrase))
-    assert found is not None
-    assert {k: v for k, v in found.groupdict().items() if k != "small"} == {
+    match = pattern_of(phrase).fullmatch(filled(phrase))
+    assert match is not None
+    assert {k: v for k, v in match.groupdict().items() if k != "small"} == {
         k: SAMPLE.get(k, "7") for k in fields(phrase)
     }
 
@@ -84,10 +84,10 @@ def test_a_phrase_is_known_again_with_its_values(phrase):
 @pytest.mark.parametrize("phrase", PHRASES)
 def test_a_phrase_is_retold_as_it_was_translated(phrase):
     with use_language("de"):
-        told = translate_evidence(filled(phrase))
+        retold = translate_evidence(filled(phrase))
     to = next(m.string for m in catalog("de") if m.id == phrase)
     assert re.fullmatch(
-        "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), told
+        "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), retold
     )
 
 

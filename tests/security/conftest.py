@@ -24,9 +24,9 @@ class Watched:
     landing: Path
     home: Path
     failed: dict[str, str]
-    seen: list[tuple[str, str]]
+    events: list[tuple[str, str]]
     quarantine: pl.DataFrame
-    said: str
+    output: str
 
 
 @pytest.fixture(scope="session")
@@ -51,7 +51,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory, sample_home: Path) -> Watc
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    told = json.loads((root / "told.json").read_text())
+    report = json.loads((root / "told.json").read_text())
     with connect(home) as con:
         aside = con.sql("select * from quarantine").pl()
-    return Watched(root, landing, home, told["failed"], told["seen"], aside, done.stdout + done.stderr)
+    return Watched(root, landing, home, report["failed"], report["events"], aside, done.stdout + done.stderr)

@@ -11,18 +11,18 @@ from typing import Any
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "support")]
 EVENTS = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen", "pickle.find_class", "socket.connect")
-SEEN: list[tuple[str, str]] = []
+RECORDED: list[tuple[str, str]] = []
 
 
 def watch(event: str, arguments: tuple[Any, ...]) -> None:
     """Note what a night should not do."""
     if event in EVENTS:
-        SEEN.append((event, str(arguments[:2])[:200]))
+        RECORDED.append((event, str(arguments[:2])[:200]))
     elif event == "open" and isinstance(arguments[0], str) and any(c in str(arguments[1]) for c in "wax+"):
-        SEEN.append(("write", arguments[0]))
+        RECORDED.append(("write", arguments[0]))
 
 
-def main(landing: Path, home: Path, told: Path) -> None:
+def main(landing: Path, home: Path, target: Path) -> None:
     """Import first: what importing does is no matter of the data's."""
     from nights import run
 
@@ -33,8 +33,8 @@ def main(landing: Path, home: Path, told: Path) -> None:
     sys.addaudithook(watch)
     night = run(landing, home)
     write_report(home, home / "report.html")
-    seen = list(SEEN)
-    told.write_text(json.dumps({"failed": night.failed, "seen": seen}))
+    events = list(RECORDED)
+    target.write_text(json.dumps({"failed": night.failed, "events": events}))
 
 
 if __name__ == "__main__":

@@ -15,20 +15,20 @@ SICK = {"name": "urllib3", "version": "1.0", "vulns": [{"id": "PYSEC-2020-148", 
 
 
 def bill(lock: str) -> subprocess.CompletedProcess[str]:
-    made = GATE.with_name("sbom")
-    return subprocess.run([sys.executable, made], input=lock, capture_output=True, text=True, check=False)
+    script = GATE.with_name("sbom")
+    return subprocess.run([sys.executable, script], input=lock, capture_output=True, text=True, check=False)
 
 
 def test_the_bill_of_materials_names_every_pinned_package():
     lock = (GATE.parents[1] / "requirements.lock").read_text()
     one, two = bill(lock), bill(lock)
     assert one.stdout == two.stdout
-    made = json.loads(one.stdout)
-    assert (made["bomFormat"], made["specVersion"]) == ("CycloneDX", "1.5")
+    document = json.loads(one.stdout)
+    assert (document["bomFormat"], document["specVersion"]) == ("CycloneDX", "1.5")
     pins = re.findall(r"^([a-z0-9-]+)(?:\[.*?\])?==(\S+)", lock, re.MULTILINE)
-    assert [(c["name"], c["version"]) for c in made["components"]] == pins
-    assert len({c["bom-ref"] for c in made["components"]}) == len(pins) > 100
-    assert sum(len(c["hashes"]) for c in made["components"]) == lock.count("--hash=sha256:")
+    assert [(c["name"], c["version"]) for c in document["components"]] == pins
+    assert len({c["bom-ref"] for c in document["components"]}) == len(pins) > 100
+    assert sum(len(c["hashes"]) for c in document["components"]) == lock.count("--hash=sha256:")
 
 
 @pytest.mark.parametrize("lock", ["", "numpy==2.0\n"])
@@ -39,7 +39,7 @@ def test_a_bill_of_nothing_is_no_bill(lock):
 
 
 @pytest.mark.parametrize(
-    ("packages", "code", "said"),
+    ("packages", "code", "message"),
     [
         ([SOUND], 0, "1 packages audited"),
         ([], 1, "0 of 0 packages audited"),
@@ -48,8 +48,8 @@ def test_a_bill_of_nothing_is_no_bill(lock):
         ([SOUND, SICK], 1, "urllib3: PYSEC-2020-148"),
     ],
 )
-def test_only_a_whole_and_clean_audit_passes(packages, code, said):
+def test_only_a_whole_and_clean_audit_passes(packages, code, message):
     report = json.dumps({"dependencies": packages, "fixes": []})
     done = subprocess.run([sys.executable, GATE], input=report, capture_output=True, text=True, check=False)
     assert done.returncode == code
-    assert said in done.stdout + done.stderr
+    assert message in done.stdout + done.stderr

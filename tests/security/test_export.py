@@ -38,14 +38,14 @@ def home(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for table in tables_read():
         _take_first(Store(sample_home), store, table)
     for own, other in ((OWN, OTHER), (OTHER, OWN)):
-        said = f"{own[1]}, {own[1].replace('-', '').lower()} and {other[1]}X, not {other[1].lower()} of {other[0]}"
-        _change(store, "features_alerts", own, pl.col("evidence") + said)
-        _change(store, "raw_messages", own, pl.lit(said).alias("text"))
+        mention = f"{own[1]}, {own[1].replace('-', '').lower()} and {other[1]}X, not {other[1].lower()} of {other[0]}"
+        _change(store, "features_alerts", own, pl.col("evidence") + mention)
+        _change(store, "raw_messages", own, pl.lit(mention).alias("text"))
         _change(store, "raw_maintenance", own, pl.concat_str("reference", pl.lit(f"/{own[1]}")))
-        told = _refused(f"{own[0]}/{own[1]}/acms/{other[1]}_20240401_01.csv", said).with_columns(
+        entry = _refused(f"{own[0]}/{own[1]}/acms/{other[1]}_20240401_01.csv", mention).with_columns(
             operator=pl.lit(own[0]), tail=pl.lit(own[1]), flight_id=pl.lit(f"{own[1]}_20240401_01")
         )
-        store.replace("raw_records_quarantine", [own], told)
+        store.replace("raw_records_quarantine", [own], entry)
     files = ("fleet.csv", "AQX/lx_aab.csv", "BZR/a9_bac.csv", "AQX/Q9-ZZZ.csv")
     store.replace("raw_files_quarantine", [FLEET], pl.concat([_refused(f, f"{OWN} {OTHER}") for f in files]))
     publish(home)
@@ -70,23 +70,23 @@ def _change(store: Store, table: str, aircraft: tuple[str, str], change: pl.Expr
     store.replace(table, [aircraft], frame.with_columns(change))
 
 
-def _refused(file: str, said: str) -> pl.DataFrame:
-    noted = {"file": file, "row": 2, "column_name": said, "reason": "bad_key", "detail": said, "scope": "row"}
-    return pl.DataFrame(noted | {"received_at": datetime(2024, 4, 1, tzinfo=UTC), "n_rows": 0, "content": said})
+def _refused(file: str, text: str) -> pl.DataFrame:
+    noted = {"file": file, "row": 2, "column_name": text, "reason": "bad_key", "detail": text, "scope": "row"}
+    return pl.DataFrame(noted | {"received_at": datetime(2024, 4, 1, tzinfo=UTC), "n_rows": 0, "content": text})
 
 
 @dataclass(frozen=True)
-class Given:
+class Export:
     """An export and all it says, in plain text and as it lies on the disk."""
 
     folder: Path
     rows: dict[str, int]
 
-    def said(self) -> bytes:
+    def read_all(self) -> bytes:
         """All its bytes and all its text, in small letters without hyphens."""
         raw = b"\n".join(f.read_bytes() for f in self.folder.iterdir())
-        told = (self.frame(v).select(pl.selectors.string()).write_csv().encode() for v in (*views(), *self._tables()))
-        return (raw + b"\n".join(told)).lower().replace(b"-", b"")
+        texts = (self.frame(v).select(pl.selectors.string()).write_csv().encode() for v in (*views(), *self._tables()))
+        return (raw + b"\n".join(texts)).lower().replace(b"-", b"")
 
     def _tables(self) -> list[str]:
         return [f"tables.{t}" for t in tables_read()] if (self.folder / CATALOG).exists() else []
@@ -102,13 +102,13 @@ class Given:
 @pytest.fixture(scope="module")
 def given_away(home, tmp_path_factory):
     """An export, made once."""
-    made: dict[tuple, Given] = {}
+    exports: dict[tuple, Export] = {}
 
-    def give(operator: str | None, key: bytes | None, form: str) -> Given:
-        if (operator, key, form) not in made:
+    def give(operator: str | None, key: bytes | None, form: str) -> Export:
+        if (operator, key, form) not in exports:
             folder = tmp_path_factory.mktemp("given") / "out"
-            made[operator, key, form] = Given(folder, export(home, folder, access_scope(home, operator, key), form))
-        return made[operator, key, form]
+            exports[operator, key, form] = Export(folder, export(home, folder, access_scope(home, operator, key), form))
+        return exports[operator, key, form]
 
     return give
 
@@ -119,40 +119,40 @@ def spelt(name: str) -> bytes:
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_an_operator_gets_its_own_rows_and_no_trace_of_others(given_away, form):
-    given = given_away("AQX", None, form)
-    said = given.said()
-    assert spelt(OTHER[1]) not in said
-    assert re.findall(rb".{0,40}\bbzr\b.{0,20}", said) == []
-    assert spelt(OWN[1]) in said
+    own_export = given_away("AQX", None, form)
+    content = own_export.read_all()
+    assert spelt(OTHER[1]) not in content
+    assert re.findall(rb".{0,40}\bbzr\b.{0,20}", content) == []
+    assert spelt(OWN[1]) in content
     for view in ("flights", "legs", "health_parameters", "prognoses", "alerts", "fleet_ranking", "design_parameters"):
-        assert set(given.frame(view)["operator"]) == {"AQX"}, view
-    assert "AQX/lx_aab.csv" in given.frame("quarantine")["file"]
+        assert set(own_export.frame(view)["operator"]) == {"AQX"}, view
+    assert "AQX/lx_aab.csv" in own_export.frame("quarantine")["file"]
 
 
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("operator", [None, "AQX"])
 def test_under_pseudonyms_no_tail_and_no_key_is_told(given_away, home, operator, form):
-    said = given_away(operator, KEY, form).said()
-    assert [t for t in ("LX-AAB", "LX_AAB", "A9-BAC", "A9_BAC", "Q9-ZZZ", KEY.decode()) if spelt(t) in said] == []
+    content = given_away(operator, KEY, form).read_all()
+    assert [t for t in ("LX-AAB", "LX_AAB", "A9-BAC", "A9_BAC", "Q9-ZZZ", KEY.decode()) if spelt(t) in content] == []
     with connect(home) as con:  # an unkeyed hash of a tail, a work order or a serial number leads back as well
         secrets = con.execute("select alert_id from alerts union select msn from tables.raw_fleet").fetchall()
         works = con.execute("select reference from tables.raw_maintenance where reference is not null").fetchall()
-    words = set(re.findall(rb"\w+", said))
+    words = set(re.findall(rb"\w+", content))
     assert [s for (s,) in (*secrets, *works) if spelt(s) in words] == []
 
 
 def test_pseudonyms_change_names_and_nothing_else(given_away):
-    plain, told = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
-    assert plain.rows == told.rows
+    plain, masked = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
+    assert plain.rows == masked.rows
     for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
-        numbers = [f.frame(view).select(pl.selectors.numeric()) for f in (plain, told)]
+        numbers = [f.frame(view).select(pl.selectors.numeric()) for f in (plain, masked)]
         assert numbers[0].sort(pl.all()).equals(numbers[1].sort(pl.all())), view
     for view in ("flights", "alerts"):
-        names = told.frame(view)
+        names = masked.frame(view)
         assert names["tail"].str.contains(r"^P[A-Z2-7]{9}$").all()
         flight = "flight_id" if view == "flights" else "raised_flight_id"
         assert names.filter(~pl.col(flight).str.starts_with(pl.col("tail") + "_")).is_empty()
-    together = told.frame("flights").join(told.frame("legs"), on=["operator", "tail", "flight_id"])
+    together = masked.frame("flights").join(masked.frame("legs"), on=["operator", "tail", "flight_id"])
     assert together.height == plain.rows["legs"]
 
 
@@ -231,7 +231,7 @@ def test_nothing_else_is_overwritten(home, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("--operator", "XXX"), "no operator XXX in"),
         (("--operator", "A' or 1=1 --"), "no operator A' or 1=1 -- in"),
@@ -243,7 +243,7 @@ def test_nothing_else_is_overwritten(home, tmp_path):
     ],
     ids=lambda w: " ".join(w) if isinstance(w, tuple) else "",
 )
-def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, capsys, words, says):
+def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, capsys, words, message):
     from pipelines import cli
 
     monkeypatch.chdir(tmp_path)
@@ -252,10 +252,10 @@ def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monke
     monkeypatch.setattr(sys, "argv", ["hdt", "export", "--home", str(home), "--out", str(tmp_path / "out"), *words])
     with pytest.raises(SystemExit):
         cli.main()
-    said = capsys.readouterr().err
-    assert says in said
-    assert len(said.splitlines()) == 1
-    assert "canary" not in said.replace(str(tmp_path), "").replace(str(home), "")
+    stderr = capsys.readouterr().err
+    assert message in stderr
+    assert len(stderr.splitlines()) == 1
+    assert "canary" not in stderr.replace(str(tmp_path), "").replace(str(home), "")
     assert not (tmp_path / "out").exists()
 
 
@@ -271,8 +271,8 @@ def test_the_examples_of_the_page_run(given_away, tmp_path, monkeypatch, code):
     for name, form in (("out", "parquet"), ("csv", "csv"), ("aqx", "duckdb")):
         (tmp_path / name).symlink_to(given_away("AQX", None, form).folder)
     monkeypatch.chdir(tmp_path)
-    held: dict[str, object] = {}
-    exec(code, held)
-    answers = {k: v for k, v in held.items() if k in ("worst", "last_departure", "alerts", "lives", "own")}
+    namespace: dict[str, object] = {}
+    exec(code, namespace)
+    answers = {k: v for k, v in namespace.items() if k in ("worst", "last_departure", "alerts", "lives", "own")}
     assert answers
     assert all(len(v) for v in answers.values() if hasattr(v, "__len__"))

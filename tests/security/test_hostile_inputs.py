@@ -28,8 +28,8 @@ ROOT = Path(__file__).parents[2]
 def test_a_hostile_file_is_turned_away_with_a_reason(watched, name):
     planted = {n: (path, reason) for n, (path, _, reason) in (FILES | LINKS).items()} | {"a pipe": (PIPE, "not_a_file")}
     path, reason = planted[name]
-    shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path)
-    entries = watched.quarantine.filter(pl.lit(shown).str.starts_with(pl.col("file")))
+    printable = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path)
+    entries = watched.quarantine.filter(pl.lit(printable).str.starts_with(pl.col("file")))
     assert reason in entries["reason"].to_list()
 
 
@@ -42,10 +42,10 @@ def test_the_good_aircraft_among_them_is_taken_in(watched):
 
 
 def test_nothing_was_executed_loaded_or_called(watched):
-    unpickled = [e for e in watched.seen if e[0] == "pickle.find_class" and "polars" not in e[1]]
+    unpickled = [e for e in watched.events if e[0] == "pickle.find_class" and "polars" not in e[1]]
     # Dagster follows the log of each step, joblib counts the cores
     harmless = ("('tail', ['tail', '-F'", "watch_orphans", "('lscpu', ")
-    started = [e for e in watched.seen if e[0] not in ("write", "pickle.find_class")]
+    started = [e for e in watched.events if e[0] not in ("write", "pickle.find_class")]
     started = [e for e in started if not any(h in e[1] for h in harmless)]
     assert started == []
     assert unpickled == []
@@ -55,7 +55,7 @@ def test_nothing_was_executed_loaded_or_called(watched):
 def test_nothing_was_written_outside_the_home(watched):
     home = str(watched.home)
     devices = ("/dev/null", "/proc/", "/sys/")
-    outside = [p for kind, p in watched.seen if kind == "write" and not p.startswith((home, *devices))]
+    outside = [p for kind, p in watched.events if kind == "write" and not p.startswith((home, *devices))]
     assert outside == []
     left = {p.name for p in watched.root.iterdir()}
     assert left == {"landing", "home", "outside", "told.json"}
@@ -70,7 +70,7 @@ def test_the_report_shows_markup_and_runs_none(watched):
 
 
 def test_a_secret_of_the_environment_is_told_to_nobody(watched):
-    assert CANARY not in watched.said
+    assert CANARY not in watched.output
     holders = [f for f in watched.home.rglob("*") if f.is_file() and CANARY.encode() in f.read_bytes()]
     assert holders == []
 
@@ -203,8 +203,8 @@ def test_a_model_that_names_another_type_is_refused(tmp_path, monkeypatch):
 def test_no_module_unpickles():
     wrong = ("pickle.load", "joblib.load", "import pickle", "import joblib", "import dill", "eval(", "os.system(")
     sources = [f for folder in ("hdt_core", "pipelines") for f in (ROOT / folder).rglob("*.py")]
-    found = [(f.name, w) for f in sources for w in wrong if w in f.read_text().replace("literal_eval(", "")]
-    assert found == []
+    uses = [(f.name, w) for f in sources for w in wrong if w in f.read_text().replace("literal_eval(", "")]
+    assert uses == []
 
 
 # --- what is sent --------------------------------------------------------------------------------------------------

@@ -20,11 +20,11 @@ class Client:
     def cookies(self) -> httpx.Cookies:
         return self._http.cookies
 
-    def ask(self, method: str, path: str, **asked: Any) -> httpx.Response:
-        return asyncio.run(self._http.request(method, path, **asked))
+    def ask(self, method: str, path: str, **options: Any) -> httpx.Response:
+        return asyncio.run(self._http.request(method, path, **options))
 
-    def get(self, path: str, **asked: Any) -> httpx.Response:
-        return self.ask("GET", path, **asked)
+    def get(self, path: str, **options: Any) -> httpx.Response:
+        return self.ask("GET", path, **options)
 
-    def post(self, path: str, headers: dict[str, str] | None = None, **asked: Any) -> httpx.Response:
-        return self.ask("POST", path, headers={"origin": ADDRESS} | (headers or {}), **asked)
+    def post(self, path: str, headers: dict[str, str] | None = None, **options: Any) -> httpx.Response:
+        return self.ask("POST", path, headers={"origin": ADDRESS} | (headers or {}), **options)

@@ -25,18 +25,22 @@ def recipes(page: str) -> list[tuple[str, str]]:
 
 def answer(con: duckdb.DuckDBPyConnection, sql: str) -> str:
     """The answer to a query as a table of the page."""
-    found = con.sql(sql)
-    lines = [found.columns, ["---"] * len(found.columns), *([_said(v) for v in row] for row in found.fetchall())]
+    result = con.sql(sql)
+    lines = [
+        result.columns,
+        ["---"] * len(result.columns),
+        *([_format_cell(v) for v in row] for row in result.fetchall()),
+    ]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def answered(page: str, con: duckdb.DuckDBPyConnection) -> str:
     """The page with the answers of this catalog."""
-    asked = re.sub(r"(^```sql\n.*?^```\n)(?!\n\|)", r"\1\n| |\n", page, flags=re.MULTILINE | re.DOTALL)
-    return _RECIPE.sub(lambda m: f"```sql\n{m[1]}```\n\n{answer(con, m[1])}", asked)
+    marked = re.sub(r"(^```sql\n.*?^```\n)(?!\n\|)", r"\1\n| |\n", page, flags=re.MULTILINE | re.DOTALL)
+    return _RECIPE.sub(lambda m: f"```sql\n{m[1]}```\n\n{answer(con, m[1])}", marked)
 
 
-def _said(value: object) -> str:
+def _format_cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, dt.datetime):

@@ -42,9 +42,9 @@ def publish_night(home: Path, night: Night) -> None:
     """Store it as a night would, and publish."""
     store, own = Store(home), [("AAA", "T-1")]
     low, middle, high = night.outlook
-    said = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.2}
+    fields = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.2}
     outlook = [
-        flight(n) | said | {"rul_low": low, "rul_flights": middle, "rul_high": high} for n in range(night.last + 1)
+        flight(n) | fields | {"rul_low": low, "rul_flights": middle, "rul_high": high} for n in range(night.last + 1)
     ]
     life = {"life": 0, "first_row": 0, "end_row": night.last + 1, "n_flights": night.last + 1, "censored": True}
     life |= {"operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "age_known": False}

@@ -93,8 +93,8 @@ class LongTests:
             session.exitstatus = 0
         if self.long and self.whole and exitstatus in (0, 1):
             fresh = {g.name: self.digests[g.name] for g in self.chosen if g.name not in self.failed}
-            kept = {g.name: digest for g in self.every if (digest := passed().get(g.name))}
-            PASSED.write_text(json.dumps(kept | fresh, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+            earlier = {g.name: digest for g in self.every if (digest := passed().get(g.name))}
+            PASSED.write_text(json.dumps(earlier | fresh, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -27,11 +27,11 @@ def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
 
 def fill(con: duckdb.DuckDBPyConnection, **tables: Sequence[dict]) -> None:
     """Make tables anew of these rows."""
-    for name, given in tables.items():
+    for name, rows in tables.items():
         schema = TABLES[name].schema
-        frame = schema.conform(pl.DataFrame(given, infer_schema_length=None)) if given else schema.create_empty()
-        held = frame.to_arrow()  # noqa: F841
-        con.execute(f"create or replace table tables.{name} as select * from held")
+        frame = schema.conform(pl.DataFrame(rows, infer_schema_length=None)) if rows else schema.create_empty()
+        arrow_table = frame.to_arrow()  # noqa: F841
+        con.execute(f"create or replace table tables.{name} as select * from arrow_table")
 
 
 def flight(n: int, *, tail: str = "T-1", operator: str = "AAA") -> dict:
@@ -68,7 +68,7 @@ def message(n: int, code: str = "21-52-HXTEMP") -> dict:
 
 def alert(name: str, n: int, closed: int | None = None, component: str = "HX") -> dict:
     at = START + dt.timedelta(days=n)
-    said = {"diagnosis": "HX_FOULING", "severity": "medium", "evidence": "e", "recommended_action": "a"}
+    fields = {"diagnosis": "HX_FOULING", "severity": "medium", "evidence": "e", "recommended_action": "a"}
     ends = None if closed is None else START + dt.timedelta(days=closed)
     times = {"raised_flight_id": flight(n)["flight_id"], "raised_at": at, "closed_at": ends}
-    return OWN | said | times | {"alert_id": name, "component": component}
+    return OWN | fields | times | {"alert_id": name, "component": component}

@@ -39,9 +39,9 @@ def unfolded(stages: Sequence[Stage]) -> list[Stage]:
     return [replace(stage, batch_factor=1) for stage in stages]
 
 
-def keep_base(made: Path, home: Path) -> None:
-    """The model of simulated lives is the same for every fleet: `home` takes that of `made` and need not fit it."""
+def keep_base(source: Path, home: Path) -> None:
+    """The model of simulated lives is the same for every fleet: `home` takes that of `source` and need not fit it."""
     target = home / "tables/prognosis_base"
     target.parent.mkdir(parents=True)
-    shutil.copytree(made / "tables/prognosis_base", target)
-    Ledger(home).mark("prognosis_base", Ledger(made).cells("prognosis_base"))
+    shutil.copytree(source / "tables/prognosis_base", target)
+    Ledger(home).mark("prognosis_base", Ledger(source).cells("prognosis_base"))

@@ -51,12 +51,12 @@ def grid(**columns: object) -> Grid:
         {"departed_at": [departure(k) for k in range(FLIGHTS)], "flight_id": [f"F{k:03d}" for k in range(FLIGHTS)]}
     )
     own = [pl.lit(v).alias(k) for k, v in OWN.items()]
-    given = [
+    extra = [
         pl.Series(k, np.broadcast_to(v, FLIGHTS)) if not isinstance(v, pl.Expr) else v.alias(k)
         for k, v in columns.items()
     ]
     return Grid.from_frame(
-        frame.with_columns(*own, *given).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
+        frame.with_columns(*own, *extra).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
     )
 
 
@@ -69,7 +69,7 @@ def work_before(first: int, log_of: str = "HX", action: str = "REPLACED") -> pl.
     return work(departure(first) - timedelta(minutes=5), log_of, action, timed=True)
 
 
-def alerts(seen: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    out = raise_alerts(seen, pl.DataFrame(), maintenance)
+def alerts(rows: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    out = raise_alerts(rows, pl.DataFrame(), maintenance)
     assert FeaturesAlerts.faults(out) == []
     return out

@@ -14,14 +14,14 @@ def walk(name: str) -> dict[str, object]:
     The working directory must be the repository's folder. Returns the names that the page leaves.
     """
     page = (DOCS / name).read_text(encoding="utf-8")
-    found = re.findall(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```)?", page, flags=re.MULTILINE | re.DOTALL)
-    assert found, f"{name} has no Python to run"
-    held: dict[str, object] = {"__name__": name}
-    for code, promised in found:
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said):
-            exec(compile(code, name, "exec"), held)
-        assert said.getvalue().strip() == promised.strip(), (
-            f"{name} promises\n{promised}\nand prints\n{said.getvalue()}"
+    blocks = re.findall(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```)?", page, flags=re.MULTILINE | re.DOTALL)
+    assert blocks, f"{name} has no Python to run"
+    namespace: dict[str, object] = {"__name__": name}
+    for code, promised in blocks:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, name, "exec"), namespace)
+        assert printed.getvalue().strip() == promised.strip(), (
+            f"{name} promises\n{promised}\nand prints\n{printed.getvalue()}"
         )
-    return held
+    return namespace

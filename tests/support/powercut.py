@@ -47,12 +47,12 @@ class Disk:
 
     def move(self, name: str, source: Any, target: Any, **kw: Any) -> None:
         """A name not yet safe; what it stood for before is kept."""
-        to, kept = Path(target).absolute(), None
+        to, copy = Path(target).absolute(), None
         if to.is_file():
-            kept = self.shadow / str(len(list(self.shadow.iterdir())))
-            os.link(to, kept)
+            copy = self.shadow / str(len(list(self.shadow.iterdir())))
+            os.link(to, copy)
         self._moves[name](source, target, **kw)
-        self._name(to, kept)
+        self._name(to, copy)
 
     def _name(self, path: Path, before: Path | None) -> None:
         if path.is_relative_to(self.home / "tables") or path.suffix == ".duckdb":
@@ -79,10 +79,10 @@ class Disk:
 
 
 def _which(path: Any) -> tuple[int, int]:
-    told = os.stat(path)
-    return told.st_dev, told.st_ino
+    stat = os.stat(path)
+    return stat.st_dev, stat.st_ino
 
 
 def _state(path: Any) -> tuple[int, int]:
-    told = os.stat(path)
-    return told.st_size, told.st_mtime_ns
+    stat = os.stat(path)
+    return stat.st_size, stat.st_mtime_ns

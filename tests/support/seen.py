@@ -39,8 +39,8 @@ def seen_flights(
     )
 
 
-def entry(seen: pl.DataFrame, k: int, component: str, action: str) -> pl.DataFrame:
+def entry(twin: pl.DataFrame, k: int, component: str, action: str) -> pl.DataFrame:
     """A log of one line: work on the day of flight k - 1, the first with it being flight k."""
-    row = seen.row(k - 1, named=True)
-    told = {"component": component, "action": action, "done_on": row["departed_at"].date()}
-    return pl.DataFrame([{c: row[c] for c in ("operator", "tail", "pack")} | told], schema=NO_LOG.schema)
+    row = twin.row(k - 1, named=True)
+    fields = {"component": component, "action": action, "done_on": row["departed_at"].date()}
+    return pl.DataFrame([{c: row[c] for c in ("operator", "tail", "pack")} | fields], schema=NO_LOG.schema)

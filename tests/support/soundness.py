@@ -44,22 +44,24 @@ KEYS = {
 
 def faults(home: Path, landing: Path) -> list[str]:
     """Everything that is wrong with a home, in words; empty when nothing is."""
-    found = []
+    problems = []
     with connect(home) as con:
         for view, columns in PROMISED.items():
             frame = con.sql(f"select * from {view}").pl()
-            found += [f"{view} lacks {c}" for c in columns.split() if c not in frame.columns]
-            found += [f"{view}.{c} is NULL" for c in KEYS[view].split() if frame[c].null_count()]
+            problems += [f"{view} lacks {c}" for c in columns.split() if c not in frame.columns]
+            problems += [f"{view}.{c} is NULL" for c in KEYS[view].split() if frame[c].null_count()]
         for check in (resources.files("sql") / "checks").iterdir():
             if check.name.endswith(".sql") and (rows := con.execute(check.read_text()).fetchall()):
-                found.append(f"{check.name}: {len(rows)} rows, first {rows[0]}")
-        told = {f for (f,) in con.execute("select file from deliveries union select file from quarantine").fetchall()}
+                problems.append(f"{check.name}: {len(rows)} rows, first {rows[0]}")
+        accounted = {
+            f for (f,) in con.execute("select file from deliveries union select file from quarantine").fetchall()
+        }
         loaded = con.execute("select coalesce(sum(loaded), 0) from deliveries").fetchone()[0]
     stored = sum(Store(home).read_table(t).height for t in ("raw_snapshots", "raw_logs", *_LOGS))
     lines = Store(home).read_table("raw_components").select("file", "flight_id", "pack", "component", "time_utc")
     stored += lines.unique().height
-    found += [f"{loaded} rows loaded, {stored} stored"] if loaded != stored else []
-    return found + [f"nothing is told of {f}" for f in sorted(_delivered(landing) - told)]
+    problems += [f"{loaded} rows loaded, {stored} stored"] if loaded != stored else []
+    return problems + [f"nothing is told of {f}" for f in sorted(_delivered(landing) - accounted)]
 
 
 _LOGS = ("raw_messages", "raw_maintenance", "raw_fleet")

@@ -127,8 +127,8 @@ def timed(unit: str, zone: str | None, counts: list[int | None]) -> Spoil:
         table = pq.read_table(io.BytesIO(parquet(content)))
         at = table.schema.get_field_index("report_time")
         good = table.column(at).cast(pa.timestamp(unit, "UTC"), safe=False).cast(pa.int64()).to_pylist()
-        found = pa.array([g if c is None else c for g, c in zip(good, counts, strict=True)], pa.int64())
-        return written(table.set_column(at, "report_time", found.view(pa.timestamp(unit, zone))))
+        stamps = pa.array([g if c is None else c for g, c in zip(good, counts, strict=True)], pa.int64())
+        return written(table.set_column(at, "report_time", stamps.view(pa.timestamp(unit, zone))))
 
     return spoil
 

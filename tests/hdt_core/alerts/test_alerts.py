@@ -24,16 +24,16 @@ def track(samples: pl.DataFrame, loss: dict[int, np.ndarray], sd: float = 0.01) 
     flights = samples.group_by(key).agg(pl.col("time_utc").min().alias("departed_at")).sort("pack", "departed_at")
     n = flights.height // 2
     value = np.concatenate([loss.get(p, np.zeros(n)) for p in (1, 2)])
-    said = {"component": "HX", "parameter": "hx_fouling", "unit": "-", "status": "ok", "estimator": "kalman"}
+    constants = {"component": "HX", "parameter": "hx_fouling", "unit": "-", "status": "ok", "estimator": "kalman"}
     return flights.with_columns(
-        pl.Series("value", value), pl.lit(sd).alias("sd"), *(pl.lit(v).alias(k) for k, v in said.items())
+        pl.Series("value", value), pl.lit(sd).alias("sd"), *(pl.lit(v).alias(k) for k, v in constants.items())
     )
 
 
 def alerts_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame, **kw: Any) -> pl.DataFrame:
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
-    seen = cross_checks(samples)
-    out = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=seen)
+    checks = cross_checks(samples)
+    out = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=checks)
     return raise_alerts(out, health, maintenance, **kw)
 
 
@@ -140,10 +140,10 @@ def test_jam_is_a_door_and_not_a_sensor_nor_wear(samples, nothing_done) -> None:
 )
 def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: float, within: int) -> None:
     hit = fault(samples, 2, 50)
-    moved = samples.with_columns(pl.when(hit).then(pl.col(signal) + change).otherwise(pl.col(signal)).alias(signal))
+    shifted = samples.with_columns(pl.when(hit).then(pl.col(signal) + change).otherwise(pl.col(signal)).alias(signal))
     effect = {"hx_out_k": 0.028, "pack_flow_kg_s": -1.9, "tat_k": -0.02}.get(signal, 0.0)
     loss = np.where(np.arange(FLIGHTS) >= 50, 0.02 + effect * change, 0.02)
-    out = alerts_of(moved, track(moved, {2: loss}), nothing_done)
+    out = alerts_of(shifted, track(shifted, {2: loss}), nothing_done)
     assert out.select("pack", "diagnosis").rows() == [(2, "SENSOR_FAULT")]
     assert signal in out["recommended_action"][0]
     assert says_everything(out)
@@ -152,16 +152,16 @@ def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: flo
 
 def test_the_other_packs_outlet_sensor_is_no_doubt_about_this_one(samples, nothing_done) -> None:
     hit = fault(samples, 2, 40)
-    moved = samples.with_columns(pl.when(hit).then(pl.col("hx_out_k") - 4.0).otherwise("hx_out_k").alias("hx_out_k"))
+    shifted = samples.with_columns(pl.when(hit).then(pl.col("hx_out_k") - 4.0).otherwise("hx_out_k").alias("hx_out_k"))
     worn = np.clip(0.01 * (np.arange(FLIGHTS) - 45), 0.0, 0.2)
-    out = alerts_of(moved, track(moved, {1: worn}), nothing_done)
+    out = alerts_of(shifted, track(shifted, {1: worn}), nothing_done)
     assert out.select("pack", "diagnosis").rows() == [(2, "SENSOR_FAULT"), (1, "HX_FOULING")]
     past = 45 + int(100 * Limits().fouling)
     assert when(samples, past) <= out["raised_at"][1] <= when(samples, past + 6)
 
 
 @pytest.mark.parametrize(
-    ("sensor", "channel", "moved", "feigned"),
+    ("sensor", "channel", "shift", "feigned"),
     [
         ("hx_out_k", "hx_out_minus_target_k", 4.0, True),
         ("hx_out_k", "hx_out_between_packs_k", -4.0, False),
@@ -171,9 +171,9 @@ def test_the_other_packs_outlet_sensor_is_no_doubt_about_this_one(samples, nothi
         ("pack_flow_kg_s", "pack_over_compressor_flow_ln", -0.07, True),
     ],
 )
-def test_a_sensor_that_flatters_the_exchanger_excuses_no_wear(sensor, channel, moved, feigned) -> None:
+def test_a_sensor_that_flatters_the_exchanger_excuses_no_wear(sensor, channel, shift, feigned) -> None:
     # by heat balance: an outlet that reads cold, an inlet, TAT or flow that reads high show too good a core
-    facts = {"sensor": sensor, "channel": channel, "moved": moved, "biased": True}
+    facts = {"sensor": sensor, "channel": channel, "moved": shift, "biased": True}
     assert may_feign_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
 
 
@@ -201,15 +201,15 @@ def test_column_that_was_never_recorded_is_no_fault(samples, nothing_done) -> No
 
 def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
     hit = fault(samples, 2, 50)
-    moved = samples.with_columns(
+    shifted = samples.with_columns(
         pl.when(hit).then(pl.col("hx_out_k") + 4.0).otherwise(pl.col("hx_out_k")).alias("hx_out_k")
     )
-    health = track(moved, {1: 0.004 * np.arange(FLIGHTS)})
-    whole = alerts_of(moved, health, nothing_done)
+    health = track(shifted, {1: 0.004 * np.arange(FLIGHTS)})
+    whole = alerts_of(shifted, health, nothing_done)
     for last in (45, 55, 70):
         cut = when(samples, last)
         part = alerts_of(
-            moved.filter(pl.col("time_utc") < cut), health.filter(pl.col("departed_at") < cut), nothing_done
+            shifted.filter(pl.col("time_utc") < cut), health.filter(pl.col("departed_at") < cut), nothing_done
         )
         then = whole.filter(pl.col("raised_at") < cut)
         assert part["alert_id"].to_list() == then["alert_id"].to_list()
@@ -222,9 +222,9 @@ def test_health_that_the_features_lack_is_taken_from_the_long_form(samples):
     filled = with_health(bare, long)
     assert filled["hx_fouling"].to_list() == long["value"].to_list()
     assert set(filled["hx_fouling_sd"]) == {0.01}
-    given = with_health(bare.with_columns(hx_fouling=pl.lit(0.1)), long)
-    assert set(given["hx_fouling"]) == {0.1}
-    assert "hx_fouling_sd" not in given.columns
+    filled_loss = with_health(bare.with_columns(hx_fouling=pl.lit(0.1)), long)
+    assert set(filled_loss["hx_fouling"]) == {0.1}
+    assert "hx_fouling_sd" not in filled_loss.columns
     assert with_health(bare, pl.DataFrame()).equals(bare)
 
 
@@ -250,23 +250,25 @@ def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:
 def test_a_probe_that_both_packs_record_is_told_of_both(samples, nothing_done) -> None:
     late = pl.col("time_utc") >= when(samples, 40)
     drift = 0.1 * (pl.col("time_utc") - when(samples, 40)).dt.total_hours() / 6.0
-    moved = samples.with_columns(pl.when(late).then(pl.col("tat_k") + drift).otherwise(pl.col("tat_k")).alias("tat_k"))
-    out = alerts_of(moved, track(moved, {}), nothing_done)
+    shifted = samples.with_columns(
+        pl.when(late).then(pl.col("tat_k") + drift).otherwise(pl.col("tat_k")).alias("tat_k")
+    )
+    out = alerts_of(shifted, track(shifted, {}), nothing_done)
     assert out.sort("pack").select("pack", "diagnosis").rows() == [(1, "SENSOR_FAULT"), (2, "SENSOR_FAULT")]
     assert out["recommended_action"].str.contains("tat_k").all()
 
 
-@pytest.mark.parametrize(("excess_k", "told"), [(6.0, True), (0.6, False)])
-def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_done, excess_k, told) -> None:
+@pytest.mark.parametrize(("excess_k", "raised"), [(6.0, True), (0.6, False)])
+def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_done, excess_k, raised) -> None:
     wide = samples.with_columns(ram_door_open=3.0 * pl.col("ram_door_open"))
     reach = 0.8 * wide["ram_door_open"].max()
     short = fault(wide, 1, 60, 61) & (pl.col("ram_door_open") > reach)
-    held = wide.with_columns(
+    stuck = wide.with_columns(
         pl.when(short).then(reach).otherwise("ram_door_open").alias("ram_door_open"),
         pl.when(short).then(pl.col("hx_out_k") + excess_k).otherwise("hx_out_k").alias("hx_out_k"),
     )
-    out = alerts_of(held, track(held, {}), nothing_done)
-    assert out.select("pack", "diagnosis").rows() == ([(1, "RAM_DOOR_FAULT")] if told else [])
+    out = alerts_of(stuck, track(stuck, {}), nothing_done)
+    assert out.select("pack", "diagnosis").rows() == ([(1, "RAM_DOOR_FAULT")] if raised else [])
 
 
 @pytest.mark.parametrize(
@@ -285,16 +287,16 @@ def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_d
 def test_the_models_cross_checks_tell_inlet_and_door_from_a_blockage(samples, nothing_done, shifts, sensor) -> None:
     health = track(samples, {1: np.where(np.arange(FLIGHTS) >= 50, 0.12, 0.0)} if sensor is None else {})
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
-    seen = features(health, Residuals.create_empty(), legs, nothing_done, cross_checks=cross_checks(samples))
+    rows = features(health, Residuals.create_empty(), legs, nothing_done, cross_checks=cross_checks(samples))
     rng, hit = np.random.default_rng(2), (pl.col("pack") == 1) & (pl.col("departed_at") >= when(samples, 50))
     noise = {"w_hx_in_over_discharge_k": 0.7, "w_conductance_off_cruise_ln": 0.018, "hx_fouling_flight": 0.016}
     checks = [
         (
-            pl.Series(sd * rng.standard_normal(seen.height)) + pl.when(hit).then(shifts.get(name, 0.0)).otherwise(0.0)
+            pl.Series(sd * rng.standard_normal(rows.height)) + pl.when(hit).then(shifts.get(name, 0.0)).otherwise(0.0)
         ).alias(name)
         for name, sd in noise.items()
     ]
-    out = raise_alerts(seen.with_columns(checks), health, nothing_done)
+    out = raise_alerts(rows.with_columns(checks), health, nothing_done)
     named = out.filter(diagnosis="SENSOR_FAULT")
     if sensor is None:
         assert named.height == 0

@@ -16,8 +16,8 @@ NOTHING = work(departure(0), UNIT.code).clear()
 
 
 def described(loss: object, **more: object) -> pl.DataFrame:
-    told = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0, "loss_step_3": 0.0} | more
-    return grid(**told).rows.with_columns(component=pl.lit(UNIT.code))
+    columns = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0, "loss_step_3": 0.0} | more
+    return grid(**columns).rows.with_columns(component=pl.lit(UNIT.code))
 
 
 def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.DataFrame:
@@ -26,16 +26,16 @@ def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.Data
 
 @pytest.mark.parametrize(("odds", "raised"), [(0.701, 1), (0.699, 0)])
 def test_a_loss_beyond_its_warning_with_probability_7_of_10(odds, raised):
-    told = alerts(WARN + 0.01 * norm.ppf(odds))
-    assert told["diagnosis"].to_list() == [UNIT.diagnosis] * raised
-    assert told["raised_flight_id"].to_list() == ["F002"] * raised
-    assert told["component"].to_list() == [UNIT.code] * raised
+    cases = alerts(WARN + 0.01 * norm.ppf(odds))
+    assert cases["diagnosis"].to_list() == [UNIT.diagnosis] * raised
+    assert cases["raised_flight_id"].to_list() == ["F002"] * raised
+    assert cases["component"].to_list() == [UNIT.code] * raised
 
 
 def test_three_flights_of_four_held_for_fifteen_above_three_quarters():
     for after, closed in ((0.749, 54), (0.75, 54), (0.751, None)):
-        told = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
-        assert told["closed_at"].to_list() == [departure(closed) if closed else None]
+        cases = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
+        assert cases["closed_at"].to_list() == [departure(closed) if closed else None]
     gap = np.where(np.isin(FLIGHT, (30, 32, 33)), 2.0 * WARN, 0.0)
     assert alerts(gap)["raised_flight_id"].to_list() == ["F033"]
     assert alerts(np.where(np.isin(FLIGHT, (30, 32, 34)), 2.0 * WARN, 0.0)).height == 0
@@ -43,20 +43,20 @@ def test_three_flights_of_four_held_for_fifteen_above_three_quarters():
 
 
 def test_work_ends_it_and_no_rows_raise_nothing():
-    told = alerts(2.0 * WARN, work_before(50, UNIT.code, UNIT.ended_by[0]))
-    assert told["closed_at"].to_list() == [departure(50), None]
-    assert told["raised_flight_id"].to_list() == ["F002", "F052"]
+    cases = alerts(2.0 * WARN, work_before(50, UNIT.code, UNIT.ended_by[0]))
+    assert cases["closed_at"].to_list() == [departure(50), None]
+    assert cases["raised_flight_id"].to_list() == ["F002", "F052"]
     assert raise_component_alerts(described(0.0).with_columns(component=pl.lit("OTHER")), NOTHING, UNIT).height == 0
     early = alerts(np.where(FLIGHT < 3, 2.0 * WARN, 0.0))
     assert "since F000" in early["evidence"][0]
 
 
 def test_severity_and_evidence_in_figures():
-    said = diagnosis_of(UNIT)
+    diagnosis = diagnosis_of(UNIT)
     for loss, severity in ((0.79 * FAILS, "medium"), (0.81 * FAILS, "high")):
         facts = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0021, "loss_step_3": 0.101}
-        assert said.severity(facts) == severity
-        evidence = said.evidence(facts, "F07")
+        assert diagnosis.severity(facts) == severity
+        evidence = diagnosis.evidence(facts, "F07")
         assert [w.role for w in evidence.corroborations] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
         text = evidence.text()
         assert f"{UNIT.lost} ({UNIT.loss}) {100 * loss:.0f} %" in text
@@ -65,8 +65,8 @@ def test_severity_and_evidence_in_figures():
         assert "10 points came within three flights" in text
         assert f"it fails at about {100 * FAILS:.0f} %" in text
     calm = {"loss": 0.3, "loss_sd": 0.0, "loss_slope_30_per_flight": 1e-5, "loss_step_3": 0.1}
-    assert "points" not in said.evidence(calm, "F07").text()
-    assert "points" not in said.evidence(calm | {"loss_step_3": float("nan")}, "F07").text()
+    assert "points" not in diagnosis.evidence(calm, "F07").text()
+    assert "points" not in diagnosis.evidence(calm | {"loss_step_3": float("nan")}, "F07").text()
 
 
 def test_features_of_one_component_under_one_name():
@@ -83,8 +83,8 @@ def test_features_of_one_component_under_one_name():
         "component": pl.String,
     }
     none = pl.DataFrame(schema=schema | {"signal": pl.String, "kind": pl.String, "mean": pl.Float64})
-    told = component_features(pl.concat([long, other]), none, long, NOTHING, UNIT)
-    assert told["loss"].to_list() == pytest.approx((0.001 * FLIGHT).tolist())
-    assert told["loss_slope_30_per_flight"][-1] == pytest.approx(0.001)
-    assert told["loss_jump_10"][-1] == pytest.approx(0.01)
-    assert set(told["component"]) == {UNIT.code}
+    rows = component_features(pl.concat([long, other]), none, long, NOTHING, UNIT)
+    assert rows["loss"].to_list() == pytest.approx((0.001 * FLIGHT).tolist())
+    assert rows["loss_slope_30_per_flight"][-1] == pytest.approx(0.001)
+    assert rows["loss_jump_10"][-1] == pytest.approx(0.01)
+    assert set(rows["component"]) == {UNIT.code}

@@ -21,7 +21,7 @@ PEG = {
 """A door that goes no further than 40 % on two flights, its outlet warm there."""
 
 
-def found(columns: dict, log=NOTHING) -> list[tuple[str, int, int | None]]:
+def door_spans(columns: dict, log=NOTHING) -> list[tuple[str, int, int | None]]:
     return [span[1:] for span in spans(door_cases(grid(**columns), log, Limits()))]
 
 
@@ -36,7 +36,7 @@ def found(columns: dict, log=NOTHING) -> list[tuple[str, int, int | None]]:
 )  # fmt: skip
 def test_a_jam_stays_where_it_is_away_from_its_stops(changed, jammed):
     stop = {"door_span": np.where(FLIGHT < 5, changed["door_max"] - 0.1, 0.02)} if "door_max" in changed else {}
-    assert found(JAM | changed | stop) == ([(6, None)] if jammed else [])
+    assert door_spans(JAM | changed | stop) == ([(6, None)] if jammed else [])
 
 
 @pytest.mark.parametrize(("above_k", "jammed"), [(6.1, True), (5.9, False)])
@@ -46,7 +46,7 @@ def test_near_its_stop_a_door_is_jammed_where_the_outlet_runs_warmer_than_usual(
         "door_span": 0.02,
         "w_hx_out_minus_target_k": np.where(FLIGHT < 30, 1.0, 1.0 + above_k),
     }
-    cases = found(JAM | resting)
+    cases = door_spans(JAM | resting)
     assert cases[:1] == ([(31, 53)] if jammed else [])  # with twenty of the last forty it is usual
 
 
@@ -54,19 +54,19 @@ def test_what_is_usual_wants_five_flights_before():
     resting = {"door_max": 0.12, "door_span": 0.02}
     for first, jammed in ((5, True), (4, False)):
         above = np.where(first > FLIGHT, 0.0, np.where(first + 2 > FLIGHT, 7.0, 0.0))
-        assert bool(found(JAM | resting | {"w_hx_out_minus_target_k": above})) is jammed
+        assert bool(door_spans(JAM | resting | {"w_hx_out_minus_target_k": above})) is jammed
 
 
 def test_two_flights_of_three_make_a_jam_and_four_without_end_it():
     span = np.full(FLIGHTS, 0.3)
     span[[20, 22]] = 0.02
-    assert found(JAM | {"door_span": span}) == [(22, 26)]
+    assert door_spans(JAM | {"door_span": span}) == [(22, 26)]
     span[[20, 22, 23]] = 0.3, 0.3, 0.02
-    assert found(JAM | {"door_span": span}) == []
+    assert door_spans(JAM | {"door_span": span}) == []
 
 
 @pytest.mark.parametrize(
-    ("changed", "lost"),
+    ("changed", "is_lost_travel"),
     [
         ({}, True), ({"running": False}, False), ({"door_peg_n": 1}, False), ({"door_off_peg_n": 2}, False),
         ({"door_peg_excess_k": np.where((FLIGHT == 30) | (FLIGHT == 40), 1.29, 0.0)}, False),
@@ -74,31 +74,31 @@ def test_two_flights_of_three_make_a_jam_and_four_without_end_it():
         ({"door_max": 0.4, "door_span": 0.149}, False), ({"door_max": 0.4, "door_span": 0.151}, True),
     ],
 )  # fmt: skip
-def test_lost_travel_is_a_warm_outlet_at_the_widest_opening_twice(changed, lost):
-    assert found(PEG | changed) == ([(40, None)] if lost else [])
+def test_lost_travel_is_a_warm_outlet_at_the_widest_opening_twice(changed, is_lost_travel):
+    assert door_spans(PEG | changed) == ([(40, None)] if is_lost_travel else [])
 
 
 @pytest.mark.parametrize(
-    ("second", "apart", "lost"), [(70, 0.0, True), (71, 0.0, False), (40, 0.029, True), (40, 0.031, False)]
+    ("second", "apart", "is_lost_travel"), [(70, 0.0, True), (71, 0.0, False), (40, 0.029, True), (40, 0.031, False)]
 )
-def test_the_same_stop_within_40_flights_and_3_hundredths(second, apart, lost):
+def test_the_same_stop_within_40_flights_and_3_hundredths(second, apart, is_lost_travel):
     hits = {"door_peg_excess_k": np.where((FLIGHT == 30) | (second == FLIGHT), 2.0, 0.0)}
     widest = np.where(FLIGHT < 35, 0.4, 0.4 + apart)
-    assert [case[0] for case in found(PEG | hits | {"door_max": widest})] == ([second] if lost else [])
+    assert [case[0] for case in door_spans(PEG | hits | {"door_max": widest})] == ([second] if is_lost_travel else [])
 
 
 @pytest.mark.parametrize(("excess_k", "n", "first"), [(3.01, 3, 30), (2.99, 3, 40), (3.01, 2, 40)])
 def test_beyond_doubt_one_flight_is_enough(excess_k, n, first):
     hits = {"door_peg_excess_k": np.where((FLIGHT == 30) | (FLIGHT == 40), excess_k, 0.0), "door_peg_n": n}
-    assert [case[0] for case in found(PEG | hits)] == [first]
+    assert [case[0] for case in door_spans(PEG | hits)] == [first]
 
 
 def test_a_door_that_goes_wider_or_is_repaired_has_no_stop():
     for wider, end in ((0.459, None), (0.461, 60)):
-        assert found(PEG | {"door_max": np.where(FLIGHT < 60, 0.4, wider)}) == [(40, end)]
-    assert found(PEG, work_before(50, "RAM_DOOR", "ADJUSTED")) == [(40, 50)]
-    assert found(PEG, work_before(35, "RAM_DOOR")) == []
-    assert found(PEG, work_before(50, "RAM_DOOR", "INSPECTED")) == [(40, None)]
+        assert door_spans(PEG | {"door_max": np.where(FLIGHT < 60, 0.4, wider)}) == [(40, end)]
+    assert door_spans(PEG, work_before(50, "RAM_DOOR", "ADJUSTED")) == [(40, 50)]
+    assert door_spans(PEG, work_before(35, "RAM_DOOR")) == []
+    assert door_spans(PEG, work_before(50, "RAM_DOOR", "INSPECTED")) == [(40, None)]
 
 
 def test_a_case_says_where_since_when_and_by_how_much():

@@ -21,9 +21,9 @@ def test_medians_of_what_was_measured_are_numpys(flights):
     z[rng.random(z.shape) < 0.2] = 0.0  # a spike that was taken out
     middle, worth = _median_z(z)
     for k, column in enumerate(z.T):
-        seen = column[np.isfinite(column) & (column != 0.0)]
-        assert worth[k] == (max(seen.size, 1e-9) if seen.size < 3 else MEDIAN_WORTH * seen.size)
-        assert np.isnan(middle[k]) if not seen.size else middle[k] == np.median(seen) * np.sqrt(worth[k])
+        values = column[np.isfinite(column) & (column != 0.0)]
+        assert worth[k] == (max(values.size, 1e-9) if values.size < 3 else MEDIAN_WORTH * values.size)
+        assert np.isnan(middle[k]) if not values.size else middle[k] == np.median(values) * np.sqrt(worth[k])
 
 
 def test_a_doubt_that_outlasts_the_record_is_left_open() -> None:
@@ -61,9 +61,9 @@ def told_by_hand(z: np.ndarray, loss: np.ndarray, k: int, first: int) -> tuple[l
     late = np.arange(max(k - n + 1, 0), k + 1)
     middles, worths = [], []
     for column in z[late].T:
-        seen = column[np.isfinite(column) & (column != 0.0)]
-        worth = len(seen) * (2.0 / np.pi if len(seen) > 2 else 1.0)
-        middles.append(np.median(seen) * np.sqrt(worth))
+        values = column[np.isfinite(column) & (column != 0.0)]
+        worth = len(values) * (2.0 / np.pi if len(values) > 2 else 1.0)
+        middles.append(np.median(values) * np.sqrt(worth))
         worths.append(worth)
     before = np.arange(max(first - 28, 0), max(first - 8, 0))
     now, then = loss[late][np.isfinite(loss[late])], loss[before][np.isfinite(loss[before])]
@@ -80,33 +80,33 @@ def test_what_is_looked_at_is_the_late_flights_of_both_packs(k: int, first: int)
     if k == 40:
         loss[:, 37:40] = np.nan  # one late flight is known
     shift = Shift(np.zeros(z.shape, bool), z, z, np.zeros(z.shape), np.zeros(z.shape))
-    seen = Indications(grid, shift, loss, grid.partner())
-    (found,), (worth,) = seen.shifts_at(0, np.array([k]), first)
+    indications = Indications(grid, shift, loss, grid.partner())
+    (shifts,), (worth,) = indications.shifts_at(0, np.array([k]), first)
     mine, theirs = told_by_hand(z[0], loss[0], k, first), told_by_hand(z[1], loss[1], k - 1, first - 1)
-    assert found.tolist() == pytest.approx(mine[0] + theirs[0])
+    assert shifts.tolist() == pytest.approx(mine[0] + theirs[0])
     assert worth.tolist() == pytest.approx(mine[1] + theirs[1])
-    assert seen.same_time(0, np.array([2, 3, 4]), 1).tolist() == [2, 2, 3]
+    assert indications.same_time(0, np.array([2, 3, 4]), 1).tolist() == [2, 2, 3]
     lone = Indications(grid, shift, loss, np.array([-1, -1]))
-    (found,), (worth,) = lone.shifts_at(0, np.array([k]), first)
-    assert np.isnan(found[16:]).all()
+    (shifts,), (worth,) = lone.shifts_at(0, np.array([k]), first)
+    assert np.isnan(shifts[16:]).all()
     assert worth[16:].tolist() == [1.0] * 16
 
 
-def named(monkeypatch, told: object, end: int | None = None) -> tuple[int, dict[str, object]] | None:
+def named(monkeypatch, classify: object, end: int | None = None) -> tuple[int, dict[str, object]] | None:
     """Who is named where the classifier says so on each flight from the twentieth on."""
     grid, flight = two_packs(150), iter(range(20, 150))
     z = np.ones((2, 150, 15))
     shift = Shift(z > 0, z, 2.0 * z, z, z)
-    monkeypatch.setattr(fault_isolation, "classify", lambda z, flights: told(next(flight)))
+    monkeypatch.setattr(fault_isolation, "classify", lambda z, flights: classify(next(flight)))
     return Indications(grid, shift, np.zeros((2, 150)), grid.partner()).isolate(4, (0, 20, end))
 
 
 def test_a_sensor_is_named_with_probability_95_per_cent(monkeypatch) -> None:
-    def told(k: int) -> list[tuple[str, str, float]]:
+    def classify(k: int) -> list[tuple[str, str, float]]:
         mine = 0.951 if k >= 30 else 0.949
         return [("mach", "own", mine - 0.1), ("tat_k", "both", 0.1), ("hx", "own", 0.03), ("nothing", "own", 0.01)]
 
-    flight, facts = named(monkeypatch, told)
+    flight, facts = named(monkeypatch, classify)
     assert flight == 30
     assert facts == {
         "sensor": "mach", "whose": "own", "p": pytest.approx(0.951), "biased": True, "channel": "tat_between_packs_k",
@@ -118,17 +118,17 @@ def test_a_sensor_is_named_with_probability_95_per_cent(monkeypatch) -> None:
     ("p", "from_flight", "name"), [(0.991, 20, None), (0.989, 20, 40), (0.991, 26, None), (0.991, 24, 40)]
 )
 def test_the_other_packs_sensor_ends_the_search_from_the_sixth_flight_on(monkeypatch, p, from_flight, name) -> None:
-    def told(k: int) -> list[tuple[str, str, float]]:
+    def classify(k: int) -> list[tuple[str, str, float]]:
         theirs = p if (from_flight <= k < from_flight + 1 or from_flight == 20) and k < 40 else 0.0
         return [("mach", "other", theirs), ("hx", "other", 0.0), ("tat_k", "own", 0.96 if k >= 40 else 0.0)]
 
-    found = named(monkeypatch, told)
-    assert (found and found[0]) == name
+    isolated = named(monkeypatch, classify)
+    assert (isolated and isolated[0]) == name
 
 
 @pytest.mark.parametrize(
     ("sure_at", "end", "name"), [(119, None, 119), (120, None, None), (59, 60, 59), (60, 60, None)]
 )
 def test_a_shift_waits_a_hundred_flights_for_its_name(monkeypatch, sure_at, end, name) -> None:
-    found = named(monkeypatch, lambda k: [("mach", "own", 0.96 * (k >= sure_at))], end)
-    assert (found and found[0]) == name
+    isolated = named(monkeypatch, lambda k: [("mach", "own", 0.96 * (k >= sure_at))], end)
+    assert (isolated and isolated[0]) == name

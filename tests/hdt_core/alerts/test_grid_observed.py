@@ -42,8 +42,8 @@ def test_what_was_seen_of_the_last_unit_says_nothing_of_the_next():
         pl.when(pl.Series(observed)).then("hx_fouling_flight").alias("hx_fouling_flight"),
         hx_fouling_step_3=pl.lit(0.0),
     )
-    told = alerts(worn, work(departure(20), timed=True))
-    assert [flight < departure(20) for flight in told["raised_at"]] == [True]
+    cases = alerts(worn, work(departure(20), timed=True))
+    assert [flight < departure(20) for flight in cases["raised_at"]] == [True]
 
 
 @pytest.mark.parametrize("otherwise", UNOBSERVED)
@@ -56,12 +56,12 @@ def test_the_loss_of_a_compressor_is_no_alert_until_it_was_seen(otherwise):
     assert alerts(drift.drop("cc_efficiency_loss_status"), NO_WORK)["diagnosis"].to_list() == ["CC_DEGRADED"]
 
 
-@pytest.mark.parametrize(("told", "raised"), [("ok", 1), *((s, 0) for s in UNOBSERVED)])
-def test_nor_is_that_of_a_declared_component(told, raised):
+@pytest.mark.parametrize(("loss_status", "raised"), [("ok", 1), *((s, 0) for s in UNOBSERVED)])
+def test_nor_is_that_of_a_declared_component(loss_status, raised):
     component = next(c for c in components().values() if c.record is not None)
     described = features(np.zeros(N)).with_columns(
         component=pl.lit(component.code), loss=pl.lit(3.0 * component.warn_loss), loss_sd=pl.lit(0.01),
-        loss_status=pl.lit(told), loss_slope_30_per_flight=pl.lit(0.0), loss_step_3=pl.lit(0.0),
+        loss_status=pl.lit(loss_status), loss_slope_30_per_flight=pl.lit(0.0), loss_step_3=pl.lit(0.0),
     )  # fmt: skip
     assert raise_component_alerts(described, NO_WORK, component).height == raised
 

@@ -42,9 +42,9 @@ def hx(alerts: pl.DataFrame) -> list[str]:
 
 
 def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis():
-    said = raise_alerts(fleet(0.97, 0.04), HEALTH, LOG)
-    assert hx(said) == ["HX_LOW_MARGIN"]
-    row = said.row(0, named=True)
+    cases = raise_alerts(fleet(0.97, 0.04), HEALTH, LOG)
+    assert hx(cases) == ["HX_LOW_MARGIN"]
+    row = cases.row(0, named=True)
     assert "2 K above its level" in row["evidence"]
     assert "7 K above it on a hot day" in row["evidence"]
     assert "air outside -8 K" in row["evidence"]
@@ -70,8 +70,8 @@ def test_it_ends_with_the_unit():
         },
         schema=LOG.schema,
     )
-    said = raise_alerts(flights, HEALTH, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
-    assert said["closed_at"][0] is not None
-    assert said["closed_at"][0].date() > done
+    cases = raise_alerts(flights, HEALTH, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
+    assert cases["closed_at"][0] is not None
+    assert cases["closed_at"][0].date() > done
     # the next unit has as little reserve, and its message may come within twenty flights
-    assert said["raised_at"].to_list()[1] - said["closed_at"][0] <= timedelta(hours=8 * 7)
+    assert cases["raised_at"].to_list()[1] - cases["closed_at"][0] <= timedelta(hours=8 * 7)

@@ -18,10 +18,10 @@ NOTHING = work(departure(0)).clear()
 QUIET = np.zeros((1, FLIGHTS), dtype=bool)
 
 
-def found(log: pl.DataFrame = NOTHING, lost: object = 0.0, still: object = False, **more: object):
+def mach_cases(log: pl.DataFrame = NOTHING, empty_share: object = 0.0, still: object = False, **more: object):
     """Cases of the Mach number's sensor, which is empty in so many of its readings."""
-    told = {"running": True, "n_snapshots": 40, "mach_lost_share": lost, "mach_still": still} | more
-    return sensor_cases(grid(**told), log, Limits(), QUIET, QUIET)
+    columns = {"running": True, "n_snapshots": 40, "mach_lost_share": empty_share, "mach_still": still} | more
+    return sensor_cases(grid(**columns), log, Limits(), QUIET, QUIET)
 
 
 def empty(share: float, first: int = 30) -> np.ndarray:
@@ -29,35 +29,35 @@ def empty(share: float, first: int = 30) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("lost", "more", "raised"),
+    ("empty_share", "more", "raised"),
     [
         (empty(0.201), {}, True), (empty(0.2), {}, False), (empty(0.21), {"running": False}, False),
         (empty(0.21), {"n_snapshots": 20}, True), (empty(0.21), {"n_snapshots": 19}, False),
         (empty(0.6, 3), {}, True), (empty(0.6, 2), {}, False), (empty(0.5, 2), {}, False), (empty(0.49, 2), {}, True),
     ],
 )  # fmt: skip
-def test_a_sensor_that_spoke_on_three_flights_is_empty_too_often(lost, more, raised):
+def test_a_sensor_that_spoke_on_three_flights_is_empty_too_often(empty_share, more, raised):
     """A fifth of the readings and four of them; one that was half empty from the start was never there."""
-    first = int(np.argmax(lost > 0.0))
-    expected = [max(first + 1, 3 if lost[0] == 0.0 and first == 2 else 0)]
-    assert [case.raised_flight for case in found(lost=lost, **more)] == (expected if raised else [])
+    first = int(np.argmax(empty_share > 0.0))
+    expected = [max(first + 1, 3 if empty_share[0] == 0.0 and first == 2 else 0)]
+    assert [case.raised_flight for case in mach_cases(empty_share=empty_share, **more)] == (expected if raised else [])
 
 
 def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
-    lost = np.where(np.isin(FLIGHT, (30, 32)), 0.3, 0.0)
-    assert spans(found(lost=lost)) == [("SENSOR_FAULT", 32, 40)]
-    assert found(lost=np.where(np.isin(FLIGHT, (30, 33)), 0.3, 0.0)) == []
+    empty_share = np.where(np.isin(FLIGHT, (30, 32)), 0.3, 0.0)
+    assert spans(mach_cases(empty_share=empty_share)) == [("SENSOR_FAULT", 32, 40)]
+    assert mach_cases(empty_share=np.where(np.isin(FLIGHT, (30, 33)), 0.3, 0.0)) == []
     for after, closed in ((0.2 / 3.0, 48), (0.067, None)):
-        held = np.where(FLIGHT < 30, 0.0, np.where(FLIGHT <= 40, 0.3, after))
-        assert [case.closed_flight for case in found(lost=held)] == [closed]
-    assert found(work_before(50, "SENSOR"), lost=empty(0.3))[0].closed_flight == 50
+        share = np.where(FLIGHT < 30, 0.0, np.where(FLIGHT <= 40, 0.3, after))
+        assert [case.closed_flight for case in mach_cases(empty_share=share)] == [closed]
+    assert mach_cases(work_before(50, "SENSOR"), empty_share=empty(0.3))[0].closed_flight == 50
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.951, "frozen"), (0.949, "dropout")])
 def test_what_is_all_but_empty_or_stands_still_is_frozen(share, kind):
-    (case,) = found(lost=empty(share))
+    (case,) = mach_cases(empty_share=empty(share))
     assert case.facts == {"sensor": "mach", "kind": kind, "since": 30, "share": pytest.approx(share)}
-    (still,) = found(still=FLIGHT >= 30)
+    (still,) = mach_cases(still=FLIGHT >= 30)
     assert (still.facts["kind"], still.raised_flight) == ("frozen", 31)
 
 
@@ -74,7 +74,7 @@ LATE = FLIGHT >= 50
 
 
 def test_a_shifted_sensor_is_named_with_what_moved_since_when():
-    (case,) = found(**checks(w_inlet_minus_tat_k=2.0 * LATE))
+    (case,) = mach_cases(**checks(w_inlet_minus_tat_k=2.0 * LATE))
     assert (case.diagnosis, case.facts["sensor"], case.facts["whose"]) == ("SENSOR_FAULT", "cc_in_k", "own")
     assert case.facts["channel"] == "inlet_minus_tat_k"
     assert 50 <= case.facts["since"] <= case.raised_flight <= 58
@@ -86,14 +86,14 @@ def test_a_shifted_sensor_is_named_with_what_moved_since_when():
 def test_a_shift_that_only_echoes_a_silence_is_no_news():
     silent = {"cc_in_k_lost_share": np.where((FLIGHT >= 55) & (FLIGHT < 60), 0.9, 0.0)}
     shifted = checks(w_inlet_minus_tat_k=2.0 * LATE)
-    names = [case.facts["kind"] for case in found(**shifted, **silent)]
+    names = [case.facts["kind"] for case in mach_cases(**shifted, **silent)]
     assert names == ["dropout"]
     before = {"cc_in_k_lost_share": np.where((FLIGHT >= 20) & (FLIGHT < 24), 0.9, 0.0)}
-    assert [case.facts["kind"] for case in found(**shifted, **before)] == ["dropout", "shift"]
+    assert [case.facts["kind"] for case in mach_cases(**shifted, **before)] == ["dropout", "shift"]
 
 
 def test_a_repaired_sensor_starts_anew():
-    cases = found(work_before(50, "SENSOR"), **checks(w_inlet_minus_tat_k=2.0 * LATE))
+    cases = mach_cases(work_before(50, "SENSOR"), **checks(w_inlet_minus_tat_k=2.0 * LATE))
     assert cases == []
 
 
@@ -116,16 +116,16 @@ def both(of_second: dict[str, object], **first: object) -> Grid:
 
 
 def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
-    told = {"running": True, "n_snapshots": 40}
-    shifted = checks(w_inlet_minus_tat_k=-2.0 * LATE) | told
+    columns = {"running": True, "n_snapshots": 40}
+    shifted = checks(w_inlet_minus_tat_k=-2.0 * LATE) | columns
     shifted |= {"w_hx_out_minus_target_k": -1.2 * LATE}
     none = np.zeros((2, FLIGHTS), dtype=bool)
     cases = sensor_cases(both(shifted, **shifted), NOTHING, Limits(), none, none)
     assert sorted((c.unit, c.facts["sensor"], c.facts["whose"]) for c in cases) == [
         (0, "tat_k", "both"), (1, "tat_k", "both")
     ]  # fmt: skip
-    one = checks(w_pack_over_compressor_flow_ln=0.08 * LATE, w_cc_out_pressure_over_schedule_ln=-0.02 * LATE) | told
-    (case,) = sensor_cases(both(checks() | told, **one), NOTHING, Limits(), none, none)
+    one = checks(w_pack_over_compressor_flow_ln=0.08 * LATE, w_cc_out_pressure_over_schedule_ln=-0.02 * LATE) | columns
+    (case,) = sensor_cases(both(checks() | columns, **one), NOTHING, Limits(), none, none)
     assert (case.unit, case.facts["sensor"]) == (0, "pack_flow_kg_s")
 
 
@@ -190,7 +190,7 @@ def test_the_other_pack_accused_long_after_ends_the_first_case() -> None:
 def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, column: str, hushed: bool) -> None:
     calls = []
     monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(new) or watch(values, sd, new))
-    found(work_before(50, component), **checks())
+    mach_cases(work_before(50, component), **checks())
     new = calls[0][0, :, [c.name for c in CHANNELS].index(column)]
     assert new.nonzero()[0].tolist() == [50] * hushed
 
@@ -198,11 +198,11 @@ def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, 
 def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
     calls = []
     monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
-    told = checks() | {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40}
-    told |= {"cc_in_k_lost_share": empty(0.9)}
+    columns = checks() | {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40}
+    columns |= {"cc_in_k_lost_share": empty(0.9)}
     door, jam = QUIET.copy(), QUIET.copy()
     door[0, 60:] = jam[0, 70:] = True
-    sensor_cases(grid(**told), NOTHING, Limits(), door, jam)
+    sensor_cases(grid(**columns), NOTHING, Limits(), door, jam)
     for k, check in enumerate(CHANNELS):
         first = FLIGHTS
         if "cc_in_k" in check.effects:
@@ -217,8 +217,8 @@ def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
 def test_a_silent_sensor_of_the_other_pack_hushes_the_checks_between_them_alone(monkeypatch) -> None:
     calls = []
     monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
-    told = {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40, "tat_k_lost_share": 0.0}
+    columns = {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40, "tat_k_lost_share": 0.0}
     none = np.zeros((2, FLIGHTS), dtype=bool)
-    sensor_cases(both(told | {"tat_k_lost_share": empty(0.9)}, **told), NOTHING, Limits(), none, none)
+    sensor_cases(both(columns | {"tat_k_lost_share": empty(0.9)}, **columns), NOTHING, Limits(), none, none)
     hushed = [c.name for k, c in enumerate(CHANNELS) if np.isnan(calls[0][0, 40, k])]
     assert hushed == ["tat_between_packs_k"]

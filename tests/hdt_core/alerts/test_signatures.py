@@ -5,38 +5,38 @@ import pytest
 
 from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, SIZES, classify, signatures
 
-KNOWN = signatures()
-SENSORS = [k for k, (name, _) in enumerate(KNOWN.names) if name not in NO_SENSOR]
+SIGNATURES = signatures()
+SENSORS = [k for k, (name, _) in enumerate(SIGNATURES.names) if name not in NO_SENSOR]
 FLIGHTS = 9.0
 AT = {c.name: k for k, c in enumerate((*CHANNELS, HX_STEP))}
 
 
-def told(k: int, size: float, rng: np.random.Generator) -> np.ndarray:
+def expected_shifts(k: int, size: float, rng: np.random.Generator) -> np.ndarray:
     """Shifts of nine flights under hypothesis k; one inlet law at a time, as aircraft record it."""
-    z = size * np.sqrt(FLIGHTS) * KNOWN.shift[k] + rng.standard_normal(KNOWN.shift.shape[1])
+    z = size * np.sqrt(FLIGHTS) * SIGNATURES.shift[k] + rng.standard_normal(SIGNATURES.shift.shape[1])
     z[[AT["hx_in_over_pressure_k"], AT["hx_in_over_pressure_k"] + len(AT)]] = np.nan
     return z
 
 
-@pytest.mark.parametrize("k", SENSORS, ids=lambda k: "-".join(KNOWN.names[k]))
+@pytest.mark.parametrize("k", SENSORS, ids=lambda k: "-".join(SIGNATURES.names[k]))
 @pytest.mark.parametrize("size", [-1.0, 1.0])
 def test_names_the_sensor_and_the_pack(k: int, size: float) -> None:
     rng = np.random.default_rng(k)
-    hits = [classify(told(k, size, rng), FLIGHTS)[0][:2] == KNOWN.names[k] for _ in range(20)]
+    hits = [classify(expected_shifts(k, size, rng), FLIGHTS)[0][:2] == SIGNATURES.names[k] for _ in range(20)]
     # what only the hot inlet's law sees may be its own sensor or the discharge's
-    assert np.mean(hits) >= (0.8 if KNOWN.names[k][0] not in ("cc_out_k", "hx_in_k") else 0.3)
+    assert np.mean(hits) >= (0.8 if SIGNATURES.names[k][0] not in ("cc_out_k", "hx_in_k") else 0.3)
 
 
 @pytest.mark.parametrize("sensor", ["hx_in_k", "ram_door_open"])
 def test_the_hot_inlet_and_the_door_are_not_taken_for_wear(sensor: str) -> None:
-    z = told(KNOWN.names.index((sensor, "own")), 1.0, np.random.default_rng(1))
+    z = expected_shifts(SIGNATURES.names.index((sensor, "own")), 1.0, np.random.default_rng(1))
     blamed = sum(p for name, whose, p in classify(z, FLIGHTS) if name not in NO_SENSOR and whose != "other")
     assert blamed > 0.95
 
 
 def test_does_not_name_what_it_cannot_know() -> None:
     # left against right alone can't tell whose outlet it is
-    z = np.full(KNOWN.shift.shape[1], np.nan)
+    z = np.full(SIGNATURES.shift.shape[1], np.nan)
     z[AT["hx_out_between_packs_k"]] = 12.0
     assert classify(z, FLIGHTS)[0][2] == pytest.approx(0.5, abs=0.02)
 
@@ -54,8 +54,8 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
                 log = -0.5 * step**2 + np.log(abs(step))
                 for half, mine in ((0, whose != "other"), (1, whose != "own")):
                     for c, check in enumerate(checks):
-                        seen = z[half * len(checks) + c]
-                        if np.isnan(seen):
+                        shift = z[half * len(checks) + c]
+                        if np.isnan(shift):
                             continue
                         sign = float(mine)
                         if check.between:  # left minus right counts in the own half
@@ -64,10 +64,10 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
                         a = sign * per_sd * check.effects.get(sensor, 0.0)
                         b = np.hypot(0.3 * a, sign * per_sd * check.effect_sds.get(sensor, 0.0))
                         var = 1.0 + check.wander**2 * flights + b**2
-                        p = np.exp(-0.5 * (seen - a) ** 2 / var) / var**0.5
+                        p = np.exp(-0.5 * (shift - a) ** 2 / var) / var**0.5
                         if half:
                             wide = var + 20.0**2
-                            p += 1e-3 * np.exp(-0.5 * (seen - a) ** 2 / wide) / wide**0.5
+                            p += 1e-3 * np.exp(-0.5 * (shift - a) ** 2 / wide) / wide**0.5
                         log += np.log(p)
                 total += np.exp(log)
             weight[sensor, whose] = total * (10.0 if sensor in ("hx", "cc", "nothing") else 1.0)
@@ -77,10 +77,10 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_posterior_is_bayes_rule(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    z = 2.0 * rng.standard_normal(KNOWN.shift.shape[1])
+    z = 2.0 * rng.standard_normal(SIGNATURES.shift.shape[1])
     z[rng.random(z.size) < 0.2] = np.nan
-    found = {(sensor, whose): p for sensor, whose, p in classify(z, 5.0 + seed)}
-    assert found == pytest.approx(by_hand(z, 5.0 + seed), abs=1e-9)
+    posterior = {(sensor, whose): p for sensor, whose, p in classify(z, 5.0 + seed)}
+    assert posterior == pytest.approx(by_hand(z, 5.0 + seed), abs=1e-9)
 
 
 MOVES = """
@@ -123,14 +123,14 @@ def test_the_matrix_is_that_on_paper() -> None:
 
 
 def test_probabilities_add_up_with_channels_missing() -> None:
-    z = 5.0 * KNOWN.shift[0]
+    z = 5.0 * SIGNATURES.shift[0]
     z[3:] = np.nan
     assert sum(p for _, _, p in classify(z, FLIGHTS)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("inlet", [-2.0, 0.0, 3.0])
 def test_a_real_step_of_the_exchanger_is_no_sensor(inlet: float) -> None:
-    z = np.zeros(KNOWN.shift.shape[1])
+    z = np.zeros(SIGNATURES.shift.shape[1])
     # a blockage takes ram flow, too, and the hot inlet feels it
     z[AT["hx_fouling_flight"]], z[AT["hx_in_over_discharge_k"]] = 12.0, inlet
     z[AT["hx_in_over_pressure_k"]] = np.nan
@@ -139,6 +139,6 @@ def test_a_real_step_of_the_exchanger_is_no_sensor(inlet: float) -> None:
 
 def test_chance_is_no_fault() -> None:
     rng = np.random.default_rng(3)
-    quiet = [classify(rng.standard_normal(KNOWN.shift.shape[1]), FLIGHTS) for _ in range(50)]
+    quiet = [classify(rng.standard_normal(SIGNATURES.shift.shape[1]), FLIGHTS) for _ in range(50)]
     worst = max(sum(p for name, _, p in one if name not in NO_SENSOR) for one in quiet)
     assert worst < 0.5

@@ -16,10 +16,10 @@ FLIGHT = np.arange(N)
 
 def fouling(loss: object, log: pl.DataFrame = NOTHING, sick: object = False, planned: object = None, **more: object):
     """Cases of an exchanger whose loss is known to a hundredth and comes without a step."""
-    given = {"hx_fouling": loss, "hx_fouling_sd": 0.01, "hx_fouling_step_3": 0.0, "hx_passage_300": 0.1} | more
+    columns = {"hx_fouling": loss, "hx_fouling_sd": 0.01, "hx_fouling_step_3": 0.0, "hx_passage_300": 0.1} | more
     flags = np.broadcast_to(np.asarray(sick), N)[None]
     plan = None if planned is None else np.broadcast_to(np.asarray(planned), N)[None]
-    return hx_cases(grid(**given), log, Limits(), flags, plan)
+    return hx_cases(grid(**columns), log, Limits(), flags, plan)
 
 
 def test_odds_are_those_of_a_normal_estimate():
@@ -58,9 +58,9 @@ def test_three_flights_of_four_say_so(pattern, first):
     assert [case.raised_flight for case in fouling(loss)] == ([first] if first else [])
 
 
-@pytest.mark.parametrize(("after", "held"), [(0.066, False), (0.75 * 0.09, False), (0.069, True)])
-def test_a_case_is_held_for_15_flights_below_three_quarters_of_the_soon_limit(after, held):
-    assert spans(fouling(np.where(FLIGHT < 40, 0.2, after))) == [("HX_FOULING", 2, None if held else 54)]
+@pytest.mark.parametrize(("after", "ends"), [(0.066, False), (0.75 * 0.09, False), (0.069, True)])
+def test_a_case_is_held_for_15_flights_below_three_quarters_of_the_soon_limit(after, ends):
+    assert spans(fouling(np.where(FLIGHT < 40, 0.2, after))) == [("HX_FOULING", 2, None if ends else 54)]
 
 
 def test_a_new_unit_is_believed_after_five_flights():
@@ -100,8 +100,8 @@ def test_what_a_unit_has_risen_by_is_the_median_of_ten_less_the_lowest():
     rise = loss_rise(alone, ended)[0]
     for k in range(60):
         own = alone[0, (40 if k >= 40 else 0) : k + 1]
-        known = own[np.isfinite(own)]
-        tens = [np.median(known[i : i + 10]) for i in range(len(known) - 9)]
+        finite = own[np.isfinite(own)]
+        tens = [np.median(finite[i : i + 10]) for i in range(len(finite) - 9)]
         assert rise[k] == pytest.approx(tens[-1] - min(tens) if tens else np.nan, nan_ok=True)
 
 
@@ -115,8 +115,8 @@ def test_what_a_unit_has_risen_by_is_the_median_of_ten_less_the_lowest():
 def test_a_smaller_loss_counts_where_it_grows_fast_and_the_margin_is_not_known(loss, flights, passage, raised):
     slope = (FAILS_AT - loss) / flights
     trends = {"hx_fouling_slope_30_per_flight": 1.5 * slope, "hx_fouling_slope_100_per_flight": 0.5 * slope}
-    found = fouling(loss, hx_passage_300=np.nan if passage is None else passage, **trends)
-    assert len(found) == raised
+    cases = fouling(loss, hx_passage_300=np.nan if passage is None else passage, **trends)
+    assert len(cases) == raised
 
 
 STEP = np.where((FLIGHT >= 50) & (FLIGHT < 53), 0.101, 0.0)
@@ -133,10 +133,10 @@ STEP = np.where((FLIGHT >= 50) & (FLIGHT < 53), 0.101, 0.0)
     ],
 )  # fmt: skip
 def test_a_clog_comes_at_once_with_less_ram_flow_and_no_recovery_before(columns, raised):
-    found = fouling(**({"loss": 0.14, "hx_fouling_step_3": STEP} | columns))
-    assert spans(found) == ([("HX_SUDDEN_CLOG", 50, 82)] if raised else [])  # held for thirty flights
+    cases = fouling(**({"loss": 0.14, "hx_fouling_step_3": STEP} | columns))
+    assert spans(cases) == ([("HX_SUDDEN_CLOG", 50, 82)] if raised else [])  # held for thirty flights
     if raised:
-        assert found[0].facts["jump"] == pytest.approx(0.101)
+        assert cases[0].facts["jump"] == pytest.approx(0.101)
 
 
 @pytest.mark.parametrize(
@@ -157,9 +157,9 @@ def test_a_repair_of_door_or_sensor_explains_a_step_for_15_flights(component, fl
 
 @pytest.mark.parametrize(("rise", "names"), [(88, ["HX_SUDDEN_CLOG"]), (89, ["HX_SUDDEN_CLOG", "HX_FOULING"])])
 def test_a_jump_and_the_loss_it_leads_to_within_40_flights_are_one_case(rise, names):
-    found = fouling(np.where(rise > FLIGHT, 0.14, 0.2), hx_fouling_step_3=np.where(FLIGHT == 50, 0.2, 0.0))
-    assert [case.diagnosis for case in found] == names
-    assert found[0].closed_flight == (None if len(names) == 1 else 80)
+    cases = fouling(np.where(rise > FLIGHT, 0.14, 0.2), hx_fouling_step_3=np.where(FLIGHT == 50, 0.2, 0.0))
+    assert [case.diagnosis for case in cases] == names
+    assert cases[0].closed_flight == (None if len(names) == 1 else 80)
 
 
 def test_a_case_tells_since_when_the_unit_is_worn():
@@ -173,8 +173,8 @@ def test_a_case_tells_since_when_the_unit_is_worn():
     ("loss", "sd", "raised"), [(0.0601, 0.001, 4), (0.0599, 0.001, None), (0.0629, 0.01, 4), (0.0627, 0.01, None)]
 )
 def test_a_compressor_has_lost_6_per_cent_and_5_with_probability_9_of_10(loss, sd, raised):
-    found = cc_cases(grid(cc_efficiency_loss=loss, cc_efficiency_loss_sd=sd), NOTHING, Limits(), np.zeros((1, N), bool))
-    assert [case.raised_flight for case in found] == ([] if raised is None else [raised - 1])
+    cases = cc_cases(grid(cc_efficiency_loss=loss, cc_efficiency_loss_sd=sd), NOTHING, Limits(), np.zeros((1, N), bool))
+    assert [case.raised_flight for case in cases] == ([] if raised is None else [raised - 1])
 
 
 def test_a_compressors_case_is_held_for_20_flights_and_ends_with_it():
@@ -195,8 +195,8 @@ def test_a_compressors_case_is_held_for_20_flights_and_ends_with_it():
 
 def shrunk(by: float, doubtful: bool = False, **more: object) -> list[Case]:
     diameter = 0.16 * np.where(FLIGHT < 40, 1.0, 1.0 - by)
-    told = grid(cc_effective_diameter_m=diameter, running=True, **more)
-    return cc_cases(told, NOTHING, Limits(), np.full((1, N), doubtful))
+    rows = grid(cc_effective_diameter_m=diameter, running=True, **more)
+    return cc_cases(rows, NOTHING, Limits(), np.full((1, N), doubtful))
 
 
 def test_a_smaller_diameter_is_a_case_where_no_efficiency_is_known():
@@ -213,8 +213,8 @@ def test_a_smaller_diameter_is_a_case_where_no_efficiency_is_known():
 
 
 def low(passage: object = 0.91, loss: object = 0.1, log: pl.DataFrame = NOTHING, sick: object = False) -> list[Case]:
-    told = grid(hx_passage_300=passage, hx_fouling=loss)
-    return low_margin_cases(told, log, Limits(), np.broadcast_to(np.asarray(sick), N)[None])
+    rows = grid(hx_passage_300=passage, hx_fouling=loss)
+    return low_margin_cases(rows, log, Limits(), np.broadcast_to(np.asarray(sick), N)[None])
 
 
 @pytest.mark.parametrize(
@@ -265,8 +265,8 @@ def test_a_diameter_is_watched_from_its_twentieth_flight_on(shrinks, grows):
     """Three quarters of a deviation of 2.2 % are no news; a sum of 8 calls, of 1 ends; the level is never forgotten."""
     diameter = 0.16 * np.where((shrinks <= FLIGHT) & (grows > FLIGHT), 0.93, 1.0)
     settings = Cusum(slack=0.75, decide=8.0, clear=1.0, ceiling=14.0, clip=4.5, learn_flights=20, memory_flights=10**6)
-    seen = watch(np.log(diameter)[None, :, None], np.array([0.022]), np.zeros((1, N, 1), bool), settings)
-    called = (seen.alarm & (seen.departure < -0.025) & (seen.sum_low > seen.sum_high))[0, :, 0]
+    state = watch(np.log(diameter)[None, :, None], np.array([0.022]), np.zeros((1, N, 1), bool), settings)
+    called = (state.alarm & (state.departure < -0.025) & (state.sum_low > state.sum_high))[0, :, 0]
     cases = cc_cases(grid(cc_effective_diameter_m=diameter, running=True), NOTHING, Limits(), np.zeros((1, N), bool))
     edges = np.flatnonzero(np.diff(np.r_[0, called.astype(int), 0])).tolist()
     assert spans(cases) == [

@@ -21,11 +21,11 @@ def text(rule, **changed: object) -> str:
 
 
 def test_fouling_in_figures():
-    said = text(wording.exchanger)
+    message = text(wording.exchanger)
     # 90 % interval: 1.645 deviations on either side
-    assert "(hx_fouling) 25 % (22 to 28), 12 sigma; above 5 % since F07, and with probability above 0.99" in said
-    assert "; 2.1 points more every ten flights" in said
-    assert "its last ten flights" not in said
+    assert "(hx_fouling) 25 % (22 to 28), 12 sigma; above 5 % since F07, and with probability above 0.99" in message
+    assert "; 2.1 points more every ten flights" in message
+    assert "its last ten flights" not in message
     assert "its last ten flights alone lie 30 % above" in text(wording.exchanger, gained=0.296)
     assert "points more every" not in text(wording.exchanger, hx_fouling_slope_30_per_flight=9e-6)
     assert "12 points of it within three flights" in text(wording.clog)
@@ -55,9 +55,9 @@ def test_each_witness_at_its_edge(changed, role, words):
 
 def test_packs_alike_and_a_pack_alone_have_no_word_on_the_door():
     for changed in ({"hx_fouling_between_packs": 0.05}, {"door_median_between_packs": NAN}):
-        told = wording.exchanger(WORN | changed, "F").text()
-        assert "wider" not in told
-        assert "as wide" not in told
+        message = wording.exchanger(WORN | changed, "F").text()
+        assert "wider" not in message
+        assert "as wide" not in message
     alone = wording.exchanger(WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}, "F").corroborations
     assert len(alone) == 1
 
@@ -85,12 +85,12 @@ def test_little_margin_in_figures():
         "hx_margin_target_k": NAN, "hx_margin_flow_k": -1.6, "hx_margin_ambient_k": -8.0, "hx_margin_wear_k": 0.0,
         "overheat_p20_k": 1.1,
     }  # fmt: skip
-    said = wording.low_margin(facts, "F07").text()
+    message = wording.low_margin(facts, "F07").text()
     for words in (
         "2 K above its level", "4 K below it on a hot day", "probability 0.93", "the design gives +6 K, flow -2 K, air",
         "air outside -8 K, wear and build +0 K", "outlet was 1 K above its level",
     ):  # fmt: skip
-        assert words in said
+        assert words in message
     cool = wording.low_margin(facts | {"overheat_p20_k": 1.0, "hx_margin_k": NAN}, "F07").text()
     assert "outlet was" not in cool
     assert "unknown distance" in cool
@@ -102,17 +102,18 @@ def test_a_compressor_in_figures():
         "cc_efficiency_loss": 0.082, "cc_efficiency_loss_sd": 0.01, "shrunk": -0.044, "cc_diameter_loss": 0.0206,
         "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
     }  # fmt: skip
-    said = wording.compressor(facts, "F07")
+    evidence = wording.compressor(facts, "F07")
     assert (
-        "8.2 % (6.6 to 9.8) against expectation, 8 sigma, believed since F07; worn at all (above 5 %)" in said.finding
+        "8.2 % (6.6 to 9.8) against expectation, 8 sigma, believed since F07; worn at all (above 5 %)"
+        in evidence.finding
     )
-    roles = [(w.role, w.text[:40]) for w in said.corroborations]
+    roles = [(w.role, w.text[:40]) for w in evidence.corroborations]
     assert roles[0] == ("Supports", "effective diameter lost (cc_diameter_los")
-    assert "lost (cc_diameter_loss) 2.1 %" in said.corroborations[0].text
-    assert "3 % more of it" in said.corroborations[1].text
-    assert "it is 3 % too small" in said.corroborations[2].text
-    for lost, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
-        assert wording.compressor(facts | {"cc_diameter_loss": lost}, "F").corroborations[0].role == role
+    assert "lost (cc_diameter_loss) 2.1 %" in evidence.corroborations[0].text
+    assert "3 % more of it" in evidence.corroborations[1].text
+    assert "it is 3 % too small" in evidence.corroborations[2].text
+    for loss, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
+        assert wording.compressor(facts | {"cc_diameter_loss": loss}, "F").corroborations[0].role == role
     short = wording.compressor(
         facts | {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}, "F"
     ).corroborations

@@ -36,10 +36,10 @@ def test_conductance_law_is_within_two_per_cent_over_the_envelope(fleet, model):
 
 
 def test_elasticities_are_within_003_and_their_intervals_hold(fleet, model):
-    found, sd = elasticities(model)
+    estimate, sd = elasticities(model)
     true = flow_elasticities(fleet.design, *model.cruise_flows_kg_s)
-    assert np.abs(found - true).max() < 0.03
-    assert (np.abs(found - true) < 3.0 * sd).all()
+    assert np.abs(estimate - true).max() < 0.03
+    assert (np.abs(estimate - true) < 3.0 * sd).all()
 
 
 def test_elasticities_are_the_slopes_of_the_law(model):
@@ -60,10 +60,14 @@ def test_design_intervals_hold(fleet, model):
 
 def test_wear_in_the_baseline_is_not_learned_as_design(fleet, flights):
     """Left packs lose up to 5 per mille a flight inside the window; their health says so, not the law."""
-    seen = flights.join(fleet.truth, on=["tail", "flight_id", "pack"]).drop_nulls("ln_ua_ratio")
+    joined = flights.join(fleet.truth, on=["tail", "flight_id", "pack"]).drop_nulls("ln_ua_ratio")
     within = [pl.col(c) - pl.col(c).mean().over("tail", "pack") for c in ("ln_ua_ratio",)]
-    lost = (1.0 - pl.col("loss")).log()
-    slope = seen.filter(pl.col("pack") == 1).select(y=within[0], x=lost - lost.mean().over("tail", "pack")).to_numpy()
+    ln_ratio = (1.0 - pl.col("loss")).log()
+    slope = (
+        joined.filter(pl.col("pack") == 1)
+        .select(y=within[0], x=ln_ratio - ln_ratio.mean().over("tail", "pack"))
+        .to_numpy()
+    )
     assert (slope[:, 0] @ slope[:, 1]) / (slope[:, 1] @ slope[:, 1]) == pytest.approx(1.0, abs=0.06)
 
 
@@ -94,8 +98,8 @@ def test_version_is_of_the_data_not_of_their_order(fleet):
     here = calibrate(small.samples, small.legs, small.maintenance)
     shuffled = small.samples.sample(fraction=1.0, shuffle=True, seed=4)
     assert calibrate(shuffled, small.legs, small.maintenance) == here
-    moved = small.samples.with_columns(pl.col("hx_out_k") + 1e-3)
-    assert calibrate(moved, small.legs, small.maintenance).dsm_version != here.dsm_version
+    warmer = small.samples.with_columns(pl.col("hx_out_k") + 1e-3)
+    assert calibrate(warmer, small.legs, small.maintenance).dsm_version != here.dsm_version
 
 
 def test_baseline_grows_by_milestones_and_ends():

@@ -61,28 +61,28 @@ def test_a_draft_is_anchored_where_its_points_lie(small):
     assert _middle_flows([], design) == (0.9, 1.6)
 
 
-@pytest.mark.parametrize(("verdicts", "kept"), [([True, False], 1), ([None, None], 2), ([None, False], 1)])
-def test_a_leg_without_a_verdict_calibrates(verdicts, kept):
+@pytest.mark.parametrize(("verdicts", "n_rows"), [([True, False], 1), ([None, None], 2), ([None, False], 1)])
+def test_a_leg_without_a_verdict_calibrates(verdicts, n_rows):
     base = flights(2).select("operator", "tail", "pack", "flight_id")
     legs = base.with_columns(admitted=pl.Series(verdicts, dtype=pl.Boolean))
-    assert _select_admitted(base, legs).height == kept
+    assert _select_admitted(base, legs).height == n_rows
     assert _select_admitted(base, legs.head(1)).height == (2 if verdicts[0] is not False else 1)
     assert _select_admitted(base, legs.clear()).height == 2
 
 
 def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
-    seen = {"A": -0.03, "B": 0.05, "C": -0.2}
+    ratios = {"A": -0.03, "B": 0.05, "C": -0.2}
     rows = [flights(n, tail=t, ln_ua_ratio=[v] * 10 + [9.0] * (n - 10) if n > 10 else [v] * n)
-            for (t, v), n in zip(seen.items(), (12, 10, 4), strict=True)]  # fmt: skip
-    found = exchanger_levels(pl.concat(rows), DSM)
+            for (t, v), n in zip(ratios.items(), (12, 10, 4), strict=True)]  # fmt: skip
+    levels = exchanger_levels(pl.concat(rows), DSM)
     n = np.array([10, 10, 4])
-    value, error = np.array(list(seen.values())), 0.015 * 1.2533 / np.sqrt(n)
+    value, error = np.array(list(ratios.values())), 0.015 * 1.2533 / np.sqrt(n)
     entry = entry_posterior(value, error**2, 0.02, 0.05)
-    frame = pl.DataFrame({"operator": "TST", "tail": list(seen), "pack": 1, "value": value + entry.wear,
+    frame = pl.DataFrame({"operator": "TST", "tail": list(ratios), "pack": 1, "value": value + entry.wear,
                           "error_sd": np.sqrt(error**2 + entry.wear_var), "n": n})  # fmt: skip
     pooled = levels_of(frame, "hx_ua_reference_w_k")[1]
     ln_ua = dict(zip(hx.NAMES, DSM.exchanger, strict=True))["ln_ua_reference"]
-    for one, level in zip(found, pooled, strict=True):
+    for one, level in zip(levels, pooled, strict=True):
         ua = np.exp(ln_ua + level.value)
         assert (one.value, one.sd) == pytest.approx((ua, ua * np.hypot(level.sd, 0.1)), rel=1e-4)
         assert (one.tail, one.n_flights, one.parameter) == (level.tail, level.n_flights, "hx_ua_reference_w_k")
@@ -96,14 +96,14 @@ def test_instruments_are_logarithms_about_a_middling_cruise():
     np.testing.assert_allclose(instruments_of(signals), [[0.1, 0.2, 0.3, 0.4, 0.5, 0.01, 0.04, 0.02], [0.0] * 8])
 
 
-@pytest.mark.parametrize(("known", "seen"), [(19, False), (20, True)])
-def test_twenty_points_of_a_ram_outlet_fix_the_ram_flow(small, known, seen):
+@pytest.mark.parametrize(("n_known", "has_ram_outlet"), [(19, False), (20, True)])
+def test_twenty_points_of_a_ram_outlet_fix_the_ram_flow(small, n_known, has_ram_outlet):
 
     packs = small.samples.select("operator", "tail", "pack").unique().sort("pack")
     points = to_points(level_points(cruise_samples(small.samples), flights_of(small.samples)), packs)
-    points.signals["ram_out_k"] = np.where(np.arange(len(points)) < known, points.signals["ram_out_k"], np.nan)
-    found = fit_exchanger(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
-    assert (found.has_ram_outlet, found.converged) == (seen, True)
+    points.signals["ram_out_k"] = np.where(np.arange(len(points)) < n_known, points.signals["ram_out_k"], np.nan)
+    fit = fit_exchanger(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
+    assert (fit.has_ram_outlet, fit.converged) == (has_ram_outlet, True)
     nothing = fit_exchanger(replace(points, pack=points.pack[:0]), np.full((1, 6), 0.1), np.tile(hx.BIAS_SDS, (1, 1)))
     assert nothing.converged
     np.testing.assert_array_equal(nothing.bias, [[0.1] * 6])
@@ -113,8 +113,8 @@ def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():
     rows = pl.concat([flights(3), flights(3, pack=2)]).rename({"departed_at": "time_utc"})
     late = rows.with_columns(time_utc=pl.when(pl.col("flight_id") == "T-1_000").then(pl.col("time_utc").max())
                              .otherwise("time_utc"))  # fmt: skip
-    found = flights_of(late)
-    assert found.select("pack", "flight_id", "order").rows() == [
+    ordered = flights_of(late)
+    assert ordered.select("pack", "flight_id", "order").rows() == [
         (pack, flight, order) for pack in (1, 2) for order, flight in enumerate(("T-1_001", "T-1_000", "T-1_002"))
     ]
     logged = late.with_columns(departed_at=pl.lit(late["time_utc"].min()))
@@ -149,15 +149,15 @@ def test_the_interval_of_a_share_is_that_of_flights_drawn_again():
     np.testing.assert_allclose(np.quantile(share, [0.025, 0.975]), (linear.r_squared_low, linear.r_squared_high))
 
 
-@pytest.mark.parametrize(("samples", "kept"), [(119_996, 119_996), (120_000, 60_000)])
-def test_of_many_samples_whole_flights_are_taken_evenly(samples, kept):
+@pytest.mark.parametrize(("samples", "n_samples"), [(119_996, 119_996), (120_000, 60_000)])
+def test_of_many_samples_whole_flights_are_taken_evenly(samples, n_samples):
     flight = np.arange(samples) // 4
     blocks = pl.DataFrame({"turn": range(samples // 4)})
     few = _thin(BlockRows(np.arange(samples), np.arange(samples), flight, flight, blocks))
-    assert len(few.x) == kept
-    assert few.flight.tolist() == few.block.tolist() == (np.arange(kept) // 4).tolist()
-    assert few.x[4] == 4 * samples // kept
-    assert len(few.blocks) == kept // 4
+    assert len(few.x) == n_samples
+    assert few.flight.tolist() == few.block.tolist() == (np.arange(n_samples) // 4).tolist()
+    assert few.x[4] == 4 * samples // n_samples
+    assert len(few.blocks) == n_samples // 4
 
 
 def compressor(n: int, **columns) -> pl.DataFrame:
@@ -180,9 +180,9 @@ def test_a_group_has_a_slope_from_thirty_points_on():
     alone = compressor(40, flight_id="F")
     assert fit_compressor(alone).scatter_m == 0.0055  # one flight of one pack
     pair = compressor(40, flight_id=["F"] * 20 + ["G"] * 20, diameter_m=0.17 + 1e-3 * np.sin(np.arange(40.0)))
-    found = fit_compressor(pair)
+    fit = fit_compressor(pair)
     line = fit_line(rows_of(pair, "diameter_m"))
-    assert (found.mae_m, found.r_squared) == (pytest.approx(np.abs(line.residual).mean()), 0.0)
+    assert (fit.mae_m, fit.r_squared) == (pytest.approx(np.abs(line.residual).mean()), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -209,12 +209,14 @@ def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fi
     frame = frame.with_columns(pl.lit(v).alias(c) for c, v in sound.items())
     columns = np.column_stack([height**k for k in range(4)] + [np.log(flow)])
     left = out - columns @ np.linalg.lstsq(columns, out)[0]
-    shown = np.array([np.median(left[pack == p]) for p in range(packs)])
-    found = probe_corrections(frame, frame.select("operator", "tail", "pack").unique().sort("tail"))["exit_bias_ln"]
-    share = 0.004**2 / (np.sum((shown - shown.mean()) ** 2) / 3.0) if share is None else share
+    offsets = np.array([np.median(left[pack == p]) for p in range(packs)])
+    corrections = probe_corrections(frame, frame.select("operator", "tail", "pack").unique().sort("tail"))[
+        "exit_bias_ln"
+    ]
+    share = 0.004**2 / (np.sum((offsets - offsets.mean()) ** 2) / 3.0) if share is None else share
     assert share < 0.81
-    np.testing.assert_allclose(found, share * (shown - np.median(shown)), atol=1e-9)
-    assert np.ptp(shown) > 0.001
+    np.testing.assert_allclose(corrections, share * (offsets - np.median(offsets)), atol=1e-9)
+    assert np.ptp(offsets) > 0.001
 
 
 def test_a_difference_of_an_inlet_is_shared_by_the_sensors_declared_errors():
@@ -226,21 +228,21 @@ def test_a_difference_of_an_inlet_is_shared_by_the_sensors_declared_errors():
         total_pressure_pa=pl.lit(3e4), cc_in_pa=pl.Series([3e4, 2.7e4, 2.5e4, -3e4, None]),
         **{c: pl.lit(v) for c, v in nothing.items()},
     )  # fmt: skip
-    found = probe_corrections(rows, packs)
-    np.testing.assert_allclose(found["inlet_bias_k"], np.array([-2.0, 0.0, 4.0, 0.0, 0.0]) * 0.8)
+    corrections = probe_corrections(rows, packs)
+    np.testing.assert_allclose(corrections["inlet_bias_k"], np.array([-2.0, 0.0, 4.0, 0.0, 0.0]) * 0.8)
     ratio = np.log([1.0, 0.9, 2.5 / 3.0])
     middle = 0.5 * (ratio[0] + ratio[1])  # NaN is above all
-    np.testing.assert_allclose(found["inlet_bias_ln"], [*((ratio - middle) * 9.0 / 13.0), 0.0, 0.0])
-    assert found["exit_bias_ln"].to_list() == [0.0] * 5
+    np.testing.assert_allclose(corrections["inlet_bias_ln"], [*((ratio - middle) * 9.0 / 13.0), 0.0, 0.0])
+    assert corrections["exit_bias_ln"].to_list() == [0.0] * 5
 
 
 def test_an_inlet_without_a_law_or_a_reading_is_as_recorded(small):
     rows = small.samples.head(3).with_columns(cc_out_k=pl.Series([450.0, 450.0, None]))
-    bias, held = np.zeros((6, 3)), np.full(3, 296.0)
-    np.testing.assert_array_equal(full_open_inlet_k(rows, (), DSM.design, bias, held), rows["hx_in_k"])
-    moved = full_open_inlet_k(rows, (0.6, 0.3, 0.0, 0.0, 0.0, 0.0), DSM.design, bias, held)
-    assert moved[2] == rows["hx_in_k"][2]
-    assert (moved[:2] != rows["hx_in_k"][:2].to_numpy()).all()
+    bias, pack_out_k = np.zeros((6, 3)), np.full(3, 296.0)
+    np.testing.assert_array_equal(full_open_inlet_k(rows, (), DSM.design, bias, pack_out_k), rows["hx_in_k"])
+    full_open = full_open_inlet_k(rows, (0.6, 0.3, 0.0, 0.0, 0.0, 0.0), DSM.design, bias, pack_out_k)
+    assert full_open[2] == rows["hx_in_k"][2]
+    assert (full_open[:2] != rows["hx_in_k"][:2].to_numpy()).all()
 
 
 # value, sd, BIC's gain, held-out change
@@ -256,21 +258,21 @@ def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
     numbers = [value if k == at else bar for k, bar in enumerate(BARS)]
     best, second = list(TERMS)[:2]
 
-    def row(_seen, _dsm, name):
-        v, sd, bic, held = numbers if name == best else (0.9, 0.1, numbers[2] - 0.1, -0.5)
-        return (name, "", v, sd, "-", bic, 20.0, held, 0.1, 99)
+    def row(_steps, _dsm, name):
+        v, sd, bic, held_out = numbers if name == best else (0.9, 0.1, numbers[2] - 0.1, -0.5)
+        return (name, "", v, sd, "-", bic, 20.0, held_out, 0.1, 99)
 
     monkeypatch.setattr(missing_physics, "_evidence", row)
     monkeypatch.setattr(missing_physics, "_flight_steps", lambda *_: type("S", (), {"fold": np.zeros(60)}))
     monkeypatch.setattr(missing_physics, "TERMS", {n: replace(TERMS[n], bounds=(-9.0, 9.0)) for n in (best, second)})
-    found = propose(pl.DataFrame(), DSM)
-    assert found["term"].to_list() == [best, second]
-    assert found["proposed"].to_list() == [proposed, False]
+    proposals = propose(pl.DataFrame(), DSM)
+    assert proposals["term"].to_list() == [best, second]
+    assert proposals["proposed"].to_list() == [proposed, False]
     bound = (numbers[0], 9.0)
     monkeypatch.setattr(missing_physics, "TERMS", {n: replace(TERMS[n], bounds=bound) for n in (best, second)})
     assert not propose(pl.DataFrame(), DSM)["proposed"].any()
-    known = propose(pl.DataFrame(), replace(DSM, terms={best: 0.1}))
-    assert known["term"].to_list() == [second]
+    others = propose(pl.DataFrame(), replace(DSM, terms={best: 0.1}))
+    assert others["term"].to_list() == [second]
     monkeypatch.setattr(missing_physics, "_flight_steps", lambda *_: type("S", (), {"fold": np.zeros(59)}))
     assert propose(pl.DataFrame(), DSM).select("value", "n").rows() == [(None, 59)] * 2
 
@@ -292,8 +294,8 @@ def test_a_step_is_hubers_regression_through_instruments():
         away = left - columns @ step
         scale = 1.4826 * np.median(np.abs(away))
         weight = np.minimum(1.0, 2.0 * scale / np.abs(away))
-    found, sd = _step(columns, left, instruments, design)
-    np.testing.assert_allclose(found, step, rtol=1e-6, atol=1e-9)
+    estimate, sd = _step(columns, left, instruments, design)
+    np.testing.assert_allclose(estimate, step, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(sd, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-6)
     assert _rms(np.array([1.0, -9.0, np.nan]), 2.0) == pytest.approx(np.sqrt(2.5))
 
@@ -311,14 +313,14 @@ def test_changes_are_of_one_pack_and_folds_of_aircraft():
     rows = pl.concat([cruise_of(30, t, k) for k, t in enumerate("ABCDEFG")] + [cruise_of(9, "A", 9, pack=2)])
     gap = rows.with_columns(pl.when(pl.col("flight_id") == "B_004").then(None).otherwise("hx_in_k").alias("hx_in_k"))
     dsm = with_bias(("B", 1), hx_out_k=0.5)
-    seen = _flight_steps(gap, dsm)
-    assert np.bincount(seen.fold).tolist() == [29, 29 + 8 + 29, 28 + 29, 29, 29]
+    steps = _flight_steps(gap, dsm)
+    assert np.bincount(steps.fold).tolist() == [29, 29 + 8 + 29, 28 + 29, 29, 29]
     ordered = gap.drop_nulls("hx_in_k").sort("operator", "tail", "pack", "departed_at")
     signals = {n: ordered[n].to_numpy() for n in hx.SIGNALS}
     here = hx.ln_conductance_ratio(signals, dsm.design, dsm.bias_of(ordered))
-    np.testing.assert_allclose(seen.offset, ordered["ln_ua_ratio"].to_numpy() - here)
-    own = np.diff(ordered["ln_ua_ratio"].to_numpy())[seen.change]
-    np.testing.assert_allclose(seen.residual({}, dsm.design), own)
+    np.testing.assert_allclose(steps.offset, ordered["ln_ua_ratio"].to_numpy() - here)
+    own = np.diff(ordered["ln_ua_ratio"].to_numpy())[steps.change]
+    np.testing.assert_allclose(steps.residual({}, dsm.design), own)
     two = _flight_steps(rows.filter(pl.col("tail").is_in(["A", "C"])), dsm)  # of two aircraft: fifths of the flights
     assert len(np.unique(two.fold)) == 5
 
@@ -334,10 +336,10 @@ def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
 
 def test_a_term_is_fitted_in_five_steps_and_accepted_in_three_rounds(monkeypatch):
     """A step moves a term within its bounds, and the design by half at most."""
-    seen, (name, other) = _flight_steps(cruise_of(30, "A", 1), DSM), list(TERMS)[:2]
+    steps, (name, other) = _flight_steps(cruise_of(30, "A", 1), DSM), list(TERMS)[:2]
     size, p = 0.02 * TERMS[name].bounds[1], len(hx.MEAN)
     monkeypatch.setattr(missing_physics, "_step", lambda *_: (np.r_[size, np.full(p, 9.0)], np.arange(1.0, p + 2)))
-    fit = _fit(seen, DSM, (name,))
+    fit = _fit(steps, DSM, (name,))
     assert (fit.terms[name], fit.sd.tolist()) == (pytest.approx(5 * size), [1.0])
     np.testing.assert_allclose(fit.design, np.minimum(hx.MEAN + 2.5, hx.HIGH))
     rounds: list = []
@@ -357,22 +359,22 @@ def test_a_term_is_fitted_in_five_steps_and_accepted_in_three_rounds(monkeypatch
 
 def test_evidence_is_the_coefficient_over_its_deviation_and_what_is_left_out():
     rows = pl.concat([cruise_of(40, t, k) for k, t in enumerate("ABC")])
-    seen, name = _flight_steps(rows, DSM), next(iter(TERMS))
-    fit, row = _fit(seen, DSM, (name,)), _evidence(seen, DSM, name)
-    f, n = (fit.terms[name] / fit.sd[0]) ** 2, len(seen.fold)
+    changes, name = _flight_steps(rows, DSM), next(iter(TERMS))
+    fit, row = _fit(changes, DSM, (name,)), _evidence(changes, DSM, name)
+    f, n = (fit.terms[name] / fit.sd[0]) ** 2, len(changes.fold)
     assert row[2:4] == pytest.approx((fit.terms[name], fit.sd[0]))
     assert (row[5], row[6], row[9]) == pytest.approx((f - np.log(n), f, n))
-    before = seen.residual({}, DSM.design)
+    before = changes.residual({}, DSM.design)
     limit = 4.0 * 1.4826 * np.median(np.abs(before))
     after = np.empty(n)
-    for fold in np.unique(seen.fold):
-        out = seen.fold == fold
-        other = _fit(seen, DSM, (name,), ~out)
-        after[out] = seen.residual(other.terms, other.design)[out]
+    for fold in np.unique(changes.fold):
+        out = changes.fold == fold
+        other = _fit(changes, DSM, (name,), ~out)
+        after[out] = changes.residual(other.terms, other.design)[out]
     ratio = np.sqrt(np.mean(np.clip(after, -limit, limit) ** 2) / np.mean(np.clip(before, -limit, limit) ** 2))
     assert row[7] == pytest.approx(ratio - 1.0)
-    steps = [seen.ratio({name: value}, DSM.design) for value in (0.25, 0.251)]
-    slope = -np.diff(steps[1] - steps[0])[seen.change] / 1e-3
-    np.testing.assert_allclose(_columns(seen, {name: 0.25}, DSM.design)[:, 0], slope, rtol=1e-8, atol=1e-12)
-    moved = seen.ratio(fit.terms, fit.design) - seen.ratio({}, DSM.design)
-    assert row[8] == pytest.approx(np.nanstd(moved))
+    steps = [changes.ratio({name: value}, DSM.design) for value in (0.25, 0.251)]
+    slope = -np.diff(steps[1] - steps[0])[changes.change] / 1e-3
+    np.testing.assert_allclose(_columns(changes, {name: 0.25}, DSM.design)[:, 0], slope, rtol=1e-8, atol=1e-12)
+    shift = changes.ratio(fit.terms, fit.design) - changes.ratio({}, DSM.design)
+    assert row[8] == pytest.approx(np.nanstd(shift))

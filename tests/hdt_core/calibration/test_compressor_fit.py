@@ -11,31 +11,31 @@ from hdt_core.records.keys import PACK
 from hdt_core.tracking.sequential import flight_by_flight
 
 
-def seen(samples: pl.DataFrame) -> pl.DataFrame:
+def compressor_rows(samples: pl.DataFrame) -> pl.DataFrame:
     packs = samples.select(PACK).unique().sort(PACK)
     return compressor_samples(samples, probe_corrections(samples, packs))
 
 
 @pytest.fixture(scope="module")
-def fit(fleet, made):
-    return fit_compressor(seen(made.group_flow(fleet.samples)))
+def fit(fleet, fleets):
+    return fit_compressor(compressor_rows(fleets.group_flow(fleet.samples)))
 
 
-def test_line_is_recovered_with_its_interval(fit, made):
-    assert abs(fit.slope_m_per_count - made.SLOPE_M) < 3.0 * fit.slope_sd_m_per_count
-    assert fit.slope_sd_m_per_count < 0.1 * abs(made.SLOPE_M)
-    assert abs(fit.intercept_m - made.INTERCEPT_M) < 3.0 * fit.intercept_sd_m
+def test_line_is_recovered_with_its_interval(fit, fleets):
+    assert abs(fit.slope_m_per_count - fleets.SLOPE_M) < 3.0 * fit.slope_sd_m_per_count
+    assert fit.slope_sd_m_per_count < 0.1 * abs(fleets.SLOPE_M)
+    assert abs(fit.intercept_m - fleets.INTERCEPT_M) < 3.0 * fit.intercept_sd_m
 
 
-def test_error_on_flights_left_out_is_what_the_scatter_allows(fit, made):
+def test_error_on_flights_left_out_is_what_the_scatter_allows(fit, fleets):
     # mean absolute value of a normal error; levels of twenty flights cost one per cent
-    allowed = made.SCATTER_M * np.sqrt(2.0 / np.pi)
+    allowed = fleets.SCATTER_M * np.sqrt(2.0 / np.pi)
     assert fit.mae_m == pytest.approx(allowed, rel=0.06)
     assert fit.mae_m < 0.0055
-    assert fit.scatter_m == pytest.approx(made.SCATTER_M, rel=0.06)
+    assert fit.scatter_m == pytest.approx(fleets.SCATTER_M, rel=0.06)
 
 
-def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, made):
+def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, fleets):
     constant, linear, *richer = fit.forms
     assert linear.cv_mae_m < 0.97 * constant.cv_mae_m
     assert constant.aic > linear.aic + 10.0
@@ -44,47 +44,49 @@ def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, made):
         assert form.r_squared >= linear.r_squared - 1e-12
     assert linear.r_squared_low < linear.r_squared < linear.r_squared_high
     # positions uniform over 300 counts: what slope and scatter imply
-    explained = made.SLOPE_M**2 * 300.0**2 / 12.0
-    assert linear.r_squared == pytest.approx(explained / (explained + made.SCATTER_M**2), abs=0.02)
+    explained = fleets.SLOPE_M**2 * 300.0**2 / 12.0
+    assert linear.r_squared == pytest.approx(explained / (explained + fleets.SCATTER_M**2), abs=0.02)
 
 
-def test_group_is_recovered_within_half_a_per_cent(fit, made):
-    assert fit.group_m3 == pytest.approx(made.GROUP_M3, rel=0.005)
+def test_group_is_recovered_within_half_a_per_cent(fit, fleets):
+    assert fit.group_m3 == pytest.approx(fleets.GROUP_M3, rel=0.005)
 
 
-def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, made):
+def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, fleets):
     """A group that grows by a third of a millionth a count, read by a flow sensor and a position with their noise."""
     slope, rng = 3.3e-7, np.random.default_rng(5)
     inlet = [fleet.samples[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")]
-    group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), made.GROUP_M3, 450.0, slope)
+    group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), fleets.GROUP_M3, 450.0, slope)
     flow = inlet_flow_kg_s(group, *inlet) * (1.0 + 0.02 * rng.standard_normal(group.size))
     noise = pl.Series(5.0 * rng.standard_normal(group.size))
-    found = fit_compressor(seen(fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow))))
-    sd = found.group_slope_sd_m3_per_count
-    assert abs(found.group_slope_m3_per_count - slope) < 3.0 * sd < 0.1 * slope
+    refit = fit_compressor(
+        compressor_rows(fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow)))
+    )
+    sd = refit.group_slope_sd_m3_per_count
+    assert abs(refit.group_slope_m3_per_count - slope) < 3.0 * sd < 0.1 * slope
     assert abs(fit.group_slope_m3_per_count) < 0.003 * slope  # a group that the diffuser does not move
     positions = np.array([320.0, 450.0, 580.0])
-    np.testing.assert_allclose(found.position_counts(found.group_at_m3(positions)), positions, rtol=1e-12)
-    assert found.vda_widest_counts == pytest.approx(600.0, abs=25.0)
+    np.testing.assert_allclose(refit.position_counts(refit.group_at_m3(positions)), positions, rtol=1e-12)
+    assert refit.vda_widest_counts == pytest.approx(600.0, abs=25.0)
 
 
-def test_worn_machine_does_not_flatten_the_line(fleet, made):
+def test_worn_machine_does_not_flatten_the_line(fleet, fleets):
     """Speed up by what a loss of diameter asks for: level and slope of that machine shrink, the fleet's don't."""
     order = pl.col("time_utc").rank("dense").over(PACK) / pl.len().over(PACK)
     shrunk = pl.when((pl.col("pack") == 1) & (pl.col("tail") < "T-02")).then(1.0 - 0.15 * order).otherwise(1.0)
-    worn = fit_compressor(seen(fleet.samples.with_columns(pl.col("cc_speed_rad_s") / shrunk)))
-    assert abs(worn.slope_m_per_count - made.SLOPE_M) < 3.0 * worn.slope_sd_m_per_count
-    assert abs(worn.intercept_m - made.INTERCEPT_M) < 3.0 * worn.intercept_sd_m
+    worn = fit_compressor(compressor_rows(fleet.samples.with_columns(pl.col("cc_speed_rad_s") / shrunk)))
+    assert abs(worn.slope_m_per_count - fleets.SLOPE_M) < 3.0 * worn.slope_sd_m_per_count
+    assert abs(worn.intercept_m - fleets.INTERCEPT_M) < 3.0 * worn.intercept_sd_m
 
 
-def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(made):
+def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(fleets):
     """Ten times five counts would flatten the line by a third; declared noise is put back."""
     rng = np.random.default_rng(3)
     n = 40_000
     true = 400.0 + 12.0 * rng.standard_normal(n)
     frame = pl.DataFrame(
         {
-            "diameter_m": made.INTERCEPT_M + made.SLOPE_M * true,
+            "diameter_m": fleets.INTERCEPT_M + fleets.SLOPE_M * true,
             "vda_counts": true + 5.0 * rng.standard_normal(n),
             "group_m3": pl.Series([None] * n, dtype=pl.Float64),
             "efficiency": pl.Series([None] * n, dtype=pl.Float64),
@@ -92,11 +94,11 @@ def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(made):
             "time_utc": np.arange(n),
         }
     ).with_columns(operator=pl.lit("TST"), tail=pl.format("T-{}", pl.int_range(pl.len()) // 4000), pack=pl.lit(1))
-    assert fit_compressor(frame).slope_m_per_count == pytest.approx(made.SLOPE_M, rel=0.02)
+    assert fit_compressor(frame).slope_m_per_count == pytest.approx(fleets.SLOPE_M, rel=0.02)
 
 
 def test_too_few_records_give_the_papers_line_with_a_wide_band(fleet):
-    few = fit_compressor(seen(fleet.samples.head(20)))
+    few = fit_compressor(compressor_rows(fleet.samples.head(20)))
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
 
@@ -113,8 +115,8 @@ def test_inlet_keeps_the_group_and_gives_the_prior_back():
     assert area_sd / area == pytest.approx(2.0 / 3.0 * 0.110, rel=0.01)
 
 
-def test_flight_by_flight_ends_where_a_cold_start_and_the_closed_form_end(fleet, made):
-    samples = made.group_flow(fleet.only("T-00").samples)
+def test_flight_by_flight_ends_where_a_cold_start_and_the_closed_form_end(fleet, fleets):
+    samples = fleets.group_flow(fleet.only("T-00").samples)
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
     warm, cold = (flight_by_flight(samples, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
     assert set(warm["status"]) == {"converged"}
@@ -122,7 +124,7 @@ def test_flight_by_flight_ends_where_a_cold_start_and_the_closed_form_end(fleet,
         np.testing.assert_allclose(warm[column], cold[column], rtol=1e-6)
     assert warm["n_evals"].sum() < 0.8 * cold["n_evals"].sum()
     group_m3 = warm["cc_area_diameter_tan_beta_m3"]
-    np.testing.assert_allclose(group_m3, made.GROUP_M3, rtol=1e-6)
+    np.testing.assert_allclose(group_m3, fleets.GROUP_M3, rtol=1e-6)
     s = samples.filter((pl.col("flight_id") == warm["flight_id"][5]) & (pl.col("pack") == warm["pack"][5]))
     flow = inlet_flow_kg_s(group_m3[5], *(s[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
     np.testing.assert_allclose(flow, s["cc_flow_kg_s"].to_numpy(), rtol=1e-6)

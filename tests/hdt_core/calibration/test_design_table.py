@@ -23,10 +23,10 @@ def row(parameter: str, dsm=DSM, **where) -> dict:
 def test_a_logarithm_is_stated_as_what_it_is_of(parameter, name, shift):
     """Its deviation by its own slope; the conductance at the clean fleet's level."""
     value = np.exp(dict(zip(hx.NAMES, hx.MEAN, strict=True))[name] + shift)
-    found = row(parameter)
-    assert (found["value"], found["sd"]) == pytest.approx((value, 0.1 * value))
-    assert found["unit"] == ("W/K at 0.9 kg/s hot, 1.6 kg/s ram" if parameter.startswith("hx") else "m2")
-    assert (found["scope"], found["n_flights"], found["dsm_version"]) == ("fleet", 100, "by-hand")
+    entry = row(parameter)
+    assert (entry["value"], entry["sd"]) == pytest.approx((value, 0.1 * value))
+    assert entry["unit"] == ("W/K at 0.9 kg/s hot, 1.6 kg/s ram" if parameter.startswith("hx") else "m2")
+    assert (entry["scope"], entry["n_flights"], entry["dsm_version"]) == ("fleet", 100, "by-hand")
 
 
 @pytest.mark.parametrize(("share", "identifiable"), [(0.49, True), (0.51, False)])
@@ -50,28 +50,32 @@ def test_elasticity_is_an_exponent_times_its_films_share():
         for e in 1e-5 * np.eye(len(hx.NAMES))
     ])  # fmt: skip
     np.testing.assert_allclose(sd, 0.1 * np.sqrt((slopes**2).sum(axis=0)), rtol=1e-3)
-    found = row("hx_flow_elasticity_hot", dsm)
-    assert (found["value"], found["sd"], found["unit"]) == (at[0], sd[0], "- at 1.60 kg/s hot, 1.20 kg/s ram")
+    entry = row("hx_flow_elasticity_hot", dsm)
+    assert (entry["value"], entry["sd"], entry["unit"]) == (at[0], sd[0], "- at 1.60 kg/s hot, 1.20 kg/s ram")
     prior = np.sqrt(((slopes * hx.SD[:, None]) ** 2).sum(axis=0))
-    for share, told in ((0.49, True), (0.51, False)):
+    for share, identifiable in ((0.49, True), (0.51, False)):
         tight = replace(dsm, exchanger_cov=tuple(map(tuple, np.diag((share * hx.SD) ** 2))))
         assert elasticities(tight)[1] == pytest.approx(share * prior, rel=1e-3)
-        assert row("hx_flow_elasticity_cold", tight)["identifiable"] == told
+        assert row("hx_flow_elasticity_cold", tight)["identifiable"] == identifiable
 
 
 def test_the_compressor_as_built_is_identified_within_a_tenth():
-    found = {
+    rows = {
         r["parameter"]: r for r in design_parameters(DSM).filter(component="CC", scope="fleet").iter_rows(named=True)
     }
     want = {"cc_diameter_vda_intercept": (0.18, 0.002, "m"), "cc_diameter_vda_slope": (-2e-5, 1e-6, "m/count"),
             "cc_diameter_vda_scatter_m": (0.004, None, "m"), "cc_diameter_vda_mae_m": (0.003, None, "m"),
             "cc_diameter_vda_r_squared": (0.5, None, "-"), "cc_area_diameter_tan_beta_m3": (8e-4, 2e-5, "m3"),
             "cc_flow_group_m3_per_count": (1e-7, 2e-8, "m3/count"), "cc_efficiency": (0.8, 0.008, "-")}  # fmt: skip
-    assert {n: (found[n]["value"], found[n]["sd"], found[n]["unit"]) for n in want} == want
-    told = {n: found[n]["identifiable"] for n in found}
-    assert not told.pop("cc_flow_group_m3_per_count")
-    assert {n for n, v in told.items() if not v} == {"cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad"}
-    assert found["cc_blade_angle_rad"]["unit"] == (
+    assert {n: (rows[n]["value"], rows[n]["sd"], rows[n]["unit"]) for n in want} == want
+    identifiable = {n: rows[n]["identifiable"] for n in rows}
+    assert not identifiable.pop("cc_flow_group_m3_per_count")
+    assert {n for n, v in identifiable.items() if not v} == {
+        "cc_inlet_area_m2",
+        "cc_eye_diameter_m",
+        "cc_blade_angle_rad",
+    }
+    assert rows["cc_blade_angle_rad"]["unit"] == (
         "rad, given a blade angle of 36 ± 3 degrees and a hub of 0.4 eye diameters"
     )
     edge = replace(

@@ -74,9 +74,9 @@ def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
     """Four robust deviations and the sensor's noise from the pack's middle: 4 x 1.4826 x 10 + 5."""
     calm = [*[390.0, 410.0] * 41, 400.0, 400.0]
     reach = 4.0 * 1.4826 * 10.0 + 5.0
-    for off, kept in ((reach - 0.1, 85), (reach + 0.1, 84)):
+    for off, n_rows in ((reach - 0.1, 85), (reach + 0.1, 84)):
         rows = rows_of(frame([*calm, 400.0 + off], list(range(85))), "diameter_m")
-        assert len(rows.x) == kept
+        assert len(rows.x) == n_rows
     assert len(rows_of(frame([400.0] * 84 + [405.0], list(range(85))), "diameter_m").x) == 85  # the noise itself
     rows = rows_of(frame(calm[:42], list(range(42))), "diameter_m")
     assert np.bincount(rows.block).tolist() == [20, 20, 2]

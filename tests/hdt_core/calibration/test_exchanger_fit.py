@@ -26,9 +26,9 @@ def fitted(points: Points, n_packs: int):
 
 def test_worn_packs_tell_the_same_law_as_clean_ones(fleet):
     """Left packs lose up to a half in the window, right ones nothing."""
-    found = [fitted(points_of(fleet.samples.filter(pl.col("pack") == side)), 5) for side in (1, 2)]
+    fits = [fitted(points_of(fleet.samples.filter(pl.col("pack") == side)), 5) for side in (1, 2)]
     true = flow_elasticities(fleet.design, *FLOWS)
-    for fit in found:
+    for fit in fits:
         assert fit.converged
         np.testing.assert_allclose(flow_elasticities(fit.mean, *FLOWS), true, atol=0.04)
 
@@ -44,8 +44,8 @@ def test_a_slow_loss_put_upon_the_records_is_health_and_not_design(fleet, rate):
     warmer = np.where(points.pack == 0, -rate * points.flight / slope, 0.0)
     sick = replace(points, signals=points.signals | {"hx_out_k": points.signals["hx_out_k"] + warmer})
     before, after = fitted(points, 5), fitted(sick, 5)
-    moved = np.abs(after.mean - before.mean) / np.sqrt(np.diag(before.cov))
-    assert moved.max() < 0.5
+    shift_sd = np.abs(after.mean - before.mean) / np.sqrt(np.diag(before.cov))
+    assert shift_sd.max() < 0.5
 
 
 def test_more_flights_leave_less_in_doubt(fleet):

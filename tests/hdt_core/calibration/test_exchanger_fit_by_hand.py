@@ -118,14 +118,14 @@ def points() -> Points:
     """One aircraft, both packs, two points a flight; the right one's ratio jumps on its tenth flight."""
     samples = made_fleet(1, 14, seed=11).samples
     packs = samples.select(PACK).unique().sort(PACK)
-    found = to_points(level_points(cruise_samples(samples), flights_of(samples)), packs)
-    two = {n: np.repeat(v, 2) for n, v in found.signals.items()}
-    apart = np.tile([1.0, 1.003], len(found))
+    coarse = to_points(level_points(cruise_samples(samples), flights_of(samples)), packs)
+    two = {n: np.repeat(v, 2) for n, v in coarse.signals.items()}
+    apart = np.tile([1.0, 1.003], len(coarse))
     two = two | {n: two[n] * apart for n in ("hx_in_k", "pack_flow_kg_s", "tat_k")}
-    flight, pack = np.repeat(found.flight, 2), np.repeat(found.pack, 2)
+    flight, pack = np.repeat(coarse.flight, 2), np.repeat(coarse.pack, 2)
     late = (pack == 1) & (flight >= 9)
     two["hx_out_k"] = two["hx_out_k"] + np.where(late, 15.0, 0.0)
-    return Points(two, pack, flight + (flight > 4), np.tile([4.0, 9.0], len(found)))
+    return Points(two, pack, flight + (flight > 4), np.tile([4.0, 9.0], len(coarse)))
 
 
 @pytest.mark.parametrize("ram_seen", [True, False])
@@ -137,13 +137,13 @@ def test_the_fit_is_least_squares_through_instruments(points, iterations, ram_se
     mean, sd = np.tile(0.2 * hx.BIAS_SDS, (2, 1)), np.tile(hx.BIAS_SDS, (2, 1))
     mean[1] *= -1.0
     monkeypatch.setattr(exchanger_fit, "ITERATIONS", iterations)
-    found = exchanger_fit.fit_exchanger(points, mean, sd)
+    fit = exchanger_fit.fit_exchanger(points, mean, sd)
     design, cov, bias = by_matrices(points, mean, sd, iterations, ram_seen=ram_seen)
     scale = np.sqrt(np.diag(cov))
-    np.testing.assert_allclose((found.mean - design) / scale, 0.0, atol=2e-3)
-    np.testing.assert_allclose(found.cov / np.outer(scale, scale), cov / np.outer(scale, scale), atol=2e-3)
-    np.testing.assert_allclose(found.bias / sd, bias / sd, atol=2e-3)
-    assert found.has_ram_outlet == ram_seen
+    np.testing.assert_allclose((fit.mean - design) / scale, 0.0, atol=2e-3)
+    np.testing.assert_allclose(fit.cov / np.outer(scale, scale), cov / np.outer(scale, scale), atol=2e-3)
+    np.testing.assert_allclose(fit.bias / sd, bias / sd, atol=2e-3)
+    assert fit.has_ram_outlet == ram_seen
 
 
 @pytest.mark.parametrize("sure", [1.0, 1e-3])
@@ -157,9 +157,9 @@ def test_steps_end_from_the_seventh_on_where_the_design_stands_still(points, mon
     n = len(called)
     for iterations in range(1, n + 1):
         monkeypatch.setattr(exchanger_fit, "ITERATIONS", iterations)
-        found = exchanger_fit.fit_exchanger(points, mean, sd)
-        designs.append(found.mean)
-        assert found.converged == (np.abs(designs[-1] - designs[-2]).max() < 1e-4)
+        fit = exchanger_fit.fit_exchanger(points, mean, sd)
+        designs.append(fit.mean)
+        assert fit.converged == (np.abs(designs[-1] - designs[-2]).max() < 1e-4)
     small = [bool(np.abs(b - a).max() < 1e-4) for a, b in pairwise(designs)]
     assert whole.converged
     assert 7 <= n < 15

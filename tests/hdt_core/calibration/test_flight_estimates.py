@@ -20,8 +20,8 @@ def followed(fleet):
 
 def test_ratio_follows_the_loss_whatever_the_offset(flights, fleet):
     joined = flights.join(fleet.truth, on=["tail", "flight_id", "pack"])
-    shown = (pl.col("ln_ua_ratio") - (1.0 - pl.col("loss")).log()).alias("offset")
-    offset = joined.with_columns(shown).group_by("tail", "pack").agg(pl.col("offset").std())
+    offset_column = (pl.col("ln_ua_ratio") - (1.0 - pl.col("loss")).log()).alias("offset")
+    offset = joined.with_columns(offset_column).group_by("tail", "pack").agg(pl.col("offset").std())
     assert offset["offset"].max() < 0.03
 
 
@@ -57,28 +57,28 @@ def test_snapshots_and_continuous_log_are_both_used(fleet, model, flights):
 def test_a_pack_without_a_signal_has_rows_and_no_estimate(fleet, model, column):
     deaf = (pl.col("tail") == "T-01") & (pl.col("pack") == 2)
     samples = fleet.samples.with_columns(pl.when(~deaf).then(pl.col(column)).alias(column))
-    seen = estimate_flights(samples, model)
-    silent = seen.filter(deaf)
+    twin = estimate_flights(samples, model)
+    silent = twin.filter(deaf)
     assert silent.height == 120
     assert silent["status"].unique().to_list() == ["no_cruise"]
-    rows = track(seen, fleet.maintenance, model).health.filter(deaf & (pl.col("parameter") == "hx_fouling"))
+    rows = track(twin, fleet.maintenance, model).health.filter(deaf & (pl.col("parameter") == "hx_fouling"))
     assert rows["status"].unique().to_list() == ["predicted"]
     assert (rows["sd"] > 0.04).all()
 
 
 def test_no_cruise_at_all(fleet, model):
     climbing = fleet.only("T-00").samples.with_columns(phase=pl.lit("climb"))
-    seen = estimate_flights(climbing, model)
-    assert seen["status"].unique().to_list() == ["no_cruise"]
-    rows = track(seen, fleet.maintenance, model).health
+    twin = estimate_flights(climbing, model)
+    assert twin["status"].unique().to_list() == ["no_cruise"]
+    rows = track(twin, fleet.maintenance, model).health
     assert set(rows["status"]) == {"predicted", "not_recorded", "not_identifiable"}
 
 
 @pytest.mark.parametrize(("tails", "n_flights"), [(1, 30), (1, 3), (2, 1)])
 def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
     fleet = made_fleet(tails, n_flights, seed=5)
-    seen, model = followed(fleet)
-    rows = track(seen, fleet.maintenance, model).health.filter(pl.col("parameter") == "hx_fouling")
+    twin, model = followed(fleet)
+    rows = track(twin, fleet.maintenance, model).health.filter(pl.col("parameter") == "hx_fouling")
     assert rows.height == 2 * tails * n_flights
     assert rows["sd"].min() > 0.015
     off = (rows.join(fleet.truth, on=["tail", "flight_id", "pack"])["value"] - 0.0).abs()
@@ -87,13 +87,13 @@ def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
 
 def test_without_ram_outlet_the_scale_is_a_prior_and_the_doubt_is_larger(flights, model):
     blind = made_fleet(5, 120, ram_out=False)
-    seen, guess = followed(blind)
-    assert seen["ln_ram_ratio"].null_count() == seen.height
-    rows, known = (
+    twin, guess = followed(blind)
+    assert twin["ln_ram_ratio"].null_count() == twin.height
+    rows, metered = (
         track(f, blind.maintenance, m).health.filter(pl.col("parameter") == "hx_fouling")
-        for f, m in ((seen, guess), (flights, model))
+        for f, m in ((twin, guess), (flights, model))
     )
-    assert rows["sd"].mean() > known["sd"].mean()
+    assert rows["sd"].mean() > metered["sd"].mean()
     off = rows.join(blind.truth, on=["tail", "flight_id", "pack"]).with_columns(e=pl.col("value") - pl.col("loss"))
     assert off.select((pl.col("e").abs() < 1.645 * pl.col("sd")).mean()).item() > 0.75
 

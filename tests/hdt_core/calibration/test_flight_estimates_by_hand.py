@@ -40,10 +40,10 @@ def location(values: list[float]) -> tuple[float, float]:
 def test_a_flights_value_is_hubers(values):
     rows = pl.DataFrame({**KEY, "r": values}, schema_overrides={"r": pl.Float64})
     other = rows.with_columns(pack=pl.lit(2), r=pl.col("r") + 5.0)
-    found = _locate(pl.concat([other, rows]), "r", "x")
-    np.testing.assert_allclose(found.filter(pack=1).select("x", "x_sd").row(0), location(values), rtol=1e-12)
-    np.testing.assert_allclose(found.filter(pack=2)["x"][0], location(values)[0] + 5.0)
-    assert found["n"].to_list() == [len(values)] * 2
+    located = _locate(pl.concat([other, rows]), "r", "x")
+    np.testing.assert_allclose(located.filter(pack=1).select("x", "x_sd").row(0), location(values), rtol=1e-12)
+    np.testing.assert_allclose(located.filter(pack=2)["x"][0], location(values)[0] + 5.0)
+    assert located["n"].to_list() == [len(values)] * 2
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +56,11 @@ BIASED = with_bias(("T-00", 1), pack_flow_kg_s=0.01, hx_in_k=0.5, hx_out_k=-0.4,
 
 
 def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flown):
-    found = estimate_flights(flown, BIASED)
-    own = flown.filter(pl.col("flight_id") == found["flight_id"][0], pack=1)
+    twin = estimate_flights(flown, BIASED)
+    own = flown.filter(pl.col("flight_id") == twin["flight_id"][0], pack=1)
     signals = {n: own[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
     bias = np.array(BIASED.packs[0].bias)[:, None]
-    row = found.row(0, named=True)
+    row = twin.row(0, named=True)
     ratio, balance = (f(signals, DSM.design, bias) for f in (hx.ln_conductance_ratio, hx.ln_ram_flow_ratio))
     assert (row["ln_ua_ratio"], row["ln_ua_ratio_sd"]) == pytest.approx(location(list(ratio)))
     assert (row["ln_ram_ratio"], row["ln_ram_ratio_sd"]) == pytest.approx(location(list(balance)))
@@ -106,11 +106,11 @@ def test_climb_above_2500_m_tells_of_the_door(flown):
         ram_door_open=pl.col("ram_door_open") + 0.1
     )  # fmt: skip
     both = pl.concat([flown, climb])
-    told = estimate_flights(both, DSM).filter(pack=1)
-    own = climb.filter(pl.col("flight_id") == told["flight_id"][0])
+    twin = estimate_flights(both, DSM).filter(pack=1)
+    own = climb.filter(pl.col("flight_id") == twin["flight_id"][0])
     signals = {n: own[n].to_numpy().astype(float) for n in hx.SIGNALS}
     ratio = np.median(hx.ln_conductance_ratio(signals, DSM.design, np.zeros((6, 1))))
-    assert told["door_apart_ln"][0] == pytest.approx(ratio - told["ln_ua_ratio"][0])
+    assert twin["door_apart_ln"][0] == pytest.approx(ratio - twin["ln_ua_ratio"][0])
     late = pl.int_range(pl.len()).over("flight_id") == 0
     for column, spoilt in (("altitude_m", 2500.0), ("pack_flow_kg_s", 0.2), ("phase", "taxi")):
         odd = climb.with_columns(pl.when(late).then(pl.lit(spoilt)).otherwise(column).alias(column))
@@ -123,11 +123,11 @@ def test_climb_above_2500_m_tells_of_the_door(flown):
 ])  # fmt: skip
 def test_what_makes_a_flight_silent(flown, change, status):
     odd = flown.with_columns(pl.lit(v, dtype=flown.schema[c]).alias(c) for c, v in change.items())
-    found = estimate_flights(odd, DSM)
-    assert found["status"].unique().to_list() == [status]
-    assert found.height == 4
-    assert (found["n_samples"] == 0).all() == (status == "no_cruise")
-    assert (found["cc_n_samples"] > 0).all() == ("phase" not in change)
+    twin = estimate_flights(odd, DSM)
+    assert twin["status"].unique().to_list() == [status]
+    assert twin.height == 4
+    assert (twin["n_samples"] == 0).all() == (status == "no_cruise")
+    assert (twin["cc_n_samples"] > 0).all() == ("phase" not in change)
 
 
 def test_few_samples_are_fewer_than_three_and_no_core_is_150_times_another(flown):
@@ -139,19 +139,19 @@ def test_few_samples_are_fewer_than_three_and_no_core_is_150_times_another(flown
     for off, status in ((4.99, "ok"), (5.01, "implausible"), (-5.01, "implausible")):
         design = list(DSM.exchanger)
         design[at] += ratio - off
-        found = estimate_flights(flown, type(DSM).from_dict(DSM.to_dict() | {"exchanger": design})).row(0, named=True)
-        assert found["status"] == status
-        assert (found["ln_ua_ratio"] is None) == (found["ua_w_k"] is None) == (status != "ok")
+        twin = estimate_flights(flown, type(DSM).from_dict(DSM.to_dict() | {"exchanger": design})).row(0, named=True)
+        assert twin["status"] == status
+        assert (twin["ln_ua_ratio"] is None) == (twin["ua_w_k"] is None) == (status != "ok")
 
 
 def test_air_data_fill_each_other():
     rows = pl.DataFrame({**KEY, "altitude_m": [1e4, 1e4], "mach": [None, 0.8], "total_pressure_pa": [4e4, None]})
-    found = complete_air_data(rows)
+    filled = complete_air_data(rows)
     static = float(standard_pressure_pa(np.float64(1e4)))
-    assert total_to_static_pressure(found["mach"].to_numpy())[0] * static == pytest.approx(4e4)
-    assert found["total_pressure_pa"][1] == pytest.approx(static * total_to_static_pressure(np.float64(0.8)))
-    assert (found["mach"][1], found["total_pressure_pa"][0]) == (0.8, 4e4)
-    assert found["cc_in_k"].null_count() == 2
+    assert total_to_static_pressure(filled["mach"].to_numpy())[0] * static == pytest.approx(4e4)
+    assert filled["total_pressure_pa"][1] == pytest.approx(static * total_to_static_pressure(np.float64(0.8)))
+    assert (filled["mach"][1], filled["total_pressure_pa"][0]) == (0.8, 4e4)
+    assert filled["cc_in_k"].null_count() == 2
 
 
 def test_points_are_medians_of_levels_of_300_m(flown):
@@ -177,27 +177,27 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
         "cc_out_k": [400.0] * n, "cc_speed_rad_s": [3400.0] * 6 + [0.0], "cc_flow_kg_s": [0.8] * n,
     })  # fmt: skip
     none = pl.DataFrame({**{k: KEY[k] for k in PACK}, "inlet_bias_k": 1.0, "inlet_bias_ln": 0.01, "exit_bias_ln": 0.02})
-    found = compressor_samples(rows, none)
-    np.testing.assert_allclose(found["inlet_k"], np.array([253, 253.5, 254, 255, 255.5, 256, 258]) - 1.0)
-    np.testing.assert_allclose(found["inlet_pa"], 2.7e4 * np.exp(-0.01))
+    result = compressor_samples(rows, none)
+    np.testing.assert_allclose(result["inlet_k"], np.array([253, 253.5, 254, 255, 255.5, 256, 258]) - 1.0)
+    np.testing.assert_allclose(result["inlet_pa"], 2.7e4 * np.exp(-0.01))
     plain = compressor_samples(rows, none.clear())  # a pack without corrections
-    np.testing.assert_allclose(plain["inlet_k"], found["inlet_k"] + 1.0)
+    np.testing.assert_allclose(plain["inlet_k"], result["inlet_k"] + 1.0)
     np.testing.assert_allclose(plain["inlet_pa"], 2.7e4)
     raw = rows["cc_out_pa"].to_numpy()
     means = np.array(
         [raw[:3].mean(), raw[:4].mean(), raw[:5].mean(), raw[1:6].mean(), raw[2:6].mean(), raw[3:6].mean()]
     )
-    out_pa, in_pa, in_k = means * np.exp(-0.02), 2.7e4 * np.exp(-0.01), found["inlet_k"].to_numpy()[:6]
+    out_pa, in_pa, in_k = means * np.exp(-0.02), 2.7e4 * np.exp(-0.01), result["inlet_k"].to_numpy()[:6]
     rise = in_k * ((out_pa / in_pa) ** (0.4 / 1.4) - 1.0)
-    np.testing.assert_allclose(found["efficiency"][:6], rise / (400.0 - in_k), rtol=2e-3)
+    np.testing.assert_allclose(result["efficiency"][:6], rise / (400.0 - in_k), rtol=2e-3)
     plain_rise = plain["inlet_k"].to_numpy()[:6] * ((means / 2.7e4) ** (0.4 / 1.4) - 1.0)
     np.testing.assert_allclose(plain["efficiency"][:6], plain_rise / (401.0 - in_k - 2.0), rtol=2e-3)
-    assert found["diameter_m"].null_count() == found["group_m3"].null_count() == 1
+    assert result["diameter_m"].null_count() == result["group_m3"].null_count() == 1
     # a machine without flow has no group, one that cools no efficiency
     idle = compressor_samples(rows.with_columns(cc_flow_kg_s=pl.lit(0.0), cc_out_k=pl.lit(240.0)), none)
     assert idle["group_m3"].null_count() == idle["efficiency"].null_count() == n
-    flight = compressor_flights(found.with_columns(vda_counts=pl.lit(400.0))).row(0, named=True)
-    d = found["diameter_m"].drop_nulls().to_numpy()
+    flight = compressor_flights(result.with_columns(vda_counts=pl.lit(400.0))).row(0, named=True)
+    d = result["diameter_m"].drop_nulls().to_numpy()
     assert flight["diameter_m"] == pytest.approx(np.median(d))
     assert flight["diameter_m_se"] == pytest.approx(
         1.4826 * np.median(np.abs(d - np.median(d))) * 1.2533 / np.sqrt(6.0)

@@ -14,33 +14,33 @@ from hdt_core.tracking.wear_model import Observation, at_reference
 ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
 
 
-@pytest.mark.parametrize("seen", [0.05, -0.1, -0.4])
-def test_what_is_below_the_level_is_split_between_wear_and_offset(seen):
+@pytest.mark.parametrize("ratio", [0.05, -0.1, -0.4])
+def test_what_is_below_the_level_is_split_between_wear_and_offset(ratio):
     """On a grid of wear: level less wear plus an offset of 0.05 and an error of 0.02."""
     wear = np.linspace(-0.5, 1.0, 60001)
     prior = sum(share * norm.pdf(wear, mean, sd) for share, mean, sd in ENTRY)
-    weight = prior * norm.pdf(seen, 0.03 - wear, np.hypot(0.05, 0.02))
+    weight = prior * norm.pdf(ratio, 0.03 - wear, np.hypot(0.05, 0.02))
     mean = weight @ wear / weight.sum()
-    found = entry_posterior(np.array([seen, 0.0]), np.array([0.02**2, 1e-4]), 0.03, 0.05)
-    assert found.wear[0] == pytest.approx(mean, rel=1e-4)
-    assert found.wear_var[0] == pytest.approx(weight @ (wear - mean) ** 2 / weight.sum(), rel=1e-4)
+    entry = entry_posterior(np.array([ratio, 0.0]), np.array([0.02**2, 1e-4]), 0.03, 0.05)
+    assert entry.wear[0] == pytest.approx(mean, rel=1e-4)
+    assert entry.wear_var[0] == pytest.approx(weight @ (wear - mean) ** 2 / weight.sum(), rel=1e-4)
 
 
-@pytest.mark.parametrize("seen", [-9.0, 9.0])
-def test_far_from_every_class_the_widest_one_is_left(seen):
+@pytest.mark.parametrize("ratio", [-9.0, 9.0])
+def test_far_from_every_class_the_widest_one_is_left(ratio):
     """A mean of 0.2 and a deviation of 0.08, against an offset of 0.05 and an error of 0.02."""
     share = 0.08**2 / (0.08**2 + 0.05**2 + 0.02**2)
-    found = entry_posterior(np.array([seen]), np.array([0.02**2]), 0.03, 0.05)
-    assert found.wear[0] == pytest.approx(0.2 + share * (0.03 - 0.2 - seen))
-    assert found.wear_var[0] == pytest.approx(0.08**2 * (1.0 - share))
+    entry = entry_posterior(np.array([ratio]), np.array([0.02**2]), 0.03, 0.05)
+    assert entry.wear[0] == pytest.approx(0.2 + share * (0.03 - 0.2 - ratio))
+    assert entry.wear_var[0] == pytest.approx(0.08**2 * (1.0 - share))
 
 
-def clean_units(seen, error, new) -> tuple[float, float, float]:
+def clean_units(ratios, error, new) -> tuple[float, float, float]:
     """Level with its sd and spread of clean units, on the grids of both."""
-    levels = np.median(seen) + np.linspace(-0.15, 0.25, 81)
+    levels = np.median(ratios) + np.linspace(-0.15, 0.25, 81)
     spreads = 0.05 * np.exp(0.2 * np.linspace(-2.5, 2.5, 21))
     weight = -0.5 * (np.log(spreads / 0.05) / 0.2)[:, None] ** 2 + np.zeros(81)
-    for value, sd, fresh in zip(seen, error, new, strict=True):
+    for value, sd, fresh in zip(ratios, error, new, strict=True):
         ways = [(1.0, *ENTRY[0][1:])] if fresh else ENTRY
         scale = [np.sqrt(way[2] ** 2 + spreads[:, None] ** 2 + sd**2) for way in ways]
         density = [share * np.exp(-0.5 * ((levels - wear - value) / s) ** 2) / s
@@ -63,17 +63,17 @@ def test_the_clean_level_is_integrated_over_spread_and_wear():
         )
         for k, level in enumerate(levels)
     ]  # fmt: skip
-    found = fleet_levels(pl.concat(rows), log(("T-0", 1, "HX", "REPLACED", 11)), DSM)
+    fleet_level = fleet_levels(pl.concat(rows), log(("T-0", 1, "HX", "REPLACED", 11)), DSM)
     step = 1.4826 * 0.02 / np.sqrt(2.0)
-    assert found.flight_sd == pytest.approx(np.sqrt(step**2 - 0.004**2), rel=1e-9)
+    assert fleet_level.flight_sd == pytest.approx(np.sqrt(step**2 - 0.004**2), rel=1e-9)
     error = 1.25 * step / np.sqrt(10.0)
     level, level_sd, spread = clean_units([*levels, 0.16], [error] * 4, [False, False, False, True])
-    assert found.clean_level == pytest.approx(level, rel=1e-6)
-    assert found.clean_level_sd == pytest.approx(level_sd, rel=1e-6)
-    assert found.offset_sd == pytest.approx(spread, rel=1e-6)
+    assert fleet_level.clean_level == pytest.approx(level, rel=1e-6)
+    assert fleet_level.clean_level_sd == pytest.approx(level_sd, rel=1e-6)
+    assert fleet_level.offset_sd == pytest.approx(spread, rel=1e-6)
     # where ratios lie less than 0.06 below the level: the new core of the first pack
     clean = pl.concat(rows).filter(pl.col("ln_ua_ratio") > level - 0.06)["ua_expected_w_k"].median()
-    assert found.reference_ua_w_k == clean
+    assert fleet_level.reference_ua_w_k == clean
 
 
 def test_few_flights_keep_the_scatter_and_a_calm_record_has_a_least_one():
@@ -97,5 +97,5 @@ def test_a_deposit_in_series_is_brought_to_the_reference(wear):
     film = (np.exp(wear) - 1.0) / 1700.0
     ratio = -np.log1p(film * clean)
     none = np.zeros(3, dtype=int)
-    seen = at_reference(Observation(ratio, np.ones(3), clean / 1700.0, none, none, none), np.full(3, wear))
-    np.testing.assert_allclose(seen.ratio, -wear, atol=1e-12)
+    observed = at_reference(Observation(ratio, np.ones(3), clean / 1700.0, none, none, none), np.full(3, wear))
+    np.testing.assert_allclose(observed.ratio, -wear, atol=1e-12)

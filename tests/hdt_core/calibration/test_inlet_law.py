@@ -30,17 +30,17 @@ def behind_first_exchanger(signals, discharge_k, model):
     """Inlet = (1 - e) discharge + e ram outlet + 40 K of the air cycle machine; the ram outlet holds the inlet."""
     share = signals["pack_flow_kg_s"] / clean_ram_flow_kg_s(signals, model.design)
     ram_less_inlet_k = signals["tat_k"] - share * signals["hx_out_k"]
-    known = (1.0 - EFFECTIVENESS) * discharge_k + EFFECTIVENESS * ram_less_inlet_k + 40.0
-    return known / (1.0 - EFFECTIVENESS * share)
+    inlet_k = (1.0 - EFFECTIVENESS) * discharge_k + EFFECTIVENESS * ram_less_inlet_k + 40.0
+    return inlet_k / (1.0 - EFFECTIVENESS * share)
 
 
 def above(cruise, model, slopes):
     return inlet_above_law(cruise, slopes, model.design, model.bias_of(cruise)).sort("tail", "pack", "flight_id")
 
 
-def spread(found):
+def spread(frame):
     value = pl.col("inlet_apart_k")
-    return found.select((value - value.median().over("tail", "pack")).abs().median()).item()
+    return frame.select((value - value.median().over("tail", "pack")).abs().median()).item()
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +55,8 @@ def test_the_law_is_learned_and_holds(flown, model, slopes):
 
 @pytest.mark.parametrize(("sensor", "error", "least"), [("hx_in_k", 4.0, 1.5), ("cc_out_k", -4.0, 1.5)])
 def test_a_sensor_that_is_off_leaves_the_law(flown, model, slopes, sensor, error, least):
-    moved = above(flown.with_columns(pl.col(sensor) + error), model, slopes)
-    shift = moved["inlet_apart_k"] - above(flown, model, slopes)["inlet_apart_k"]
+    above_law = above(flown.with_columns(pl.col(sensor) + error), model, slopes)
+    shift = above_law["inlet_apart_k"] - above(flown, model, slopes)["inlet_apart_k"]
     assert shift.median() > least
 
 

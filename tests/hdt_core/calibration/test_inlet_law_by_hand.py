@@ -35,14 +35,14 @@ def terms(rows: pl.DataFrame, discharge_k, *, ram_out_k=None, door=None) -> np.n
 
 def test_what_an_inlet_has_above_its_law(cruise):
     bias = np.tile(BIAS, cruise.height)
-    found = inlet_above_law(cruise, SLOPES, DSM.design, bias).sort("pack", "flight_id")
+    above_law = inlet_above_law(cruise, SLOPES, DSM.design, bias).sort("pack", "flight_id")
     above = cruise["hx_in_k"].to_numpy() - terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES
     want = (
         cruise.with_columns(a=pl.Series(above))
         .group_by("pack", "flight_id", maintain_order=True)
         .agg(pl.col("a").median())
     )
-    np.testing.assert_allclose(found["inlet_apart_k"], want["a"])
+    np.testing.assert_allclose(above_law["inlet_apart_k"], want["a"])
     stuck = cruise.with_columns(ram_door_open=pl.lit(0.96))
     assert inlet_above_law(stuck, SLOPES, DSM.design, bias).is_empty()
 
@@ -56,8 +56,8 @@ def test_without_a_discharge_temperature_the_pressure_ratio_tells(cruise):
         one, silent["tat_k"].to_numpy() * (1.0 + (ratio ** (0.4 / 1.4) - 1.0) / 0.75), cruise["cc_out_k"]
     )
     above = cruise["hx_in_k"].to_numpy() - terms(cruise, discharge) @ SLOPES
-    found = inlet_above_law(silent, SLOPES, DSM.design, bias).sort("pack", "flight_id")["inlet_apart_k"]
-    assert found[0] == pytest.approx(np.median(above[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
+    above_law = inlet_above_law(silent, SLOPES, DSM.design, bias).sort("pack", "flight_id")["inlet_apart_k"]
+    assert above_law[0] == pytest.approx(np.median(above[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
 
 
 def test_slopes_are_hubers_about_the_packs_medians(cruise):
@@ -67,8 +67,8 @@ def test_slopes_are_hubers_about_the_packs_medians(cruise):
     pack = cruise["pack"].to_numpy()
     y = x @ SLOPES + 30.0 * pack + 0.5 * rng.standard_normal(len(x)) + np.where(rng.random(len(x)) < 0.05, 20.0, 0.0)
     # the law's own ram outlet follows from the inlet, so the terms are made anew
-    seen = cruise.with_columns(hx_in_k=pl.Series(y.copy()))
-    x = terms(seen, cruise["cc_out_k"].to_numpy())
+    rows = cruise.with_columns(hx_in_k=pl.Series(y.copy()))
+    x = terms(rows, cruise["cc_out_k"].to_numpy())
     for side in (1, 2):
         own = pack == side
         x[own], y[own] = x[own] - np.median(x[own], axis=0), y[own] - np.median(y[own])
@@ -77,10 +77,10 @@ def test_slopes_are_hubers_about_the_packs_medians(cruise):
         slopes = np.linalg.solve(unit.T * weight @ unit + 1e-4 * len(y) * np.eye(6), unit.T @ (weight * y))
         miss = np.abs(y - unit @ slopes)
         weight = np.minimum(1.0, 1.345 * 1.4826 * np.median(miss) / miss)
-    found = learn_inlet(seen, DSM.design, bias)
-    np.testing.assert_allclose(found, slopes / x.std(axis=0), rtol=1e-6)
-    assert learn_inlet(seen.head(200), DSM.design, bias[:, :200]) != ()
-    assert learn_inlet(seen.head(199), DSM.design, bias[:, :199]) == ()
+    learned = learn_inlet(rows, DSM.design, bias)
+    np.testing.assert_allclose(learned, slopes / x.std(axis=0), rtol=1e-6)
+    assert learn_inlet(rows.head(200), DSM.design, bias[:, :200]) != ()
+    assert learn_inlet(rows.head(199), DSM.design, bias[:, :199]) == ()
 
 
 def test_a_door_full_open_cools_the_inlet_by_the_heat_balance(cruise):
@@ -88,24 +88,24 @@ def test_a_door_full_open_cools_the_inlet_by_the_heat_balance(cruise):
     rows = cruise.head(6)
     bias, discharge = np.tile(BIAS, rows.height), rows["cc_out_k"].to_numpy()
     s = hx.without_bias({n: rows[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
-    held = np.full(6, 296.0)
+    exit_k = np.full(6, 296.0)
     full_ram = clean_ram_flow_kg_s(s | {"ram_door_open": np.ones(6)}, DSM.design)
     own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ SLOPES
     share = SLOPES[1] - SLOPES[4] * np.log(full_ram) - SLOPES[5] * np.log(s["pack_flow_kg_s"])
     assert (share < 0.8).all() and (share > 0.0).all()  # noqa: PT018
     inlet = np.full(6, 400.0)
     for _ in range(200):
-        ram_out = s["tat_k"] + s["pack_flow_kg_s"] / full_ram * (inlet - held)
+        ram_out = s["tat_k"] + s["pack_flow_kg_s"] / full_ram * (inlet - exit_k)
         inlet = own + terms(rows, discharge, ram_out_k=ram_out, door=1.0) @ SLOPES
-    found = full_open_inlet_k(rows, SLOPES, DSM.design, bias, held)
-    np.testing.assert_allclose(found, inlet + 0.5, rtol=1e-9)
+    result = full_open_inlet_k(rows, SLOPES, DSM.design, bias, exit_k)
+    np.testing.assert_allclose(result, inlet + 0.5, rtol=1e-9)
     # no exchanger gives up more than 0.8 of its heat, and none takes any in
     steep = (0.6, 1.5, 4.0, -6.0, 0.0, 0.0)
-    capped = full_open_inlet_k(rows, steep, DSM.design, bias, held)
+    capped = full_open_inlet_k(rows, steep, DSM.design, bias, exit_k)
     rising = (0.6, -0.5, 4.0, -6.0, 0.0, 0.0)
     own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ rising
     at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ rising
-    np.testing.assert_allclose(full_open_inlet_k(rows, rising, DSM.design, bias, held) - 0.5, at_tat)
+    np.testing.assert_allclose(full_open_inlet_k(rows, rising, DSM.design, bias, exit_k) - 0.5, at_tat)
     own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ steep
     at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ steep
-    np.testing.assert_allclose(capped - 0.5 - held, (at_tat - held) / (1.0 - 0.8 * s["pack_flow_kg_s"] / full_ram))
+    np.testing.assert_allclose(capped - 0.5 - exit_k, (at_tat - exit_k) / (1.0 - 0.8 * s["pack_flow_kg_s"] / full_ram))

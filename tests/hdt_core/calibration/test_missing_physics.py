@@ -26,9 +26,9 @@ SPRAY = 0.3
 
 def lacking_term(fleet, name, value):
     """The fleet as its sensors record it where the exchanger meets what the term says."""
-    met, signal = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}, TERMS[name].signal
-    seen = pl.Series(signal, record_signals(met, {name: value})[signal])
-    return replace(fleet, samples=fleet.samples.with_columns(seen))
+    truth, signal = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}, TERMS[name].signal
+    readings = pl.Series(signal, record_signals(truth, {name: value})[signal])
+    return replace(fleet, samples=fleet.samples.with_columns(readings))
 
 
 @pytest.fixture(scope="module")
@@ -58,16 +58,16 @@ def scatter(flights):
 
 
 def test_nothing_is_proposed_where_nothing_is_missing(fleet, model):
-    found = propose(estimate_flights(fleet.samples, model), model)
-    assert set(found["term"]) == set(TERMS)
-    assert not found["proposed"].any()
-    assert found["bic_gain"].max() < 0.0
+    proposals = propose(estimate_flights(fleet.samples, model), model)
+    assert set(proposals["term"]) == set(TERMS)
+    assert not proposals["proposed"].any()
+    assert proposals["bic_gain"].max() < 0.0
 
 
 def test_the_missing_term_is_proposed_and_only_it(sprayed, lacking):
-    found = propose(estimate_flights(sprayed.samples, lacking), lacking)
-    assert found.filter("proposed")["term"].to_list() == ["water_spray"]
-    best = found.row(0, named=True)
+    proposals = propose(estimate_flights(sprayed.samples, lacking), lacking)
+    assert proposals.filter("proposed")["term"].to_list() == ["water_spray"]
+    best = proposals.row(0, named=True)
     assert best["held_out_change"] < -0.3
     assert best["value"] == pytest.approx(SPRAY, abs=4.0 * best["sd"])
 
@@ -86,13 +86,13 @@ def test_on_an_aircraft_never_seen_the_accepted_term_leaves_noise_alone(plain, n
     learned, other = ("T-00", "T-01", "T-02"), "T-03"
     fleet = lacking_term(plain, name, value)
     taught = fleet.only(*learned)
-    found = calibrate(taught.samples, taught.legs, taught.maintenance, (name,))
-    assert found.terms[name] == pytest.approx(value, rel=0.3)
+    refitted = calibrate(taught.samples, taught.legs, taught.maintenance, (name,))
+    assert refitted.terms[name] == pytest.approx(value, rel=0.3)
     noise_model = calibrate(plain.only(*learned).samples, taught.legs, taught.maintenance)
     noise = scatter(estimate_flights(plain.only(other).samples, noise_model))
     before, after = (
         scatter(estimate_flights(fleet.only(other).samples, model))
-        for model in (calibrate(taught.samples, taught.legs, taught.maintenance), found)
+        for model in (calibrate(taught.samples, taught.legs, taught.maintenance), refitted)
     )
     assert after < 0.7 * before
     assert after < 1.1 * noise
@@ -112,14 +112,14 @@ def test_sixty_changes_without_noise_give_the_coefficient_itself(flights, value)
         "altitude_m": (10e3, 12e3), "mach": (0.78, 0.86), "tat_k": (238.0, 262.0), "hx_in_k": (380.0, 420.0),
         "ram_door_open": (0.2, 0.6), "pack_flow_kg_s": (0.6, 0.9),
     }  # fmt: skip
-    met = {name: rng.uniform(*limits, flights) for name, limits in ranges.items()}
-    met["total_pressure_pa"] = standard_pressure_pa(met["altitude_m"]) * total_to_static_pressure(met["mach"])
-    ram = clean_ram_flow_kg_s(met, DSM.design)
-    ua = np.exp(ln_clean_conductance(met, ram, DSM.design))
-    met["hx_out_k"] = outlets_k(met["pack_flow_kg_s"], ram, met["hx_in_k"], met["tat_k"], ua)[0]
-    seen = record_signals(met, {"water_spray": SPRAY})
-    ratio = hx.ln_conductance_ratio(seen, DSM.design, np.zeros((len(hx.BIASES), flights)))
-    twin = days(flights, **{name: list(v) for name, v in seen.items()}, ram_out_k=330.0, ln_ua_ratio=list(ratio))
+    truth = {name: rng.uniform(*limits, flights) for name, limits in ranges.items()}
+    truth["total_pressure_pa"] = standard_pressure_pa(truth["altitude_m"]) * total_to_static_pressure(truth["mach"])
+    ram = clean_ram_flow_kg_s(truth, DSM.design)
+    ua = np.exp(ln_clean_conductance(truth, ram, DSM.design))
+    truth["hx_out_k"] = outlets_k(truth["pack_flow_kg_s"], ram, truth["hx_in_k"], truth["tat_k"], ua)[0]
+    readings = record_signals(truth, {"water_spray": SPRAY})
+    ratio = hx.ln_conductance_ratio(readings, DSM.design, np.zeros((len(hx.BIASES), flights)))
+    twin = days(flights, **{name: list(v) for name, v in readings.items()}, ram_out_k=330.0, ln_ua_ratio=list(ratio))
     assert coefficients(twin, DSM, ("water_spray",))["water_spray"] == pytest.approx(value, abs=0.01)
 
 
@@ -134,7 +134,7 @@ def test_an_accepted_coefficient_is_found_in_three_rounds(monkeypatch):
 
 def test_too_few_flights_say_so(sprayed, lacking):
     few = estimate_flights(sprayed.samples.head(40), lacking)
-    found = propose(few, lacking)
-    assert not found["proposed"].any()
-    assert found["value"].null_count() == len(TERMS)
+    proposals = propose(few, lacking)
+    assert not proposals["proposed"].any()
+    assert proposals["value"].null_count() == len(TERMS)
     assert propose(few.clear(), lacking)["n"].to_list() == [0] * len(TERMS)

@@ -11,8 +11,8 @@ GRID = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)
 
 def by_matrices(value, error, operator) -> np.ndarray:
     """Mean and sd of fleet, operators and packs: a very wide prior on the fleet's mean, a flat one on the spreads."""
-    seen, n = np.isfinite(value), int(operator.max()) + 1
-    unit, design = max(np.std(value[seen]), np.median(error[seen])), np.eye(n)[operator]
+    finite, n = np.isfinite(value), int(operator.max()) + 1
+    unit, design = max(np.std(value[finite]), np.median(error[finite])), np.eye(n)[operator]
     moments, logs = [], []
     for a in GRID if n > 1 else [0.0]:
         for b in GRID[1:]:
@@ -23,11 +23,11 @@ def by_matrices(value, error, operator) -> np.ndarray:
                 [np.ones((len(value), 1)), design, np.eye(len(value))],
             ])  # fmt: skip
             cov = np.diag(np.r_[1e5 * unit**2, [(a * unit) ** 2] * n, [(b * unit) ** 2] * len(value)])
-            cov, rows = to @ cov @ to.T, 1 + n + np.flatnonzero(seen)
-            noise = cov[np.ix_(rows, rows)] + np.diag(error[seen] ** 2)
+            cov, rows = to @ cov @ to.T, 1 + n + np.flatnonzero(finite)
+            noise = cov[np.ix_(rows, rows)] + np.diag(error[finite] ** 2)
             gain = cov[:, rows] @ np.linalg.inv(noise)
-            moments.append((gain @ value[seen], np.diag(cov - gain @ cov[rows])))
-            residual = value[seen] @ np.linalg.solve(noise, value[seen])
+            moments.append((gain @ value[finite], np.diag(cov - gain @ cov[rows])))
+            residual = value[finite] @ np.linalg.solve(noise, value[finite])
             logs.append(-0.5 * (np.linalg.slogdet(noise)[1] + residual))
     weight = np.exp(np.array(logs) - max(logs))
     weight /= weight.sum()
@@ -36,7 +36,7 @@ def by_matrices(value, error, operator) -> np.ndarray:
     return np.array([mean, np.sqrt(weight @ (variances + (means - mean) ** 2))])
 
 
-def drawn(n_operators: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_packs(n_operators: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(3)
     operator = np.arange(9) % n_operators
     value = 0.1 * rng.standard_normal(n_operators)[operator] + 0.05 * rng.standard_normal(9)
@@ -48,11 +48,11 @@ def drawn(n_operators: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("size", [1.0, 0.01])
 def test_pooling_is_the_normal_posterior(n_operators, size):
     """Where packs hardly differ it is their errors that the grid of spreads is measured by."""
-    value, error, operator = drawn(n_operators)
-    found = pool(value * size, error, operator)
+    value, error, operator = draw_packs(n_operators)
+    pooled = pool(value * size, error, operator)
     mean, sd = by_matrices(value * size, error, operator)
-    np.testing.assert_allclose(np.r_[found.fleet, found.operator, found.pack], mean, atol=1e-5 * error.max())
-    np.testing.assert_allclose(np.r_[found.fleet_sd, found.operator_sd, found.pack_sd], sd, rtol=3e-3)
+    np.testing.assert_allclose(np.r_[pooled.fleet, pooled.operator, pooled.pack], mean, atol=1e-5 * error.max())
+    np.testing.assert_allclose(np.r_[pooled.fleet_sd, pooled.operator_sd, pooled.pack_sd], sd, rtol=3e-3)
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
@@ -66,18 +66,18 @@ def test_a_unit_of_measurement_changes_nothing(unit):
 
 def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
     """A pack of its own has the spread of operators on top of the fleet's doubt, and that of packs on top of it."""
-    value, error, operator = drawn(3)
+    value, error, operator = draw_packs(3)
     value[operator == 2] = np.nan
-    found = pool(value, error, operator)
-    assert found.operator[2] == pytest.approx(found.fleet, rel=1e-6)
-    assert found.pack[2] == pytest.approx(found.fleet, rel=1e-6)
-    assert found.fleet_sd < found.operator_sd[2] < found.pack_sd[2]
+    pooled = pool(value, error, operator)
+    assert pooled.operator[2] == pytest.approx(pooled.fleet, rel=1e-6)
+    assert pooled.pack[2] == pytest.approx(pooled.fleet, rel=1e-6)
+    assert pooled.fleet_sd < pooled.operator_sd[2] < pooled.pack_sd[2]
 
 
 def test_nothing_known_is_nan_not_an_error():
-    found = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
-    assert np.isnan(found.fleet)
-    assert np.isnan(found.pack).all()
+    pooled = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
+    assert np.isnan(pooled.fleet)
+    assert np.isnan(pooled.pack).all()
 
 
 def test_levels_are_named_by_operator_and_pack():

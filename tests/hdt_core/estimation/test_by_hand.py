@@ -26,39 +26,39 @@ from hdt_core.estimation.kalman_step import (
 )
 
 X = np.linspace(-1.0, 2.0, 12)
-SEEN = 0.4 + 1.2 * X + 0.1 * np.cos(5.0 * X)
+MEASURED = 0.4 + 1.2 * X + 0.1 * np.cos(5.0 * X)
 A = np.column_stack([np.ones(12), X]) / 0.1
 SIGNS = (-1.0) ** np.arange(31)
 
 
 def line(**more) -> Problem:
     """An offset and a slope."""
-    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
-             "measured": SEEN[:, None], "sigma": np.array([0.1]),
+    fields = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
+             "measured": MEASURED[:, None], "sigma": np.array([0.1]),
              "observe": lambda _x, theta, i: (theta[0] + theta[1] * X[i])[None]}  # fmt: skip
-    return Problem(**(asked | more))
+    return Problem(**(fields | more))
 
 
 def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
-    measured = SEEN[:, None].copy()
+    measured = MEASURED[:, None].copy()
     measured[3] = np.nan
     prior = Belief(np.array([0.5, 1.0]), np.array([[0.04, 0.01], [0.01, 0.09]]))
     problem = line(measured=measured, prior=prior)
     there = np.isfinite(measured[:, 0])
     weight = np.linalg.inv(prior.cov)
     normal = A[there].T @ A[there] + weight
-    mean = np.linalg.solve(normal, A[there].T @ SEEN[there] / 0.1 + weight @ prior.mean)
-    found = NonlinearLeastSquares().estimate(problem)
-    np.testing.assert_allclose(found.belief.mean, mean, rtol=1e-6)
-    np.testing.assert_allclose(found.belief.cov, np.linalg.inv(normal), rtol=1e-6)
-    assert (found.status, found.method, problem.n_values) == ("converged", "nls", 11)
-    residual = (A @ mean - SEEN / 0.1)[there]
+    mean = np.linalg.solve(normal, A[there].T @ MEASURED[there] / 0.1 + weight @ prior.mean)
+    estimate = NonlinearLeastSquares().estimate(problem)
+    np.testing.assert_allclose(estimate.belief.mean, mean, rtol=1e-6)
+    np.testing.assert_allclose(estimate.belief.cov, np.linalg.inv(normal), rtol=1e-6)
+    assert (estimate.status, estimate.method, problem.n_values) == ("converged", "nls", 11)
+    residual = (A @ mean - MEASURED / 0.1)[there]
     away = mean - prior.mean
     assert problem.chi2(mean[None])[0] == pytest.approx(residual @ residual)
     assert problem.objective(mean[None])[0] == pytest.approx(residual @ residual + away @ weight @ away)
     np.testing.assert_allclose(problem.sensitivity(mean)[there], A[there], rtol=1e-6)
     assert not problem.sensitivity(mean)[3].any()
-    np.testing.assert_allclose(found.identifiability.information, A[there].T @ A[there], rtol=1e-6)
+    np.testing.assert_allclose(estimate.identifiability.information, A[there].T @ A[there], rtol=1e-6)
     np.testing.assert_allclose(fisher(problem, mean).information, A[there].T @ A[there], rtol=1e-6)
     silent = NonlinearLeastSquares().estimate(line(measured=np.full((12, 1), np.nan), prior=prior)).belief
     np.testing.assert_allclose(silent.mean, prior.mean)  # a record without a value leaves the prior
@@ -67,10 +67,10 @@ def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
 
 def test_a_fits_figures_are_those_of_its_residuals():
     """White's sandwich with n / (n - p), deviations scaled by reduced chi-square, Akaike's and Schwarz's criteria."""
-    found = NonlinearLeastSquares().estimate(line())
-    mean = np.linalg.lstsq(A, SEEN / 0.1, rcond=None)[0]
-    r, cov = SEEN / 0.1 - A @ mean, np.linalg.inv(A.T @ A)
-    fit, chi2 = found.fit, r @ r
+    estimate = NonlinearLeastSquares().estimate(line())
+    mean = np.linalg.lstsq(A, MEASURED / 0.1, rcond=None)[0]
+    r, cov = MEASURED / 0.1 - A @ mean, np.linalg.inv(A.T @ A)
+    fit, chi2 = estimate.fit, r @ r
     assert (fit.n_values, fit.n_free, fit.degrees) == (12, 2, 10)
     assert (fit.chi2, fit.reduced_chi2) == pytest.approx((chi2, chi2 / 10.0))
     assert fit.p_value == pytest.approx(stats.chi2.sf(chi2, 10))
@@ -154,23 +154,23 @@ def test_noise_is_as_declared_unless_chi_square_contradicts(chi2, n, variance):
 
 def test_what_data_tell_and_what_they_do_not():
     information = np.array([[4.0, 3.0], [3.0, 9.0]])
-    seen = Identifiability(("a", "b"), information)
+    known_info = Identifiability(("a", "b"), information)
     cov = np.linalg.inv(information)
-    np.testing.assert_allclose(seen.scaled_information, [[1.0, 0.5], [0.5, 1.0]])
-    assert seen.condition == pytest.approx(3.0)
-    np.testing.assert_allclose(seen.bound_sd, np.sqrt(np.diag(cov)))
-    assert seen.correlation[0, 1] == pytest.approx(-0.5)
-    weakest = seen.weakest
+    np.testing.assert_allclose(known_info.scaled_information, [[1.0, 0.5], [0.5, 1.0]])
+    assert known_info.condition == pytest.approx(3.0)
+    np.testing.assert_allclose(known_info.bound_sd, np.sqrt(np.diag(cov)))
+    assert known_info.correlation[0, 1] == pytest.approx(-0.5)
+    weakest = known_info.weakest
     assert weakest["a"] == pytest.approx(-weakest["b"])
     blind = np.array([[4.0, 6.0, 0.0], [6.0, 9.0, 0.0], [0.0, 0.0, 25.0]])
-    found, told = invert_information(blind)
-    assert not told
-    assert np.isinf(np.diag(found)[:2]).all()
-    assert found[2, 2] == pytest.approx(0.04)
+    cov_blind, is_regular = invert_information(blind)
+    assert not is_regular
+    assert np.isinf(np.diag(cov_blind)[:2]).all()
+    assert cov_blind[2, 2] == pytest.approx(0.04)
     assert not Identifiability(("a", "b", "c"), blind).identifiable
-    held, told = covariance_of_free(np.array([[0.0, 0.0], [-1.0, 1.0]]), information)
-    np.testing.assert_allclose(held, [[0.0, 0.0], [0.0, 1.0 / 9.0]])
-    assert told
+    cov_free, is_regular = covariance_of_free(np.array([[0.0, 0.0], [-1.0, 1.0]]), information)
+    np.testing.assert_allclose(cov_free, [[0.0, 0.0], [0.0, 1.0 / 9.0]])
+    assert is_regular
 
 
 def test_newtons_decrement_with_and_without_bounds():
@@ -207,8 +207,8 @@ def test_how_a_fit_ends_is_told():
     near = settle(line(), mean + 0.5 * sd, 0, cov=4.0 * optimum.belief.cov)
     np.testing.assert_allclose(near.belief.cov, 4.0 * optimum.belief.cov)
     for off in ([1.05, 0.0], [0.0, -1.05], [2.5, 2.5]):  # the method's covariance, twice as wide, is of another place
-        moved = mean + np.array(off) * 2.0 * sd
-        far = settle(line(), moved, 0, cov=4.0 * optimum.belief.cov)
+        start = mean + np.array(off) * 2.0 * sd
+        far = settle(line(), start, 0, cov=4.0 * optimum.belief.cov)
         np.testing.assert_allclose(far.belief.cov, optimum.belief.cov, rtol=1e-6)
     there = settle(line(), mean + np.array([0.95, -0.95]) * 2.0 * sd, 0, cov=4.0 * optimum.belief.cov)
     np.testing.assert_allclose(there.belief.cov, 4.0 * optimum.belief.cov)
@@ -217,17 +217,17 @@ def test_how_a_fit_ends_is_told():
     assert quadratic_model(line(), mean).n_evals == 5
 
 
-def curved(seen: float, sigma: float) -> Problem:
+def curved(value: float, sigma: float) -> Problem:
     """One value of exp(theta)."""
-    return Problem(("x",), np.array([[-40.0, 40.0]]), unknown(np.array([0.0])), np.full((1, 1), seen),
+    return Problem(("x",), np.array([[-40.0, 40.0]]), unknown(np.array([0.0])), np.full((1, 1), value),
                    np.array([sigma]), lambda _x, theta, i: np.exp(theta[0] + 0.0 * i)[None])  # fmt: skip
 
 
 def test_profile_intervals_of_a_logarithm():
     """Objective ((e^x - y) / s)^2 rises by 3.84 where e^x is y +- 1.96 s; below zero it never does."""
-    found = NonlinearLeastSquares().estimate(curved(1.0, 0.4))
-    np.testing.assert_allclose(found.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
-    assert found.status == "converged"
+    estimate = NonlinearLeastSquares().estimate(curved(1.0, 0.4))
+    np.testing.assert_allclose(estimate.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
+    assert estimate.status == "converged"
     left = NonlinearLeastSquares().estimate(curved(1.0, 0.6))
     assert left.profile.without_limit == left.weak == ("x",)
     assert left.profile.open.tolist() == [[True, False]]
@@ -240,10 +240,10 @@ def test_a_better_optimum_elsewhere_is_told():
     two = Problem(("x",), np.array([[-4.0, 4.0]]), unknown(np.array([-2.0])), np.tile([1.0, 0.3], (3, 1)),
                   np.full(2, 0.05),
                   lambda _x, theta, i: np.stack([theta[0] ** 2 + 0.0 * i, 0.3 * theta[0] + 0.0 * i]))  # fmt: skip
-    found = NonlinearLeastSquares().estimate(two)
-    assert found.status == "local_optimum"
-    assert found.belief.mean[0] < -0.9
-    assert found.better[0] == pytest.approx(1.0, abs=1e-3)
+    estimate = NonlinearLeastSquares().estimate(two)
+    assert estimate.status == "local_optimum"
+    assert estimate.belief.mean[0] < -0.9
+    assert estimate.better[0] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_where_a_model_fails_on_one_side_it_is_steep_and_on_both_it_is_flat():
@@ -268,14 +268,14 @@ def test_a_problem_that_makes_no_sense_is_refused(wrong):
 def test_a_kalman_step_is_the_conditional_normal():
     cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
     belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
-    model, sigma, seen = (
+    model, sigma, measured = (
         Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02])),
         np.array([0.3, 0.4]),
         np.array([2.0, -2.0]),
     )
     s = h @ cov @ h.T + np.diag([0.01 + 0.09, 0.02 + 0.16])
-    error = seen - (h @ belief.mean + [0.2, -0.1])
-    correction = innovate(belief, model, seen, sigma)
+    error = measured - (h @ belief.mean + [0.2, -0.1])
+    correction = innovate(belief, model, measured, sigma)
     after = update_belief(belief, correction)
     np.testing.assert_allclose(after.mean, belief.mean + cov @ h.T @ np.linalg.solve(s, error))
     np.testing.assert_allclose(after.cov, cov - cov @ h.T @ np.linalg.solve(s, h @ cov), atol=1e-12)
@@ -286,7 +286,7 @@ def test_a_kalman_step_is_the_conditional_normal():
     np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])
     for slope, offset in (([[1.0, np.inf, 0.0]] * 2, [0.0, 0.0]), (h, [0.0, np.nan])):
         with pytest.raises(LostTrackError):
-            innovate(belief, Affine(np.array(slope), np.array(offset), np.zeros((2, 2))), seen, sigma)
+            innovate(belief, Affine(np.array(slope), np.array(offset), np.zeros((2, 2))), measured, sigma)
     move = Affine(
         np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3)
     )
@@ -315,9 +315,9 @@ def test_drift_and_process_noise_are_variances():
     assert (step.slope @ start.mean + step.offset)[0] == pytest.approx(2.0)
     open_ended = joint_belief(line(bounds=np.tile([-np.inf, np.inf], (2, 1)), prior=unknown(np.array([0.5, 3.0]))))
     np.testing.assert_allclose(np.diag(open_ended.cov), [1e6, 9e6])
-    held = joint_belief(line(bounds=np.array([[0.3, 0.3], [-1.0, 1.0]])))
-    np.testing.assert_allclose(np.diag(held.cov), [0.0, 4.0 / 12.0])
-    assert held.mean[0] == 0.3
+    fixed = joint_belief(line(bounds=np.array([[0.3, 0.3], [-1.0, 1.0]])))
+    np.testing.assert_allclose(np.diag(fixed.cov), [0.0, 4.0 / 12.0])
+    assert fixed.mean[0] == 0.3
 
 
 def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():

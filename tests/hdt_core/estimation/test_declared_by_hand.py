@@ -54,20 +54,20 @@ def test_a_declared_state_is_stepped_and_stepped_twice_as_finely():
 
 def test_the_error_of_the_step_is_its_change_through_least_squares():
     problem = tank(dt_s=0.4)
-    found = NonlinearLeastSquares().estimate(problem)
-    rate = found.belief.mean[0]
+    estimate = NonlinearLeastSquares().estimate(problem)
+    rate = estimate.belief.mean[0]
     coarse, fine = (1.0 - 0.4 * rate), (1.0 - 0.2 * rate)
-    seen = np.array([1.5 * coarse + 0.08]), np.array([(1.5 * fine + 0.04) * fine + 0.04])
-    change, slope = (seen[1] - seen[0]) / 0.2, -0.4 * 1.5 / 0.2
+    outputs = np.array([1.5 * coarse + 0.08]), np.array([(1.5 * fine + 0.04) * fine + 0.04])
+    change, slope = (outputs[1] - outputs[0]) / 0.2, -0.4 * 1.5 / 0.2
     expected = -change / slope * abs(slope)
-    np.testing.assert_allclose(found.step_error, expected / (found.belief.sd * abs(slope)), rtol=1e-5)
-    lines = found.summary().splitlines()
-    error = f"    error of the step    = {abs(found.step_error[0]):.2g} standard deviations"
+    np.testing.assert_allclose(estimate.step_error, expected / (estimate.belief.sd * abs(slope)), rtol=1e-5)
+    lines = estimate.summary().splitlines()
+    error = f"    error of the step    = {abs(estimate.step_error[0]):.2g} standard deviations"
     assert lines.index(error) == lines.index("[[Parameters]]") - 1
-    assert replace(found, problem=replace(problem, half_steps=None)).step_error is None
-    assert replace(found, problem=None).step_error is None
-    assert replace(found, status="diverged").step_error is None
+    assert replace(estimate, problem=replace(problem, half_steps=None)).step_error is None
+    assert replace(estimate, problem=None).step_error is None
+    assert replace(estimate, status="diverged").step_error is None
     with pytest.raises(ValueError, match="without its problem"):
-        _ = replace(found, problem=None).fit
-    lost = replace(found, status="diverged").fit
-    assert not lost.slope.any()
+        _ = replace(estimate, problem=None).fit
+    diverged = replace(estimate, status="diverged").fit
+    assert not diverged.slope.any()

@@ -71,9 +71,9 @@ def test_an_inverse_a_determinant_and_a_decrement():
         for side in (0, 1):
             bounds = np.tile([-9.0, 9.0], (3, 1))
             bounds[1, side] = (2 * side - 1) * share * 1e-3 * sd[1]
-            found = assess_optimum(NORMAL, gradient, np.zeros(3), bounds)
-            np.testing.assert_allclose(found[0], inverse)
-            assert found[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), off))
+            optimum = assess_optimum(NORMAL, gradient, np.zeros(3), bounds)
+            np.testing.assert_allclose(optimum[0], inverse)
+            assert optimum[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), off))
 
 
 TIME = np.linspace(0.0, 3.0, 9)
@@ -116,9 +116,9 @@ def steps_by_hand(theta, most):
 @pytest.mark.parametrize("most", [1, 2, 3, 4, 5, 6, 8, 50])
 def test_a_descent_step_by_step(start, most):
     theta, evals = steps_by_hand(np.array(start), most)
-    found = descend(decay(start), np.array(start), most)
-    np.testing.assert_allclose(found.theta, theta, rtol=1e-6)
-    assert found.n_evals == evals
+    point = descend(decay(start), np.array(start), most)
+    np.testing.assert_allclose(point.theta, theta, rtol=1e-6)
+    assert point.n_evals == evals
     assert descend(decay(start), np.array(start), most, 7).n_evals == evals + 7
 
 
@@ -126,14 +126,14 @@ def test_a_descent_ends_after_two_hundred_steps(monkeypatch):
     monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e3))
     one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    found = descend(one, np.array([1000.0]))
-    assert (found.theta.tolist(), found.n_evals) == ([800.0], 3 + 200 * 4)
+    point = descend(one, np.array([1000.0]))
+    assert (point.theta.tolist(), point.n_evals) == ([800.0], 3 + 200 * 4)
 
 
 def test_a_descent_from_where_there_is_no_answer_stays():
-    lost = descend(decay((1.0, -1000.0)), np.array([1.0, -1000.0]), n_evals=3)
-    assert (lost.objective, lost.n_evals, lost.theta.tolist()) == (np.inf, 4, [1.0, -1000.0])
-    assert conclude_at(decay((1.0, -1000.0)), lost).status == "diverged"
+    point = descend(decay((1.0, -1000.0)), np.array([1.0, -1000.0]), n_evals=3)
+    assert (point.objective, point.n_evals, point.theta.tolist()) == (np.inf, 4, [1.0, -1000.0])
+    assert conclude_at(decay((1.0, -1000.0)), point).status == "diverged"
     assert (NonlinearLeastSquares().max_steps, NonlinearLeastSquares().name) == (200, "nls")
 
 
@@ -171,16 +171,22 @@ def test_newtons_decrement_where_a_direction_is_missing(normal, gradient, theta,
 
 
 def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
-    found, seen = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
-    np.testing.assert_allclose(found, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
-    assert not seen
+    inverse, is_regular = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
+    np.testing.assert_allclose(inverse, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
+    assert not is_regular
     for share, finite in ((0.95e-6, True), (1.05e-6, False)):  # of the open direction, from which it opens a parameter
         open_way = np.array([np.sqrt(0.5), -np.sqrt(0.5), share / np.sqrt(2.0)])
         cov = invert_information(np.eye(3) - np.outer(open_way, open_way) / (open_way @ open_way))[0]
         assert np.isfinite(np.diag(cov)).tolist() == [False, False, finite]
-    for gap, told in ((2.1e-14, True), (1.9e-14, False)):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
+    for gap, is_identifiable in (
+        (2.1e-14, True),
+        (1.9e-14, False),
+    ):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
         pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
-        assert (invert_information(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (told, told)
+        assert (invert_information(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (
+            is_identifiable,
+            is_identifiable,
+        )
 
 
 BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
@@ -206,8 +212,8 @@ def test_a_swarm_flies_as_clerc_and_kennedy_say():
         pull, leader = rng.random((2, 6, 2)), own[np.argmin(best)].copy()
         for p in range(6):
             for j in range(2):
-                drawn = 1.49618 * (pull[0, p, j] * (own[p, j] - at[p, j]) + pull[1, p, j] * (leader[j] - at[p, j]))
-                speed[p, j] = 0.7298 * speed[p, j] + drawn
+                pulled = 1.49618 * (pull[0, p, j] * (own[p, j] - at[p, j]) + pull[1, p, j] * (leader[j] - at[p, j]))
+                speed[p, j] = 0.7298 * speed[p, j] + pulled
                 free = at[p, j] + speed[p, j]
                 at[p, j] = min(max(free, 0.5), 4.0)
                 speed[p, j] *= free == at[p, j]

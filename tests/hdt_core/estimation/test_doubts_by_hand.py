@@ -29,7 +29,7 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
 
 
 @pytest.mark.parametrize(
-    ("c", "bounds", "variance", "known", "bent"),
+    ("c", "bounds", "variance", "has_prior", "bent"),
     [
         # (1 + 4 c)^2 against 2 and a half
         (0.102, (-9, 9), 1.0, False, False), (0.105, (-9, 9), 1.0, False, True),
@@ -44,8 +44,8 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
         (2.0, (-0.62, 0.65), 1.0, True, True), (2.0, (-1.24, 1.24), 4.0, True, False),
     ],
 )  # fmt: skip
-def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, known, bent):
-    problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if known else None)
+def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, has_prior, bent):
+    problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if has_prior else None)
     assert is_nonquadratic(problem, at, variance) is bent
 
 
@@ -71,9 +71,9 @@ def line(cloud=None, **more) -> Problem:
             cloud.append(theta)
         return (theta[0] + theta[1] * x[i])[None]
 
-    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
+    fields = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
              "measured": (1.0 + 0.5 * x)[:, None], "sigma": np.array([0.1]), "observe": observe}  # fmt: skip
-    return Problem(**(asked | more))
+    return Problem(**(fields | more))
 
 
 @pytest.mark.parametrize("variance", [1.0, 4.0])
@@ -83,12 +83,12 @@ def test_profiles_of_a_straight_line_are_its_deviations(variance):
     cov = np.linalg.inv(at.normal)
     half = np.sqrt(RISE * variance * np.diag(cov))
     assert pytest.approx(1.959964**2, rel=1e-6) == RISE
-    found = profile_intervals(problem, at, cov, variance)
-    np.testing.assert_allclose(found.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
-    assert not found.open.any()
-    assert found.better is None
-    held = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
-    np.testing.assert_allclose(held.interval[1], 0.5, rtol=1e-6)
+    profile = profile_intervals(problem, at, cov, variance)
+    np.testing.assert_allclose(profile.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
+    assert not profile.open.any()
+    assert profile.better is None
+    fixed = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
+    np.testing.assert_allclose(fixed.interval[1], 0.5, rtol=1e-6)
     wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
     assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
     wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.49, 50.0]])), at, cov, variance)
@@ -99,10 +99,10 @@ def test_with_one_parameter_held_the_others_follow_along_the_line():
     """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
     problem = line()
     at = descend(problem, np.zeros(2))
-    found = _refit_fixed(problem, at, 1, 0.7)
+    point = _refit_fixed(problem, at, 1, 0.7)
     theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
-    np.testing.assert_allclose(found.theta, theta, rtol=1e-9)
-    assert found.n_evals == 2 + 5
+    np.testing.assert_allclose(point.theta, theta, rtol=1e-9)
+    assert point.n_evals == 2 + 5
 
 
 def crossing_by_hand(rise, near, far, target):
@@ -161,20 +161,20 @@ def test_an_interval_without_an_end_is_endless():
     problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
                       lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
     at = descend(problem, np.zeros(1))
-    found = profile_intervals(problem, at, np.array([[0.36]]))
-    assert (found.interval[0, 0], found.open.tolist(), found.without_limit) == (-np.inf, [[True, False]], ("x",))
+    profile = profile_intervals(problem, at, np.array([[0.36]]))
+    assert (profile.interval[0, 0], profile.open.tolist(), profile.without_limit) == (-np.inf, [[True, False]], ("x",))
     # without a deviation the first stretch is the value's own size, at least 1
     blind = profile_intervals(problem, at, np.array([[np.inf]]))
-    np.testing.assert_allclose(blind.interval, found.interval, rtol=0.02)
+    np.testing.assert_allclose(blind.interval, profile.interval, rtol=0.02)
 
 
 @pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])
 def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
     """x seen as 0 with a sigma of 1: the end is 1.96, the first stretch 1.96 of what is taken for sd."""
     problem, at = bend(0.0)
-    found = profile_intervals(problem, at, np.array([[sd**2]]))
-    assert found.open.tolist() == [[not ends] * 2]
-    np.testing.assert_allclose(found.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
+    profile = profile_intervals(problem, at, np.array([[sd**2]]))
+    assert profile.open.tolist() == [[not ends] * 2]
+    np.testing.assert_allclose(profile.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
 
 
 def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
@@ -198,28 +198,28 @@ def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
     cloud.clear()
     better, spent = better_optimum(problem, at, 1.0)
     unit = qmc.Sobol(2, rng=np.random.default_rng(0)).random_base2(7)
-    drawn = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
-    drawn[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
-    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(drawn, *bounds.T), rtol=1e-12)
+    starts = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
+    starts[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
+    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(starts, *bounds.T), rtol=1e-12)
     assert better is None
     assert spent > 128 + 4 * 5
-    for gap, found in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
-        assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is found
-    for gap, found in ((0.9e-6, False), (1.1e-6, True)):
-        assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is found
+    for gap, is_better in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is is_better
+    for gap, is_better in ((0.9e-6, False), (1.1e-6, True)):
+        assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is is_better
     for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
-        seen: list = []
+        tried: list = []
         many = Problem(
             tuple("abcdefghijklmnopq"[: n + 1]),
             np.array([[-1.0, 1.0]] * n + [[0.5, 0.5]]),
             unknown(np.zeros(n + 1)),
             np.zeros((1, 1)),
             np.ones(1),
-            lambda _x, t, i, seen=seen: (seen.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
+            lambda _x, t, i, tried=tried: (tried.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
         )
         better_optimum(many, Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1)), 1.0)
-        assert seen[0].shape[1] == points
-        assert (seen[0][n] == 0.5).all()
+        assert tried[0].shape[1] == points
+        assert (tried[0][n] == 0.5).all()
 
 
 X12 = np.linspace(-1.0, 2.0, 12)
@@ -248,25 +248,25 @@ def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
 def test_data_that_leave_six_deviations_in_the_range_have_hardly_narrowed_it(half, weak):
     noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)  # of the declared variance, across offset and slope
     problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
-    found = NonlinearLeastSquares().estimate(problem)
-    mean, sd = found.belief.mean, found.belief.sd
+    estimate = NonlinearLeastSquares().estimate(problem)
+    mean, sd = estimate.belief.mean, estimate.belief.sd
     bounds = np.array([[-50.0, 50.0], [mean[1] - half * sd[1], mean[1] + half * sd[1]]])
     assert NonlinearLeastSquares().estimate(replace(problem, bounds=bounds)).weak == weak
 
 
 @pytest.mark.parametrize(
-    ("samples", "rho", "asked"), [(200, 0.5, True), (204, 0.5, False), (204, 0.705, False), (204, 0.709, True)]
+    ("samples", "rho", "has_profile"), [(200, 0.5, True), (204, 0.5, False), (204, 0.705, False), (204, 0.709, True)]
 )
-def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, asked):
+def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, has_profile):
     """A hundred values a parameter and a determinant 1 - rho^2 of a half: the bend is then not looked for."""
     wave = np.sqrt(2.0 / samples) * np.cos(2.0 * np.pi * np.outer([1.0, 2.0, 3.0], np.arange(samples)) / samples)
     u, v = wave[0], rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
     problem = Problem(("a", "b"), np.tile([-50.0, 50.0], (2, 1)), unknown(np.zeros(2)),
                       np.sqrt(samples) * wave[2][:, None], np.ones(1),
                       lambda _x, t, i: (u[i] * (t[0] + 0.5 * t[0] ** 3) + v[i] * t[1])[None])  # fmt: skip
-    found = NonlinearLeastSquares().estimate(problem)
-    assert (found.status, found.profile is not None) == ("converged", asked)
-    assert (found.n_checks > 0) is asked
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert (estimate.status, estimate.profile is not None) == ("converged", has_profile)
+    assert (estimate.n_checks > 0) is has_profile
 
 
 @pytest.mark.parametrize("own", [None, np.array([[0.02, 0.001], [0.001, 0.03]])])
@@ -278,10 +278,10 @@ def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(o
     mean = np.linalg.solve(normal, A.T @ problem.measured[:, 0] / 0.1 + np.linalg.inv(prior.cov) @ prior.mean)
     objective = problem.objective(mean[None])[0]
     wide = np.linalg.inv(A.T @ A / (objective / 10.0) + np.linalg.inv(prior.cov))
-    found = conclude(problem, mean, "max_steps", 9, cov=own)
+    estimate = conclude(problem, mean, "max_steps", 9, cov=own)
     added = 0.0 if own is None else own - np.linalg.inv(normal)
-    np.testing.assert_allclose(found.belief.cov, wide + added, rtol=1e-6)
-    assert (found.status, found.n_evals, found.n_checks) == ("converged", 9, found.n_checks)
-    kept = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
-    np.testing.assert_allclose(kept.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
-    assert np.isnan(kept.distance)
+    np.testing.assert_allclose(estimate.belief.cov, wide + added, rtol=1e-6)
+    assert (estimate.status, estimate.n_evals, estimate.n_checks) == ("converged", 9, estimate.n_checks)
+    own_cov = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
+    np.testing.assert_allclose(own_cov.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
+    assert np.isnan(own_cov.distance)

@@ -145,12 +145,12 @@ def test_a_held_parameter_stays(estimator):
 
 
 def test_those_that_find_the_optimum_agree_on_it():
-    found = {e.name: e.estimate(decay()).belief for e in estimators().values()}
+    beliefs = {e.name: e.estimate(decay()).belief for e in estimators().values()}
     for name in ("pso", "genetic", "gradient_descent", "pinn"):
-        away = np.abs(found[name].mean - found["nls"].mean) / found["nls"].sd
+        away = np.abs(beliefs[name].mean - beliefs["nls"].mean) / beliefs["nls"].sd
         assert (away < 2e-3).all(), name
     for name in ("ekf", "ukf", "ekf_pso", "particle"):
-        away = np.abs(found[name].mean - found["nls"].mean) / found["nls"].sd
+        away = np.abs(beliefs[name].mean - beliefs["nls"].mean) / beliefs["nls"].sd
         assert (away < 0.25).all(), name
 
 

@@ -41,10 +41,10 @@ X = np.linspace(-1.0, 2.0, 12)
 
 def line(**more) -> Problem:
     noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)
-    asked = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)),
+    fields = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)),
              "prior": Belief(np.zeros(2), 4.0 * np.eye(2)), "measured": (1.0 + 0.5 * X + noise)[:, None],
              "sigma": np.array([0.1]), "observe": lambda _x, theta, i: (theta[0] + theta[1] * X[i])[None]}  # fmt: skip
-    return Problem(**(asked | more))
+    return Problem(**(fields | more))
 
 
 @pytest.mark.parametrize(
@@ -57,15 +57,17 @@ def line(**more) -> Problem:
 )
 def test_passes_cost_two_for_each_quantity_and_one(estimator, passes):
     """A straight line is filtered once, and once more to see that it stands still."""
-    found = estimator.estimate(line())
-    assert (found.status, found.n_evals) == ("converged", 5 * passes)
+    estimate = estimator.estimate(line())
+    assert (estimate.status, estimate.n_evals) == ("converged", 5 * passes)
     assert UnscentedKalman().estimate(line()).n_evals > 10
-    np.testing.assert_allclose(found.path[-1], found.belief.mean, rtol=1e-6)
+    np.testing.assert_allclose(estimate.path[-1], estimate.belief.mean, rtol=1e-6)
     slope = np.column_stack([np.ones(12), X]) / 0.1
     for k in (0, 5):
         cov = np.linalg.inv(slope[: k + 1].T @ slope[: k + 1] + 0.25 * np.eye(2))
-        np.testing.assert_allclose(found.path_sd[k], np.sqrt(np.diag(cov)), rtol=1e-6)
-        np.testing.assert_allclose(found.path[k], cov @ slope[: k + 1].T @ line().measured[: k + 1, 0] / 0.1, rtol=1e-6)
+        np.testing.assert_allclose(estimate.path_sd[k], np.sqrt(np.diag(cov)), rtol=1e-6)
+        np.testing.assert_allclose(
+            estimate.path[k], cov @ slope[: k + 1].T @ line().measured[: k + 1, 0] / 0.1, rtol=1e-6
+        )
 
 
 def square(measured=4.0, drift=0.0, sigma=0.1) -> Problem:
@@ -93,10 +95,10 @@ def square(measured=4.0, drift=0.0, sigma=0.1) -> Problem:
     ids=str,
 )  # fmt: skip
 def test_how_a_filter_ends(estimator, drift, status):
-    found = replace(estimator, name="other").estimate(square(drift=drift))
-    assert (found.status, found.method) == (status, "other")
-    assert (found.innovations is not None) is (drift > 0.0)
-    assert np.isnan(found.distance) == (drift > 0.0)
+    estimate = replace(estimator, name="other").estimate(square(drift=drift))
+    assert (estimate.status, estimate.method) == (status, "other")
+    assert (estimate.innovations is not None) is (drift > 0.0)
+    assert np.isnan(estimate.distance) == (drift > 0.0)
 
 
 def test_defaults_of_the_filters_and_the_net():
@@ -106,26 +108,26 @@ def test_defaults_of_the_filters_and_the_net():
 
 
 @pytest.mark.parametrize(
-    ("later", "taken"), [(1.9, 1.9), (2.1, 1.05), (3.0, 1.5), (9.0, 1.125), (-1.0, -1.0), (400.0, 400.0)]
+    ("later", "step_end"), [(1.9, 1.9), (2.1, 1.05), (3.0, 1.5), (9.0, 1.125), (-1.0, -1.0), (400.0, 400.0)]
 )
-def test_a_pass_is_shortened_by_halves_until_it_pays(later, taken):
+def test_a_pass_is_shortened_by_halves_until_it_pays(later, step_end):
     """The objective is (x - 1)^2 from 0: seven halvings at most, and the full step where none pays."""
     one = Problem(("x",), np.array([[-999.0, 999.0]]), unknown(np.zeros(1)), np.ones((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    assert _line_search(one, np.zeros(1), np.array([later])) == pytest.approx([taken])
+    assert _line_search(one, np.zeros(1), np.array([later])) == pytest.approx([step_end])
     assert _line_search(one, np.zeros(1), np.array([2.0**7 * 1.99])) == pytest.approx([1.99])
     assert _line_search(one, np.zeros(1), np.array([2.0**8 * 1.99])) == pytest.approx([2.0**8 * 1.99])
-    lost = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
-    assert _line_search(lost, np.zeros(1), np.array([later])) == pytest.approx([later])
+    undefined = replace(one, observe=lambda _x, t, i: (np.where(t[0] == 0.0, np.nan, t[0]) + 0.0 * i)[None])
+    assert _line_search(undefined, np.zeros(1), np.array([later])) == pytest.approx([later])
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])
 def test_what_stands_still_is_the_last_belief(monkeypatch, drift):
     moves: list = []
     monkeypatch.setattr(kalman, "_stands_still", lambda move, cov: moves.append((move, cov)))
-    found = ExtendedKalman(smoother_passes=1).estimate(square(drift=drift))
+    estimate = ExtendedKalman(smoother_passes=1).estimate(square(drift=drift))
     ((move, _),) = moves
-    np.testing.assert_allclose(move, found.belief.mean - found.path[-1], rtol=1e-9)
+    np.testing.assert_allclose(move, estimate.belief.mean - estimate.path[-1], rtol=1e-9)
     assert abs(move[0]) > 1e-6
     moves.clear()
     linear = ExtendedKalman(smoother_passes=1).estimate(line(drift=np.full(2, drift)))
@@ -139,10 +141,10 @@ def test_the_point_of_a_pass_is_its_last_inside_the_bounds():
 
 
 def test_a_filter_that_loses_track_has_cost_a_pass():
-    lost = line(observe=lambda _x, theta, i: np.where(np.asarray(i) == 7, np.nan, theta[0] + theta[1] * X[i])[None])
+    broken = line(observe=lambda _x, theta, i: np.where(np.asarray(i) == 7, np.nan, theta[0] + theta[1] * X[i])[None])
     for estimator in (ExtendedKalman(), UnscentedKalman()):
-        found = estimator.estimate(lost)
-        assert (found.status, found.n_evals) == ("diverged", 5)
+        estimate = estimator.estimate(broken)
+        assert (estimate.status, estimate.n_evals) == ("diverged", 5)
 
 
 def test_a_line_search_moves_the_last_belief_alone():
@@ -197,31 +199,35 @@ def test_a_smoothed_covariance_is_that_of_all_samples():
 
 
 @pytest.mark.parametrize(("points", "passes"), [(False, 2), (True, 5)])
-@pytest.mark.parametrize(("mean", "made", "serves"), [([1.0, 0.5], 3, True), ([1.2, 0.5], 3, False)])
-def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, mean, made, serves):
-    asked: list = []
+@pytest.mark.parametrize(("mean", "n_passes", "serves"), [([1.0, 0.5], 3, True), ([1.2, 0.5], 3, False)])
+def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, mean, n_passes, serves):
+    arguments: list = []
 
     def kalman(*args):
-        asked.extend(args)
-        return np.full((12, 2), 60.0), np.ones((12, 2)), np.array(mean), 0.001 * np.eye(2), made
+        arguments.extend(args)
+        return np.full((12, 2), 60.0), np.ones((12, 2)), np.array(mean), 0.001 * np.eye(2), n_passes
 
     problem = line(prior=unknown(np.array([60.0, 0.0])), sigma=np.array([0.1]))
     best = np.linalg.lstsq(np.column_stack([np.ones(12), X]), problem.measured[:, 0], rcond=None)[0]
     mean[:] = best + np.array([mean[0] - 1.0, 0.0])
     kernels = Kernels(problem.simulate, problem.chi2, kalman=kalman)
     estimator = UnscentedKalman(polish=False) if points else ExtendedKalman(name="ekf")
-    found = estimator.estimate(replace(problem, kernels=kernels))
-    assert bool(found.belief.cov[0, 0] == 0.001) is serves
-    np.testing.assert_array_equal(asked[0], [50.0, 0.0])  # the prior's mean inside the bounds
-    np.testing.assert_allclose(asked[1], np.eye(2) * 100.0**2 / 12.0)
-    assert asked[2].all()
-    assert asked[5:] == [points, 5 if points else 20, 1e-4]
+    estimate = estimator.estimate(replace(problem, kernels=kernels))
+    assert bool(estimate.belief.cov[0, 0] == 0.001) is serves
+    np.testing.assert_array_equal(arguments[0], [50.0, 0.0])  # the prior's mean inside the bounds
+    np.testing.assert_allclose(arguments[1], np.eye(2) * 100.0**2 / 12.0)
+    assert arguments[2].all()
+    assert arguments[5:] == [points, 5 if points else 20, 1e-4]
     if serves:
-        assert (found.n_evals, found.status, found.method) == ((1 + made) * passes, "converged", estimator.name)
-        assert (found.path == 50.0).all()  # kept inside the bounds
+        assert (estimate.n_evals, estimate.status, estimate.method) == (
+            (1 + n_passes) * passes,
+            "converged",
+            estimator.name,
+        )
+        assert (estimate.path == 50.0).all()  # kept inside the bounds
     without = replace(estimator, smoother_passes=0).estimate(replace(problem, kernels=kernels))
     assert without.status == ("converged" if serves else "approximate")
-    assert without.n_evals == (1 + made) * passes  # not put aside: one pass is what was asked for
+    assert without.n_evals == (1 + n_passes) * passes  # not put aside: one pass is what was asked for
     moving = estimator.estimate(replace(problem, kernels=kernels, drift=np.array([0.1, 0.1])))
     assert moving.innovations is not None
 
@@ -230,10 +236,10 @@ def test_regression_over_sigma_points_of_a_square():
     """z0^2 of N(m, P): mean m^2 + P, slope 2 m, left over P either way with these weights."""
     points = MerweScaledSigmaPoints(2, 1.0, 0.0, 0.0, sqrt_method=upper_root)
     belief, free = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09])), np.full(2, np.inf)
-    found = regression(points, lambda z: z[:1] ** 2, belief, -free, free)
-    np.testing.assert_allclose(found.slope, [[3.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(found.offset, [1.5**2 + 0.25 - 4.5], atol=1e-9)
-    np.testing.assert_allclose(found.spread, [[0.0625]], atol=1e-9)
+    fit = regression(points, lambda z: z[:1] ** 2, belief, -free, free)
+    np.testing.assert_allclose(fit.slope, [[3.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(fit.offset, [1.5**2 + 0.25 - 4.5], atol=1e-9)
+    np.testing.assert_allclose(fit.spread, [[0.0625]], atol=1e-9)
     inside = regression(points, lambda z: z[:1], belief, -free, np.array([1.5, 9.0]))
     np.testing.assert_allclose(inside.slope, [[0.5, 0.0]], atol=1e-9)
     exact = regression(points, lambda z: z[:1], Belief(np.array([1.0, 0.0]), np.zeros((2, 2))), -free, free)
@@ -253,11 +259,11 @@ def test_regression_over_sigma_points_of_a_square():
 
 def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
     belief, lower, upper = Belief(np.array([2.0, 0.5]), np.eye(2)), np.array([-9.0, -9.0]), np.array([1.0, 9.0])
-    found = tangent(lambda z: np.stack([z[0] * z[1], z[0] ** 2]), belief, lower, upper)
-    np.testing.assert_allclose(found.slope, [[0.5, 1.0], [2.0, 0.0]], atol=1e-4)
-    np.testing.assert_allclose(found.slope @ [1.0, 0.5] + found.offset, [0.5, 1.0], rtol=1e-9)
-    assert not found.spread.any()
-    assert found.spread.shape == (2, 2)
+    linear = tangent(lambda z: np.stack([z[0] * z[1], z[0] ** 2]), belief, lower, upper)
+    np.testing.assert_allclose(linear.slope, [[0.5, 1.0], [2.0, 0.0]], atol=1e-4)
+    np.testing.assert_allclose(linear.slope @ [1.0, 0.5] + linear.offset, [0.5, 1.0], rtol=1e-9)
+    assert not linear.spread.any()
+    assert linear.spread.shape == (2, 2)
     # steps are the cube root of the rounding, of the value or of the deviation, which counts from 1e-6 to 1000
     ends: list = []
     at = Belief(np.array([0.0, 0.0, -7.0, 0.0]), np.diag([0.0, 5000.0**2, 1.0, 0.25]))
@@ -276,30 +282,30 @@ def test_a_trajectory_is_known_exactly():
 
 def test_a_report_that_is_not_finite_is_lost():
     for belief in (Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))):
-        found = report(line(), belief, "converged", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
-        assert (found.status, found.n_evals, found.method) == ("diverged", 7, "m")
+        result = report(line(), belief, "converged", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
+        assert (result.status, result.n_evals, result.method) == ("diverged", 7, "m")
     whole = Belief(np.array([0.3, 0.2]), np.eye(2))  # a belief off the optimum stays where it is
-    found = report(line(), whole, "approximate", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
-    assert (found.status, found.n_evals, found.belief.mean.tolist()) == ("approximate", 7, [0.3, 0.2])
+    result = report(line(), whole, "approximate", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
+    assert (result.status, result.n_evals, result.belief.mean.tolist()) == ("approximate", 7, [0.3, 0.2])
 
 
 def test_a_summary_says_it_all():
     problem = line(prior=unknown(np.array([3.0, 0.0])))
-    found = replace(
+    estimate = replace(
         NonlinearLeastSquares().estimate(problem), weak=("slope",), better=np.array([2.0, 0.25]), n_checks=17
     )
-    fit, cov = found.fit, np.linalg.inv(found.identifiability.information)
-    sd, mean = np.sqrt(np.diag(cov)), found.belief.mean
+    fit, cov = estimate.fit, np.linalg.inv(estimate.identifiability.information)
+    sd, mean = np.sqrt(np.diag(cov)), estimate.belief.mean
     head = [
         "    status               = converged",
-        f"    model evaluations    = {found.n_evals}, and 17 to question the answer",
+        f"    model evaluations    = {estimate.n_evals}, and 17 to question the answer",
         "    values               = 12",
         "    free parameters      = 2",
         "    degrees of freedom   = 10",
         f"    reduced chi-square   = {fit.chi2 / 10:.6g}",
         "    fit                  = adequate: model and sigma explain the record",
     ]
-    lines = found.summary().splitlines()
+    lines = estimate.summary().splitlines()
     assert set(head) <= set(lines)
     row = next(text for text in lines if text.startswith("    offset "))
     assert row.startswith(
@@ -308,7 +314,7 @@ def test_a_summary_says_it_all():
     assert row.endswith("(init 3)")
     assert f"    C(offset, slope) = {cov[0, 1] / sd[0] / sd[1]:+.4f}" in lines
     assert lines[lines.index("[[Left open by the data]]") + 1] == "    slope"
-    wide = replace(found, belief=Belief(np.array([0.0, 2.0]), np.diag([4.0, np.inf]))).summary().splitlines()
+    wide = replace(estimate, belief=Belief(np.array([0.0, 2.0]), np.diag([4.0, np.inf]))).summary().splitlines()
     rows = [text.partition(", ")[0] for text in wide if text.startswith(("    offset ", "    slope  "))]
     assert rows == ["    offset  0 +/- 2", "    slope   2 +/- inf"]  # no share of nothing, nor of no end
     assert lines[lines.index("[[A better optimum]]") + 1] == "    near offset 2, slope 0.25"
@@ -316,11 +322,11 @@ def test_a_summary_says_it_all():
     rho[0, 1] = rho[1, 0] = -0.101
     rho[0, 2] = rho[2, 0] = 0.099
     rho[1, 2] = rho[2, 1] = 0.4
-    seen = Identifiability(("a", "b", "c"), np.eye(3))
+    information = Identifiability(("a", "b", "c"), np.eye(3))
     sizes = np.diag([1.0, 2.0, 3.0])
-    said = _correlations(Estimate(Belief(np.ones(3), sizes @ rho @ sizes), "converged", 1, seen))
-    assert said == ["[[Correlations]] (below 0.1 not shown)", "    C(b, c) = +0.4000", "    C(a, b) = -0.1010"]
-    assert _correlations(Estimate(Belief(np.ones(3), np.eye(3)), "converged", 1, seen)) == []
+    lines_shown = _correlations(Estimate(Belief(np.ones(3), sizes @ rho @ sizes), "converged", 1, information))
+    assert lines_shown == ["[[Correlations]] (below 0.1 not shown)", "    C(b, c) = +0.4000", "    C(a, b) = -0.1010"]
+    assert _correlations(Estimate(Belief(np.ones(3), np.eye(3)), "converged", 1, information)) == []
     tenth = Belief(np.ones(2), np.array([[1.0, 0.1], [0.1, 1.0]]))
     pair = Identifiability(("a", "b"), np.eye(2))
     assert _correlations(Estimate(tenth, "converged", 1, pair))[1:] == ["    C(a, b) = +0.1000"]
@@ -339,6 +345,6 @@ def test_a_parameter_at_zero_has_the_magnitude_of_its_prior_its_bounds_or_its_st
 
 
 def test_a_net_of_a_model_without_states_is_least_squares_and_says_so():
-    found = PhysicsInformedNet().estimate(line())
-    assert found.method == "pinn: least squares, no dynamics"
-    assert found.n_evals == NonlinearLeastSquares().estimate(line()).n_evals
+    estimate = PhysicsInformedNet().estimate(line())
+    assert estimate.method == "pinn: least squares, no dynamics"
+    assert estimate.n_evals == NonlinearLeastSquares().estimate(line()).n_evals

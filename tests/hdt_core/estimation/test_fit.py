@@ -42,8 +42,8 @@ def test_beside_a_held_parameter_the_interval_follows_the_record_too():
 
     Nine of ten intervals hold the truth: 200 records, three times 0.021.
     """
-    held = np.array([[-100.0, 100.0], [1.0, 1.0]])
-    estimates = [NonlinearLeastSquares().estimate(replace(line(3.0, seed=k), bounds=held)) for k in range(200)]
+    bounds = np.array([[-100.0, 100.0], [1.0, 1.0]])
+    estimates = [NonlinearLeastSquares().estimate(replace(line(3.0, seed=k), bounds=bounds)) for k in range(200)]
     slope, sd = np.array([(e.belief.mean[0], e.belief.sd[0]) for e in estimates]).T
     scatter = [np.linalg.norm(e.fit.residuals) * 0.1 / np.sqrt(79) for e in estimates]
     np.testing.assert_allclose(sd, scatter / np.linalg.norm(X), rtol=1e-6)
@@ -90,12 +90,12 @@ def test_false_alarms_are_as_rare_as_declared():
 
 def test_the_summary_holds_what_lmfit_prints():
     estimate = NonlinearLeastSquares().estimate(line())
-    said = estimate.summary()
+    text = estimate.summary()
     for word in ("nls", "converged", "chi-square", "reduced chi-square", "Akaike", "Bayesian", "model evaluations"):
-        assert word in said
-    assert "slope" in said
-    assert "(init 0)" in said
-    assert "C(slope, offset) = -0.86" in said  # of the design alone: -mean(x) / rms(x)
+        assert word in text
+    assert "slope" in text
+    assert "(init 0)" in text
+    assert "C(slope, offset) = -0.86" in text  # of the design alone: -mean(x) / rms(x)
 
 
 def test_a_held_parameter_is_known_and_counts_as_none():

@@ -12,10 +12,10 @@ from hdt_core.estimation.identifiability import Identifiability, fisher, invert_
 
 def test_only_the_product_is_identifiable():
     problem = compressor()
-    seen = fisher(problem, np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
-    assert not seen.identifiable
-    assert np.linalg.matrix_rank(seen.scaled_information, tol=1e-6) == 1
-    assert np.isinf(seen.bound_sd).all()
+    information = fisher(problem, np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
+    assert not information.identifiable
+    assert np.linalg.matrix_rank(information.scaled_information, tol=1e-6) == 1
+    assert np.isinf(information.bound_sd).all()
     estimate = NonlinearLeastSquares().estimate(problem)
     assert estimate.status == "not_identifiable"
     product = estimate.belief.mean[0] * estimate.belief.mean[1] * np.tan(estimate.belief.mean[2])

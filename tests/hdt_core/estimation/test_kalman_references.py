@@ -196,14 +196,14 @@ def test_unscented_filter_equals_that_of_filterpy_on_the_oscillator():
 
 
 def test_a_covariance_without_a_root_gets_one():
-    lost = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
+    indefinite = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
     with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.cholesky(lost)
-    root = upper_root(lost)
-    np.testing.assert_allclose(root.T @ root, lost, atol=1e-6)
-    known = upper_root(np.diag([0.0, 4.0]))
-    assert (np.diag(known) > 0.0).all()
-    np.testing.assert_allclose(known.T @ known, np.diag([0.0, 4.0]), atol=1e-9)
+        np.linalg.cholesky(indefinite)
+    root = upper_root(indefinite)
+    np.testing.assert_allclose(root.T @ root, indefinite, atol=1e-6)
+    root_of_zero = upper_root(np.diag([0.0, 4.0]))
+    assert (np.diag(root_of_zero) > 0.0).all()
+    np.testing.assert_allclose(root_of_zero.T @ root_of_zero, np.diag([0.0, 4.0]), atol=1e-9)
 
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)

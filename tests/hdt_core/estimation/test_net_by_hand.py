@@ -48,8 +48,8 @@ def test_a_nets_states_and_its_loss_by_hand():
         ends = [_loss(swing(), vector + sign * step, SCALE, rho, 2)[0] for sign in (1.0, -1.0)]
         np.testing.assert_allclose(jacobian[:, j], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-5)
         if j < 7:
-            moved = [_states(WEIGHTS + sign * step[:7], time, SCALE.size, 2)[0] for sign in (1.0, -1.0)]
-            np.testing.assert_allclose(by[..., j], (moved[0] - moved[1]) / 2e-6, rtol=1e-5, atol=1e-7)
+            shifted = [_states(WEIGHTS + sign * step[:7], time, SCALE.size, 2)[0] for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(by[..., j], (shifted[0] - shifted[1]) / 2e-6, rtol=1e-5, atol=1e-7)
     # a start known exactly counts by a thousandth of the state's size
     exact = replace(swing(), start=Belief(np.array([1.2]), np.zeros((1, 1))))
     assert _loss(exact, vector, SCALE, rho, 2)[0][-3] == pytest.approx((x[0] - 1.2) / 2e-3)
@@ -81,15 +81,15 @@ def test_covariance_of_the_parameters_of_a_net():
 
 
 def lag() -> Problem:
-    x, seen = 1.0, []
+    x, outputs = 1.0, []
     for i in range(40):
-        seen.append(x + 0.01 * (-1.0) ** i)
+        outputs.append(x + 0.01 * (-1.0) ** i)
         x = 0.9 * x + 0.1 * np.sin(i / 4.0)
     return Problem(
         ("gain", "pole"),
         np.array([[0.0, 5.0], [0.0, 0.999]]),
         Belief(np.array([0.9, 0.8]), np.diag([0.04, 0.01])),
-        np.array(seen)[:, None],
+        np.array(outputs)[:, None],
         np.array([0.01]),
         lambda x, t, _i: t[0] * x,
         lambda x, t, i: t[1] * x + 0.1 * np.sin(np.asarray(i) / 4.0),
@@ -146,11 +146,11 @@ def test_a_net_is_trained_step_by_step(rho, gain, most):
     first = _first_weights(8, lag().measured, scale, np.random.default_rng(0))
     start = np.concatenate([first, [gain, 0.8]])
     vector, steps = trained_by_hand(lag(), start, scale, rho, most)
-    found, _, tried = _train(lag(), start, scale, rho, width=8, max_steps=most)
+    weights, _, tried = _train(lag(), start, scale, rho, width=8, max_steps=most)
     assert tried == steps
-    np.testing.assert_allclose(found[-2:], vector[-2:], rtol=1e-6)
+    np.testing.assert_allclose(weights[-2:], vector[-2:], rtol=1e-6)
 
 
 def test_a_net_that_loses_its_states_stops_at_once():
-    lost = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
-    assert PhysicsInformedNet().estimate(lost).n_evals == 1
+    undefined = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
+    assert PhysicsInformedNet().estimate(undefined).n_evals == 1

@@ -95,18 +95,18 @@ def read(name: str) -> Certified:
 CERTIFIED = {name: read(name) for name in MODELS}
 
 
-def digits(found, certified):
+def digits(estimate, certified):
     """Correct digits of the worst of several numbers, as NIST counts them."""
-    return float(-np.log10(max(np.abs(found / certified - 1.0).max(), 1e-15)))
+    return float(-np.log10(max(np.abs(estimate / certified - 1.0).max(), 1e-15)))
 
 
 @pytest.mark.parametrize("name", CERTIFIED)
 def test_least_squares_reaches_certified_digits_from_start_2(name):
     case = CERTIFIED[name]
     estimate = NonlinearLeastSquares().estimate(case.problem(2))
-    asked = 6.0 if case.level == "Lower" else 4.0
+    expected_digits = 6.0 if case.level == "Lower" else 4.0
     assert estimate.status == "converged"
-    assert digits(estimate.belief.mean, case.values) >= asked
+    assert digits(estimate.belief.mean, case.values) >= expected_digits
     assert digits(estimate.fit.scaled_sd, case.sds) >= 4.0
     # residuals contradict the declared sigma of 1: the interval follows the record
     if case.sum_of_squares > 3.0 * len(case.x):

@@ -100,9 +100,9 @@ def test_all_parameters_of_the_exchanger_are_profiled_in_few_evaluations():
     measured = {s.name: clean[s.name] + s.sigma * rng.standard_normal(k) for s in HEAT_EXCHANGER.outputs}
     free = [p.name for p in HEAT_EXCHANGER.free("design")]
     problem = declared_problem(HEAT_EXCHANGER, free, inputs, measured)
-    found = NonlinearLeastSquares().estimate(problem)
-    at = descend(problem, found.belief.mean)
-    profile = profile_intervals(problem, at, found.belief.cov)
+    estimate = NonlinearLeastSquares().estimate(problem)
+    at = descend(problem, estimate.belief.mean)
+    profile = profile_intervals(problem, at, estimate.belief.cov)
     assert profile.n_evals < 2_000
     nominal = np.array([HEAT_EXCHANGER.nominal[name] for name in free])
     assert ((profile.interval[:, 0] < nominal) & (nominal < profile.interval[:, 1])).sum() >= len(free) - 1

@@ -118,15 +118,15 @@ def test_a_parameter_that_drifts_is_followed(estimator):
 
 def test_particles_carry_states_that_are_drawn():
     rng = np.random.default_rng(9)
-    x, seen = 0.0, []
+    x, measured = 0.0, []
     for _ in range(150):
-        seen.append(x + 0.3 * rng.standard_normal())
+        measured.append(x + 0.3 * rng.standard_normal())
         x = 0.8 * x + 0.5 * rng.standard_normal()
     problem = Problem(
         names=("pole",),
         bounds=np.array([[0.0, 0.99]]),
         prior=Belief(np.array([0.5]), np.array([[0.09]])),
-        measured=np.array(seen)[:, None],
+        measured=np.array(measured)[:, None],
         sigma=np.array([0.3]),
         observe=lambda x, _theta, _i: x,
         transition=lambda x, theta, _i: theta[0] * x,

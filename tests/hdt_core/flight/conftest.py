@@ -18,14 +18,14 @@ class Fleet(NamedTuple):
 
 
 def _si(aircraft: Aircraft, rows: pl.DataFrame, source: str) -> pl.DataFrame:
-    known = rows.columns
+    columns = rows.columns
     signals = [
-        (pl.col(c.name).cast(pl.Float64) * c.scale + c.offset if c.name in known else pl.lit(None, pl.Float64)).alias(
+        (pl.col(c.name).cast(pl.Float64) * c.scale + c.offset if c.name in columns else pl.lit(None, pl.Float64)).alias(
             c.si_name
         )
         for c in SIGNAL_COLUMNS
     ]
-    phase = pl.col("phase_code") if "phase_code" in known else pl.lit(None, pl.String)
+    phase = pl.col("phase_code") if "phase_code" in columns else pl.lit(None, pl.String)
     return rows.select(
         pl.lit(aircraft.operator).alias("operator"),
         pl.lit(aircraft.tail).alias("tail"),

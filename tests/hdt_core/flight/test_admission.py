@@ -48,16 +48,14 @@ def test_nominal_flights_are_admitted_and_sick_ones_are_not(fleet, admitted):
 
 def test_twin_that_reports_wear_turns_the_leg_away(fleet, level_one, admitted):
     worn = admitted.filter("admitted").head(3)
-    said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
-    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, said)
+    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
+    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
     assert again.join(worn.select(LEG), on=LEG, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
 
 
 def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.Expr, mine: pl.Expr) -> pl.DataFrame:
-    numbered = samples.join(legs.select(*LEG, "flight_number"), on=LEG, how="left", maintain_order="left")
-    return numbered.with_columns(pl.when(mine).then(change).otherwise(pl.col(column)).alias(column)).drop(
-        "flight_number"
-    )
+    rows = samples.join(legs.select(*LEG, "flight_number"), on=LEG, how="left", maintain_order="left")
+    return rows.with_columns(pl.when(mine).then(change).otherwise(pl.col(column)).alias(column)).drop("flight_number")
 
 
 @pytest.mark.parametrize("step_k", [-4.0, 4.0])
@@ -66,21 +64,23 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     tail = legs["tail"][0]
     span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
     off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
-    found = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(legs.select(*LEG, "flight_number"), on=LEG)
+    checks = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(
+        legs.select(*LEG, "flight_number"), on=LEG
+    )
     before = check_sensors(leg_checks(samples, learn_outlet_law(samples)), legs).join(
         legs.select(*LEG, "flight_number"), on=LEG
     )
     sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))
-    hit = found.join(sound.select(LEG), on=LEG, how="semi")
+    hit = checks.join(sound.select(LEG), on=LEG, how="semi")
     assert hit["sensor_shift"].mean() >= 0.9
-    other = found.filter(span & (pl.col("pack") == 2))
+    other = checks.filter(span & (pl.col("pack") == 2))
     assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
 
 
 def test_twin_that_finds_the_exchanger_sound_is_believed_over_the_index(fleet, level_one, admitted):
     worn = admitted.filter(pl.col("reason") == "HX_WORN")
-    said = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
-    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, said)
+    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
+    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
     assert worn.height > 20
     assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
 
@@ -90,8 +90,8 @@ def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.D
     rng = np.random.default_rng(5)
     noise = {c: sd * rng.normal(size=legs.height) for c, sd in (("inlet_apart_k", 0.7), ("door_apart_ln", 0.018))}
     drift = pl.when(mine & pl.col("flight_number").is_between(100, 140)).then(pl.col("flight_number") - 100.0)
-    seen = legs.select(*LEG, "flight_number").with_columns(pl.Series(c, v) for c, v in noise.items())
-    return seen.with_columns(pl.col(column) + slope * drift.otherwise(0.0)).drop("flight_number")
+    twin = legs.select(*LEG, "flight_number").with_columns(pl.Series(c, v) for c, v in noise.items())
+    return twin.with_columns(pl.col(column) + slope * drift.otherwise(0.0)).drop("flight_number")
 
 
 @pytest.mark.parametrize(("column", "slope"), [("inlet_apart_k", 0.15), ("door_apart_ln", 0.004)])
@@ -100,9 +100,9 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
     mine = (pl.col("tail") == legs["tail"][0]) & (pl.col("pack") == 1)
     norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     signs = leg_indicators(samples, norm)
-    known = fleet.maintenance, fleet.messages
+    logs = fleet.maintenance, fleet.messages
     before, after = (
-        admit(norm, legs, signs, *known, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
+        admit(norm, legs, signs, *logs, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
     )
     sound = before.with_columns(legs["flight_number"]).filter("admitted")
     hit = after.join(sound.select(*LEG, "flight_number"), on=LEG)

@@ -24,14 +24,14 @@ def verdicts(
 ) -> pl.DataFrame:
     """Second-level verdicts on legs that show these signs."""
     own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | signs
-    shown = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
+    indicators = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
     baseline = NominalBaseline(level=IndexLevel(clean=0.0, stray=0.0), scatter=scatter)
-    return admit(baseline, legs, shown, NO_WORK, NO_MESSAGE, health).sort("flight_id")
+    return admit(baseline, legs, indicators, NO_WORK, NO_MESSAGE, health).sort("flight_id")
 
 
 def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:
-    told = LEGS.select(LEG).with_columns(parameter=pl.lit(parameter), value=pl.lit(value))
-    return told.with_columns(sd=pl.lit(sd, pl.Float64))
+    rows = LEGS.select(LEG).with_columns(parameter=pl.lit(parameter), value=pl.lit(value))
+    return rows.with_columns(sd=pl.lit(sd, pl.Float64))
 
 
 @pytest.mark.parametrize(
@@ -45,9 +45,9 @@ def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:
 )  # fmt: skip
 def test_a_loss_is_below_its_limit_with_probability_95_per_cent(parameter, value, sd, reason):
     """1.645 deviations below .15; .075 of a diameter, which goes with the root of the pressure rise."""
-    told = verdicts(health=losses(parameter, value, sd))
-    assert set(told["reason"]) == {reason}
-    assert set(told["n_nominal"]) == {0 if reason else 9}
+    result = verdicts(health=losses(parameter, value, sd))
+    assert set(result["reason"]) == {reason}
+    assert set(result["n_nominal"]) == {0 if reason else 9}
 
 
 def test_the_exchanger_speaks_first_and_the_twin_over_the_index():
@@ -61,9 +61,9 @@ def test_the_exchanger_speaks_first_and_the_twin_over_the_index():
 
 def test_an_earlier_reason_stays_and_rules_come_in_order():
     legs = LEGS.with_columns(reason=pl.when(pl.col("flight_number") == 3).then(pl.lit("ICING")).otherwise(pl.lit("")))
-    told = verdicts(legs, index_unrest=[7.0] * N, index_level=[0.3 * (k == 5) for k in range(N)])
-    assert told["reason"].to_list() == ["ICING" if k == 3 else "UNREST" for k in range(N)]
-    assert not told["admitted"].any()
+    result = verdicts(legs, index_unrest=[7.0] * N, index_level=[0.3 * (k == 5) for k in range(N)])
+    assert result["reason"].to_list() == ["ICING" if k == 3 else "UNREST" for k in range(N)]
+    assert not result["admitted"].any()
 
 
 @pytest.mark.parametrize(
@@ -74,5 +74,7 @@ def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, off_k, out):
     """Weighted by the root of an eighth of its samples, one where the number is not known: 3.48 deviations of .2 K is
     the 99.95 % quantile of one normal residual."""
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))
-    told = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=pl.Series([n] * N, dtype=pl.Int64))
-    assert told["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])
+    result = verdicts(
+        scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=pl.Series([n] * N, dtype=pl.Int64)
+    )
+    assert result["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])

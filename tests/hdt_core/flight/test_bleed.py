@@ -14,9 +14,9 @@ SOUND = {"pack_1_flow_kg_s": 1.2, "pack_2_flow_kg_s": 1.2, "bleed_1_open": True,
          "operator": "AAA", "tail": "X-1"}  # fmt: skip
 
 
-def reports(hours: float, **said: object) -> pl.DataFrame:
+def reports(hours: float, **values: object) -> pl.DataFrame:
     """One report, so many hours after the first departure."""
-    row = SOUND | {"reported_at": DAY + timedelta(hours=hours), "mach": 0.8} | said
+    row = SOUND | {"reported_at": DAY + timedelta(hours=hours), "mach": 0.8} | values
     return pl.DataFrame([row], schema=dict(RawReports.create_empty().schema))
 
 
@@ -35,26 +35,26 @@ def legs() -> pl.DataFrame:
 ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0.02}]
 
 
-@pytest.mark.parametrize("said", ODD)
-def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(legs, said):
-    told = reject_odd_bleed(legs, reports(1.5, **said))
-    assert told["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
-    assert told["admitted"].to_list() == [False, False, True, True, True, True]
-    assert told["n_nominal"].to_list() == [0, 7, 7, 7, 7, 7]
-    assert told.columns == legs.columns
+@pytest.mark.parametrize("values", ODD)
+def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(legs, values):
+    rows = reject_odd_bleed(legs, reports(1.5, **values))
+    assert rows["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
+    assert rows["admitted"].to_list() == [False, False, True, True, True, True]
+    assert rows["n_nominal"].to_list() == [0, 7, 7, 7, 7, 7]
+    assert rows.columns == legs.columns
 
 
 @pytest.mark.parametrize(
-    "said",
+    "values",
     [{}, {"crossfeed_open": True, "altitude_m": 3_000.0}, {"crossfeed_open": True, "altitude_m": None},
      {"crossfeed_open": True, "tail": "X-9"}, dict.fromkeys(("bleed_1_open", "crossfeed_open", "pack_2_flow_kg_s"))],
 )  # fmt: skip
-def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(legs, said):
-    assert reject_odd_bleed(legs, reports(1.5, **said)).equals(legs)
+def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(legs, values):
+    assert reject_odd_bleed(legs, reports(1.5, **values)).equals(legs)
 
 
 @pytest.mark.parametrize(
-    ("said", "hours", "turned"),
+    ("values", "hours", "turned"),
     [
         ({"pack_1_flow_kg_s": 0.0999}, 1.0, 1), ({"pack_1_flow_kg_s": 0.1}, 1.0, 0),
         ({"crossfeed_open": True, "altitude_m": 4572.0}, 1.0, 0),
@@ -62,13 +62,13 @@ def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(le
         ({"crossfeed_open": True}, 25.0, 2), ({"crossfeed_open": True}, 25.1, 0),
     ],
 )  # fmt: skip
-def test_what_is_odd_and_how_long_a_flight_may_last(legs, said, hours, turned):
-    told = reject_odd_bleed(legs, reports(hours, **said))
-    assert (told["reason"] == BLEED).sum() == turned
+def test_what_is_odd_and_how_long_a_flight_may_last(legs, values, hours, turned):
+    rows = reject_odd_bleed(legs, reports(hours, **values))
+    assert (rows["reason"] == BLEED).sum() == turned
 
 
 def test_a_report_belongs_to_the_last_departure_before_it(legs):
-    told = reject_odd_bleed(legs, reports(6.0, crossfeed_open=True))
-    assert told.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
+    rows = reject_odd_bleed(legs, reports(6.0, crossfeed_open=True))
+    assert rows.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
     assert reject_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)
     assert reject_odd_bleed(legs, reports(-1.0, crossfeed_open=True)).equals(legs)

@@ -16,11 +16,11 @@ FLOWN = {"hot_in_k": 400.0, "hot_out_k": 300.0, "tat_k": 250.0, "altitude_m": 10
 
 def signals(rows: int = 6, code: str = "HXT", **changed: object) -> pl.DataFrame:
     """A flight's signals in the long form; a signal whose value is None is not recorded."""
-    told = FLOWN | changed
+    recorded = FLOWN | changed
     own = {"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "component": code}
     lines = [
         own | {"signal": name, "value": value[k] if isinstance(value, list) else value, "time_utc": START + k * MINUTE}
-        for name, value in told.items()
+        for name, value in recorded.items()
         for k in range(rows)
     ]
     frame = pl.DataFrame(lines, schema_overrides={"value": pl.Float64, "pack": pl.Int32})

@@ -36,14 +36,14 @@ def test_checks_of_a_leg_by_hand():
     law = OutletLaw((301.0, 1e4, 250.0), (1e-3, 0.5))
     row = leg_checks(pl.concat([samples(1), two]), law).row(by_predicate=pl.col("pack") == 1, named=True)
     # the last sample is at rest (.1 kg/s); doors of .07 and .93 are at their ends
-    said = [
+    by_law = [
         301.0 + 1e-3 * (a - 1e4) + 0.5 * (t - 250.0)
         for a, t in ((5e3, 265.0), (8e3, 258.0), (1e4, 250.0), (1e4, 251.0))
     ]
     flow = np.log([0.82, 0.84, 0.86])
     expected = {
         "outlet_between_packs_k": np.mean([1.0, 2.0, 1.0, 1.0]),
-        "outlet_above_law_k": np.mean([300.0, 301.0, 302.0, 303.0]) - np.mean(said),
+        "outlet_above_law_k": np.mean([300.0, 301.0, 302.0, 303.0]) - np.mean(by_law),
         "inlet_minus_tat_k": 252.0 - np.mean([265.0, 258.0, 250.0, 251.0, 248.0]),
         "inlet_over_total_pressure_ln": np.log(35.0 / 36.0),
         "pack_over_compressor_flow_ln": np.mean(flow) - np.log(0.8),
@@ -98,56 +98,56 @@ def test_tolerances_on_paper():
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (1.0, False), (-1.01, True)])
 def test_a_lasting_shift_is_one_beyond_its_tolerance(check, times, shifted):
     late = FLIGHT >= 40
-    told = checked(check, times * TOLERANCE[check] * late)
-    assert told["sensor_shift"].to_list() == (late if shifted else late & False).tolist()
-    assert set(told["sensor_check"]) - {None} == ({check} if shifted else set())
-    assert told[f"{check}_off"].to_list() == pytest.approx((times * TOLERANCE[check] * late).tolist())
-    assert told.select(f"{other}_off" for other in TOLERANCE if other != check).sum_horizontal().to_list() == [0.0] * N
+    rows = checked(check, times * TOLERANCE[check] * late)
+    assert rows["sensor_shift"].to_list() == (late if shifted else late & False).tolist()
+    assert set(rows["sensor_check"]) - {None} == ({check} if shifted else set())
+    assert rows[f"{check}_off"].to_list() == pytest.approx((times * TOLERANCE[check] * late).tolist())
+    assert rows.select(f"{other}_off" for other in TOLERANCE if other != check).sum_horizontal().to_list() == [0.0] * N
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
 def test_a_shift_of_a_noisy_check_is_four_standard_deviations_of_its_median(times, shifted):
     noise = np.tile([2.0, 0.0, -2.0], N // 3)  # medians of seven are 0, most steps 2
     sd_k = 1.2533 * 1.4826 * 2.0 / (2.0 * 7.0) ** 0.5
-    told = checked("inlet_minus_tat_k", noise + times * 4.0 * sd_k * (FLIGHT >= 50))["sensor_shift"].to_list()
-    assert told[53:57] == [shifted] * 4
-    assert not any(told[:45])
+    flags = checked("inlet_minus_tat_k", noise + times * 4.0 * sd_k * (FLIGHT >= 50))["sensor_shift"].to_list()
+    assert flags[53:57] == [shifted] * 4
+    assert not any(flags[:45])
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(2.51, True), (2.49, False)])
 def test_one_flight_is_enough_two_and_a_half_tolerances_off(times, shifted):
-    told = checked("inlet_apart_k", times * 2.5 * (FLIGHT == 30))
-    assert told["sensor_shift"].to_list() == ((FLIGHT == 30) & shifted).tolist()
+    rows = checked("inlet_apart_k", times * 2.5 * (FLIGHT == 30))
+    assert rows["sensor_shift"].to_list() == ((FLIGHT == 30) & shifted).tolist()
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
 def test_one_flight_of_a_scattered_check_is_off_by_four_deviations(times, shifted):
     values = 2.0 * ALTERNATE
     values[30] = times * 4.0 * 1.4826 * 2.0
-    told = checked("inlet_apart_k", values)
-    assert told["sensor_shift"][30] is shifted
+    rows = checked("inlet_apart_k", values)
+    assert rows["sensor_shift"][30] is shifted
 
 
 def test_a_drift_is_turned_away_from_where_it_left_its_level():
     drift = np.clip(FLIGHT - 30, 0, 20) * 0.1 * 0.8
-    told = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
-    first = told.filter("sensor_shift")["flight_number"].min()
+    rows = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
+    first = rows.filter("sensor_shift")["flight_number"].min()
     # a quarter of the tolerance of .8 K: .2 K after 2.5 flights
     assert first == 33
-    assert told["sensor_shift"][49]
+    assert rows["sensor_shift"][49]
 
 
 def test_of_two_packs_the_one_off_the_fleets_law_is_to_blame():
     late = 2.0 * (FLIGHT >= 40)
     law = {"outlet_above_law_k": late}
-    told = checked("outlet_between_packs_k", late, -late, **law)
-    assert told.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
-    other = told.filter(pl.col("pack") == 2)["sensor_shift"].sum()
+    rows = checked("outlet_between_packs_k", late, -late, **law)
+    assert rows.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
+    other = rows.filter(pl.col("pack") == 2)["sensor_shift"].sum()
     assert other == 20  # its own reading is not known, so it is not cleared
     for share, cleared in ((0.49, True), (0.51, False)):
-        told = two_packs(late, share)
-        assert (told.filter(pl.col("pack") == 2)["sensor_shift"].sum() == 0) is cleared
-        assert told.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
+        rows = two_packs(late, share)
+        assert (rows.filter(pl.col("pack") == 2)["sensor_shift"].sum() == 0) is cleared
+        assert rows.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
 
 
 def two_packs(late: np.ndarray, share: float) -> pl.DataFrame:

@@ -52,8 +52,8 @@ def test_a_sound_cruise_is_admitted_with_its_figures():
 @pytest.mark.parametrize(("flow", "reason"), [(0.0999, "PACK_OFF"), (0.1, "NO_CRUISE"), (0.11, "")])
 def test_a_pack_is_off_below_a_tenth(flow, reason):
     at_rest = [flow * (1.0 + 1e-7 * k) for k in range(12)]
-    found = reasons(leg(pack_flow_kg_s=at_rest), leg(2))
-    assert found == [reason if flow != 0.1 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
+    codes = reasons(leg(pack_flow_kg_s=at_rest), leg(2))
+    assert codes == [reason if flow != 0.1 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
 
 
 @pytest.mark.parametrize(
@@ -71,8 +71,8 @@ def test_a_fitted_sensor_misses_three_readings_and_12_per_cent(rows, n, missing)
     [(268.15, 6699.0, 1), (268.14, 6699.0, 0), (283.15, 6699.0, 1), (283.16, 6699.0, 0), (270.0, 6700.0, 0)],
 )
 def test_icing_is_wet_cold_air_below_22000_feet(tat_k, altitude_m, icing):
-    found = reasons(leg(tat_k=tat_k, altitude_m=altitude_m))
-    assert found == ["ICING" if icing else ""]
+    codes = reasons(leg(tat_k=tat_k, altitude_m=altitude_m))
+    assert codes == ["ICING" if icing else ""]
 
 
 def test_two_nominal_samples_make_a_leg():

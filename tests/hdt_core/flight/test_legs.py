@@ -22,19 +22,19 @@ def no_log(fleet):
 
 
 @pytest.fixture(scope="module")
-def judged(one_tail, no_log):
+def legs_and_samples(one_tail, no_log):
     return judge_legs(one_tail, *no_log)
 
 
-def test_every_flight_and_pack_is_judged_once_with_a_known_reason(one_tail, judged):
-    legs, _ = judged
+def test_every_flight_and_pack_is_judged_once_with_a_known_reason(one_tail, legs_and_samples):
+    legs, _ = legs_and_samples
     assert legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
     assert set(legs["reason"]) <= {"", *REASONS}
     assert (legs["admitted"] == (legs["reason"] == "")).all()
 
 
-def test_nominal_samples_are_monitored_samples_of_admitted_legs(judged):
-    legs, samples = judged
+def test_nominal_samples_are_monitored_samples_of_admitted_legs(legs_and_samples):
+    legs, samples = legs_and_samples
     nominal = samples.filter("nominal").join(legs.select(*LEG, "admitted"), on=LEG)
     assert nominal["monitored"].all()
     assert nominal["admitted"].all()
@@ -42,17 +42,17 @@ def test_nominal_samples_are_monitored_samples_of_admitted_legs(judged):
     assert nominal.height > 100
 
 
-def test_order_and_repetition_of_rows_change_nothing(one_tail, no_log, judged):
+def test_order_and_repetition_of_rows_change_nothing(one_tail, no_log, legs_and_samples):
     shuffled = pl.concat([one_tail, one_tail.head(500)]).sample(fraction=1.0, shuffle=True, seed=5)
     legs, samples = judge_legs(shuffled, *no_log)
-    assert legs.equals(judged[0])
-    assert samples.height == judged[1].height
+    assert legs.equals(legs_and_samples[0])
+    assert samples.height == legs_and_samples[1].height
 
 
-def test_verdict_on_a_flight_does_not_depend_on_the_others(one_tail, no_log, judged):
+def test_verdict_on_a_flight_does_not_depend_on_the_others(one_tail, no_log, legs_and_samples):
     flight = one_tail["flight_id"].unique().sort()[20]
     alone, _ = judge_legs(one_tail.filter(pl.col("flight_id") == flight), *no_log)
-    among = judged[0].filter(pl.col("flight_id") == flight)
+    among = legs_and_samples[0].filter(pl.col("flight_id") == flight)
     same = ["n_samples", "n_nominal", "departed_at", "reason"]
     assert alone.select(same).equals(among.select(same))
 
@@ -65,8 +65,8 @@ def test_log_and_messages_move_the_verdict_but_never_what_is_monitored(fleet):
     assert {"MAINTENANCE", "MESSAGE"} <= set(logged[0]["reason"])
 
 
-def test_log_of_one_hertz_becomes_averaged_minutes_beside_the_snapshots(judged):
-    legs, samples = judged
+def test_log_of_one_hertz_becomes_averaged_minutes_beside_the_snapshots(legs_and_samples):
+    legs, samples = legs_and_samples
     both = legs.filter(pl.col("source") == "both")
     assert both.height > 0
     averaged = samples.filter(pl.col("source") == "cpl")
@@ -93,8 +93,8 @@ def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     ],
     ids=["frozen", "dropout", "pack off", "door still", "no cruise"],
 )
-def test_planted_fault_is_given_its_reason(one_tail, no_log, judged, new, reason):
-    sound = judged[0].filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
+def test_planted_fault_is_given_its_reason(one_tail, no_log, legs_and_samples, new, reason):
+    sound = legs_and_samples[0].filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
     flight = sound["flight_id"][10]
     sick = _altered(one_tail.filter(pl.col("flight_id") == flight), 2, **new)
     rest = one_tail.filter(pl.col("flight_id") != flight)

@@ -66,8 +66,8 @@ def test_the_law_is_hubers_regression_with_an_offset_for_ten_flights():
     assert law.slopes == pytest.approx(slopes.tolist(), rel=1e-6)
     index = (y - (x - np.median(x, axis=0)) @ slopes).reshape(FLIGHTS, EACH)
     assert law.noise == pytest.approx(1.4826 * np.median(np.abs(np.diff(index, axis=1))) / np.sqrt(2.0), rel=1e-6)
-    told = add_conductance_index(samples, law)["conductance_index"].to_numpy()
-    assert told == pytest.approx(index.ravel())
+    computed = add_conductance_index(samples, law)["conductance_index"].to_numpy()
+    assert computed == pytest.approx(index.ravel())
 
 
 def test_ten_samples_a_term_are_too_few_and_noise_is_a_hundredth_at_least():
@@ -84,9 +84,9 @@ LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
 
 def test_outlets_within_five_kelvin_of_either_side_tell_nothing():
     samples = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
-    for out, known in ((394.9, True), (395.0, False), (255.1, True), (255.0, False)):
+    for out, is_valid in ((394.9, True), (395.0, False), (255.1, True), (255.0, False)):
         index = add_conductance_index(samples.with_columns(hx_out_k=pl.lit(out)), LAW)["conductance_index"][0]
-        assert index == (pytest.approx(np.log((400.0 - out) / (out - 250.0))) if known else None)
+        assert index == (pytest.approx(np.log((400.0 - out) / (out - 250.0))) if is_valid else None)
     off = samples.with_columns(monitored=pl.lit(False))
     assert add_conductance_index(off, LAW)["conductance_index"].to_list() == [None]
     low = samples.with_columns(ram_door_open=pl.lit(0.001), mach=pl.lit(0.1))
@@ -98,10 +98,10 @@ def test_outlets_within_five_kelvin_of_either_side_tell_nothing():
 
 def test_unrest_is_the_furthest_mean_of_some_in_a_row_in_standard_errors():
     samples = flown(3)[0].head(2 * EACH)
-    told = leg_conductance(samples, LAW).sort("flight_id")
+    result = leg_conductance(samples, LAW).sort("flight_id")
     s = columns(samples)
     index = np.log((s["hx_in_k"] - s["hx_out_k"]) / (s["hx_out_k"] - s["tat_k"])).reshape(2, EACH)
-    for row, own in zip(told.rows(named=True), index, strict=True):
+    for row, own in zip(result.rows(named=True), index, strict=True):
         off = own - np.median(own)
         means = [abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)]
         assert (row["index_level"], row["index_n"]) == (pytest.approx(np.median(own)), EACH)

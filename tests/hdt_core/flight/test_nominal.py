@@ -31,28 +31,28 @@ def levels(level: np.ndarray, unrest: float = 0.0) -> pl.DataFrame:
 UNKNOWN = IndexLevel()
 
 
-def judged(level: np.ndarray, fleet: IndexLevel = UNKNOWN, **more: float) -> pl.DataFrame:
-    told = judge_conductance(levels(level, **more), NO_LOG, fleet)
-    return told.sort(LEG)
+def judge_levels(level: np.ndarray, fleet: IndexLevel = UNKNOWN, **more: float) -> pl.DataFrame:
+    rows = judge_conductance(levels(level, **more), NO_LOG, fleet)
+    return rows.sort(LEG)
 
 
 @pytest.mark.parametrize(("drop", "worn"), [(0.091, True), (0.089, False)])
 def test_worn_is_nine_hundredths_below_the_units_clean_level(drop, worn):
-    told = judged(np.where(FLIGHT < 20, 1.0, 1.0 - drop))
-    assert told["worn"].to_list() == ((FLIGHT >= 20) & worn).tolist()
+    rows = judge_levels(np.where(FLIGHT < 20, 1.0, 1.0 - drop))
+    assert rows["worn"].to_list() == ((FLIGHT >= 20) & worn).tolist()
 
 
 def test_clean_is_the_upper_decile_and_no_lower_than_the_fleets_less_two_deviations():
     few = np.where(FLIGHT < 6, 1.2, 1.0)  # above the decile on six flights of fifty
-    assert judged(few)["worn"].sum() == N - 6
-    assert judged(np.where(FLIGHT < 4, 1.2, 1.0))["worn"].sum() == 0
-    assert judged(np.full(N, 0.809), IndexLevel(clean=1.0))["worn"].all()
-    assert not judged(np.full(N, 0.811), IndexLevel(clean=1.0))["worn"].any()
+    assert judge_levels(few)["worn"].sum() == N - 6
+    assert judge_levels(np.where(FLIGHT < 4, 1.2, 1.0))["worn"].sum() == 0
+    assert judge_levels(np.full(N, 0.809), IndexLevel(clean=1.0))["worn"].all()
+    assert not judge_levels(np.full(N, 0.811), IndexLevel(clean=1.0))["worn"].any()
 
 
 @pytest.mark.parametrize(("unrest", "restless"), [(6.51, True), (6.5, False)])
 def test_unrest_beyond_six_and_a_half(unrest, restless):
-    assert judged(np.full(N, 1.0), unrest=unrest)["unrest"].to_list() == [restless] * N
+    assert judge_levels(np.full(N, 1.0), unrest=unrest)["unrest"].to_list() == [restless] * N
 
 
 @pytest.mark.parametrize(
@@ -63,15 +63,15 @@ def test_unrest_beyond_six_and_a_half(unrest, restless):
     ],
 )  # fmt: skip
 def test_a_stray_leaves_its_neighbours(off, usual, stray):
-    told = judged(1.0 + off * (FLIGHT == 25), IndexLevel(stray=usual))
-    assert told["stray"].to_list() == ((FLIGHT == 25) & stray).tolist()
-    assert told["index_off"][25] == pytest.approx(off)
+    rows = judge_levels(1.0 + off * (FLIGHT == 25), IndexLevel(stray=usual))
+    assert rows["stray"].to_list() == ((FLIGHT == 25) & stray).tolist()
+    assert rows["index_off"][25] == pytest.approx(off)
 
 
 def test_neighbours_are_seven_flights_and_a_level_learned_is_theirs():
     level = np.random.default_rng(1).normal(1.0, 0.02, N)
     smooth = [np.median(level[max(0, k - 3) : k + 4]) for k in FLIGHT]
-    assert judged(level)["index_off"].to_list() == pytest.approx((level - smooth).tolist())
+    assert judge_levels(level)["index_off"].to_list() == pytest.approx((level - smooth).tolist())
     learned = learn_level(levels(level), NO_LOG)
     assert learned.stray == pytest.approx(np.median(np.abs(level - smooth)))
     assert learned.clean == pytest.approx(np.sort(smooth)[round(0.9 * (N - 1))])

@@ -30,8 +30,8 @@ def test_real_flight_agrees_with_openap(a320):
     phase = add_phases(flown(a320), by=BY)["phase"].to_numpy()
     second = np.arange(phase.size)
     openap = np.where(second < TOP_OF_CLIMB_S, "climb", np.where(second < TOP_OF_DESCENT_S, "cruise", "descent"))
-    known = second < DESCENT_ENDS_S
-    assert (phase == openap)[known].mean() >= 0.97
+    compared = second < DESCENT_ENDS_S
+    assert (phase == openap)[compared].mean() >= 0.97
     cruise = np.flatnonzero(phase == "cruise")
     assert abs(cruise[0] - TOP_OF_CLIMB_S) <= 90
     assert abs(cruise[-1] + 1 - TOP_OF_DESCENT_S) <= 90
@@ -109,15 +109,15 @@ def test_a_level_run_of_five_minutes_is_cruise(every_s, cruise):
     ("step_m", "every_s", "level"), [(30.4, 120.0, True), (30.5, 120.0, False), (30.0, 19.7, True), (30.0, 19.6, False)]
 )
 def test_snapshots_are_level_within_100_feet_and_300_feet_a_minute(step_m, every_s, level):
-    told = add_phases(flown(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
-    assert told["level"].to_list() == [level] * 2
-    assert told["climb_rate_m_s"].to_list() == pytest.approx([step_m / every_s] * 2)
+    phases = add_phases(flown(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
+    assert phases["level"].to_list() == [level] * 2
+    assert phases["climb_rate_m_s"].to_list() == pytest.approx([step_m / every_s] * 2)
 
 
 @pytest.mark.parametrize(("rate", "level"), [(1.52, True), (1.53, False)])
 def test_a_log_is_level_below_300_feet_a_minute_over_60_seconds(rate, level):
-    told = add_phases(flown(8e3 + rate * np.arange(200.0)), by=BY)
-    assert told["level"].to_list() == [level] * 200
+    phases = add_phases(flown(8e3 + rate * np.arange(200.0)), by=BY)
+    assert phases["level"].to_list() == [level] * 200
     bump = np.where(np.arange(200) < 100, 8e3, 8060.0)
     rates = add_phases(flown(bump), by=BY)["climb_rate_m_s"].to_list()
     assert rates[69:71] == pytest.approx([0.0, 1.0])

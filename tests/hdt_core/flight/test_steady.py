@@ -60,10 +60,10 @@ def test_a_minute_wants_three_quarters_of_its_seconds(seconds, averaged):
 
 def test_a_signal_wants_half_of_its_minute():
     at = pl.int_range(pl.len())
-    for n, known in ((31, True), (30, False)):
+    for n, has_value in ((31, True), (30, False)):
         half = log({}).head(60).with_columns(mach=pl.when(at < n).then("mach"), level=at != 3, n_spikes=pl.lit(2))
         row = average_log(half, by=("tail",)).row(0, named=True)
-        assert (row["mach"] is not None) is known
+        assert (row["mach"] is not None) is has_value
         assert (row["level"], row["n_spikes"], row["n_averaged"]) == (False, 120, 60)
 
 
@@ -88,12 +88,12 @@ def test_a_snapshot_is_held_where_the_nearer_neighbour_agrees(signal):
     for every_s in (60.9, 600.9):
         most = max(rate * every_s, 4.0 * 2.0**0.5 * noise)
         for times, steady in ((0.999, True), (1.001, False)):
-            assert held(signal, [0.0, times * most, 3.0 * most], every_s)[1] is steady
-            assert held(signal, [0.0, -times * most, -9.0 * most], every_s)[1] is steady
-            assert held(signal, [9.0 * most, 0.0, times * most], every_s)[1] is steady
+            assert frozen_flags(signal, [0.0, times * most, 3.0 * most], every_s)[1] is steady
+            assert frozen_flags(signal, [0.0, -times * most, -9.0 * most], every_s)[1] is steady
+            assert frozen_flags(signal, [9.0 * most, 0.0, times * most], every_s)[1] is steady
 
 
-def held(signal: str, values: list[float], every_s: float, **more: object) -> list[bool]:
+def frozen_flags(signal: str, values: list[float], every_s: float, **more: object) -> list[bool]:
     start = datetime(2024, 3, 1, tzinfo=UTC)
     rows = {
         "tail": "A", "time_utc": [start + timedelta(seconds=every_s * k) for k in range(len(values))], "level": True,
@@ -104,5 +104,5 @@ def held(signal: str, values: list[float], every_s: float, **more: object) -> li
 
 
 def test_neighbours_of_another_phase_do_not_count_and_a_level_is_needed():
-    assert held("mach", [0.0, 0.5], 60, phase=["climb", "cruise"]) == [True, True]
-    assert held("mach", [0.0, 0.0], 60, level=[False, True]) == [False, True]
+    assert frozen_flags("mach", [0.0, 0.5], 60, phase=["climb", "cruise"]) == [True, True]
+    assert frozen_flags("mach", [0.0, 0.0], 60, level=[False, True]) == [False, True]

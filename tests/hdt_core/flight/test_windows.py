@@ -77,8 +77,8 @@ def test_entry_outside_the_record_flags_nothing(on):
 
 
 def test_both_packs_share_their_flight_numbers():
-    numbered = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
-    assert set(numbered["flight_number"]) == {1}
+    counts = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
+    assert set(counts["flight_number"]) == {1}
 
 
 def test_windows_and_milestones_on_paper():
@@ -86,8 +86,18 @@ def test_windows_and_milestones_on_paper():
     assert AROUND_MESSAGE == {"21-52": (10, 5), "21-51": (10, 5)}
     first = legs(400).filter(pl.col("tail") == "A", pl.col("pack") == 1)
     first = first.with_columns(flight_id=pl.col("flight_number").cast(pl.String).str.zfill(3))
-    for held, reached in ((9, 9), (10, 10), (19, 10), (20, 20), (40, 40), (79, 40), (80, 80), (159, 80), (400, 160)):
-        assert baseline_flights(first.head(held).reverse()) == [f"{k:03d}" for k in range(reached)]
+    for n_flights, reached in (
+        (9, 9),
+        (10, 10),
+        (19, 10),
+        (20, 20),
+        (40, 40),
+        (79, 40),
+        (80, 80),
+        (159, 80),
+        (400, 160),
+    ):
+        assert baseline_flights(first.head(n_flights).reverse()) == [f"{k:03d}" for k in range(reached)]
 
 
 @pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])

@@ -80,15 +80,15 @@ def walked_by_hand(
     """One series in plain Python: called, z, moved, sums. Page's sums with slack 1 decide at 8 and clear at 2; a flight
     counts 4.5 deviations and a sum 14 at most; ten flights teach before any counts, and calm ones of late with a
     memory; the scatter starts from twenty flights of the expected one, and is half of it at the least."""
-    offset, n, spread, spread_n, high, low, on, moved = None, 0, 0.0, 0, 0.0, 0.0, False, 0.0
+    offset, n, spread, spread_n, high, low, on, departure = None, 0, 0.0, 0, 0.0, 0.0, False, 0.0
     rows = []
     for k, y in enumerate(values):
         if k in restarts:
-            offset, n, high, low, on, moved = None, 0, 0.0, 0.0, False, 0.0
+            offset, n, high, low, on, departure = None, 0, 0.0, 0.0, False, 0.0
         if np.isnan(y):
-            rows.append((on, 0.0, moved, high, low))
+            rows.append((on, 0.0, departure, high, low))
             on = max(high, low) > (2.0 if on else 8.0)
-            rows[-1] = (on, 0.0, moved, high, low)
+            rows[-1] = (on, 0.0, departure, high, low)
             continue
         offset = y if offset is None else offset
         miss = y - offset
@@ -101,7 +101,7 @@ def walked_by_hand(
             low = min(max(low - bounded - 1.0, 0.0), 14.0)
         worst = max(high, low)
         on = worst > (2.0 if on else 8.0)
-        moved = 0.8 * moved + 0.2 * miss if worst > 0.0 else 0.0
+        departure = 0.8 * departure + 0.2 * miss if worst > 0.0 else 0.0
         if not on and worst < 4.0:
             bounded = min(max(miss, -3.0 * sd), 3.0 * sd)
             if n > 0:
@@ -110,7 +110,7 @@ def walked_by_hand(
                 spread_n = min(spread_n + 1, memory)
             offset += bounded / min(n + 1, memory)
             n += 1
-        rows.append((on, z, moved, high, low))
+        rows.append((on, z, departure, high, low))
     return rows
 
 
@@ -157,16 +157,16 @@ def test_persistence_with_hysteresis_and_end() -> None:
 
 def flight_by_flight(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, hold: int) -> list[list[bool]]:
     """The rule as it is said: a window that work empties, a call that lasts until nothing has kept it for a while."""
-    told = []
-    for flag, kept, end in zip(flags, flags | keep, ended, strict=True):
-        recent, on, quiet, said = [False] * n, False, 0, []
-        for now, holds, over in zip(flag, kept, end, strict=True):
+    rows = []
+    for flag, hold_flags, end in zip(flags, flags | keep, ended, strict=True):
+        recent, on, quiet, row = [False] * n, False, 0, []
+        for now, holds, over in zip(flag, hold_flags, end, strict=True):
             recent = [*([False] * n if over else recent)[1:], bool(now)]
             quiet = 0 if holds else quiet + 1
             on = sum(recent) >= k or (on and not over and quiet < hold)
-            said.append(on)
-        told.append(said)
-    return told
+            row.append(on)
+        rows.append(row)
+    return rows
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -177,8 +177,8 @@ def test_persistence_all_at_once_is_that_of_flight_by_flight(seed: int) -> None:
         flags, keep, ended = (rng.random(shape) < share for share in (often, often, 0.07))
         n, hold = int(rng.integers(1, 8)), int(rng.integers(1, 10))
         k = int(rng.integers(1, n + 1))
-        found = persistent(flags, k, n, hold, keep=keep, restart=ended)
-        assert found.tolist() == flight_by_flight(flags, keep, ended, k, n, hold)
+        result = persistent(flags, k, n, hold, keep=keep, restart=ended)
+        assert result.tolist() == flight_by_flight(flags, keep, ended, k, n, hold)
 
 
 def test_flights_since() -> None:

@@ -168,11 +168,11 @@ def test_usage_door_and_the_other_pack(nothing_done) -> None:
 def test_residual_means_have_their_names(nothing_done) -> None:
     long = health(np.zeros(1))
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
-    told = [
+    rows = [
         row | {"signal": s, "kind": k, "mean": m}
         for s, k, m in (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
     ]
-    means = pl.DataFrame(told, schema_overrides={"pack": pl.Int32})
+    means = pl.DataFrame(rows, schema_overrides={"pack": pl.Int32})
     out = features(long, means, legs_of(long), nothing_done)
     assert out.select("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d").row(0) == (3.0, 3.0, 4.0)
     assert out["hx_out_d_k"].to_list() == [5.0]

@@ -16,7 +16,7 @@ def late(samples: pl.DataFrame, pack: int = 1) -> pl.Expr:
     return (pl.col("pack") == pack) & (pl.col("time_utc") >= start[FROM * 30])
 
 
-def seen(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.DataFrame]:
+def witnesses(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Witnesses of the pack before and after the fault began."""
     out = cross_checks(samples).filter(pl.col("pack") == pack).sort("departed_at")
     return out.head(FROM), out.slice(FROM)
@@ -42,10 +42,10 @@ def test_frozen_and_empty_sensors(fly) -> None:
     empty = samples.with_columns(
         pl.when(fault & (pl.int_range(pl.len()) % 2 == 0)).then(None).otherwise(pl.col("hx_in_k")).alias("hx_in_k")
     )
-    before, after = seen(frozen)
+    before, after = witnesses(frozen)
     assert not before["cc_flow_kg_s_still"].any()
     assert after["cc_flow_kg_s_still"].all()
-    assert seen(empty)[1]["hx_in_k_lost_share"].to_list() == pytest.approx([0.5] * 10)
+    assert witnesses(empty)[1]["hx_in_k_lost_share"].to_list() == pytest.approx([0.5] * 10)
 
 
 def both_packs() -> pl.DataFrame:
@@ -101,10 +101,10 @@ def test_cross_checks_and_setting_by_hand() -> None:
 
 def test_a_witness_wants_three_samples_and_level_flight() -> None:
     at, both = pl.int_range(pl.len()).over("pack"), both_packs()
-    for known, told in ((3, True), (2, False)):
-        row = first(both.with_columns(cc_in_k=pl.when(at < known).then("cc_in_k")))
-        assert (row["w_inlet_minus_tat_k"] is not None) is told
-        assert row["w_inlet_minus_tat_k_n"] == known
+    for n_valid, is_computed in ((3, True), (2, False)):
+        row = first(both.with_columns(cc_in_k=pl.when(at < n_valid).then("cc_in_k")))
+        assert (row["w_inlet_minus_tat_k"] is not None) is is_computed
+        assert row["w_inlet_minus_tat_k_n"] == n_valid
     climb = first(both.with_columns(phase=pl.when(at < 4).then(pl.lit("climb")).otherwise("phase")))
     assert climb["w_inlet_minus_tat_k"] is None
     assert climb["w_hx_out_minus_target_k"] is not None
@@ -121,11 +121,11 @@ def test_a_witness_wants_three_samples_and_level_flight() -> None:
 )  # fmt: skip
 def test_a_pack_at_rest_is_no_witness(signal: str, check: str) -> None:
     for of in (1, 2):
-        for flow, told in ((0.2, False), (0.201, True)):
+        for flow, is_computed in ((0.2, False), (0.201, True)):
             rest = pl.when(pl.col("pack") == of).then(flow).otherwise(signal)
             value = first(both_packs().with_columns(rest.alias(signal)))[f"w_{check}"]
             if of == 1 or "between" in check:
-                assert (value is not None) is told
+                assert (value is not None) is is_computed
 
 
 def test_pressures_that_cannot_be_are_no_witness() -> None:
@@ -143,8 +143,8 @@ def test_a_sensor_stands_still_from_eight_readings_on_and_empty_ones_are_counted
     times = pl.col("time_utc").first() + pl.duration(minutes=2 * at)
     rows = pl.concat([FLIGHT, FLIGHT]).with_columns(times, source=pl.lit("acms"))
     for n, still in ((8, True), (7, False)):
-        held = rows.with_columns(mach=pl.when(at < n).then(0.8))
-        row = first(held)
+        frozen = rows.with_columns(mach=pl.when(at < n).then(0.8))
+        row = first(frozen)
         assert row["mach_still"] is still
         assert row["mach_lost_share"] == pytest.approx((12 - n) / 12)
         assert row["flight_hours"] == pytest.approx(22.0 / 60.0)
@@ -176,7 +176,7 @@ def test_a_jam_stands_still_and_leaves_its_target(fly) -> None:
     warm = (
         pl.when(late(samples)).then(pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6).otherwise(pl.col("hx_out_k"))
     )
-    before, after = seen(samples.with_columns(door, warm.alias("hx_out_k")))
+    before, after = witnesses(samples.with_columns(door, warm.alias("hx_out_k")))
     assert before["door_span"].min() > 0.05
     assert after["door_span"].max() < 0.02
     assert not after["ram_door_open_still"].any()
@@ -190,7 +190,7 @@ def test_a_stop_runs_warm_where_the_door_rests(fly) -> None:
     fault = late(samples)
     warm = pl.when(fault).then(pl.col("hx_out_k") + 100 * lack).otherwise(pl.col("hx_out_k")).alias("hx_out_k")
     door = pl.when(fault).then(pl.col("ram_door_open").clip(upper_bound=stop)).otherwise(pl.col("ram_door_open"))
-    before, after = seen(samples.with_columns(warm, door.alias("ram_door_open")))
+    before, after = witnesses(samples.with_columns(warm, door.alias("ram_door_open")))
     assert before["door_peg_excess_k"].max() < 1.3
     assert after["door_peg_excess_k"].median() > 1.3
 

@@ -26,17 +26,17 @@ LIMIT_RAD_S = 4500.0
 CRUISE = {"flow_kg_s": 0.78, "inlet_k": 252.0, "inlet_pa": 27_500.0, "no_flow_ln": np.log(84_000.0), "flow_ln": 0.1}
 
 
-def asked(**changed: float) -> pl.DataFrame:
+def cruise_demand(**changed: float) -> pl.DataFrame:
     return pl.DataFrame({name: [value] for name, value in (CRUISE | changed).items()})
 
 
 def share(ln_diameter: float = 0.0, speed_rad_s: float = LIMIT_RAD_S, **changed: float) -> float:
-    found, _ = share_left(np.array([ln_diameter]), *required_diameter(asked(**changed), FIT, speed_rad_s))
-    return float(found[0])
+    shares, _ = share_left(np.array([ln_diameter]), *required_diameter(cruise_demand(**changed), FIT, speed_rad_s))
+    return float(shares[0])
 
 
 def test_at_its_critical_diameter_a_machine_gives_that_flow_at_the_pressure_asked_for():
-    critical, _ = required_diameter(asked(), FIT, LIMIT_RAD_S)
+    critical, _ = required_diameter(cruise_demand(), FIT, LIMIT_RAD_S)
     speed = np.array(LIMIT_RAD_S)
     for part, ln_diameter in zip(FLOWS, critical[0], strict=True):
         # forward again: the position that lets the flow through, and the pressure the machine makes there
@@ -70,19 +70,19 @@ def test_a_higher_limit_leaves_more():
 def test_a_share_at_the_bound_is_the_bound():
     critical = np.array([[-2.0, -1.0, 0.0, 1.0, 2.0]])
     for widest, share in ((1.1, 1.0), (1.0, 1.0), (0.9, 0.9)):
-        found, slope = share_left(np.zeros(1), critical, np.array([widest]))
-        assert found[0] == pytest.approx(share)
+        shares, slope = share_left(np.zeros(1), critical, np.array([widest]))
+        assert shares[0] == pytest.approx(share)
         assert np.isnan(slope[0]) == (widest <= 1.0)
 
 
 def test_no_more_is_promised_than_the_widest_position_on_record_lets_through():
     easy = {"inlet_pa": 60_000.0}
-    critical, widest = required_diameter(asked(**easy), FIT, LIMIT_RAD_S)
-    found, slope = share_left(np.zeros(1), critical, widest)
-    assert found[0] == widest[0]
+    critical, widest = required_diameter(cruise_demand(**easy), FIT, LIMIT_RAD_S)
+    shares, slope = share_left(np.zeros(1), critical, widest)
+    assert shares[0] == widest[0]
     assert np.isnan(slope[0])
     wider = replace(FIT, vda_widest_counts=900.0)
-    assert share_left(np.zeros(1), *required_diameter(asked(**easy), wider, LIMIT_RAD_S))[0][0] > found[0]
+    assert share_left(np.zeros(1), *required_diameter(cruise_demand(**easy), wider, LIMIT_RAD_S))[0][0] > shares[0]
 
 
 def p20(values: np.ndarray) -> float:
@@ -172,9 +172,9 @@ def test_no_map_no_limit_and_no_cruise_tell_nothing(dsm, laws, flight):
     unlimited = replace(laws, speed=SpeedLimit())
     assert compressor_demand(flight, dsm, unlimited).height == 0
     assert compressor_demand(flight.with_columns(phase=pl.lit("climb")), dsm, laws).height == 0
-    for slope, sd, known in ((5.01e-8, 1e-8, 1), (4.99e-8, 1e-8, 0), (1.01e-8, 0.0, 1), (0.99e-8, 0.0, 0)):
+    for slope, sd, n_rows in ((5.01e-8, 1e-8, 1), (4.99e-8, 1e-8, 0), (1.01e-8, 0.0, 1), (0.99e-8, 0.0, 0)):
         fit = replace(dsm.compressor, group_slope_m3_per_count=slope, group_slope_sd_m3_per_count=sd)
-        assert compressor_demand(flight, replace(dsm, compressor=fit), laws).height == known
+        assert compressor_demand(flight, replace(dsm, compressor=fit), laws).height == n_rows
 
 
 def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight):
@@ -191,9 +191,9 @@ def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight
 
 def test_one_sample_without_a_reading_costs_its_flight_nothing(dsm, laws, flight):
     holed = flight.with_columns(vda_counts=pl.when(pl.int_range(pl.len()) > 0).then("vda_counts"))
-    asks = compressor_demand(holed, dsm, laws)
-    assert asks.height == 1
-    assert asks.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
+    demand = compressor_demand(holed, dsm, laws)
+    assert demand.height == 1
+    assert demand.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
 
 
 @pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])
@@ -202,7 +202,7 @@ def test_readings_that_cannot_be_cost_no_other_flight(dsm, laws, flight, name):
     clean = compressor_demand(other, dsm, laws)
     for value in (0.0, -5000.0, 1e9):
         odd = flight.with_columns(pl.lit(value).alias(name))
-        asks = compressor_demand(pl.concat([odd, other]), dsm, laws)
-        assert asks.filter(pl.col("flight_id") == "T-00_001").equals(clean)
-        numbers = asks.select(pl.selectors.float())
+        demand = compressor_demand(pl.concat([odd, other]), dsm, laws)
+        assert demand.filter(pl.col("flight_id") == "T-00_001").equals(clean)
+        numbers = demand.select(pl.selectors.float())
         assert numbers.select(pl.all().is_finite().fill_null(True).all()).row(0) == (True,) * numbers.width

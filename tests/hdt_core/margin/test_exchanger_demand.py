@@ -62,11 +62,11 @@ def test_a_flight_by_hand(dsm, laws, flight):
     s = columns(flight)
     above = s["hx_out_k"] - shape_k(s["tat_k"])
     trim = np.median(above[[0, 1, 4]])  # where the door is not at its end: .3, .5, .95
-    held = shape_k(s["tat_k"]) + trim
+    target = shape_k(s["tat_k"]) + trim
     assert (row["high_n"], row["held_status"]) == (6, "flight")
-    assert row["held_k"] == pytest.approx(np.median(held))
+    assert row["held_k"] == pytest.approx(np.median(target))
     assert row["full_open_share"] == pytest.approx(0.5)
-    over = np.where(s["ram_door_open"] > 0.95, np.maximum(s["hx_out_k"] - held, 0.0), 0.0)
+    over = np.where(s["ram_door_open"] > 0.95, np.maximum(s["hx_out_k"] - target, 0.0), 0.0)
     assert row["overheat_p20_k"] == pytest.approx(np.sort(over)[4])  # the nearest sample to .8 of the way
     assert row["overheat_p50_k"] == pytest.approx(np.sort(over)[3])
     away = exchanger_demand(flight.with_columns(ram_door_open=pl.lit(0.3)), dsm, laws)
@@ -74,7 +74,7 @@ def test_a_flight_by_hand(dsm, laws, flight):
     # the flow reads 1 % high, the temperatures by .5, -.4 and .3 K
     true = s | {"pack_flow_kg_s": s["pack_flow_kg_s"] * np.exp(-0.01), "hx_in_k": s["hx_in_k"] - 0.5}
     true |= {"tat_k": s["tat_k"] - 0.3}
-    excess = np.sort(full_open_outlet_k(true, hx.MEAN, LN_RATIOS) - (held + 0.4)[:, None], axis=0)
+    excess = np.sort(full_open_outlet_k(true, hx.MEAN, LN_RATIOS) - (target + 0.4)[:, None], axis=0)
     for share, names in ((4, CRITICAL[:5]), (3, CRITICAL[5:])):
         for excess_k, name in zip(EXCESS_K, names, strict=True):
             assert row[name] == pytest.approx(falls_through(excess[[share]], LN_RATIOS, excess_k)[0], abs=1e-9), name

@@ -31,10 +31,10 @@ def passage_by_hand(ratio: float, sd: float, levels: list[float], rate: float, r
     for low, high in pairwise(EDGES):
         for i, r in enumerate(rates):
             left = ratio - r * (low + high) / 2.0
-            asks = sum(
+            p_flight = sum(
                 w * NORMAL.cdf((level - left) / hypot(sd, 0.03)) for w, level in zip(WEIGHTS, levels, strict=True)
             )
-            log_alive[i] -= asks * (high - low)
+            log_alive[i] -= p_flight * (high - low)
         by.append(1.0 - sum(map(exp, log_alive)) / 5.0)
     return by
 
@@ -53,14 +53,14 @@ def test_passage_is_the_share_of_lives_that_met_it():
     rng, n, flights = np.random.default_rng(2), 4000, 300
     ratio, sd, rate, rate_sd = -0.25, 0.012, 0.0006, 0.0002
     wear = np.maximum(rng.normal(rate, rate_sd, (n, 1)), 0.0) * (np.arange(flights) + 0.5)
-    asks = rng.choice(LEVELS, (n, flights), p=WEIGHTS) + rng.normal(0.0, hypot(sd, 0.03), (n, flights))
-    met = np.maximum.accumulate(asks > ratio - wear, axis=1).mean(axis=0)
+    demand = rng.choice(LEVELS, (n, flights), p=WEIGHTS) + rng.normal(0.0, hypot(sd, 0.03), (n, flights))
+    share_met = np.maximum.accumulate(demand > ratio - wear, axis=1).mean(axis=0)
     edges = np.arange(0.0, flights + 1.0)
     by = passage(
         *(np.full(1, v) for v in (ratio, sd)), np.array([LEVELS]), np.full(1, rate), np.full(1, rate_sd), edges
     )
-    np.testing.assert_allclose(by[0, 1:], met, atol=0.03)
-    assert 0.3 < met[-1] < 0.95
+    np.testing.assert_allclose(by[0, 1:], share_met, atol=0.03)
+    assert 0.3 < share_met[-1] < 0.95
 
 
 @pytest.mark.parametrize("flights", [2.0, 3.0, 20.0, 60.0])
@@ -89,10 +89,10 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
     )  # fmt: skip
     # critical ratios fall by .026 a kelvin; the rule is 7 K, twice in three flights
     level = [-0.10, -0.06, -0.04, -0.08]
-    asks = flights.select("operator", "tail", "pack", "flight_id").with_columns(
+    demand = flights.select("operator", "tail", "pack", "flight_id").with_columns(
         pl.Series(name, level) - 0.026 * (e - 7.0) for name, e in zip(CRITICAL[:5], EXCESS_K, strict=True)
     )
-    by = passages(flights, asks)
+    by = passages(flights, demand)
     assert by.columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
     assert by.select(PASSAGES).row(0) == (None, None)
     # -.10, -.06, -.08: the lower of a flight's and the most of the two before; half, a third of the window each
@@ -108,5 +108,7 @@ def test_no_flight_no_passage():
     none = one_pack(
         hx_ln_ua_ratio=[0.0], hx_fouling=[0.0], hx_fouling_slope_100_per_flight=[0.0], flights_seen_of_unit=[1]
     ).clear()
-    asks = none.select("operator", "tail", "pack", "flight_id").with_columns(pl.lit(0.0).alias(n) for n in CRITICAL[:5])
-    assert passages(none, asks).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
+    demand = none.select("operator", "tail", "pack", "flight_id").with_columns(
+        pl.lit(0.0).alias(n) for n in CRITICAL[:5]
+    )
+    assert passages(none, demand).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]

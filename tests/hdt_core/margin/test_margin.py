@@ -22,15 +22,15 @@ def lines(at_zero: float, per_k: float, names: tuple[str, ...]) -> dict[str, lis
     return {name: [at_zero + per_k * e] for name, e in zip(names, EXCESS_K, strict=True)}
 
 
-ASKS = lines(-0.10, -0.026, CRITICAL[:5]) | lines(-0.05, -0.020, HOT_DAY) | lines(-0.14, -0.030, CRITICAL[5:])
+CURVES = lines(-0.10, -0.026, CRITICAL[:5]) | lines(-0.05, -0.020, HOT_DAY) | lines(-0.14, -0.030, CRITICAL[5:])
 CLEAN = dict(zip(PARTS, ([1.0], [2.0], [4.0], [8.0], [16.0]), strict=True))
 
 
-def margin(ratio: float | None = 0.108, held: str = "flight") -> dict[str, object]:
+def margin(ratio: float | None = 0.108, target_source: str = "flight") -> dict[str, object]:
     """An exchanger at a ln ratio that asks for 8 K less in its hottest fifth: -.10 + .026 * 8."""
-    asks = flights(1, **ASKS, **CLEAN, held_status=[held], overheat_p20_k=[0.0], full_open_share=[0.0])
+    demand = flights(1, **CURVES, **CLEAN, held_status=[target_source], overheat_p20_k=[0.0], full_open_share=[0.0])
     wide = flights(1, hx_fouling=[0.05], ln_ua_ratio=pl.Series([ratio], dtype=pl.Float64), hx_life=[0])
-    return exchanger_margin(wide, asks).row(0, named=True)
+    return exchanger_margin(wide, demand).row(0, named=True)
 
 
 def test_exchanger_margin_is_what_the_conductance_left_is_worth():
@@ -47,7 +47,7 @@ def test_exchanger_margin_is_what_the_conductance_left_is_worth():
 
 
 def test_a_level_of_the_packs_other_flights_is_less_well_known():
-    row = margin(held="pack")
+    row = margin(target_source="pack")
     assert row["hx_margin_sd_k"] == pytest.approx(hypot(0.025 / 0.026, 2.0))
     assert row["hx_margin_status"] == "level_of_pack"
 
@@ -55,12 +55,12 @@ def test_a_level_of_the_packs_other_flights_is_less_well_known():
 def test_a_ratio_or_a_level_that_is_not_known():
     row = margin(ratio=None)
     assert (row["hx_margin_k"], row["hx_margin_wear_k"], row["hx_margin_status"]) == (None, None, "not_known")
-    assert margin(held="unknown")["hx_margin_sd_k"] is None
-    assert margin(held="unknown")["hx_margin_status"] == "ok"
+    assert margin(target_source="unknown")["hx_margin_sd_k"] is None
+    assert margin(target_source="unknown")["hx_margin_status"] == "ok"
 
 
-def ratios(loss: list[float], seen: list[float | None], life: list[int]) -> list[float | None]:
-    frame = flights(len(loss), loss=loss, life=life, seen=pl.Series(seen, dtype=pl.Float64))
+def ratios(loss: list[float], ratio: list[float | None], life: list[int]) -> list[float | None]:
+    frame = flights(len(loss), loss=loss, life=life, seen=pl.Series(ratio, dtype=pl.Float64))
     return frame.select(ln_ratio_margin(pl.col("seen"), "loss", "life"))[:, 0].to_list()
 
 
@@ -74,7 +74,7 @@ def test_what_is_left_is_the_units_own_level_less_its_wear():
     )
 
 
-def delivery(*, loss: float = 0.04, met: bool = True, widest: float = 2.0) -> dict[str, object]:
+def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0) -> dict[str, object]:
     """A compressor whose critical ln diameter is -.30 (-.28 middle, -.26 hot and high) and .2 a share of flow."""
     curves = {
         name: [at_zero + 0.2 * share]
@@ -83,12 +83,12 @@ def delivery(*, loss: float = 0.04, met: bool = True, widest: float = 2.0) -> di
     }
     bounds = {name: [widest] for name in WIDEST.values()}
     parts = dict(zip(CLEAN_PARTS, ([0.01], [0.02], [0.04]), strict=True))
-    asks = flights(1, **curves, **bounds, **parts, cc_flow_asked_kg_s=[0.8], cc_speed_limit_met=[met])
+    demand = flights(1, **curves, **bounds, **parts, cc_flow_asked_kg_s=[0.8], cc_speed_limit_met=[limit_met])
     wide = flights(
         1, cc_diameter_loss=[loss], cc_diameter_loss_sd=[0.006], diameter_m=[0.16 * (1 - loss)],
         expected_diameter_m=[0.16], cc_life=[0],
     )  # fmt: skip
-    return compressor_margin(wide, asks).row(0, named=True)
+    return compressor_margin(wide, demand).row(0, named=True)
 
 
 def test_compressor_margin_is_the_flow_beyond_what_is_asked():
@@ -109,7 +109,7 @@ def test_compressor_margin_is_the_flow_beyond_what_is_asked():
 
 
 def test_a_margin_is_a_bound_where_map_or_speed_end_first():
-    unmet = delivery(met=False)
+    unmet = delivery(limit_met=False)
     assert unmet["cc_flow_margin_status"] == "at_least"
     assert unmet["cc_flow_margin_sd_kg_s"] is not None
     narrow = delivery(widest=1.2)

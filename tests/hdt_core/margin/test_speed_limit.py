@@ -46,9 +46,9 @@ def test_a_gap_and_a_machine_at_rest_do_not_count():
 def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Speeds held below a limit, read with their noise, and how far the pressure is beyond its schedule."""
     needed_rad_s = 3500.0 + 330.0 * rng.standard_normal(40_000)
-    held = np.minimum(needed_rad_s, limit_rad_s)
-    beyond = 2.0 * np.log(held / needed_rad_s) + 0.004 * rng.standard_normal(held.size)
-    return held * (1.0 + 0.001 * rng.standard_normal(held.size)), beyond
+    limited = np.minimum(needed_rad_s, limit_rad_s)
+    beyond = 2.0 * np.log(limited / needed_rad_s) + 0.004 * rng.standard_normal(limited.size)
+    return limited * (1.0 + 0.001 * rng.standard_normal(limited.size)), beyond
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -95,8 +95,10 @@ def test_sensitivity_of_the_diameter(what, gain):
     """r_p +1 % is +0.47 % at r_p 3, T +1 % is +0.5 %, N +1 % is -1 %."""
     base = {"inlet_pa": 1.0, "exit_pa": 2.95, "inlet_k": 250.0, "speed_rad_s": 3500.0}
     key = {"ratio": "exit_pa", "inlet_k": "inlet_k", "speed": "speed_rad_s"}[what]
-    moved = base | {key: base[key] * (1.0 + 1e-6)}
-    assert np.log(effective_diameter_m(**moved) / effective_diameter_m(**base)) / 1e-6 == pytest.approx(gain, abs=0.07)
+    changed = base | {key: base[key] * (1.0 + 1e-6)}
+    assert np.log(effective_diameter_m(**changed) / effective_diameter_m(**base)) / 1e-6 == pytest.approx(
+        gain, abs=0.07
+    )
 
 
 def test_declared_model_is_the_equations():

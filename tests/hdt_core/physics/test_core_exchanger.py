@@ -10,8 +10,8 @@ AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k"
 
 
 def test_steady_state_is_the_cross_flow_exchanger_s():
-    held = AT | {"ram_flow_kg_s": np.full(300, 1.6)}
-    end = {name: values[-1] for name, values in CORE_EXCHANGER.simulate({"hx_fouling": 0.1}, held, 1.0).items()}
+    hold = AT | {"ram_flow_kg_s": np.full(300, 1.6)}
+    end = {name: values[-1] for name, values in CORE_EXCHANGER.simulate({"hx_fouling": 0.1}, hold, 1.0).items()}
     steady = HEAT_EXCHANGER.predict({"hx_fouling": 0.1}, AT)
     assert end == pytest.approx(steady, rel=1e-12)
 
@@ -43,10 +43,10 @@ def test_a_door_step_shows_late():
     """The first second shows less than half of what a step of ram flow ends in."""
     flow = np.r_[np.full(200, 1.6), np.full(200, 2.0)]
     hot = CORE_EXCHANGER.simulate({}, AT | {"ram_flow_kg_s": flow}, 1.0)["hot_out_k"]
-    moved = (hot[199] - hot[200:]) / (hot[199] - hot[-1])
-    assert moved[0] < 0.5
-    assert moved[100] > 0.99
-    assert np.all(np.diff(moved) >= -1e-12)
+    share = (hot[199] - hot[200:]) / (hot[199] - hot[-1])
+    assert share[0] < 0.5
+    assert share[100] > 0.99
+    assert np.all(np.diff(share) >= -1e-12)
 
 
 def test_a_core_lies_between_its_films_and_moves_each_stream_by_the_films_own_units():

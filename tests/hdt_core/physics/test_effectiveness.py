@@ -69,13 +69,13 @@ def test_inverse_to_the_digits_that_the_effectiveness_holds():
     ratio = np.where(rng.random(4000) < 0.3, 1.0 / np.maximum(ratio, 1e-2), ratio)
     eps, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
     left = 2.0**-53 * eps / np.maximum(slope, 1e-300)
-    held = left < 5e-14
+    exact = left < 5e-14
     back = crossflow_ntu(eps, ratio)
-    assert held.mean() > 0.6
-    np.testing.assert_allclose(back[held], ntu[held], rtol=1e-12)
+    assert exact.mean() > 0.6
+    np.testing.assert_allclose(back[exact], ntu[exact], rtol=1e-12)
     balanced = np.geomspace(1e-6, 1e6, 500)
     np.testing.assert_allclose(crossflow_ntu(crossflow_effectiveness(balanced, balanced), 1.0), balanced, rtol=1e-12)
-    rough = ~held & (left < 1e-3) & np.isfinite(back)
+    rough = ~exact & (left < 1e-3) & np.isfinite(back)
     # the rounding of ntu * ratio comes on top, which `left` leaves out: 40 times on one processor, 61 on another
     assert np.all(np.abs(back[rough] / ntu[rough] - 1.0) < 100.0 * left[rough])
 
@@ -86,11 +86,11 @@ def test_inverse_takes_few_looks_at_the_exchanger(monkeypatch, fewest, most, loo
     rng = np.random.default_rng(3)
     ntu, ratio = np.exp(rng.uniform(np.log(fewest), np.log(most), 3000)), rng.uniform(0.2, 1.5, 3000)
     ratio = np.where(ntu < 20.0, ratio, 1.0)
-    eps, asked = crossflow_effectiveness(ntu, ntu * ratio), []
-    seen = effectiveness.crossflow_effectiveness_and_slope
-    monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: asked.append(1) or seen(*a))
+    eps, calls = crossflow_effectiveness(ntu, ntu * ratio), []
+    evaluate = effectiveness.crossflow_effectiveness_and_slope
+    monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: calls.append(1) or evaluate(*a))
     np.testing.assert_allclose(crossflow_ntu(eps, ratio), ntu, rtol=1e-9)
-    assert len(asked) <= looks
+    assert len(calls) <= looks
 
 
 def test_counterflow_is_ht_s():
@@ -122,16 +122,16 @@ def test_with_a_boundless_other_side_the_flow_pattern_is_nothing(ntu):
 
 @given(transfer_units, transfer_units)
 def test_slope_is_the_complex_step(this, other):
-    grown = 1.0 + 1e-30j
+    step = 1.0 + 1e-30j
     _, slope = crossflow_effectiveness_and_slope(this, other)
-    assert slope == pytest.approx(float(crossflow_effectiveness(this * grown, other * grown).imag) / 1e-30, rel=1e-9)
+    assert slope == pytest.approx(float(crossflow_effectiveness(this * step, other * step).imag) / 1e-30, rel=1e-9)
 
 
 @given(st.floats(8.0, 1e4), st.floats(0.5, 1.0))
 def test_slope_is_the_complex_step_with_many_transfer_units(ntu, ratio):
-    grown = 1.0 + 1e-30j
+    step = 1.0 + 1e-30j
     _, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
-    stepped = crossflow_effectiveness(ntu * grown, ntu * ratio * grown).imag / 1e-30
+    stepped = crossflow_effectiveness(ntu * step, ntu * ratio * step).imag / 1e-30
     assert slope == pytest.approx(float(stepped), rel=1e-9, abs=1e-13)
 
 
@@ -152,9 +152,9 @@ def test_inverse_in_bulk_and_where_there_is_none():
 
 def test_missing_values_stay_missing_and_cost_nothing_more():
     ntu = np.array([1.5, np.nan, 0.3])
-    found = crossflow_effectiveness(ntu, 0.7 * ntu)
-    assert np.isnan(found).tolist() == [False, True, False]
-    assert found[0] == pytest.approx(0.617790718, abs=5e-10)
+    result = crossflow_effectiveness(ntu, 0.7 * ntu)
+    assert np.isnan(result).tolist() == [False, True, False]
+    assert result[0] == pytest.approx(0.617790718, abs=5e-10)
     assert np.isnan(crossflow_ntu(np.array([np.nan, 0.5]), np.array([0.7, np.nan]))).all()
 
 

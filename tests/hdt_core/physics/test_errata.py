@@ -48,11 +48,11 @@ RESIMULATED = re.findall(
 
 def positions_m(damping, stiffness):
     """Section 3.2.2 by the book: Euler's rule from rest, 1,001 samples at 0.01 s, 1 kg, sin(pi t) N."""
-    x, v, found = 0.0, 0.0, []
+    x, v, positions = 0.0, 0.0, []
     for k in range(1001):
-        found.append(x)
+        positions.append(x)
         x, v = x + 0.01 * v, v + 0.01 * (np.sin(np.pi * 0.01 * k) - damping * v - stiffness * x)
-    return np.array(found)
+    return np.array(positions)
 
 
 @pytest.mark.parametrize("row", RESIMULATED, ids=lambda row: row[0])

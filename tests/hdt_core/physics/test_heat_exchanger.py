@@ -32,9 +32,9 @@ LAW = {
 @given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
 def test_heat_lost_is_heat_won_and_runs_downhill(hot_flow, ram_flow, hot_in, cold_in, ua):
     hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
-    lost = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
+    hot_side_w = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
     won = ram_flow * mean_specific_heat_j_kg_k(cold_in, ram_out) * (ram_out - cold_in)
-    np.testing.assert_allclose(lost, won, rtol=1e-10)
+    np.testing.assert_allclose(hot_side_w, won, rtol=1e-10)
     assert cold_in < hot_out < hot_in
     assert cold_in < ram_out < hot_in
 

@@ -52,19 +52,19 @@ def oracle_k(points, ua_w_k, hot_gas, ram_gas):
     return (4.0 * fine - coarse) / 3.0
 
 
-def drawn(n=200):
+def draw_points(n=200):
     """Flows [kg/s], inlets [K] and UA [W/K] of a pack, at effectiveness below 0.9 on either side."""
     rng = np.random.default_rng(17)
     points = np.array([rng.uniform(*r, 2 * n) for r in ((0.4, 1.4), (0.5, 2.5), (340.0, 440.0), (220.0, 300.0))])
     ua_w_k = rng.uniform(300.0, 3000.0, 2 * n)
     hot_out_k, ram_out_k = outlets_k(*points, ua_w_k)
     span_k = points[2] - points[3]
-    kept = ((points[2] - hot_out_k) < 0.9 * span_k) & ((ram_out_k - points[3]) < 0.9 * span_k)
-    return points[:, kept][:, :n], ua_w_k[kept][:n]
+    valid = ((points[2] - hot_out_k) < 0.9 * span_k) & ((ram_out_k - points[3]) < 0.9 * span_k)
+    return points[:, valid][:, :n], ua_w_k[valid][:n]
 
 
 def test_the_oracle_is_right_where_specific_heat_is_constant():
-    points, ua_w_k = drawn()
+    points, ua_w_k = draw_points()
     ntu = ua_w_k / (1005.0 * points[0])
     eps = crossflow_effectiveness(ntu, ntu * points[0] / points[1])
     exact_k = points[2] - eps * (points[2] - points[3])
@@ -77,10 +77,10 @@ def test_conductance_of_dry_air(hot_pa, ram_pa, bar):
 
     One specific heat at the mean of the inlets was up to 2 and 2.6 % off, 0.5 and 0.8 % in the mean.
     """
-    points, ua_w_k = drawn()
+    points, ua_w_k = draw_points()
     assert len(ua_w_k) == 200
     hot_out_k = oracle_k(points, ua_w_k, dry_air(hot_pa), dry_air(ram_pa))
-    found = measured_conductance_w_k(points[0], points[1], points[2], hot_out_k, points[3])
-    off = np.abs(found / ua_w_k - 1.0)
+    measured_w_k = measured_conductance_w_k(points[0], points[1], points[2], hot_out_k, points[3])
+    off = np.abs(measured_w_k / ua_w_k - 1.0)
     assert off.max() < bar
     assert off.mean() < 3e-3

@@ -27,7 +27,7 @@ def van_der_pol(solver="adaptive", mu=1.0):
 
 
 def truth(mu, n, dt_s):
-    found = solve_ivp(
+    solution = solve_ivp(
         lambda _t, x: [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0]],
         (0.0, dt_s * (n - 1)),
         [2.0, 0.0],
@@ -36,20 +36,20 @@ def truth(mu, n, dt_s):
         rtol=1e-11,
         atol=1e-12,
     )
-    return found.y[0]
+    return solution.y[0]
 
 
 @pytest.mark.parametrize(("solver", "error"), [("adaptive", 1e-6), ("rk4", 1e-6), ("euler", 0.5)])
 def test_van_der_pol_at_a_hundredth_of_a_second(solver, error):
-    seen = van_der_pol(solver).simulate({}, {}, 0.01, n_samples=2001)["seen"]
-    assert np.abs(seen - truth(1.0, 2001, 0.01)).max() < error
+    positions = van_der_pol(solver).simulate({}, {}, 0.01, n_samples=2001)["seen"]
+    assert np.abs(positions - truth(1.0, 2001, 0.01)).max() < error
     if solver == "euler":
-        assert np.abs(seen - truth(1.0, 2001, 0.01)).max() > 0.02  # by name only, and this is why
+        assert np.abs(positions - truth(1.0, 2001, 0.01)).max() > 0.02  # by name only, and this is why
 
 
 def test_a_stiff_oscillator_goes_to_an_implicit_method():
-    seen = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
-    np.testing.assert_allclose(seen, truth(1000.0, 6, 100.0), atol=1e-5)
+    positions = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
+    np.testing.assert_allclose(positions, truth(1000.0, 6, 100.0), atol=1e-5)
 
 
 def test_a_member_that_explodes_leaves_the_others_alone():
@@ -122,9 +122,9 @@ def test_van_der_pol_is_estimated_right_and_euler_says_by_how_much_it_is_not():
 
 
 def test_an_unscented_filter_takes_it_too():
-    found = UnscentedKalman(smoother_passes=1).estimate(record())
-    assert found.status == "converged"
-    assert abs(found.belief.mean[0] - 1.0) < 4.0 * found.belief.sd[0]
+    estimate = UnscentedKalman(smoother_passes=1).estimate(record())
+    assert estimate.status == "converged"
+    assert abs(estimate.belief.mean[0] - 1.0) < 4.0 * estimate.belief.sd[0]
 
 
 def test_sensitivity_is_that_of_the_variational_equation():

@@ -27,9 +27,9 @@ def test_tied_coefficient_comes_back(hot_flow, ram_flow, h):
     at = AT | {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow}
     hot_out, ram_out = steady_outlets_k(**at, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
     assert tied_coefficient_w_k(**at, hot_out_k=hot_out) == pytest.approx(h, rel=1e-8)
-    lost = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
+    hot_side_w = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
     won = ram_flow * CP_COLD_J_KG_K * (ram_out - 250.0)
-    assert lost == pytest.approx(won, rel=1e-11)
+    assert hot_side_w == pytest.approx(won, rel=1e-11)
 
 
 def test_rates_are_those_of_equations_7_and_8():
@@ -58,8 +58,8 @@ def test_ceiling(hot_flow, ram_flow):
 def test_an_efficient_exchanger_has_no_h(ua, h):
     """Wh 0.9, Wr 1.6 kg/s: the tied H of a cross-flow exchanger, which ends below zero (docs/errata.md)."""
     hot_out, _ = outlets_k(0.9, 1.6, 390.0, 250.0, ua)
-    found = tied_coefficient_w_k(**AT, hot_out_k=hot_out)
-    assert found < 0.0 if h is None else found == pytest.approx(h, rel=1e-3)
+    tied_w_k = tied_coefficient_w_k(**AT, hot_out_k=hot_out)
+    assert tied_w_k < 0.0 if h is None else tied_w_k == pytest.approx(h, rel=1e-3)
 
 
 def matrix(h_hot, h_cold, m_hot, m_cold):
@@ -83,9 +83,9 @@ def test_exact_form_is_the_matrix_exponential(h_hot, h_cold, m_hot, m_cold, dt_s
 @pytest.mark.parametrize(("form", "order"), [("euler", 1), ("tustin", 2)])
 def test_sequential_forms_converge_in_their_order(form, order):
     def after_one_second(form, steps):
-        held = AT | {"ram_flow_kg_s": np.full(steps + 1, 1.6)}
+        hold = AT | {"ram_flow_kg_s": np.full(steps + 1, 1.6)}
         start = {"hot_volume_k": 350.0, "cold_volume_k": 260.0}
-        return lumped_exchanger(form).simulate({}, held, 1.0 / steps, start)["hot_out_k"][-1]
+        return lumped_exchanger(form).simulate({}, hold, 1.0 / steps, start)["hot_out_k"][-1]
 
     exact = after_one_second("exact", 1)
     coarse, fine = (abs(after_one_second(form, n) - exact) for n in (8, 16))
@@ -111,8 +111,8 @@ def test_with_the_fluid_s_mass_alone_nothing_moves_at_1_hz():
 
 @pytest.mark.parametrize("form", ["quasi_steady", "exact", "euler", "tustin"])
 def test_a_loss_takes_its_share_of_both_coefficients(form):
-    model, held = lumped_exchanger(form), AT | {"ram_flow_kg_s": np.full(5, 1.6)}
-    worn = model.simulate({"hx_h_loss": 0.2}, held, 1.0)["hot_out_k"]
-    smaller = model.simulate({"hx_h_hot_w_k": 2000.0, "hx_h_cold_w_k": 2000.0}, held, 1.0)["hot_out_k"]
+    model, hold = lumped_exchanger(form), AT | {"ram_flow_kg_s": np.full(5, 1.6)}
+    worn = model.simulate({"hx_h_loss": 0.2}, hold, 1.0)["hot_out_k"]
+    smaller = model.simulate({"hx_h_hot_w_k": 2000.0, "hx_h_cold_w_k": 2000.0}, hold, 1.0)["hot_out_k"]
     np.testing.assert_allclose(worn, smaller, rtol=1e-14)
     assert [p.name for p in model.free("health")] == ["hx_h_loss"]

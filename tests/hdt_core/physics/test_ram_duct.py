@@ -73,8 +73,8 @@ def test_cruise_flow_is_of_the_size_of_a_pack_s():
     textbook = RAM_DUCT.calibrated(areas | {"ram_door_high": 0.5, "ram_recovery": 0.9})
     shut, open_ = textbook.predict({}, cruise(ram_door_open=np.array([0.05, 0.6])))["ram_flow_kg_s"]
     assert 0.3 < shut < 1.5 < open_ < 3.5
-    believed = RAM_DUCT.predict({}, cruise(ram_door_open=0.6))["ram_flow_kg_s"]
-    assert 1.0 < believed < 2.0
+    nominal = RAM_DUCT.predict({}, cruise(ram_door_open=0.6))["ram_flow_kg_s"]
+    assert 1.0 < nominal < 2.0
 
 
 def test_a_door_that_reads_beyond_its_ends_is_at_them():

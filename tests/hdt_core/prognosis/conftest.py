@@ -35,11 +35,11 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
                 end = len(value) + message
                 value = np.concatenate([value, track[: message + 3]])
                 if end + 6 < total:  # the entry counts from the end of its day: three flights later at the most
-                    told = flights.row(end, named=True)
-                    messages.append((told["departed_at"], told["flight_id"], pack, tail))
+                    part = flights.row(end, named=True)
+                    messages.append((part["departed_at"], part["flight_id"], pack, tail))
                     maintenance.append((flights["departed_at"][end + 3].date(), pack, tail))
-            told = pl.DataFrame(value[:total], schema=list(COLUMNS))
-            features.append(pl.concat([flights, told], how="horizontal"))
+            part = pl.DataFrame(value[:total], schema=list(COLUMNS))
+            features.append(pl.concat([flights, part], how="horizontal"))
     return pl.concat(features), _messages(messages), _maintenance(maintenance)
 
 
@@ -57,11 +57,11 @@ def _lives() -> list[tuple[np.ndarray, int]]:
 
 def _columns(lives: Episodes) -> list[np.ndarray]:
     """`COLUMNS`, the critical ratios as straight lines, steeper with time, through the one of the drawn episodes."""
-    asked = np.where(np.isnan(lives.demand), np.nanmedian(lives.demand), lives.demand)[:, LEAD:]
-    per_k = LN_RATIO_PER_K * np.linspace(0.7, 1.3, asked.shape[1])
-    curves = [asked - 0.05 * i - per_k * (e - 7.0) for i in range(len(SHARES)) for e in EXCESS_K]
-    seen = (lives.overheat_k, lives.overheat_half_k, lives.full_open)
-    return [lives.estimated_loss, np.full(lives.estimated_loss.shape, 0.015), lives.ratio, *seen, *curves]
+    demand = np.where(np.isnan(lives.demand), np.nanmedian(lives.demand), lives.demand)[:, LEAD:]
+    per_k = LN_RATIO_PER_K * np.linspace(0.7, 1.3, demand.shape[1])
+    curves = [demand - 0.05 * i - per_k * (e - 7.0) for i in range(len(SHARES)) for e in EXCESS_K]
+    observed = (lives.overheat_k, lives.overheat_half_k, lives.full_open)
+    return [lives.estimated_loss, np.full(lives.estimated_loss.shape, 0.015), lives.ratio, *observed, *curves]
 
 
 def _messages(rows: list[tuple[object, ...]]) -> pl.DataFrame:

@@ -28,10 +28,10 @@ def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
     death, cut = rng.exponential(1.0 / rate), rng.uniform(0.0, 200.0, 8000)
     model = fit_hazard(np.log(rate)[:, None], np.minimum(death, cut), death <= cut, seed=0)
-    for asked in (0.005, 0.01, 0.02):
-        near = np.log(asked) + np.linspace(-0.2, 0.2, 200)[:, None]
+    for true_rate in (0.005, 0.01, 0.02):
+        near = np.log(true_rate) + np.linspace(-0.2, 0.2, 200)[:, None]
         p_50 = event_by(hazards([model], near))[:, EDGES.tolist().index(50.0)].mean()
-        assert p_50 == pytest.approx(1.0 - np.exp(-asked * 50.0), abs=0.04)
+        assert p_50 == pytest.approx(1.0 - np.exp(-true_rate * 50.0), abs=0.04)
 
 
 def test_trees_asked_once_a_cut_say_what_each_row_and_span_asked_alone_says():

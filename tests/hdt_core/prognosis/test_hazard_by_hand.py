@@ -100,10 +100,10 @@ def test_a_limit_is_the_normal_posterior_with_hubers_weights():
     middle = (0.22 + 0.25) / 2.0
     weight = np.array([1.0, 1.0, 1.5 * 0.05 / (0.5 - middle)])
     precision = 1.0 / 0.06**2 + weight.sum() / 0.05**2
-    found = learn_limit(levels, prior)
-    assert found.mean == pytest.approx((0.25 / 0.06**2 + weight @ [0.20, 0.22, 0.5] / 0.05**2) / precision)
-    assert found.sd == pytest.approx(precision**-0.5)
-    assert found.unit_sd == 0.05
+    limit = learn_limit(levels, prior)
+    assert limit.mean == pytest.approx((0.25 / 0.06**2 + weight @ [0.20, 0.22, 0.5] / 0.05**2) / precision)
+    assert limit.sd == pytest.approx(precision**-0.5)
+    assert limit.unit_sd == 0.05
     assert learn_limit(np.array([np.nan]), prior) == prior
 
 
@@ -113,12 +113,12 @@ def test_first_passage_is_that_of_lines_drawn_at_random():
     loss, rate, limit = (m + s * rng.standard_normal(n) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
     passed = loss + rate * EDGES[:, None] > limit
     args = [np.array([v]) for v in (0.1, 0.02, 1e-3, 4e-4)]
-    found = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([False]))
-    np.testing.assert_allclose(found[0], passed.mean(1), atol=0.006)
+    p_event = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([False]))
+    np.testing.assert_allclose(p_event[0], passed.mean(1), atol=0.006)
     alive = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([True]))[0]
-    np.testing.assert_allclose(alive, (found[0] - found[0, 0]) / (1.0 - found[0, 0]), rtol=1e-12)
+    np.testing.assert_allclose(alive, (p_event[0] - p_event[0, 0]) / (1.0 - p_event[0, 0]), rtol=1e-12)
     still = first_passage(*args[:2], -args[2], 0.0 * args[3], (np.array([0.25]), np.array([0.06])), np.array([False]))
-    np.testing.assert_allclose(still, found[0, 0])
+    np.testing.assert_allclose(still, p_event[0, 0])
 
 
 def terms(end: np.ndarray, reserve: float, odds: np.ndarray) -> np.ndarray:
@@ -132,8 +132,8 @@ def test_a_correction_shifts_the_log_odds(reserve, counts_as):
     hazard, weights = np.linspace(0.02, 0.5, SPANS)[None, :], np.array([0.3, -0.2, 0.5, 0.4])
     odds = np.log(hazard / (1.0 - hazard))
     shifted = odds + terms(EDGES[None, 1:], counts_as, odds) @ weights
-    found = HazardCorrection(tuple(weights))(hazard, np.array([reserve]))
-    np.testing.assert_allclose(found, 1.0 / (1.0 + np.exp(-shifted)))
+    corrected = HazardCorrection(tuple(weights))(hazard, np.array([reserve]))
+    np.testing.assert_allclose(corrected, 1.0 / (1.0 + np.exp(-shifted)))
 
 
 def test_a_correction_is_the_maximum_a_posteriori():
@@ -176,8 +176,8 @@ def test_levels_are_kaplan_and_meiers():
         alive *= 1.0 - (1.0 / risk if failed[left == at].any() else 0.0)
         steps.append((at / 300.0, 1.0 - alive))
     own = [next(at for at, reached in steps if reached >= level - 1e-12) for level in (0.05, 0.5, 0.95)]
-    found = learn_levels(by, left, failed, np.arange(11), prior=(0.04, 0.52, 0.97))
-    np.testing.assert_allclose(found, [(10 * o + 20 * p) / 30 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
+    levels = learn_levels(by, left, failed, np.arange(11), prior=(0.04, 0.52, 0.97))
+    np.testing.assert_allclose(levels, [(10 * o + 20 * p) / 30 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
     # where nearly all were cut the upper level is never reached: it is the end of the scale
     cut = learn_levels(by, left, np.arange(11) < 3, np.arange(11), prior=(0.04, 0.52, 0.97))
     assert cut[2] == pytest.approx((3 * 1.0 + 20 * 0.97) / 23)
@@ -191,10 +191,10 @@ def test_levels_are_kaplan_and_meiers():
 def test_bounds_of_a_life_are_order_statistics():
     """All were watched alike: a tenth looks first, of the others' 360 the 18th from either end."""
     lives = np.random.default_rng(0).permutation(np.arange(1.0, 401.0))
-    found = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0))
+    bounds = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0))
     rest = np.sort(np.delete(lives, np.arange(0, 400, 10)))
-    assert (found.low, found.high) == (rest[17], rest[342])
-    assert (found.least, found.most, found.n, found.exact) == (0.9, pytest.approx(325 / 361), 360, True)
+    assert (bounds.low, bounds.high) == (rest[17], rest[342])
+    assert (bounds.least, bounds.most, bounds.n, bounds.exact) == (0.9, pytest.approx(325 / 361), 360, True)
     old = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0), age=200.0)
     assert old.low > 200.0
     assert old.n == 180
@@ -214,8 +214,8 @@ def test_units_watched_longest_are_a_fair_sample():
     watched = np.arange(1.0, 1001.0)
     lives = np.minimum(np.tile([100.0, 200.0, 300.0, 400.0, 500.0], 200), watched)
     ended = lives < watched
-    found = life_bounds(lives, ended, watched)
-    assert found.n == 360
+    bounds = life_bounds(lives, ended, watched)
+    assert bounds.n == 360
     small = life_bounds(lives[:300], ended[:300], watched[:300])
     assert small.n == 180
     assert life_bounds(lives[:40], ended[:40], watched[:40]).n == 36
@@ -226,11 +226,11 @@ def test_units_watched_longest_are_a_fair_sample():
 def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_be_watched():
     """Without any that left these are plain order statistics of the half that is not used for weights."""
     lives = np.random.default_rng(1).permutation(np.arange(1.0, 401.0))
-    found = life_bounds(lives, np.ones(400, bool))
+    bounds = life_bounds(lives, np.ones(400, bool))
     half = np.sort(lives[1::2])
-    assert (found.n, found.exact, found.most) == (200, False, 1.0)
-    assert found.low == half[int(np.floor(0.05 * 201 + 1e-9)) - 1]
-    assert found.high == half[int(np.ceil(0.95 * 201 - 1e-9)) - 1]
+    assert (bounds.n, bounds.exact, bounds.most) == (200, False, 1.0)
+    assert bounds.low == half[int(np.floor(0.05 * 201 + 1e-9)) - 1]
+    assert bounds.high == half[int(np.ceil(0.95 * 201 - 1e-9)) - 1]
     # half of them leave at 150: whoever ends later stands for about two
     cut = np.where(np.arange(400) % 4 < 2, np.minimum(lives, 150.5), lives)
     weighed, others = life_bounds(cut, cut == lives), cut[::2]

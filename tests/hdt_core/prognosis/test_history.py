@@ -15,7 +15,7 @@ def track(rows: int = 3, flights: int = 200) -> np.ndarray:
     return np.cumsum(0.002 * rng.gamma(1.0, 1.0, (rows, flights)), axis=1) + 0.01 * rng.standard_normal((rows, flights))
 
 
-def features(level: np.ndarray, asked: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def features(level: np.ndarray, demand: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Each feature over (units, flights), each unit on a pack of its own."""
     age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
     hot = 10.0 * np.clip(level, 0.0, 1.0)
@@ -23,10 +23,10 @@ def features(level: np.ndarray, asked: np.ndarray | None = None) -> dict[str, np
         level, np.full_like(level, 0.02), age, np.log1p(-np.clip(level, 0.0, 0.9)), hot, 0.5 * hot, 0.1 * hot, age
     )
     rng = np.random.default_rng(5)
-    asked = -0.6 + 0.1 * rng.standard_normal((len(level), 400))[:, : level.shape[1]] if asked is None else asked
+    demand = -0.6 + 0.1 * rng.standard_normal((len(level), 400))[:, : level.shape[1]] if demand is None else demand
     at = tuple(i.ravel() for i in np.indices(level.shape))
-    found = feature_rows(record_rows(panel, at), asked, at)
-    return {name: found[:, i].reshape(level.shape) for name, i in NAMES.items()}
+    table = feature_rows(record_rows(panel, at), demand, at)
+    return {name: table[:, i].reshape(level.shape) for name, i in NAMES.items()}
 
 
 @pytest.mark.parametrize("cut", [1, 6, 50, 150])
@@ -39,27 +39,27 @@ def test_nothing_from_the_future(cut):
 
 def test_a_straight_line_is_read_exactly():
     level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
-    said = features(level, np.full((1, 150), np.log(0.5)))
+    values = features(level, np.full((1, 150), np.log(0.5)))
     for name in ("slope_10", "slope_30", "slope_100", "slope_segment", "slope_life"):
-        assert said[name][0, 140] == pytest.approx(0.002, rel=1e-6)
+        assert values[name][0, 140] == pytest.approx(0.002, rel=1e-6)
     left = 1.0 - level[0, 140]
-    assert said["reserve_95"][0, 140] == pytest.approx(np.log(left / 0.5), rel=1e-9)
-    assert said["left_linear_30"][0, 140] == pytest.approx(np.log(left / 0.5) / (0.002 / left), rel=1e-6)
+    assert values["reserve_95"][0, 140] == pytest.approx(np.log(left / 0.5), rel=1e-9)
+    assert values["left_linear_30"][0, 140] == pytest.approx(np.log(left / 0.5) / (0.002 / left), rel=1e-6)
 
 
 def test_what_is_asked_beyond_what_is_left_is_a_message_soon():
     level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
-    safe, gone = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
+    safe, failing = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
     assert safe["passage_50"][0, 140] < 0.01
-    assert gone["passage_50"][0, 140] > 0.99
-    assert gone["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
+    assert failing["passage_50"][0, 140] > 0.99
+    assert failing["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
 
 
 def test_a_wash_starts_a_new_stretch():
     level = np.concatenate([np.linspace(0.0, 0.6, 100), 0.2 + np.linspace(0.0, 0.3, 50)])[None, :]
-    said = features(level)
-    assert said["slope_segment"][0, -1] == pytest.approx(0.3 / 49, rel=0.1)
-    assert said["peak"][0, -1] == pytest.approx(0.6)
+    values = features(level)
+    assert values["slope_segment"][0, -1] == pytest.approx(0.3 / 49, rel=0.1)
+    assert values["peak"][0, -1] == pytest.approx(0.6)
 
 
 def test_the_hazard_may_only_follow_physics_where_physics_says_how():

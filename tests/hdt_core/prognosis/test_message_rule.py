@@ -13,8 +13,8 @@ def lives(n: int, excess_k: float, of: int, seed: int = 0) -> tuple[dict[float, 
     level = np.linspace(-10.0, 14.0, 200)[None, :] + 3.0 * rng.standard_normal((n, 200))
     message = np.array([rule_onsets(row, excess_k, of) for row in level])
     after = np.arange(200)[None, :] > np.where(message < 0, 10**6, message)[:, None]
-    seen = np.where(after, np.nan, np.maximum(level, 0.0))
-    return {0.2: seen, 0.5: np.maximum(seen - 3.0 - rng.exponential(1.0, seen.shape), 0.0)}, message
+    observed = np.where(after, np.nan, np.maximum(level, 0.0))
+    return {0.2: observed, 0.5: np.maximum(observed - 3.0 - rng.exponential(1.0, observed.shape), 0.0)}, message
 
 
 def rule_onsets(overheat: np.ndarray, excess_k: float, of: int) -> int:
@@ -34,13 +34,13 @@ def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:
         for of, chance in ((1, 0.25), (2, 0.25), (3, 0.5)):
             for excess in range(1, 16):
                 log = np.log(chance) - 0.5 * ((excess - 7.0) / 2.5) ** 2
-                for row, told, w in zip(overheat[share], message, weight, strict=True):
-                    met = rule_onsets(np.nan_to_num(row), excess, of)
-                    off = abs(met - told)
-                    if told >= 0:
-                        likelihood = 0.03 if met < 0 or off > 3 else 0.5 if off == 0 else 0.12
+                for row, true_onset, w in zip(overheat[share], message, weight, strict=True):
+                    onset = rule_onsets(np.nan_to_num(row), excess, of)
+                    off = abs(onset - true_onset)
+                    if true_onset >= 0:
+                        likelihood = 0.03 if onset < 0 or off > 3 else 0.5 if off == 0 else 0.12
                     else:
-                        likelihood = 0.08 if met >= 0 else 0.92
+                        likelihood = 0.08 if onset >= 0 else 0.92
                     log += w * np.log(likelihood)
                 logs[share, of, excess] = log
     chance = {rule: np.exp(log - max(logs.values())) for rule, log in logs.items()}
@@ -62,12 +62,12 @@ def test_the_posterior_is_that_of_every_rule_of_the_grid(excess_k, of, seed):
     overheat[0.2][3, 0], message[3] = 14.0, 0  # hot at once
     message[7:] = -1
     message[6] = -1
-    found = learn_rules(overheat, message, operator)
-    assert set(found) == {"", "AAA", "BBB", "MUT"}
+    rules = learn_rules(overheat, message, operator)
+    assert set(rules) == {"", "AAA", "BBB", "MUT"}
     for name, own in (("AAA", 4), ("BBB", 2), ("MUT", 0), ("", 6)):
         weight = np.where(operator == "MUT", 0.0, np.where(operator == name, 1.0, 0.5))
         share, persistence, mean, sd = by_loops(overheat, message, weight)
-        rule = found[name]
+        rule = rules[name]
         assert (rule.share, rule.of, rule.messages) == (share, persistence, own)
         assert (rule.excess_k, rule.excess_sd_k) == pytest.approx((mean, sd))
 
@@ -91,6 +91,6 @@ def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
     """What is exact counts half; near, missed and spurious are rarer, in this order of likelihood."""
     prior = message_rule.PERSISTENCE_PRIOR
     assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
-    met, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
-    np.testing.assert_allclose(np.exp(message_rule._fit(met, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
+    onsets, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
+    np.testing.assert_allclose(np.exp(message_rule._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
     assert len(message_rule.RULES) == 2 * 3 * 15

@@ -35,8 +35,8 @@ def test_auc_counts_pairs():
 
 
 def test_alpha_lambda():
-    truth, said = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
-    assert alpha_lambda(truth, said) == 0.75
+    truth, forecast = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
+    assert alpha_lambda(truth, forecast) == 0.75
 
 
 def test_calibration_of_honest_probabilities():
@@ -47,7 +47,7 @@ def test_calibration_of_honest_probabilities():
 
 
 def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
-    judged = pl.DataFrame(
+    prognoses = pl.DataFrame(
         {
             "remaining": [320.0, 400.0],
             "rul_flights": [280.0, 300.0],
@@ -55,7 +55,7 @@ def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
             "rul_high": [300.0, 300.0],
         }
     ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)
-    scores = score_prognoses(judged)
+    scores = score_prognoses(prognoses)
     assert scores["mae_flights"] == 10.0
     assert scores["coverage"] == 1.0
     assert not {"interval_skill", "coverage_last_100", "alpha_lambda_20", "brier_skill"} & scores.keys()

@@ -62,16 +62,16 @@ def held_out(fleet, base):
 
 def test_every_flight_has_its_rows_for_both_components(fitted):
     features, lives, model = fitted
-    said = predict_prognosis(model, features, lives)
-    assert said.group_by("component").len()["len"].to_list() == [features.height] * 2
-    assert said.unique(["tail", "flight_id", "pack", "component"]).height == said.height
-    hx = said.filter(pl.col("component") == "HX")
+    prognoses = predict_prognosis(model, features, lives)
+    assert prognoses.group_by("component").len()["len"].to_list() == [features.height] * 2
+    assert prognoses.unique(["tail", "flight_id", "pack", "component"]).height == prognoses.height
+    hx = prognoses.filter(pl.col("component") == "HX")
     assert hx.null_count().select(pl.sum_horizontal(pl.all())).item() == 0
     assert (hx["rul_low"] <= hx["rul_flights"]).all()
     assert (hx["rul_flights"] <= hx["rul_high"]).all()
     assert hx["p_event_50"].is_between(0.0, 1.0).all()
     # no compressor track in this fleet: the rows are there, and say nothing
-    assert said.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
+    assert prognoses.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
 
 
 def test_nothing_from_the_future(fitted):
@@ -96,8 +96,8 @@ def test_what_is_told_to_the_learner_holds_no_later_flight(fitted):
 
 def test_unseen_lives_are_foretold(held_out):
     scores = score_prognoses(held_out)
-    known = held_out.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
-    constant = np.abs(known - np.median(known)).mean()
+    remaining = held_out.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
+    constant = np.abs(remaining - np.median(remaining)).mean()
     assert scores["mae_flights"] < 0.9 * constant
     assert scores["interval_skill"] > 0.2
     assert 0.8 < scores["coverage"] < 1.0
@@ -169,8 +169,8 @@ def test_service_keeps_the_model_that_does_better(fleet, fitted):
     assert "worse" in again.newest.service["promotion"]
     assert again.newest.model.version == first.newest.model.version
     assert again.prognoses.equals(first.prognoses)
-    kept = update_model(blind, again, record)
-    assert kept.newest.service == again.newest.service
+    unchanged = update_model(blind, again, record)
+    assert unchanged.newest.service == again.newest.service
     better = update_model(model, update_model(blind, None, record), record)
     assert better.newest.service["promoted"]
     assert better.newest.model.version == first.newest.model.version
@@ -192,7 +192,7 @@ def held_halves(fleet, base):
 
 
 @pytest.mark.parametrize(
-    ("base_levels", "weights", "levels", "kept"),
+    ("base_levels", "weights", "levels", "expected"),
     [
         ((0.05, 0.5, 0.95), (6.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, False)),  # every unit about to fail
         ((0.05, 0.5, 0.95), (0.0, 0.0, 0.0, 0.0), (0.49, 0.5, 0.51), (False, False)),  # no interval at all
@@ -200,13 +200,13 @@ def held_halves(fleet, base):
     ],
 )
 def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
-    base, held_halves, base_levels, weights, levels, kept
+    base, held_halves, base_levels, weights, levels, expected
 ):
-    track, held = held_halves
-    outside = [~track.keys["tail"].is_in(names).to_numpy() for names in held]
+    track, tail_groups = held_halves
+    outside = [~track.keys["tail"].is_in(names).to_numpy() for names in tail_groups]
     fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
     scores = _lesson_scores(replace(base, base_levels=base_levels), track, "HX", outside, [fit, fit])
-    assert LESSONS[int(np.argmin(scores.sum(axis=0)))] == kept
+    assert LESSONS[int(np.argmin(scores.sum(axis=0)))] == expected
     muted = replace(track, mute=track.mute | ~outside[1])  # a fold whose own lives tell nothing scores nothing
     own = _lesson_scores(base, muted, "HX", outside, [fit, fit])
     assert (own > 0.0).tolist() == [[True] * len(LESSONS), [False] * len(LESSONS)]
@@ -214,8 +214,8 @@ def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
 
 def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatch):
     """Of three folds the first's lives want the correction most; the first alone is judged by the others."""
-    track, held = held_halves
-    track_folds = [held[0][:1], held[0][1:], held[1]]
+    track, tail_groups = held_halves
+    track_folds = [tail_groups[0][:1], tail_groups[0][1:], tail_groups[1]]
     scores = np.array([[9.0, 0.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0]])
     monkeypatch.setattr("hdt_core.prognosis.model._lesson_scores", lambda *_: scores)
     weights = (0.5, 0.0, 0.0, 0.0)
@@ -229,27 +229,27 @@ def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatc
 def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves, monkeypatch):
     """Log odds 2 too high: what a fleet's lives say of it narrows the score, so it is kept in every fold."""
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
-    track, held = held_halves
+    track, tail_groups = held_halves
     high = deepcopy(base.hazard[0])
     high._baseline_prediction = high._baseline_prediction + 2.0
-    fits = fit_component(replace(base, hazard=(high,)), track, "HX", held)
+    fits = fit_component(replace(base, hazard=(high,)), track, "HX", tail_groups)
     assert all(fit.correction.weights[0] < -0.2 for fit in fits)
 
 
 def test_few_failures_correct_nothing(base, held_halves, monkeypatch):
     """Below the limit the base stands; of a compressor always."""
-    track, held = held_halves
+    track, tail_groups = held_halves
     high = deepcopy(base.hazard[0])
     high._baseline_prediction = high._baseline_prediction + 2.0
     wrong = replace(base, hazard=(high,))
-    failures = fit_component(wrong, track, "HX", held)[0].failures
+    failures = fit_component(wrong, track, "HX", tail_groups)[0].failures
     for limit, corrected in ((1, True), (failures + 1, False)):
         monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", limit)
-        whole = fit_component(wrong, track, "HX", held)[0]
+        whole = fit_component(wrong, track, "HX", tail_groups)[0]
         assert any(whole.correction.weights) == corrected
         assert whole.failures == failures
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
-    assert not any(fit_component(wrong, track, "CC", held)[0].correction.weights)
+    assert not any(fit_component(wrong, track, "CC", tail_groups)[0].correction.weights)
 
 
 @pytest.mark.parametrize(("limit", "corrected"), [(0, True), (1, False)])

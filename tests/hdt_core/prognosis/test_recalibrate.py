@@ -23,8 +23,8 @@ def test_no_failure_no_correction():
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
     assert done == HazardCorrection()
     none = np.empty(0)
-    said = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
-    assert said == (0.04, 0.5, 0.96)
+    levels = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
+    assert levels == (0.04, 0.5, 0.96)
 
 
 def test_levels_of_a_right_distribution_are_the_nominal_ones_in_spite_of_censoring():
@@ -75,16 +75,16 @@ def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flatten
     base = np.where(late, expit(USUAL_ODDS + (logit(truth) - USUAL_ODDS) / flattened), truth)
     done = learn_correction(base, np.full(left.size, 0.2), left, failed, life)
     assert done.weights[TERMS.index("late_odds")] == pytest.approx(slope, abs=0.12)
-    said = done(base[:2], np.full(2, 0.2))
-    np.testing.assert_allclose(logit(said), logit(truth[:2]), atol=0.25)
+    corrected = done(base[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(logit(corrected), logit(truth[:2]), atol=0.25)
     alone = HazardCorrection((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
     np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
 
 
 def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
     hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
-    said = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
-    np.testing.assert_array_equal(said, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
+    corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
+    np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
 def test_limit_moves_from_the_prior_to_the_messages():

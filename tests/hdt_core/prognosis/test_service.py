@@ -96,19 +96,19 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
     """Without the removals of one tail its own prognoses are the same."""
     whole, month = FleetRecord(*fleet), date(2024, 4, 1)
     tail = whole.as_of(start_of(month)).lives().filter("failed")["tail"][0]
-    held = next(fold for fold in at_once.months[month].model.folds if tail in fold.tails)
+    own_fold = next(fold for fold in at_once.months[month].model.folds if tail in fold.tails)
     assert (
         sorted(t for fold in at_once.months[month].model.folds for t in fold.tails)
         == whole.features["tail"].unique().sort().to_list()
     )
     past = whole.as_of(start_of(month))
     others = FleetRecord(
-        *(f.filter(~pl.col("tail").is_in(held.tails)) for f in (past.features, past.messages, past.maintenance))
+        *(f.filter(~pl.col("tail").is_in(own_fold.tails)) for f in (past.features, past.messages, past.maintenance))
     )
     (alone,) = fit_component(base, others.tracks()["HX"], "HX", [])
-    assert alone.failures == held.fits["HX"].failures
-    np.testing.assert_allclose(alone.correction.weights, held.fits["HX"].correction.weights, atol=1e-9)
-    np.testing.assert_allclose(alone.levels, held.fits["HX"].levels, atol=1e-9)
+    assert alone.failures == own_fold.fits["HX"].failures
+    np.testing.assert_allclose(alone.correction.weights, own_fold.fits["HX"].correction.weights, atol=1e-9)
+    np.testing.assert_allclose(alone.levels, own_fold.fits["HX"].levels, atol=1e-9)
 
 
 def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
@@ -116,8 +116,8 @@ def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
     first = update_model(base, None, FleetRecord(*fleet).as_of(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
     after = update_model(base, marked, FleetRecord(*fleet).as_of(at + timedelta(days=1)))
-    kept = after.prognoses.filter(pl.col("departed_at") < at)
-    assert (kept["p_event_50"] == 0.123).all()
+    old = after.prognoses.filter(pl.col("departed_at") < at)
+    assert (old["p_event_50"] == 0.123).all()
     new = after.prognoses.filter(pl.col("departed_at") >= at, pl.col("component") == "HX")
     assert new.height == 8 * 2 * 3
     assert not (new["p_event_50"] == 0.123).any()
@@ -153,8 +153,10 @@ def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, 
     assert others.height
     assert (others["p_event_50"] == 0.123).all(), "what was said of a flight stands while what it follows from does"
     alone = update_model(base, None, whole.as_of(IN_MARCH)).prognoses
-    told, clean = (p.filter(component="HX", flight_id=one).sort("pack") for p in (after.prognoses, alone))
-    assert (told["p_event_50"] - clean["p_event_50"]).abs().max() < 1e-9, "its own month's model had learned before it"
+    scored, clean = (p.filter(component="HX", flight_id=one).sort("pack") for p in (after.prognoses, alone))
+    assert (scored["p_event_50"] - clean["p_event_50"]).abs().max() < 1e-9, (
+        "its own month's model had learned before it"
+    )
     month_on = whole.as_of(IN_MARCH + timedelta(days=3))
     april = pl.col("departed_at") >= datetime(2024, 4, 1, tzinfo=UTC)
     same(*(update_model(base, last, month_on).prognoses.filter(april) for last in (after, None)))
@@ -183,12 +185,12 @@ def test_a_late_message_is_learned_from_at_once_by_the_months_after_it(fleet, ba
 
 def test_health_by_other_models_is_learned_from_anew_by_every_month(fleet, base):
     record = FleetRecord(*fleet).as_of(IN_MARCH)
-    moved = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
-    after = update_model(base, update_model(base, None, record, "as built"), moved, "as mended")
+    changed = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
+    after = update_model(base, update_model(base, None, record, "as built"), changed, "as mended")
     assert {m.service["learned_because"] for m in after.months.values()} == {
         "the aircraft's models or the code of features are others"
     }
-    same(after.prognoses, update_model(base, None, moved).prognoses)
+    same(after.prognoses, update_model(base, None, changed).prognoses)
 
 
 def test_an_aircraft_that_joins_moves_nothing_that_stands(fleet, base):

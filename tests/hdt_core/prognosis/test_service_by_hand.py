@@ -82,11 +82,11 @@ def flown(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, t
 
 def record(*frames: pl.DataFrame, messages: list[tuple] = [], entries: list[tuple] = []) -> FleetRecord:  # noqa: B006
     keys = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32}
-    told = pl.DataFrame(messages, orient="row", schema=keys | {"flight_id": pl.String, "code": pl.String,
+    message_rows = pl.DataFrame(messages, orient="row", schema=keys | {"flight_id": pl.String, "code": pl.String,
                         "message_time": pl.Datetime("us", "UTC")})  # fmt: skip
     log = pl.DataFrame(entries, orient="row", schema=keys | {"done_on": pl.Date, "component": pl.String,
                        "action": pl.String, "finding": pl.String})  # fmt: skip
-    return FleetRecord(pl.concat(frames), told, log)
+    return FleetRecord(pl.concat(frames), message_rows, log)
 
 
 FEBRUARY, MARCH = date(2024, 2, 1), date(2024, 3, 1)
@@ -94,7 +94,7 @@ FEBRUARY, MARCH = date(2024, 2, 1), date(2024, 3, 1)
 
 def test_what_was_on_record_before_a_month_began():
     start = datetime(2024, 2, 1, tzinfo=UTC)
-    kept = record(
+    fleet = record(
         flown(70, first=datetime(2024, 1, 1, tzinfo=UTC)),
         flown(29, "T-2", start),
         messages=[
@@ -106,11 +106,11 @@ def test_what_was_on_record_before_a_month_began():
             ("AAA", "T-1", 1, date(2024, 1, 13), "HX", "REPLACED", ""),
         ],
     )
-    assert kept.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
-    past = kept.as_of(start_of(FEBRUARY))
+    assert fleet.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
+    past = fleet.as_of(start_of(FEBRUARY))
     assert [f.height for f in (past.features, past.messages, past.maintenance)] == [31, 1, 1]
     assert month_of(pl.Series([start - timedelta(microseconds=1), start])).to_list() == [date(2024, 1, 1), FEBRUARY]
-    digests = training_digests(kept, "b", "d")
+    digests = training_digests(fleet, "b", "d")
     january, february, march = digests.values()
     assert (january.tails, february.tails, march.tails) == (["T-1"], ["T-1", "T-2"], ["T-1", "T-2"])
     assert (january.operators, february.operators, march.operators) == ([], ["BBB"], ["AAA", "BBB"])
@@ -119,7 +119,7 @@ def test_what_was_on_record_before_a_month_began():
     # the unit that left in January was followed in January, the one of 1 February by a flight of that day
     assert [len(d.ended) for d in (january, february, march)] == [0, 1, 2]
     assert january.base == f"b {' '.join(TERMS)}"
-    other = training_digests(replace(kept, messages=kept.messages.head(0)), "b", "d")[MARCH]
+    other = training_digests(replace(fleet, messages=fleet.messages.head(0)), "b", "d")[MARCH]
     assert len(set(other.ended) ^ set(march.ended)) == 2  # whether a message ended it is part of a life's digest
 
 
@@ -143,8 +143,8 @@ def test_a_flight_is_scored_anew_where_it_or_one_before_it_changed():
         new = score_months(scored_days(60, other), "HX", scored)[1]
         assert np.flatnonzero(new).tolist() == list(range(first, 60))
     # withdrawn flights: the month is another, and so is all after it
-    gone = score_months(scored_days(50, calm[:50]), "HX", scored)[1]
-    assert np.flatnonzero(gone).tolist() == list(range(31, 50))
+    fewer = score_months(scored_days(50, calm[:50]), "HX", scored)[1]
+    assert np.flatnonzero(fewer).tolist() == list(range(31, 50))
     assert score_months(scored_days(60, calm), "CC", scored)[1].all()
 
 
@@ -183,13 +183,13 @@ def test_the_learning_is_as_declared():
     fit = ComponentFit(PRIOR_RULES["HX"], HazardCorrection((1.0,)), (0.2, 0.5, 0.8), 13, 20)
     for corrected in (False, True):
         for levelled in (False, True):
-            kept = _keep_lessons(fit, (0.1, 0.4, 0.9), corrected, levelled)
-            assert any(kept.correction.weights) is corrected
-            assert kept.levels == (fit.levels if levelled else (0.1, 0.4, 0.9))
-            assert (kept.rule, kept.failures, kept.lives) == (fit.rule, 13, 20)
+            result = _keep_lessons(fit, (0.1, 0.4, 0.9), corrected, levelled)
+            assert any(result.correction.weights) is corrected
+            assert result.levels == (fit.levels if levelled else (0.1, 0.4, 0.9))
+            assert (result.rule, result.failures, result.lives) == (fit.rule, 13, 20)
 
 
-def asked(chance: float, columns: int = 3) -> SimpleNamespace:
+def flat(chance: float, columns: int = 3) -> SimpleNamespace:
     return SimpleNamespace(
         n_features_in_=columns, predict_proba=lambda x: np.column_stack([x[:, 0], chance * x.sum(axis=1)]),
         train_score_=np.array([chance]), n_iter_=1,
@@ -197,22 +197,22 @@ def asked(chance: float, columns: int = 3) -> SimpleNamespace:
 
 
 def test_two_bases_are_one_where_hazards_and_levels_agree():
-    one = Prognosis((asked(0.1), asked(0.2)), (0.05, 0.5, 0.95))
-    assert same_base(one, Prognosis((asked(0.1), asked(0.2)), (0.05, 0.5, 0.95)))
-    for other in (Prognosis((asked(0.1), asked(0.21)), one.base_levels), Prognosis((asked(0.1),), one.base_levels),
+    one = Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95))
+    assert same_base(one, Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95)))
+    for other in (Prognosis((flat(0.1), flat(0.21)), one.base_levels), Prognosis((flat(0.1),), one.base_levels),
                   Prognosis(one.hazard, (0.05, 0.5, 0.94))):  # fmt: skip
         assert not same_base(one, other)
 
 
 def test_a_version_is_a_digest_of_all_that_was_learned():
-    base = Prognosis((asked(0.1),), (0.05, 0.5, 0.95))
+    base = Prognosis((flat(0.1),), (0.05, 0.5, 0.95))
     fit = ComponentFit(PRIOR_RULES["CC"])
     learned = [{}, {"CC": fit}, {"CC": replace(fit, levels=(0.1, 0.5, 0.9))},
                {"CC": replace(fit, correction=HazardCorrection((0.1,)))}, {"HX": fit}]  # fmt: skip
     versions = [with_version(base, fits).version for fits in learned]
     versions += [
         with_version(base, folds=(Fold(("A",), {"CC": fit}),)).version,
-        with_version(replace(base, hazard=(asked(0.2),))).version,
+        with_version(replace(base, hazard=(flat(0.2),))).version,
     ]
     assert len(set(versions)) == len(versions)
     assert {len(v) for v in versions} == {12}
@@ -239,8 +239,8 @@ def test_hazards_of_many_rows_are_asked_in_parts(monkeypatch):
 
 def test_a_first_passage_is_spread_between_its_horizons():
     by = passage_hazards(np.array([[0.2, 0.1, 0.8, 1.0], [0.0, 0.0, 0.0, np.nan]]), (50.0, 100.0, 200.0, 300.0))
-    found = dict(zip(EDGES, event_by(by)[0], strict=True))
-    assert (found[10.0], found[80.0], found[150.0], found[300.0]) == pytest.approx((0.04, 0.2, 0.5, 1.0))
+    p_by = dict(zip(EDGES, event_by(by)[0], strict=True))
+    assert (p_by[10.0], p_by[80.0], p_by[150.0], p_by[300.0]) == pytest.approx((0.04, 0.2, 0.5, 1.0))
     assert np.isnan(event_by(by)[1, -1])
     assert passage_hazards(np.zeros((0, 4)), (50.0, 100.0, 200.0, 300.0)).shape == (0, SPANS)
     sure = passage_hazards(np.ones((1, 4)), (50.0, 100.0, 200.0, 300.0))
@@ -251,11 +251,11 @@ def test_a_first_passage_is_spread_between_its_horizons():
     assert quantile(flat, 0.5)[0] == pytest.approx(5.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("slope", "seen", "flights"), [(2e-4, 29.0, 30.0), (2e-4, 150.0, 100.0), (None, 29.0, 2.0)])
-def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, seen, flights):
+@pytest.mark.parametrize(("slope", "n_seen", "flights"), [(2e-4, 29.0, 30.0), (2e-4, 150.0, 100.0), (None, 29.0, 2.0)])
+def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, n_seen, flights):
     part = components()["CC"]
     rows = pl.DataFrame(
-        {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_seen_of_unit": [seen]},
+        {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_seen_of_unit": [n_seen]},
         schema_overrides={"loss_slope_100_per_flight": pl.Float64},
     )
     limit = (np.array([0.25]), np.array([0.08]))

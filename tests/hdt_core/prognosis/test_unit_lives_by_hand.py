@@ -32,11 +32,11 @@ def flown(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
     return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
 
 
-def told(*rows: tuple[int, str], tail: str = "T-1") -> pl.DataFrame:
+def faults_on(*rows: tuple[int, str], tail: str = "T-1") -> pl.DataFrame:
     """Messages: on which flight, which code."""
     schema = {"flight_id": pl.String, "code": pl.String, "message_time": pl.Datetime("us", "UTC")}
-    sent = [(f"{tail}_{k:03d}", code, START + timedelta(k)) for k, code in rows]
-    frame = pl.DataFrame(sent, schema=schema, orient="row")
+    records = [(f"{tail}_{k:03d}", code, START + timedelta(k)) for k, code in rows]
+    frame = pl.DataFrame(records, schema=schema, orient="row")
     return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
 
 
@@ -48,8 +48,8 @@ def log(*rows: tuple[int, str, str, str], tail: str = "T-1") -> pl.DataFrame:
 
 
 def lived(messages: pl.DataFrame, entries: pl.DataFrame, n: int = 100) -> list[tuple]:
-    found = episodes(flown(n), messages, entries).filter(component="HX")
-    return found.select("first_row", "end_row", "failed", "removed", "age_known").rows()
+    lives = episodes(flown(n), messages, entries).filter(component="HX")
+    return lives.select("first_row", "end_row", "failed", "removed", "age_known").rows()
 
 
 CHANGED = (59, "HX", "REPLACED", "FOULED")
@@ -58,36 +58,36 @@ CHANGED = (59, "HX", "REPLACED", "FOULED")
 @pytest.mark.parametrize(("flight", "failed"), [(39, False), (40, True), (59, True), (60, True), (61, False)])
 def test_a_message_ends_a_life_that_is_replaced_within_twenty_flights(flight, failed):
     """The entry of flight 59's day: the new unit flies from flight 60 on."""
-    first, second = lived(told((flight, HX_CODE)), log(CHANGED))
+    first, second = lived(faults_on((flight, HX_CODE)), log(CHANGED))
     assert first == (0, flight if failed else 60, failed, True, False)
     assert second == (60, 100, False, False, True)
 
 
 def test_the_first_of_several_messages_ends_it_and_another_code_does_not():
-    several = pl.concat([told((45, HX_CODE)), told((50, HX_CODE)), told((42, CC_CODE))])
+    several = pl.concat([faults_on((45, HX_CODE)), faults_on((50, HX_CODE)), faults_on((42, CC_CODE))])
     assert lived(several, log(CHANGED))[0] == (0, 45, True, True, False)
-    assert lived(told((45, HX_CODE)), log((59, "HX", "CLEANED", "FOULED"))) == [(0, 100, False, False, False)]
+    assert lived(faults_on((45, HX_CODE)), log((59, "HX", "CLEANED", "FOULED"))) == [(0, 100, False, False, False)]
 
 
 @pytest.mark.parametrize(("days", "failed"), [(0, True), (1, False), (3, False), (4, True)])
 def test_a_unit_found_sound_within_three_days_did_not_fail(days, failed):
     sound = (50 + days, "HX", "INSPECTED", "NO_FAULT_FOUND")
-    assert lived(told((50, HX_CODE)), log(CHANGED, sound))[0][2] == failed
+    assert lived(faults_on((50, HX_CODE)), log(CHANGED, sound))[0][2] == failed
     other = (51, "CC", "INSPECTED", "NO_FAULT_FOUND")
-    assert lived(told((50, HX_CODE)), log(CHANGED, other))[0][2]
+    assert lived(faults_on((50, HX_CODE)), log(CHANGED, other))[0][2]
 
 
 def test_lives_are_told_with_what_ended_them():
     features, entries = flown(100), log(CHANGED)
-    heard = life_table(features, episodes(features, told((50, HX_CODE)), entries)).filter(component="HX")
-    assert heard.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
+    lives = life_table(features, episodes(features, faults_on((50, HX_CODE)), entries)).filter(component="HX")
+    assert lives.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
         ("message", False, 50, "T-1_000", "T-1_050"),
         (None, True, 40, "T-1_060", "T-1_099"),
     ]
-    for messages, how in ((told((50, CC_CODE)), "replaced"), (told(), "unheard")):
+    for messages, how in ((faults_on((50, CC_CODE)), "replaced"), (faults_on(), "unheard")):
         quiet = life_table(features, episodes(features, messages, entries)).filter(component="HX")
         assert quiet.select("ended_by", "end_flight_id").rows() == [(how, "T-1_059"), (None, "T-1_099")]
-    rows = with_lives(flight_rows(features), episodes(features, told((50, HX_CODE)), entries), "HX")
+    rows = with_lives(flight_rows(features), episodes(features, faults_on((50, HX_CODE)), entries), "HX")
     assert rows["remaining"].to_list() == [50.0 - k for k in range(60)] + [40.0 - k for k in range(40)]
     assert rows["life_id"].to_list() == [0] * 60 + [1] * 40
 
@@ -95,27 +95,27 @@ def test_lives_are_told_with_what_ended_them():
 def test_prognoses_are_judged_by_what_became_of_them():
     """An event within 50 flights, none, or nobody knows."""
     features = flown(160)
-    lives = episodes(features, told((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
-    said = features.select("tail", "flight_id", "pack").with_columns(component=pl.lit("HX"))
-    found = join_outcomes(pl.concat([said, said.with_columns(component=pl.lit("CC"))]), features, lives)
-    by_flight = dict(found.select("flight_id", "event_50").rows())
+    lives = episodes(features, faults_on((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
+    prognoses = features.select("tail", "flight_id", "pack").with_columns(component=pl.lit("HX"))
+    outcomes = join_outcomes(pl.concat([prognoses, prognoses.with_columns(component=pl.lit("CC"))]), features, lives)
+    by_flight = dict(outcomes.select("flight_id", "event_50").rows())
     assert [by_flight[f"T-1_{k:03d}"] for k in (0, 9, 10, 59, 70, 109, 110, 159)] == [0, 0, 1, 1, 0, 0, None, None]
     assert "T-1_060" not in by_flight  # the message's own flight
     assert "T-1_065" not in by_flight  # flown with the unit after its message
 
 
 def test_scores_by_hand():
-    judged = pl.DataFrame({
+    prognoses = pl.DataFrame({
         "remaining": [100.0, 120.0, 350.0, 299.0], "failed": [True, True, False, False], "life": [0, 0, 1, 2],
         "rul_flights": [110.0, 100.0, 290.0, 200.0], "rul_low": [20.0, 60.0, 250.0, 100.0],
         "rul_high": [150.0, 110.0, 300.0, 300.0], "event_50": [1.0, 0.0, 0.0, 0.0], "p_event_50": [0.6, 0.2, 0.0, 0.1],
     })  # fmt: skip
-    found = score_prognoses(judged)
+    scores = score_prognoses(prognoses)
     truth = np.array([100.0, 120.0, 300.0])  # the last was not watched for 300 flights
     low, high = np.quantile(truth, [0.05, 0.95])
     constant = np.mean([high - low + 20.0 * (max(low - t, 0.0) + max(t - high, 0.0)) for t in truth])
     score = np.mean([130.0, 50.0 + 20.0 * 10.0, 50.0])
-    assert found == pytest.approx({
+    assert scores == pytest.approx({
         "failures": 1.0, "mae_flights": 40.0 / 3.0, "interval_score_flights": score, "coverage": 2.0 / 3.0,
         "interval_skill": 1.0 - score / constant, "coverage_last_100": 1.0, "alpha_lambda_20": 1.0,
         "brier": (0.16 + 0.04 + 0.01) / 4.0, "brier_skill": 1.0 - (0.21 / 4.0) / (0.25 * 0.75), "auc": 1.0,
@@ -139,9 +139,9 @@ def described(n: int, tail: str, loss: float) -> pl.DataFrame:
 def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
     """Three tails: one fails at 0.15 in February, one at 0.30 in March; a flight knows those of the months before."""
     rows = pl.concat([described(100, "T-1", 0.15), described(100, "T-2", 0.30), described(100, "T-3", 0.12)])
-    messages = pl.concat([told((0, HX_CODE), (40, CC_CODE)), told((70, CC_CODE), tail="T-2")])
+    messages = pl.concat([faults_on((0, HX_CODE), (40, CC_CODE)), faults_on((70, CC_CODE), tail="T-2")])
     entries = pl.concat([log((44, "CC", "REPLACED", "")), log((74, "CC", "REPLACED", ""), tail="T-2")])
-    found = component_prognoses(rows, messages, entries, CC)
+    prognoses = component_prognoses(rows, messages, entries, CC)
 
     def want(levels: list[float], loss: float) -> np.ndarray:
         limit = learn_limit(np.array(levels), Limit(0.25, 0.06, 0.05))
@@ -152,34 +152,36 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
         at = (np.array([limit.mean]), np.array([np.hypot(limit.sd, 0.05)]))
         return first_passage(*(np.array([v]) for v in (loss, 0.01, rate, rate_sd)), at, np.array([True]))
 
-    def said(tail: str, flight: int) -> dict:
-        return found.filter(tail=tail, flight_id=f"{tail}_{flight:03d}").row(0, named=True)
+    def row_of(tail: str, flight: int) -> dict:
+        return prognoses.filter(tail=tail, flight_id=f"{tail}_{flight:03d}").row(0, named=True)
 
     for tail, flight, levels, loss in (
         ("T-3", 40, [], 0.12), ("T-3", 59, [], 0.12), ("T-3", 60, [0.15], 0.12), ("T-3", 90, [0.15], 0.12),
         ("T-3", 91, [0.15, 0.30], 0.12), ("T-3", 99, [0.15, 0.30], 0.12),
         ("T-1", 99, [0.30], 0.15), ("T-2", 99, [0.15], 0.30),
     ):  # fmt: skip
-        by, row = want(levels, loss), said(tail, flight)
+        by, row = want(levels, loss), row_of(tail, flight)
         assert row["p_event_100"] == pytest.approx(by[0, 10])
         assert row["rul_flights"] == pytest.approx(quantile(by, 0.5)[0])
         assert (row["rul_low"], row["rul_high"]) == pytest.approx((quantile(by, 0.05)[0], quantile(by, 0.95)[0]))
         assert row["beyond_horizon"] == (row["rul_flights"] >= 300.0)
-    versions = found.filter(tail="T-3").group_by(pl.col("departed_at").dt.month()).agg(pl.col("model_version").unique())
+    versions = (
+        prognoses.filter(tail="T-3").group_by(pl.col("departed_at").dt.month()).agg(pl.col("model_version").unique())
+    )
     assert versions["model_version"].list.len().to_list() == [1] * 4
     assert versions["model_version"].explode().n_unique() == 4
 
 
 def test_where_nobody_would_tell_a_unit_may_have_failed_already():
     rows = described(40, "T-1", 0.24)
-    silent, heard, mute = (
+    silent, with_messages, mute = (
         component_prognoses(rows, messages, log(), part)["p_event_50"][-1]
         for messages, part in (
-            (told(), CC), (told((0, HX_CODE)), CC), (told((0, HX_CODE)), replace(CC, message_code=None)),
+            (faults_on(), CC), (faults_on((0, HX_CODE)), CC), (faults_on((0, HX_CODE)), replace(CC, message_code=None)),
         )
     )  # fmt: skip
-    assert silent == mute > heard
-    unknown = component_prognoses(rows.with_columns(loss=pl.lit(None, pl.Float64)), told(), log(), CC)
+    assert silent == mute > with_messages
+    unknown = component_prognoses(rows.with_columns(loss=pl.lit(None, pl.Float64)), faults_on(), log(), CC)
     assert unknown.select("rul_flights", "p_event_50").row(0) == (None, None)
 
 
@@ -196,7 +198,7 @@ def test_tracks_are_cut_into_lives():
     features = flown(100, **margin(100)).with_columns(
         pl.when(pl.int_range(100).is_in([0, 5])).then(None).otherwise("hx_fouling").alias("hx_fouling")
     )
-    track = tracks(features, episodes(features, told((50, HX_CODE)), log(CHANGED)), "HX")
+    track = tracks(features, episodes(features, faults_on((50, HX_CODE)), log(CHANGED)), "HX")
     assert track.at[:, 0].tolist() == [0] * 60 + [1] * 40
     assert track.at[[0, 1, 4, 5, 6, 59, 60], 1].tolist() == [-1, 0, 3, 3, 4, 57, 0]
     assert track.panel.level[0, 4] == pytest.approx(0.106)
@@ -220,21 +222,21 @@ def test_tracks_are_cut_into_lives():
     assert limited.features[99, -1] == pytest.approx(0.06 / 0.62)
     assert limited.features[99, FEATURES.index("reserve_95")] == pytest.approx(-0.1 - np.log(0.62))
     none = features.with_columns(pl.lit(None, pl.Float64).alias(c) for c in CRITICAL)
-    blank = fleet_rows(tracks(none, episodes(features, told(), log()), "HX"), {"": MessageRule()})
+    blank = fleet_rows(tracks(none, episodes(features, faults_on(), log()), "HX"), {"": MessageRule()})
     assert blank.features[99, -1] == pytest.approx(2.5 * LN_RATIO_PER_K)
 
 
 def test_the_rule_is_learned_from_flights_up_to_the_message():
     """Hot on flights 7, 8 of nine: two in a row first at 8 K on flight 8; after its message a unit tells nothing."""
     features = flown(100, **margin(100))
-    track = tracks(features, episodes(features, told((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
+    track = tracks(features, episodes(features, faults_on((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
     everyone = np.ones(100, bool)
     assert learn_rule(track, "HX", everyone)["AAA"].messages == 1
     assert learn_rule(track, "HX", track.at[:, 0] == 1)["AAA"].messages == 0
     for message in (17, 0):  # what is hot after it, until the unit is replaced, is no evidence
         hot = pl.int_range(100).is_between(message + 1, message + 3)
         hotter = features.with_columns(overheat_p20_k=pl.when(hot).then(15.0).otherwise("overheat_p20_k"))
-        ended = episodes(features, told((message, HX_CODE)), log((message + 3, "HX", "REPLACED", "")))
+        ended = episodes(features, faults_on((message, HX_CODE)), log((message + 3, "HX", "REPLACED", "")))
         warm, plain = (learn_rule(tracks(f, ended, "HX"), "HX", everyone) for f in (hotter, features))
         assert warm == plain
 
@@ -259,7 +261,7 @@ def test_a_compressors_loss_and_the_limit_of_its_message():
     n = 60
     features = flown(n, cc_efficiency_loss=[None] + [0.01 * k for k in range(1, n)], cc_efficiency_loss_sd=0.01,
                      cc_diameter_loss=0.1)  # fmt: skip
-    track = tracks(features, episodes(features, told((20, CC_CODE)), log((24, "CC", "REPLACED", ""))), "CC")
+    track = tracks(features, episodes(features, faults_on((20, CC_CODE)), log((24, "CC", "REPLACED", ""))), "CC")
     np.testing.assert_allclose(track.panel.level[0, :3], [1.0 - 0.9**2, 0.01, 0.02])
     np.testing.assert_allclose(track.panel.ratio[0, :3], np.log([0.81, 0.99, 0.98]))
     assert learn_rule(track, "CC", np.ones(n, bool)) == Limit(0.25, 0.06, 0.05)

@@ -69,7 +69,7 @@ def test_only_another_unit_of_that_component_counts():
 
 def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     """Ids of the flights on which another unit flies first, as each part of the project answers."""
-    numbered = number_units(flights, log).sort("departed_at")
+    units = number_units(flights, log).sort("departed_at")
     life = since_maintenance(flights, log).sort("departed_at")
     _, due = log_flags(flights, log, "HX")
     grid = Grid.from_frame(flights)
@@ -78,7 +78,7 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     installed = set(installations(rows, log, "HX")["first_row"].to_list())
     ids = flights["flight_id"]
     return {
-        "records": numbered.filter(pl.col("unit").diff() > 0)["flight_id"].to_list(),
+        "records": units.filter(pl.col("unit").diff() > 0)["flight_id"].to_list(),
         "features": life.filter(pl.col("hx_life").diff() > 0)["flight_id"].to_list(),
         "twin": ids.filter(pl.Series(due == REPLACEMENT))[0 if due[0] == 0 else 1 :].to_list(),
         "alerts": ids.filter(pl.Series(ends))[0 if not ends[0] else 1 :].to_list(),
@@ -92,8 +92,8 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     days=st.lists(st.tuples(st.integers(0, 9), st.none() | st.floats(0.0, 23.9)), max_size=4),
 )
 def test_all_who_ask_get_one_answer(hours, days):
-    said = answers(flown(hours), work(*days))
-    assert all(answer == said["records"] for answer in said.values()), said
+    results = answers(flown(hours), work(*days))
+    assert all(answer == results["records"] for answer in results.values()), results
 
 
 def test_lives_and_figure_cut_where_the_twin_does():
@@ -131,9 +131,9 @@ def wrong(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) 
         counted = date_entries(log).with_columns(pl.col("counts_from") - shift)
         flights = health.with_columns(pl.col("pack").cast(pl.Int32))
         for component, true in (("HX", "hx_unit"), ("CC", "cc_unit")):
-            said = number_units(flights, counted, component)
-            early += said.filter(pl.col("unit") > pl.col(true)).height
-            late += said.filter(pl.col("unit") < pl.col(true)).height
+            units = number_units(flights, counted, component)
+            early += units.filter(pl.col("unit") > pl.col(true)).height
+            late += units.filter(pl.col("unit") < pl.col(true)).height
             replacements += log.filter(component=component, action="REPLACED").height
     return early, late, replacements
 

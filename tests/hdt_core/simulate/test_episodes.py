@@ -27,9 +27,9 @@ def test_lives_end_where_flights_ask_for_more_than_is_left():
     exact = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, map_error=0.0, pack_error=0.0)
     lives = draw_episodes(2, exact)
     ended = np.nonzero(lives.message < SMALL.flights)[0]
-    asked = lives.demand[ended, LEAD + lives.message[ended]]
+    demand = lives.demand[ended, LEAD + lives.message[ended]]
     # the flight's own scatter in what it is said to ask is 0.015
-    assert (lives.ratio[ended, lives.message[ended]] < asked + 0.06).all()
+    assert (lives.ratio[ended, lives.message[ended]] < demand + 0.06).all()
 
 
 def test_hazard_rises_with_loss():

@@ -48,11 +48,11 @@ def test_truth_has_every_flight_and_only_arrived_ones_are_recorded(fleet):
 def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
     rng = np.random.default_rng(0)
     design, one = draw_design(rng), np.ones(1)
-    now, asked = packs.reference(one), packs.reference_demand(design, one)
+    now, demand = packs.reference(one), packs.reference_demand(design, one)
     door = one * 0.4
-    hot_k, ram_k, flow, _ = packs.outlets(design, now, asked, door, packs.clean(one))
+    hot_k, ram_k, flow, _ = packs.outlets(design, now, demand, door, packs.clean(one))
     cold_k = now.tat_k + design.ram_heating_k
-    lost_w = asked.flow_kg_s * mean_specific_heat_j_kg_k(asked.hot_in_k, hot_k) * (asked.hot_in_k - hot_k)
+    lost_w = demand.flow_kg_s * mean_specific_heat_j_kg_k(demand.hot_in_k, hot_k) * (demand.hot_in_k - hot_k)
     np.testing.assert_allclose(lost_w, flow * mean_specific_heat_j_kg_k(cold_k, ram_k) * (ram_k - cold_k), rtol=1e-9)
 
 
@@ -60,25 +60,25 @@ def test_controller_holds_its_target_and_hides_the_wear():
     design = draw_design(np.random.default_rng(1))
     n = 6
     one = np.ones(n)
-    asked = packs.reference_demand(design, one)
-    asked = packs.Demand(asked.flow_kg_s, asked.hot_in_k, one * packs.sized_target_k(design))
+    demand = packs.reference_demand(design, one)
+    demand = packs.Demand(demand.flow_kg_s, demand.hot_in_k, one * packs.sized_target_k(design))
     blocked = packs.ExchangerWear(0.0 * one, np.linspace(0.0, 0.3, n), 0.0 * one, one)
-    door = packs.controlled_door(design, packs.reference(one), asked, blocked)
+    door = packs.controlled_door(design, packs.reference(one), demand, blocked)
     assert door[0] == pytest.approx(design.door_sizing, abs=0.002)
     assert (np.diff(door) > 0).all()
-    hot_k = packs.outlets(design, packs.reference(one), asked, door, blocked)[0]
-    np.testing.assert_allclose(hot_k[door < 0.99], asked.target_k[door < 0.99], atol=0.2)
+    hot_k = packs.outlets(design, packs.reference(one), demand, door, blocked)[0]
+    np.testing.assert_allclose(hot_k[door < 0.99], demand.target_k[door < 0.99], atol=0.2)
 
 
 def test_a_worn_compressor_heats_the_exchanger_by_what_its_efficiency_lost():
     design, one = draw_design(np.random.default_rng(1)), np.ones(3)
-    now, asked, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
+    now, demand, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
     inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
     _, exit_k = packs.compressor_rows(
         diameter_m=one, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa,
         efficiency=design.cc_efficiency * (1.0 - loss),
     )  # fmt: skip
-    hotter_k = packs.behind_worn_compressor(design, now, asked, loss).hot_in_k - asked.hot_in_k
+    hotter_k = packs.behind_worn_compressor(design, now, demand, loss).hot_in_k - demand.hot_in_k
     np.testing.assert_allclose(hotter_k, exit_k - exit_k[0], atol=1e-9)
     assert 5.0 < hotter_k[1] < 25.0
 
@@ -113,13 +113,13 @@ def test_effective_diameter_is_that_of_equation_5(fleet):
         rows = aircraft.snapshots.filter((pl.col("phase_code") == "CR") & (pl.col("cc_speed_rpm") > 1e4)).drop_nulls(
             ["cc_in_psia", "cc_out_psia", "cc_in_degc"]
         )
-        seen = effective_diameter_m(
+        diameter = effective_diameter_m(
             rows["cc_in_psia"].to_numpy(),
             rows["cc_out_psia"].to_numpy(),
             rows["cc_in_degc"].to_numpy() + 273.15,
             rows["cc_speed_rpm"].to_numpy() * np.pi / 30.0,
         )
-        rows = rows.with_columns(seen=pl.Series(seen)).group_by("flight_id", "pack").agg(pl.col("seen").median())
+        rows = rows.with_columns(seen=pl.Series(diameter)).group_by("flight_id", "pack").agg(pl.col("seen").median())
         both = rows.join(aircraft.health.with_columns(pl.col("pack").cast(pl.Int32)), on=["flight_id", "pack"])
         both = both.filter((pl.col("sensor_fault") == "") & ~pl.col("pack_off"))
         assert (both["seen"] - both["cc_eff_diameter_m"]).abs().median() < 0.0015

@@ -36,11 +36,11 @@ def flown(noise_k: float) -> pl.DataFrame:
         "cold_in_k": rng.uniform(245.0, 260.0, n),
     }
     out = BUILT.predict({"hx_fouling": LOSS[flight]}, inputs)
-    seen = {name: value + noise_k * rng.standard_normal(n) for name, value in out.items()}
+    outputs = {name: value + noise_k * rng.standard_normal(n) for name, value in out.items()}
     start = datetime(2024, 1, 1, tzinfo=UTC)
     when = [start + timedelta(hours=6 * int(f), minutes=5 * (k % SAMPLES)) for k, f in enumerate(flight)]
     key = {"operator": "TST", "tail": "T-00", "flight_id": [f"T-00_{f:03d}" for f in flight], "time_utc": when}
-    return pl.DataFrame(key | inputs | seen).with_columns(pl.lit(1, pl.Int32).alias("pack"))
+    return pl.DataFrame(key | inputs | outputs).with_columns(pl.lit(1, pl.Int32).alias("pack"))
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +104,9 @@ def test_what_the_twin_explains_and_what_is_left(samples, flights):
 
 def test_samples_that_determine_no_design_are_said_to():
     still = flown(0.5).head(SAMPLES)
-    held = [pl.col(s.name).first() for s in HEAT_EXCHANGER.inputs]
+    constant = [pl.col(s.name).first() for s in HEAT_EXCHANGER.inputs]
     with pytest.raises(ValueError, match=r"heat_exchanger: .* from 12 nominal samples: not_identifiable"):
-        calibrate_component(HEAT_EXCHANGER, still.with_columns(held))
+        calibrate_component(HEAT_EXCHANGER, still.with_columns(constant))
 
 
 def test_a_design_that_nominal_samples_leave_open_is_named():
@@ -116,10 +116,10 @@ def test_a_design_that_nominal_samples_leave_open_is_named():
     outlets = HEAT_EXCHANGER.predict({}, {s.name: calm[s.name].to_numpy() for s in HEAT_EXCHANGER.inputs})
     rng = np.random.default_rng(0)
     noisy = [pl.Series(name, v + 0.5 * rng.standard_normal(v.size)) for name, v in outlets.items()]
-    _, found = calibrate_component(HEAT_EXCHANGER, calm.with_columns(noisy))
-    assert found.status == "weakly_identifiable"
-    assert {"hx_exponent_hot", "hx_hot_share"} & set(found.weak)
-    assert "Left open by the data" in found.summary()
+    _, estimate = calibrate_component(HEAT_EXCHANGER, calm.with_columns(noisy))
+    assert estimate.status == "weakly_identifiable"
+    assert {"hx_exponent_hot", "hx_hot_share"} & set(estimate.weak)
+    assert "Left open by the data" in estimate.summary()
 
 
 def chiller_water_k(flow_kg_s, water_in_k, boiling_k, ua_w_k, flow_exponent, fouling):
@@ -141,8 +141,8 @@ CHILLER = PhysicsModel(
 )
 
 
-@pytest.mark.parametrize(("flow_spread", "said"), [(0.01, ("flow_exponent",)), (0.2, ())])
-def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread, said):
+@pytest.mark.parametrize(("flow_spread", "weak"), [(0.01, ("flow_exponent",)), (0.2, ())])
+def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread, weak):
     """An exponent of 0.8 +- 0.26 is an optimum, and no ground for a loss at other flows."""
     rng, n = np.random.default_rng(4), 300
     nominal = pl.DataFrame(
@@ -152,12 +152,12 @@ def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread
             "boiling_k": rng.uniform(277.0, 279.0, n),
         }
     )
-    seen = chiller_water_k(*nominal, 60e3, 0.8, 0.0).to_numpy() + 0.1 * rng.standard_normal(n)
-    _, found = calibrate_component(CHILLER, nominal.with_columns(water_out_k=seen))
-    assert found.weak == said
-    assert found.status == ("weakly_identifiable" if said else "converged")
-    assert (found.belief.sd[1] > 0.2) == bool(said)
-    assert abs(found.belief.mean[1] - 0.8) < 4.0 * found.belief.sd[1]
+    water_k = chiller_water_k(*nominal, 60e3, 0.8, 0.0).to_numpy() + 0.1 * rng.standard_normal(n)
+    _, estimate = calibrate_component(CHILLER, nominal.with_columns(water_out_k=water_k))
+    assert estimate.weak == weak
+    assert estimate.status == ("weakly_identifiable" if weak else "converged")
+    assert (estimate.belief.sd[1] > 0.2) == bool(weak)
+    assert abs(estimate.belief.mean[1] - 0.8) < 4.0 * estimate.belief.sd[1]
 
 
 def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
@@ -170,8 +170,8 @@ def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
 def test_one_stray_flight_moves_little_and_a_step_is_followed_from_its_second_flight(flights):
     stray = pl.when(pl.col("flight_id") == "T-00_045").then(pl.col("hx_fouling") - 0.3).otherwise("hx_fouling")
     clean, struck = (tracked(f) for f in (flights, flights.with_columns(stray.alias("hx_fouling"))))
-    moved = (struck["value"] - clean["value"]).abs()
-    assert moved[45:].max() < 2.0 * clean["sd"][45]
+    difference = (struck["value"] - clean["value"]).abs()
+    assert difference[45:].max() < 2.0 * clean["sd"][45]
     late = np.abs(clean["value"].to_numpy() - LOSS)
     assert late[[30, 60, 90]].min() > 0.05  # a flight alone may be an outlier
     assert late[[31, 61, 91]].max() < 0.02

@@ -34,28 +34,28 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
         (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
     )
     assert own.paces[1] == pytest.approx((0.45, 5e-4, 4e-4, 6e-5 / 8**0.5, 6e-5 / 8**0.5))
-    made = replace(VALVE.param("valve_loss"), unit_sd=0.07)
-    assert wear_settings(COMPONENT, made, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)
-    shares = [e.share for e in wear_settings(replace(COMPONENT, new_share=0.9), made, DesignOffset())[1].entries]
+    param = replace(VALVE.param("valve_loss"), unit_sd=0.07)
+    assert wear_settings(COMPONENT, param, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)
+    shares = [e.share for e in wear_settings(replace(COMPONENT, new_share=0.9), param, DesignOffset())[1].entries]
     assert shares == pytest.approx([0.9, 0.04, 0.036, 0.024])
-    deposit = replace(made, bounds=(-0.1, 1.5))  # what may exceed 1 is no share of anything: it is taken as it is
+    deposit = replace(param, bounds=(-0.1, 1.5))  # what may exceed 1 is no share of anything: it is taken as it is
     assert wear_settings(COMPONENT, deposit, DesignOffset())[0] == pytest.approx(0.2 / -np.log(0.62))
-    np.testing.assert_allclose(wear_of(np.array([0.5]), np.array([0.01]), made), [[np.log(2.0)], [0.02]])
+    np.testing.assert_allclose(wear_of(np.array([0.5]), np.array([0.01]), param), [[np.log(2.0)], [0.02]])
 
 
 @pytest.mark.parametrize(("n", "scatter"), [(8, 0.005), (9, (1.4826**2 * 0.03**2 / 2.0 - 0.01**2) ** 0.5)])
 def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
     """From eight steps on, less what a flight is unsure of itself."""
-    seen = np.tile([0.0, 0.03], n)[:n]
-    np.testing.assert_allclose(_scatter(flights(n), seen, np.full(n, 0.01)), scatter)
+    values = np.tile([0.0, 0.03], n)[:n]
+    np.testing.assert_allclose(_scatter(flights(n), values, np.full(n, 0.01)), scatter)
 
 
 def test_a_flight_that_says_nothing_is_predicted():
     status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
     rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
-    found = track_component(rows, COMPONENT, log())
-    assert found["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
-    assert found["value"].max() < 0.1
+    health = track_component(rows, COMPONENT, log())
+    assert health["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
+    assert health["value"].max() < 0.1
 
 
 def test_a_design_has_a_prior_where_the_declaration_says_it_of_each():
@@ -93,9 +93,9 @@ def test_a_reading_is_the_mean_of_samples_without_spikes():
     assert row["status"] == "measured"
     assert row["value"] == pytest.approx(np.mean([298, 299, 300, 301, 302, 307, 308.9]))
     calm = [299.0, 299.0, 300.0, 301.0, 301.0]
-    for away, believed in ((7.3, True), (7.5, False)):
+    for away, is_used in ((7.3, True), (7.5, False)):
         row = read([*calm, *calm, 300.0 + away])
-        sound = [*calm, *calm, *([300.0 + away] if believed else [])]
+        sound = [*calm, *calm, *([300.0 + away] if is_used else [])]
         assert (row["value"], row["sd"]) == pytest.approx((np.mean(sound), np.std(sound, ddof=1)))
 
 

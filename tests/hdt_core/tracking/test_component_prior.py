@@ -25,16 +25,16 @@ def flown(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.
     for k, loss in enumerate(losses):
         rng, t = np.random.default_rng(k), np.arange(0.0, 600.0, 10.0)
         start = datetime(2024, 1, 1, 8, tzinfo=UTC) + timedelta(days=k)
-        told = pl.DataFrame({
+        signals = pl.DataFrame({
             "time_utc": [start + timedelta(seconds=s) for s in t], "altitude_m": 300.0 + 7.0 * t,
             "mach": 0.2 + 0.0006 * t, "tat_k": rng.uniform(292, 300) - 0.01 * t,
             "hot_in_k": 355.0 + 6.0 * np.sin(t / 90),
         }).with_columns(pl.lit(0.0).alias("hot_out_k"))  # fmt: skip
-        met = HXT.record.derive(told)
-        inputs = {s.name: met[s.name].to_numpy() for s in UNMETERED.inputs}
+        derived = HXT.record.derive(signals)
+        inputs = {s.name: derived[s.name].to_numpy() for s in UNMETERED.inputs}
         out = sprayed_hot_out_k(**inputs, **(TRUE | {"hxt_water_spray": spray}), hxt_loss=np.float64(loss))
         noise = {c: sensor_k * rng.standard_normal(t.size) for c in ("hot_in_k", "hot_out_k")}
-        flights.append(told.with_columns(
+        flights.append(signals.with_columns(
             pl.Series("hot_out_k", out + noise["hot_out_k"]), pl.col("hot_in_k") + noise["hot_in_k"],
             flight_id=pl.lit(f"T-1_{start:%Y%m%d}_01"),
         ))  # fmt: skip
@@ -44,7 +44,7 @@ def flown(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.
     return named.unpivot(SIGNALS, index=keys, variable_name="signal")
 
 
-def judged(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
+def run_component(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     legs, design = commission(signals, NO_WORK, component)
     samples = component_samples(signals, component)
     _, health = unit_health(samples, legs, design, NO_WORK, component)
@@ -52,7 +52,7 @@ def judged(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.DataFrame
 
 
 def test_few_flights_leave_the_prior_as_it_is_and_say_so():
-    few = [judged(flown([0.0] * n, spray=0.0), HXT) for n in (1, 9)]
+    few = [run_component(flown([0.0] * n, spray=0.0), HXT) for n in (1, 9)]
     for design, health, _ in few:
         assert design["n_flights"].unique().to_list() == [0]
         assert not design["identifiable"].any()
@@ -63,9 +63,9 @@ def test_few_flights_leave_the_prior_as_it_is_and_say_so():
 
 
 def test_an_effectiveness_above_one_is_no_news_of_the_part():
-    _, health, readings = judged(flown([0.0, 0.0]), HXT)
-    told = dict(readings.filter(flight_id="T-1_20240101_01").select("parameter", "status").rows())
-    assert told["hxt_effectiveness"] == told["hxt_effectiveness_fast"] == "one_or_more"
+    _, health, readings = run_component(flown([0.0, 0.0]), HXT)
+    status = dict(readings.filter(flight_id="T-1_20240101_01").select("parameter", "status").rows())
+    assert status["hxt_effectiveness"] == status["hxt_effectiveness_fast"] == "one_or_more"
     assert health["value"].to_list() == [0.0, 0.0]
     assert health["status"].to_list() == ["prior_only"] * 2
 
@@ -83,10 +83,10 @@ def test_a_unit_that_the_log_calls_new_is_one_however_small_it_was_made():
 
 
 def test_with_the_spray_accepted_design_and_loss_are_found():
-    design, health, _ = judged(flown([0.0] * 60 + [0.3] * 5), SPRAYED)
-    found = dict(design.select("parameter", "value").rows())
-    assert found["hxt_ntu"] == pytest.approx(TRUE["hxt_ntu"], rel=0.03)
-    assert found["hxt_water_spray"] == pytest.approx(TRUE["hxt_water_spray"], abs=0.03)
+    design, health, _ = run_component(flown([0.0] * 60 + [0.3] * 5), SPRAYED)
+    values = dict(design.select("parameter", "value").rows())
+    assert values["hxt_ntu"] == pytest.approx(TRUE["hxt_ntu"], rel=0.03)
+    assert values["hxt_water_spray"] == pytest.approx(TRUE["hxt_water_spray"], abs=0.03)
     assert health["value"][:60].abs().max() < 0.05
     assert health["value"][-1] == pytest.approx(0.3, abs=0.06)
     assert set(health["status"]) == {"ok"}
@@ -97,6 +97,6 @@ def test_a_signal_that_is_not_recorded_is_said():
     legs, _ = commission(signals, NO_WORK, HXT)
     assert legs["reason"].to_list() == ["NOT_RECORDED"]
     readings = component_readings(component_samples(signals, HXT), HXT)
-    told = dict(readings.select("parameter", "status").rows())
-    assert told["hxt_effectiveness_fast"] == "not_recorded"
-    assert told["hxt_effectiveness"] in {"measured", "one_or_more"}
+    status = dict(readings.select("parameter", "status").rows())
+    assert status["hxt_effectiveness_fast"] == "not_recorded"
+    assert status["hxt_effectiveness"] in {"measured", "one_or_more"}

@@ -60,11 +60,11 @@ def test_a_flight_of_three_samples_speaks_from_where_the_last_one_ended():
 
     rows = samples([1.8] * 5, 3)
     short = rows.filter((pl.col("flight_id") != "T-1_001") | (pl.col("time_utc").dt.minute() > 0))
-    found = flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate))
-    assert found["flight_id"].to_list() == ["T-1_000", "T-1_002", "T-1_003", "T-1_004"]
+    result = flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate))
+    assert result["flight_id"].to_list() == ["T-1_000", "T-1_002", "T-1_003", "T-1_004"]
     assert starts == pytest.approx([0.4, 0.1, 0.1, 0.3])  # the middle of the bounds, then where one converged
-    assert found["status"].to_list() == ["converged", "max_steps"] * 2
-    assert found.select("pmp_loss", "pmp_loss_sd", "n_evals").row(3) == pytest.approx((0.4, 0.01, 7))
+    assert result["status"].to_list() == ["converged", "max_steps"] * 2
+    assert result.select("pmp_loss", "pmp_loss_sd", "n_evals").row(3) == pytest.approx((0.4, 0.01, 7))
     starts.clear()
     flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate), warm=False)
     assert starts == pytest.approx([0.4] * 4)
@@ -87,33 +87,33 @@ def test_a_tenth_of_a_life_is_as_built_ten_to_a_hundred_flights(life, flights_ta
     legs = flights(150, reason="").with_columns(
         pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason").alias("reason")
     )
-    found = _as_built(legs, log(), part)
-    assert found.height == flights_taken
-    assert found["flight_id"].to_list()[:5] == ["T-1_000", "T-1_001", "T-1_002", "T-1_004", "T-1_005"]
+    baseline = _as_built(legs, log(), part)
+    assert baseline.height == flights_taken
+    assert baseline["flight_id"].to_list()[:5] == ["T-1_000", "T-1_001", "T-1_002", "T-1_004", "T-1_005"]
     # replaced on the day of flight 24: of the 25 flights of the first unit the last ten are about the work
     first = _as_built(legs, log(("T-1", 1, "PMP", "REPLACED", 24)), part)
     assert first["flight_id"].to_list()[-1] == ("T-1_010" if flights_taken == 10 else "T-1_014")
     assert first.height == (10 if flights_taken == 10 else 14)
 
 
-@pytest.mark.parametrize(("n", "known"), [(9, 0), (10, 1)])
-def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, known):
+@pytest.mark.parametrize(("n", "n_rows"), [(9, 0), (10, 1)])
+def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, n_rows):
     rng = np.random.default_rng(1)
     rows = samples([1.8] * n, 5).with_columns(speed=pl.Series(rng.uniform(0.5, 1.5, 5 * n)))
     rows = rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
-    stray, found = _calibrate_pack(rows, PART)
-    assert (stray.height, len(found)) == (0, known)
-    if known:
-        name, value, sd, unit, count, identifiable, version = found[0]
+    stray, design = _calibrate_pack(rows, PART)
+    assert (stray.height, len(design)) == (0, n_rows)
+    if n_rows:
+        name, value, sd, unit, count, identifiable, version = design[0]
         assert (name, unit, count, identifiable, len(version)) == ("pmp_size", "m", 10, True, 12)
         assert value == pytest.approx(1.9, abs=0.01)
         assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
         odd = rows.with_columns(
             lift=pl.col("lift") * pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
         )
-        stray, found = _calibrate_pack(odd, PART)
-        assert (stray["flight_id"].to_list(), found[0][4]) == (["T-1_004"], 9)
-        assert found[0][1] == pytest.approx(1.9, abs=0.01)
+        stray, design = _calibrate_pack(odd, PART)
+        assert (stray["flight_id"].to_list(), design[0][4]) == (["T-1_004"], 9)
+        assert design[0][1] == pytest.approx(1.9, abs=0.01)
 
 
 def test_the_declared_method_estimates_design_and_health():
@@ -159,13 +159,13 @@ def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_desig
     built = _design_offset(samples([1.7, 1.7]), PUMP, PART)
     assert built == pytest.approx((0.0, np.log(2.1 / 2.0)), abs=1e-6)
     rows = flights(4, pmp_loss=[0.15, 0.15, None, 0.15], pmp_loss_sd=[0.02, None, 0.1, 0.02])
-    said = pl.Series(["converged"] * 3 + ["not_identifiable"])
-    found = health_by_prior(rows.with_columns(status=said), built.sd, PART)
-    moved = (0.15 - (1.0 - 1.7 / 2.1)) ** 2
-    weight = 0.15**2 / (0.15**2 + 0.02**2 + moved)
-    np.testing.assert_allclose(found["value"], [weight * 0.15, 0.0, 0.0, 0.0], atol=1e-8)
-    np.testing.assert_allclose(found["sd"], [0.15 * np.sqrt(1.0 - weight), 0.15, 0.15, 0.15], rtol=1e-6)
-    assert set(found["status"]) == {"prior_only"}
+    status = pl.Series(["converged"] * 3 + ["not_identifiable"])
+    health = health_by_prior(rows.with_columns(status=status), built.sd, PART)
+    shift_var = (0.15 - (1.0 - 1.7 / 2.1)) ** 2
+    weight = 0.15**2 / (0.15**2 + 0.02**2 + shift_var)
+    np.testing.assert_allclose(health["value"], [weight * 0.15, 0.0, 0.0, 0.0], atol=1e-8)
+    np.testing.assert_allclose(health["sd"], [0.15 * np.sqrt(1.0 - weight), 0.15, 0.15, 0.15], rtol=1e-6)
+    assert set(health["status"]) == {"prior_only"}
 
 
 def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flight_calibrate_pack_it():
@@ -183,37 +183,37 @@ def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flig
     )
     rows = samples([1.8]).with_columns(tail=pl.lit("T-7"))
     other = design.with_columns(component=pl.lit("OTHER"), value=pl.lit(9.9))
-    found = list(pack_models(rows, pl.concat([other, design]), PART))
-    np.testing.assert_allclose([model.nominal["pmp_size"] for model, _, _ in found], sizes)
-    assert [on_prior for _, on_prior, _ in found] == [True, False] * 20
-    assert [own.height for *_, own in found] == [0, 4] + [0] * 38
+    models = list(pack_models(rows, pl.concat([other, design]), PART))
+    np.testing.assert_allclose([model.nominal["pmp_size"] for model, _, _ in models], sizes)
+    assert [on_prior for _, on_prior, _ in models] == [True, False] * 20
+    assert [own.height for *_, own in models] == [0, 4] + [0] * 38
 
 
 PACKS = pl.DataFrame({"operator": ["TST"] * 2, "tail": ["A", "B"], "pack": [1, 1]}).cast({"pack": pl.Int32})
-SEEN = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
+IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
 
 
 @pytest.mark.parametrize(
     ("segments", "now", "begin"),
     [
-        ([1, 2, 3], SEEN, [2, 0]), ([1, 2], SEEN, [1, 0]), ([1], SEEN, [0, 0]), ([1, 3], SEEN, [0, 0]),
-        ([2, 3], SEEN, [2, 0]),
+        ([1, 2, 3], IDS, [2, 0]), ([1, 2], IDS, [1, 0]), ([1], IDS, [0, 0]), ([1, 3], IDS, [0, 0]),
+        ([2, 3], IDS, [2, 0]),
         ([1, 2, 3], [["a0", "a1", "a2", "other"], ["b0"]], [1, 0]),
         ([1, 2, 3], [["a0", "x", "y", "z"], ["b0"]], [0, 0]),
     ],
 )  # fmt: skip
 def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, begin):
     state = start(Settings(0.0, 0.01, 0.05))
-    stored = checkpoint_rows(PACKS, SEEN, from_first_flight(2), {(0, c): state for c in [0, *segments]})
+    stored = checkpoint_rows(PACKS, IDS, from_first_flight(2), {(0, c): state for c in [0, *segments]})
     assert stored["chapter"].unique().sort().to_list() == segments
-    found = read_checkpoints(stored, PACKS, now)
-    assert found.begin.tolist() == begin
-    assert list(found.checkpoints) == ([(0, begin[0])] if begin[0] else [])
-    for one in found.checkpoints.values():
+    result = read_checkpoints(stored, PACKS, now)
+    assert result.begin.tolist() == begin
+    assert list(result.checkpoints) == ([(0, begin[0])] if begin[0] else [])
+    for one in result.checkpoints.values():
         for name in ("log_weight", "mean", "cov", "pace", "since", "unlogged", "faulty"):
             np.testing.assert_array_equal(getattr(one, name), getattr(state, name))
-    again = checkpoint_rows(PACKS, now, found, {(0, 2): state._replace(mean=state.mean + 1.0), (1, 0): state})
-    kept = sorted({c for c in segments if now[0][c] == SEEN[0][c]} | {2})
-    assert again["chapter"].unique().sort().to_list() == kept
+    again = checkpoint_rows(PACKS, now, result, {(0, 2): state._replace(mean=state.mean + 1.0), (1, 0): state})
+    expected = sorted({c for c in segments if now[0][c] == IDS[0][c]} | {2})
+    assert again["chapter"].unique().sort().to_list() == expected
     assert again.filter(chapter=2)["seen"].unique().to_list() == [now[0][2]]
     assert again.filter(chapter=2).height == len(state.pack)

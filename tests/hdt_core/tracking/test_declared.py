@@ -37,50 +37,52 @@ def literal_ln_ratio(leg: pl.DataFrame, model, sd: float, batched: float) -> flo
     """
     rows = cruise_samples(leg).drop_nulls(list(hx.SIGNALS))
     signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
-    met = hx.without_bias(signals, model.bias_of(rows))
+    corrected = hx.without_bias(signals, model.bias_of(rows))
     built = HX.model.calibrated(dict(zip(hx.NAMES, model.exchanger, strict=True)))
-    inputs = {s.name: met[s.name] for s in built.inputs}
-    asked = declared_problem(built, [HX.loss], inputs, {"hx_out_k": met["hx_out_k"]})
+    inputs = {s.name: corrected[s.name] for s in built.inputs}
+    problem = declared_problem(built, [HX.loss], inputs, {"hx_out_k": corrected["hx_out_k"]})
     off = np.abs(hx.ln_conductance_ratio(signals, model.design, model.bias_of(rows)) - batched)
     weight = np.ones(rows.height)
     for _ in range(20):
         weight = huber_weights(off, sd * np.sqrt(weight.sum()))
-    found = NonlinearLeastSquares().estimate(side_by_side(asked, weight))
-    assert found.status == "converged"
-    return float(np.log1p(-found.belief.mean[0]))
+    estimate = NonlinearLeastSquares().estimate(side_by_side(problem, weight))
+    assert estimate.status == "converged"
+    return float(np.log1p(-estimate.belief.mean[0]))
 
 
-def side_by_side(asked: Problem, weight: np.ndarray) -> Problem:
+def side_by_side(problem: Problem, weight: np.ndarray) -> Problem:
     """The same question with every sample an output of its own, whose sigma tells how much it counts."""
 
     def observe(states, theta, _sample):
-        return np.moveaxis(asked.observe(states, theta, np.arange(len(weight)))[0], -1, 0)[..., None]
+        return np.moveaxis(problem.observe(states, theta, np.arange(len(weight)))[0], -1, 0)[..., None]
 
-    return replace(asked, measured=asked.measured.T, sigma=asked.sigma / np.sqrt(weight), observe=observe)
+    return replace(problem, measured=problem.measured.T, sigma=problem.sigma / np.sqrt(weight), observe=observe)
 
 
 def both(samples: pl.DataFrame, model) -> pl.DataFrame:
     """Batched and literal answer to each leg."""
-    said = estimate_flights(samples, model).select(*LEG, "ln_ua_ratio", "ln_ua_ratio_sd")
-    batched = {leg: (value, sd) for *leg, value, sd in said.iter_rows() for leg in [tuple(leg)]}
+    estimates = estimate_flights(samples, model).select(*LEG, "ln_ua_ratio", "ln_ua_ratio_sd")
+    batched = {leg: (value, sd) for *leg, value, sd in estimates.iter_rows() for leg in [tuple(leg)]}
     literal = [
         (*leg, literal_ln_ratio(rows, model, batched[leg][1], batched[leg][0]))
         for leg, rows in samples.group_by(LEG, maintain_order=True)
     ]
-    return said.join(pl.DataFrame(literal, schema=[*LEG, "literal"], orient="row").cast({"pack": pl.Int32}), on=LEG)
+    return estimates.join(
+        pl.DataFrame(literal, schema=[*LEG, "literal"], orient="row").cast({"pack": pl.Int32}), on=LEG
+    )
 
 
 def test_where_both_state_the_same_problem_they_say_the_same(legs, model):
     """Of a single sample least squares leaves nothing over, so the closed form is its answer."""
-    seen = both(legs.group_by(LEG, maintain_order=True).head(1), model)
-    assert seen.height == N_LEGS
-    np.testing.assert_allclose(seen["ln_ua_ratio"], seen["literal"], atol=1e-6)
+    rows = both(legs.group_by(LEG, maintain_order=True).head(1), model)
+    assert rows.height == N_LEGS
+    np.testing.assert_allclose(rows["ln_ua_ratio"], rows["literal"], atol=1e-6)
 
 
 def test_the_robust_form_lies_within_a_tenth_of_its_stated_deviation(legs, model):
-    seen = both(legs, model)
-    apart = (seen["ln_ua_ratio"] - seen["literal"]).abs() / seen["ln_ua_ratio_sd"]
-    assert seen.height == N_LEGS
+    rows = both(legs, model)
+    apart = (rows["ln_ua_ratio"] - rows["literal"]).abs() / rows["ln_ua_ratio_sd"]
+    assert rows.height == N_LEGS
     assert apart.max() < 0.1
 
 
@@ -89,22 +91,22 @@ def test_the_compressors_filter_is_the_kalman_filter_of_the_declared_drift(loss)
     """Level and loss seen as their sum; no flight lies so far off that the filter would count it for less."""
     rng = np.random.default_rng(3)
     drift, scatter, level_sd = CC.model.param(loss).drift, 0.006, 0.01
-    seen = 0.004 + np.linspace(0.0, 0.02, 60) + scatter * np.clip(rng.standard_normal(60), -1.5, 1.5)
-    seen[rng.choice(np.arange(1, 60), 8, replace=False)] = np.nan
-    ours, ours_sd = compressor_tracking._filter(seen, np.zeros(60), scatter, level_sd, drift)
+    observed = 0.004 + np.linspace(0.0, 0.02, 60) + scatter * np.clip(rng.standard_normal(60), -1.5, 1.5)
+    observed[rng.choice(np.arange(1, 60), 8, replace=False)] = np.nan
+    ours, ours_sd = compressor_tracking._filter(observed, np.zeros(60), scatter, level_sd, drift)
     start = Belief(np.array([0.0, 0.005]), np.diag([level_sd**2, compressor_tracking.ENTRY_LOSS_SD**2 + drift**2]))
     walk = Problem(
         names=("level", "loss"),
         bounds=np.tile([-np.inf, np.inf], (2, 1)),
         prior=start,
-        measured=seen[:, None],
+        measured=observed[:, None],
         sigma=np.array([scatter]),
         observe=lambda _states, theta, _sample: (theta[0] + theta[1])[None],
         drift=np.array([0.0, drift]),
     )
-    found = ExtendedKalman(smoother_passes=0).estimate(walk)
-    np.testing.assert_allclose(ours, 1.0 - np.exp(-found.path[:, 1]), atol=1e-6)
-    np.testing.assert_allclose(ours_sd, np.exp(-found.path[:, 1]) * found.path_sd[:, 1], atol=1e-6)
+    estimate = ExtendedKalman(smoother_passes=0).estimate(walk)
+    np.testing.assert_allclose(ours, 1.0 - np.exp(-estimate.path[:, 1]), atol=1e-6)
+    np.testing.assert_allclose(ours_sd, np.exp(-estimate.path[:, 1]) * estimate.path_sd[:, 1], atol=1e-6)
 
 
 def test_the_declared_drift_is_what_the_ways_to_wear_come_to():

@@ -13,7 +13,7 @@ from hdt_core.tracking.track import LOSS, _null_invalid, _rows, track
 
 
 @pytest.fixture
-def seen() -> pl.DataFrame:
+def twin_flights() -> pl.DataFrame:
     """Three flights of one pack and one of another."""
     ratio = {"ln_ua_ratio": [0.01, None, -0.1], "ln_ua_ratio_sd": [0.004, None, 0.003],
              "ua_expected_w_k": [2200.0, None, 1800.0], "ln_ua_ratio_map_sd": [0.01, None, 0.02]}  # fmt: skip
@@ -25,56 +25,56 @@ def faults() -> Corrections:
     return Corrections(np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0]), np.array([0, 0, 1, 0]) > 0)
 
 
-def test_each_flight_shows_its_ratio_without_the_sensors_error(seen, faults):
-    panel = build_panel(seen, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)), DSM)
+def test_each_flight_shows_its_ratio_without_the_sensors_error(twin_flights, faults):
+    panel = build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)), DSM)
     assert panel.row.tolist() == [[0, 3], [1, -1], [2, -1]]
     assert panel.n_rows == 4
     assert panel.flights.tolist() == [3, 1]
-    seen = panel.observations
-    np.testing.assert_allclose(seen.ratio, [[0.01, 0.01], [np.nan] * 2, [-0.05, np.nan]])
+    observations = panel.observations
+    np.testing.assert_allclose(observations.ratio, [[0.01, 0.01], [np.nan] * 2, [-0.05, np.nan]])
     # a flight's own noise, that of flights about the pack's health, and the correction's
     own = 0.004**2 + 0.015**2
-    np.testing.assert_allclose(seen.variance, [[own, own], [1.0, 1.0], [0.003**2 + 0.015**2 + 1e-4, 1.0]])
-    np.testing.assert_allclose(seen.exposure, [[1.1, 1.1], [1.0, 1.0], [0.9, 1.0]])
-    assert seen.log_open[:, 0].tolist() == [0, 2, 2]
-    assert seen.log_due[:, 0].tolist() == [0, 0, 2]
-    assert seen.log_kept[:, 0].tolist() == [0, 1, 1]
-    assert seen.log_kept[:, 1].tolist() == [0, 0, 0]
+    np.testing.assert_allclose(observations.variance, [[own, own], [1.0, 1.0], [0.003**2 + 0.015**2 + 1e-4, 1.0]])
+    np.testing.assert_allclose(observations.exposure, [[1.1, 1.1], [1.0, 1.0], [0.9, 1.0]])
+    assert observations.log_open[:, 0].tolist() == [0, 2, 2]
+    assert observations.log_due[:, 0].tolist() == [0, 0, 2]
+    assert observations.log_kept[:, 0].tolist() == [0, 1, 1]
+    assert observations.log_kept[:, 1].tolist() == [0, 0, 0]
     one = panel.observations.of((np.array([2, 0]), np.array([0, 1])))
     np.testing.assert_allclose(one.ratio, [-0.05, 0.01])
 
 
-def test_fingerprints_tell_which_flights_before_a_segment_have_changed(seen, faults):
+def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flights, faults):
     def prints(frame: pl.DataFrame, seal: str = "s", beside: float = 0.0) -> list[list[str]]:
         panel = build_panel(frame, faults, log(), DSM)
         return fingerprints(panel, [np.full(4, beside)], frame["flight_id"].to_list(), seal, 2)
 
-    here = prints(seen)
+    here = prints(twin_flights)
     assert [len(own) for own in here] == [2, 1]
-    assert here == prints(seen)
-    last = seen.with_columns(
+    assert here == prints(twin_flights)
+    last = twin_flights.with_columns(
         pl.when(pl.col("ln_ua_ratio") < 0).then(-0.2).otherwise("ln_ua_ratio").alias("ln_ua_ratio")
     )
     assert prints(last) == here  # the last flight lies behind the last full segment
-    first = seen.with_columns(pl.col("ln_ua_ratio").fill_null(0.3))
-    renamed = seen.with_columns(pl.col("flight_id") + "x")
-    for other in (prints(first), prints(renamed), prints(seen, beside=1.0)):
+    first = twin_flights.with_columns(pl.col("ln_ua_ratio").fill_null(0.3))
+    renamed = twin_flights.with_columns(pl.col("flight_id") + "x")
+    for other in (prints(first), prints(renamed), prints(twin_flights, beside=1.0)):
         assert other[0][0] == here[0][0]
         assert other[0][1] != here[0][1]
-    assert prints(seen, "t")[0][0] != here[0][0]
+    assert prints(twin_flights, "t")[0][0] != here[0][0]
 
 
-def test_the_loss_of_a_flight_and_all_of_its_doubt(seen, faults):
+def test_the_loss_of_a_flight_and_all_of_its_doubt(twin_flights, faults):
     """1 - exp(-0.3) +- exp(-0.3) times the root of filter, map and correction squared."""
     map_sd = np.array([0.01, 0.0, 0.02, 0.01])
-    rows = _rows(seen, LOSS, FILTERED, np.full(4, 0.3), np.full(4, 0.03), map_sd, faults)
+    rows = _rows(twin_flights, LOSS, FILTERED, np.full(4, 0.3), np.full(4, 0.03), map_sd, faults)
     np.testing.assert_allclose(rows["value"], 1.0 - np.exp(-0.3))
     doubt = np.sqrt(0.03**2 + map_sd**2 + faults.variance)
     np.testing.assert_allclose(rows["sd"], np.exp(-0.3) * doubt)
     assert rows["status"].to_list() == ["ok", "predicted", "sensor_corrected", "ok"]
 
 
-def test_the_track_takes_level_and_doubt_from_the_model(seen):
+def test_the_track_takes_level_and_doubt_from_the_model(twin_flights):
     """An unworn pack of many flights at 0.05 above the clean level has an offset, and no wear to speak of."""
     others = ("hx_in_k", "hx_out_k", "ram_out_k", "tat_k", "pack_flow_kg_s", "ram_flow_kg_s", "efficiency")
     cc = {c: pl.lit(None, pl.Float64) for c in (*others, "diameter_m", "expected_diameter_m")}
@@ -89,7 +89,7 @@ def test_the_track_takes_level_and_doubt_from_the_model(seen):
 def test_no_number_is_no_estimate():
     nan, inf = float("nan"), float("inf")
     rows = pl.DataFrame({"value": [0.1, nan, 0.1, 0.1, None, 0.1], "sd": [0.0, 0.1, inf, -0.1, None, None]})
-    found = _null_invalid(rows.with_columns(status=pl.lit("ok")))
-    assert found["status"].to_list() == ["ok", *["no_number"] * 3, "ok", "ok"]
-    assert found["value"].to_list() == [0.1, None, None, None, None, 0.1]
-    assert found["sd"].to_list() == [0.0, None, None, None, None, None]
+    result = _null_invalid(rows.with_columns(status=pl.lit("ok")))
+    assert result["status"].to_list() == ["ok", *["no_number"] * 3, "ok", "ok"]
+    assert result["value"].to_list() == [0.1, None, None, None, None, 0.1]
+    assert result["sd"].to_list() == [0.0, None, None, None, None, None]

@@ -23,8 +23,8 @@ def test_the_papers_coefficients_where_the_outlets_allow():
     assert rows["value"].null_count() == rows["sd"].null_count() == 6
 
 
-@pytest.mark.parametrize(("across_k", "told"), [(5.6, False), (5.7, True)])
-def test_a_difference_counts_from_four_deviations_on(across_k, told):
-    seen = flights(1, hx_in_k=400.0, hx_out_k=300.0 + across_k, tat_k=250.0, ram_out_k=300.0, pack_flow_kg_s=0.8,
+@pytest.mark.parametrize(("across_k", "is_ok"), [(5.6, False), (5.7, True)])
+def test_a_difference_counts_from_four_deviations_on(across_k, is_ok):
+    row = flights(1, hx_in_k=400.0, hx_out_k=300.0 + across_k, tat_k=250.0, ram_out_k=300.0, pack_flow_kg_s=0.8,
                    ram_flow_kg_s=1.6)  # fmt: skip
-    assert (lumped_coefficients(seen)["status"] == "ok").all() == told
+    assert (lumped_coefficients(row)["status"] == "ok").all() == is_ok

@@ -53,10 +53,10 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, np.ndarray]:
     rng = np.random.default_rng(7)
     wear = np.array([worn(rng, ship) for ship in range(SHIPS)])
     unit = np.arange(VOYAGES)[None, :] >= np.where(np.arange(SHIPS) % 2, RENEWED, VOYAGES)[:, None]
-    made = np.take_along_axis(UNIT_SD * rng.standard_normal((SHIPS, 2)), unit.astype(int), axis=1)
+    offset = np.take_along_axis(UNIT_SD * rng.standard_normal((SHIPS, 2)), unit.astype(int), axis=1)
     shape = (SHIPS, VOYAGES, SAMPLES)
     inlet, ratio = rng.normal(290.0, 6.0, shape), rng.uniform(2.5, 4.0, shape)
-    built = 0.75 * np.exp(made + 0.006 * rng.standard_normal(made.shape))
+    built = 0.75 * np.exp(offset + 0.006 * rng.standard_normal(offset.shape))
     outlet = exit_k(inlet_k=inlet, pressure_ratio=ratio, nav_efficiency=built[..., None],
                     nav_loss=1.0 - np.exp(-wear[..., None])) + rng.normal(0.0, 1.0, shape)  # fmt: skip
     ship, voyage, sample = (i.ravel() for i in np.indices(shape))

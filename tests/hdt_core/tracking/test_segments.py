@@ -70,7 +70,9 @@ def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model
 
 def test_only_the_last_segments_are_filtered_again(three, log, model, whole, monkeypatch):
     flown, step = [], segments.step
-    monkeypatch.setattr(segments, "step", lambda b, seen, s: flown.append(len(seen.ratio)) or step(b, seen, s))
+    monkeypatch.setattr(
+        segments, "step", lambda b, observation, s: flown.append(len(observation.ratio)) or step(b, observation, s)
+    )
     assert same(track(three, log, model, whole), whole)
     assert sum(flown) == (430 - 350) + (330 - 250) + (150 - 50)
 
@@ -90,7 +92,7 @@ def test_nothing_is_gone_on_from_that_is_not_as_it_was(three, log, model, whole)
     """Another code, rows lost, checkpoints lost: the filter begins where it must."""
     other = track(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
     assert other.health.equals(whole.health)
-    lost = whole._replace(health=whole.health.filter(pl.col("flight_id") != whole.health["flight_id"][40]))
-    assert same(track(three, log, model, lost), whole)
+    incomplete = whole._replace(health=whole.health.filter(pl.col("flight_id") != whole.health["flight_id"][40]))
+    assert same(track(three, log, model, incomplete), whole)
     torn = whole._replace(checkpoints=whole.checkpoints.filter(pl.col("chapter") != 2))
     assert track(three, log, model, torn).health.equals(whole.health)

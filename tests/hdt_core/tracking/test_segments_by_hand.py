@@ -29,28 +29,28 @@ def flown() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
-    first, second, found = flown
-    assert found.shape == (4, 168)
-    assert np.isfinite(found).all()
-    for changed, known in ((99, 50), (100, 100)):  # flight 99 is known from 0 on, flight 100 from 50 on
+    first, second, tracks = flown
+    assert tracks.shape == (4, 168)
+    assert np.isfinite(tracks).all()
+    for changed, from_flight in ((99, 50), (100, 100)):  # flight 99 is known from 0 on, flight 100 from 50 on
         other = first.copy()
         other[changed] += 0.05
-        moved = filter_segments(panel(other, second), SETTINGS, NONE, {}).tracks
-        assert np.flatnonzero(np.any(moved[:2] != found[:2], axis=0)).tolist() == list(range(changed, 112))
-        smoothed = np.flatnonzero(np.any(moved[2:] != found[2:], axis=0))
-        assert smoothed.min() == (0 if known == 50 else 50)
+        changed_tracks = filter_segments(panel(other, second), SETTINGS, NONE, {}).tracks
+        assert np.flatnonzero(np.any(changed_tracks[:2] != tracks[:2], axis=0)).tolist() == list(range(changed, 112))
+        smoothed = np.flatnonzero(np.any(changed_tracks[2:] != tracks[2:], axis=0))
+        assert smoothed.min() == (0 if from_flight == 50 else 50)
         assert smoothed.max() == 111
-    np.testing.assert_allclose(found[2:, [111, 167]], found[:2, [111, 167]])  # nothing follows the last
+    np.testing.assert_allclose(tracks[2:, [111, 167]], tracks[:2, [111, 167]])  # nothing follows the last
 
 
 def test_a_night_goes_on_from_a_checkpoint(flown):
-    first, second, found = flown
+    first, second, tracks = flown
     whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
     assert sorted(whole.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
     begin = np.array([1, 0])
     later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).tracks
     assert np.isnan(later[:, :50]).all()
-    np.testing.assert_allclose(later[:, 50:], found[:, 50:], rtol=1e-12)
+    np.testing.assert_allclose(later[:, 50:], tracks[:, 50:], rtol=1e-12)
 
 
 def test_branches_of_one_parent_are_merged_by_their_moments():

@@ -23,12 +23,12 @@ def flights(column: str, apart: list[float], ratio: list[float], pack: int = 1) 
     )  # fmt: skip
 
 
-def shift(column: str, departures: list[float], moved: list[float], before: list[float] = QUIET) -> list[float]:
+def shift(column: str, departures: list[float], ratios: list[float], before: list[float] = QUIET) -> list[float]:
     """What is taken out of the flights after the quiet ones, whose ratio stood at 0."""
     n = len(before)
-    found = corrections(flights(column, [*before, *departures], [0.0] * n + moved))
-    assert not found.shift[:n].any()
-    return found.shift[n:].tolist()
+    result = corrections(flights(column, [*before, *departures], [0.0] * n + ratios))
+    assert not result.shift[:n].any()
+    return result.shift[n:].tolist()
 
 
 @pytest.mark.parametrize(("column", "least", "size"), [("exit_apart_k", 1.2, -0.05), ("flows_apart_ln", 0.03, 0.8)])
@@ -41,10 +41,10 @@ def test_a_departure_counts_from_its_second_flight_and_beyond_its_least(column, 
 
 def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doubt():
     """An exit that reads 4 K too warm makes the ratio 0.2 too small: the ratio is raised by that again."""
-    found = corrections(flights("exit_apart_k", [*QUIET, 4.0, 4.0], [0.0] * 10 + [-0.2] * 2))
-    np.testing.assert_allclose(found.shift[10:], [0.0, -0.2])
-    np.testing.assert_allclose(found.variance[10:], [0.0, (0.15 * 0.2) ** 2])
-    assert found.fault.tolist() == [False] * 11 + [True]
+    result = corrections(flights("exit_apart_k", [*QUIET, 4.0, 4.0], [0.0] * 10 + [-0.2] * 2))
+    np.testing.assert_allclose(result.shift[10:], [0.0, -0.2])
+    np.testing.assert_allclose(result.variance[10:], [0.0, (0.15 * 0.2) ** 2])
+    assert result.fault.tolist() == [False] * 11 + [True]
 
 
 @pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.0, False), (-1, False)])
@@ -58,8 +58,8 @@ def test_the_level_is_the_mean_of_eight_departures_and_moves_on_by_an_eighth():
     levels = [np.mean(departures[: k + 1]) for k in range(8)]
     levels.append(levels[-1] + (departures[8] - levels[-1]) / 8)
     levels.append(levels[-1] + (departures[9] - levels[-1]) / 8)
-    found = shift("exit_apart_k", departures, [-0.2] * 10)
-    np.testing.assert_allclose(found, [0.0, *(-0.05 * np.array(levels[1:]))])
+    shifts = shift("exit_apart_k", departures, [-0.2] * 10)
+    np.testing.assert_allclose(shifts, [0.0, *(-0.05 * np.array(levels[1:]))])
 
 
 def test_a_departure_to_the_other_side_begins_anew():
@@ -89,20 +89,20 @@ def test_what_is_usual_follows_in_forty_flights():
 def test_the_ratio_before_is_remembered_for_six_flights():
     """One flight at 0.06 raises what is held to 0.01: a fall of 0.08 from there, not less, is 0.4 of what 4 K do."""
     for fall, blamed in ((0.0795, False), (0.0805, True)):
-        found = corrections(flights("exit_apart_k", [*QUIET, 0.0, 4.0, 4.0], [*QUIET, 0.06, *[0.01 - fall] * 2]))
-        assert found.fault.any() == blamed
+        result = corrections(flights("exit_apart_k", [*QUIET, 0.0, 4.0, 4.0], [*QUIET, 0.06, *[0.01 - fall] * 2]))
+        assert result.fault.any() == blamed
 
 
 def test_a_fault_is_over_on_the_second_flight_that_is_usual_again():
-    found = shift("exit_apart_k", [4.0, 4.0, 0.0, 5.0, 0.0, 0.0, 4.0], [-0.2, -0.2, 0.0, -0.2, 0.0, 0.0, -0.2])
-    np.testing.assert_allclose(found, [0.0, -0.2, 0.0, -0.05 * 13.0 / 3.0, 0.0, 0.0, 0.0])
+    shifts = shift("exit_apart_k", [4.0, 4.0, 0.0, 5.0, 0.0, 0.0, 4.0], [-0.2, -0.2, 0.0, -0.2, 0.0, 0.0, -0.2])
+    np.testing.assert_allclose(shifts, [0.0, -0.2, 0.0, -0.05 * 13.0 / 3.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(("fall", "blamed"), [(0.0795, False), (0.0805, True)])
 def test_the_first_usual_flight_after_a_fault_moves_no_level(fall, blamed):
     """Its ratio of 0.06 would raise the level to 0.01; the second's does count."""
-    found = shift("exit_apart_k", [4.0, 4.0, 0.0, 0.0, 4.0, 4.0], [-0.2, -0.2, 0.06, 0.0, -fall, -fall])
-    assert (found[-1] != 0.0) == blamed
+    shifts = shift("exit_apart_k", [4.0, 4.0, 0.0, 0.0, 4.0, 4.0], [-0.2, -0.2, 0.06, 0.0, -fall, -fall])
+    assert (shifts[-1] != 0.0) == blamed
 
 
 def test_what_a_fault_leaves_is_held_on_to():
@@ -110,8 +110,8 @@ def test_what_a_fault_leaves_is_held_on_to():
     apart = [*QUIET, *[4.0] * 30, 0.0, 0.0, 4.0, 4.0]
     fouled = -0.3
     ratio = [0.0] * 10 + [-0.2] * 2 + [fouled - 0.2] * 28 + [fouled] * 2 + [fouled - 0.2] * 2
-    found = corrections(flights("exit_apart_k", apart, ratio))
-    assert found.fault[[-4, -3, -2, -1]].tolist() == [False, False, False, True]
+    result = corrections(flights("exit_apart_k", apart, ratio))
+    assert result.fault[[-4, -3, -2, -1]].tolist() == [False, False, False, True]
 
 
 def both_packs(own: float, other: float, n: int = 12) -> Corrections:
@@ -128,10 +128,10 @@ def both_packs(own: float, other: float, n: int = 12) -> Corrections:
     [(-1.17, [0, 0]), (-1.23, [1, 0]), (-1.6, [1, 1]), (-5.9, [1, 1]), (-6.1, [0, 1]), (3.0, [0, 0])],
 )
 def test_tat_is_at_fault_where_both_packs_see_it_leave_alike(other, blamed):
-    found = both_packs(-3.0, other)
-    assert [found.fault[:22].any(), found.fault[22:].any()] == blamed
+    result = both_packs(-3.0, other)
+    assert [result.fault[:22].any(), result.fault[22:].any()] == blamed
     if blamed[0]:
-        np.testing.assert_allclose(found.shift[11:22], 0.026 * -3.0)
+        np.testing.assert_allclose(result.shift[11:22], 0.026 * -3.0)
     for edge, own_blamed, other_blamed in ((-2.0, 0, 0), (-10.0, 0, 1)):  # 0.4 and 2 of 5 K
         at_edge = both_packs(-5.0, edge).fault
         assert [at_edge[:22].any(), at_edge[22:].any()] == [own_blamed, other_blamed]
@@ -179,8 +179,8 @@ def test_a_vouched_witness_keeps_its_level_for_two_hundred_flights(beyond, blame
 
 def test_a_door_vouches_for_itself_after_ten_flights():
     """Cruise moves by one, climb and descent by twice as much: their difference is the correction itself."""
-    found = shift("door_apart_ln", [0.1] * 12, [0.0] * 12)
-    np.testing.assert_allclose(found, [0.0] * 9 + [0.1] * 3)
+    shifts = shift("door_apart_ln", [0.1] * 12, [0.0] * 12)
+    np.testing.assert_allclose(shifts, [0.0] * 9 + [0.1] * 3)
     assert shift("door_apart_ln", [0.04] * 12, [0.0] * 12) == [0.0] * 12
     np.testing.assert_allclose(shift("door_apart_ln", [-0.041] * 10, [0.0] * 10), [0.0] * 9 + [-0.041])
 
@@ -188,11 +188,11 @@ def test_a_door_vouches_for_itself_after_ten_flights():
 def test_sensors_are_taken_out_one_after_the_other():
     """The flow's witness judges what the exit's correction leaves."""
     n = 4
-    seen = flights("exit_apart_k", [*QUIET, *[4.0] * n], [0.0] * 10 + [-0.2, -0.2, -0.12, -0.12])
+    rows = flights("exit_apart_k", [*QUIET, *[4.0] * n], [0.0] * 10 + [-0.2, -0.2, -0.12, -0.12])
     flow = pl.Series([0.0] * 12 + [0.1] * 2)
-    found = corrections(seen.with_columns(flows_apart_ln=flow, ratio_per_ln_flow=0.8))
-    np.testing.assert_allclose(found.shift[10:], [0.0, -0.2, -0.2, -0.2 + 0.08])
-    np.testing.assert_allclose(found.variance[-1], 0.15**2 * (0.2**2 + 0.08**2))
+    result = corrections(rows.with_columns(flows_apart_ln=flow, ratio_per_ln_flow=0.8))
+    np.testing.assert_allclose(result.shift[10:], [0.0, -0.2, -0.2, -0.2 + 0.08])
+    np.testing.assert_allclose(result.variance[-1], 0.15**2 * (0.2**2 + 0.08**2))
 
 
 def test_wear_and_missing_values_are_nobodys_fault():

@@ -87,37 +87,37 @@ def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
 
 def test_a_new_unit_is_known_better_than_a_first_one(model):
     loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
-    seen = seen_flights(model, loss, offset=0.05)
-    log = NO_LOG.clear().vstack(entry(seen, 80, "HX", "REPLACED"))
-    rows = fouling(seen, log, model)
+    twin = seen_flights(model, loss, offset=0.05)
+    log = NO_LOG.clear().vstack(entry(twin, 80, "HX", "REPLACED"))
+    rows = fouling(twin, log, model)
     assert rows["sd"][5] > 2.0 * rows["sd"][100]
     np.testing.assert_allclose(rows["value"].to_numpy()[90:], loss[90:], atol=0.02)
 
 
 def test_an_entry_days_late_ends_where_a_punctual_one_ends(model):
     loss = np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)]
-    seen = seen_flights(model, loss)
-    punctual, late = (fouling(seen, entry(seen, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
+    twin = seen_flights(model, loss)
+    punctual, late = (fouling(twin, entry(twin, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
     np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
 
 
 def test_a_new_core_is_believed_where_no_log_is_kept(model):
     worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
-    silent, kept = [], []
+    silent, logged = [], []
     for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
-        seen = seen_flights(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
-        elsewhere = entry(seen, 20, "SENSOR", "INSPECTED")
-        for log, off in ((NO_LOG, silent), (elsewhere, kept)):
-            off.append(np.abs(fouling(seen, log, model)["value"].to_numpy()[120:] - new[20:]).mean())
+        twin = seen_flights(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
+        elsewhere = entry(twin, 20, "SENSOR", "INSPECTED")
+        for log, off in ((NO_LOG, silent), (elsewhere, logged)):
+            off.append(np.abs(fouling(twin, log, model)["value"].to_numpy()[120:] - new[20:]).mean())
     assert np.mean(silent) < 0.025
     # a log that speaks of other work and not of this makes a wash or a fault the likelier story
-    assert np.mean(kept) > np.mean(silent)
+    assert np.mean(logged) > np.mean(silent)
 
 
 def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
     loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
-    seen = seen_flights(model, loss, offset=-0.04)
-    rows = fouling(seen, entry(seen, 90, "HX", "CLEANED"), model)
+    twin = seen_flights(model, loss, offset=-0.04)
+    rows = fouling(twin, entry(twin, 90, "HX", "CLEANED"), model)
     off = rows["value"].to_numpy() - loss
     # what was not known of the unit before the wash is not known after it either, and no more than that
     np.testing.assert_allclose(off[100:], off[80:90].mean(), atol=0.03)
@@ -126,10 +126,10 @@ def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
 
 def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
     loss = np.linspace(0.0, 0.08, 120)
-    seen = seen_flights(model, loss)
+    twin = seen_flights(model, loss)
     shifted = pl.int_range(pl.len()).is_between(50, 70)
-    faulty = seen.with_columns(ln_ua_ratio=pl.col("ln_ua_ratio") - 0.35 * shifted.cast(pl.Float64))
-    sound, during = (fouling(frame, NO_LOG, model) for frame in (seen, faulty))
+    faulty = twin.with_columns(ln_ua_ratio=pl.col("ln_ua_ratio") - 0.35 * shifted.cast(pl.Float64))
+    sound, during = (fouling(frame, NO_LOG, model) for frame in (twin, faulty))
     np.testing.assert_allclose(during["value"].to_numpy()[80:], sound["value"].to_numpy()[80:], atol=0.02)
     # while it lasts nobody can tell it from a clog, and the estimate says so
     assert (during["sd"].to_numpy()[53:70] > 2.0 * sound["sd"].to_numpy()[53:70]).all()
@@ -166,11 +166,11 @@ def test_looking_back_knows_more(model):
 
 
 def test_one_stray_flight_moves_little(model):
-    seen = seen_flights(model, np.full(80, 0.1))
-    stray = seen.with_columns(
+    twin = seen_flights(model, np.full(80, 0.1))
+    stray = twin.with_columns(
         ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
     )
-    a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (seen, stray))
+    a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (twin, stray))
     assert abs(a[60] - b[60]) < 0.01
 
 
@@ -182,8 +182,8 @@ def test_a_short_record_has_wide_estimates(model, n_flights):
 
 
 def test_a_pack_never_seen_is_predicted_from_the_prior(model):
-    seen = seen_flights(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
-    rows = fouling(seen.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
+    twin = seen_flights(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
+    rows = fouling(twin.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
     assert rows["status"].unique().to_list() == ["predicted"]
     assert rows["value"].is_finite().all()
     assert (rows["sd"] > 0.04).all()
@@ -195,9 +195,9 @@ def test_every_flight_has_every_parameter_once(flights, model):
     assert rows.height == flights.height * rows["parameter"].n_unique()
     hidden = rows.filter(pl.col("status") == "not_identifiable")
     assert hidden["value"].null_count() == hidden.height == hidden["sd"].null_count()
-    told = rows.filter(pl.col("value").is_not_null())
-    assert told["sd"].is_not_null().all()
-    assert (told["sd"] >= 0.0).all()
+    valued = rows.filter(pl.col("value").is_not_null())
+    assert valued["sd"].is_not_null().all()
+    assert (valued["sd"] >= 0.0).all()
 
 
 def test_no_flights_no_rows(flights, model):

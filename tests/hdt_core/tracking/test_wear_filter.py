@@ -73,9 +73,9 @@ def aged(h: One, row: int) -> One:
     )  # fmt: skip
 
 
-def logged(h: One, due: int, kept: bool) -> list[One]:
+def logged(h: One, due: int, log_kept: bool) -> list[One]:
     """What an entry, or its absence on the ninth flight, does: 1 washed, 2 replaced."""
-    recent, missing = h.since <= 8, h.unlogged and h.since == 9 and kept
+    recent, missing = h.since <= 8, h.unlogged and h.since == 9 and log_kept
     h = h._replace(lw=h.lw + (np.log(0.03) if missing else 0.0), unlogged=h.unlogged and not due and not missing)
     if not due or recent:
         return [h]
@@ -84,26 +84,26 @@ def logged(h: One, due: int, kept: bool) -> list[One]:
 
 def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
     off, sd = ratio - SETTINGS.level - ROW @ h.m, np.sqrt(ROW @ h.p @ ROW + variance)
-    surprised, asked = abs(off) > 2.0 * sd, opened if h.since > 8 else 0
-    children = [h._replace(lw=h.lw + (np.log(0.5) if asked else 0.0))]
-    if asked:
-        children += renewed(h, 0.5 / 60, h.unlogged) if asked == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
-    if surprised and off > 0 and not asked:
+    surprised, open_kind = abs(off) > 2.0 * sd, opened if h.since > 8 else 0
+    children = [h._replace(lw=h.lw + (np.log(0.5) if open_kind else 0.0))]
+    if open_kind:
+        children += renewed(h, 0.5 / 60, h.unlogged) if open_kind == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
+    if surprised and off > 0 and not open_kind:
         children += [*renewed(h, 1 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
     if surprised and off < 0:
         children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.13, 0.08)]
     if surprised and h.faulty:
-        gone = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
-        p = gone @ h.p @ gone + np.diag([0, 0, 0, 0, 0.005**2])
-        event = h.event * gone.diagonal()
-        children.append(h._replace(lw=h.lw + np.log(1 / 30), m=gone @ h.m, p=p, faulty=False, event=event))
+        mask = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
+        p = mask @ h.p @ mask + np.diag([0, 0, 0, 0, 0.005**2])
+        event = h.event * mask.diagonal()
+        children.append(h._replace(lw=h.lw + np.log(1 / 30), m=mask @ h.m, p=p, faulty=False, event=event))
     elif surprised:
         p = h.p + np.diag([0, 0, 0, 0, 0.2**2])
         children.append(h._replace(lw=h.lw + np.log(1 / 2000), p=p, faulty=True))
     return children
 
 
-def met(h: One, ratio: float, variance: float) -> One:
+def update_one(h: One, ratio: float, variance: float) -> One:
     """Bayes' rule for a flight of which one in a hundred is an outlier of sd 0.3, the two cases merged by moments."""
     total = ROW @ h.p @ ROW + variance
     off = ratio - SETTINGS.level - ROW @ h.m
@@ -114,15 +114,15 @@ def met(h: One, ratio: float, variance: float) -> One:
     return h._replace(lw=h.lw + np.log(sound + stray), m=h.m + use * gain * off, p=p, before=h)
 
 
-def one_flight(known: list[One], ratio, variance, exposure, opened, due, kept) -> list[One]:
-    wear = max(sum(np.exp(h.lw) * h.m[0] for h in known), 0.0)
+def one_flight(states: list[One], ratio, variance, exposure, opened, due, log_kept) -> list[One]:
+    wear = max(sum(np.exp(h.lw) * h.m[0] for h in states), 0.0)
     at_reference = ratio + np.log(1.0 + (np.exp(wear) - 1.0) * exposure) - wear
-    came = [b for row, h in enumerate(known) for b in logged(aged(h, row), due, kept)]
+    aged_states = [b for row, h in enumerate(states) for b in logged(aged(h, row), due, log_kept)]
     if np.isnan(ratio):
-        after = [h._replace(before=h) for h in came]
+        after = [h._replace(before=h) for h in aged_states]
     else:
-        split = [b for h in came for b in branched(h, at_reference, variance, opened)]
-        after = [met(h, at_reference, variance) for h in split]
+        split = [b for h in aged_states for b in branched(h, at_reference, variance, opened)]
+        after = [update_one(h, at_reference, variance) for h in split]
     total = np.log(sum(np.exp(h.lw) for h in after))
     return [h._replace(lw=h.lw - total) for h in after]
 
@@ -173,24 +173,24 @@ def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypothe
             patched.setattr(hy, name, value)
         for ratio, exposure, *log in CASES[request.param]:
             enumerated.append(one_flight(enumerated[-1], ratio, 5e-4, exposure, *log))
-            seen = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log)))
-            after, branching = mmf.step(filtered[-1], seen, SETTINGS)
+            observation = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log)))
+            after, branching = mmf.step(filtered[-1], observation, SETTINGS)
             filtered.append(after)
             branchings.append(branching)
     return enumerated, filtered, branchings
 
 
 def test_every_hypothesis_is_enumerated(flown):
-    for states, found in zip(*flown[:2], strict=True):
-        ours = sorted(zip(np.exp(found.log_weight), found.mean[:, 0], found.mean.sum(1), found.cov.sum((1, 2)),
-                          found.pace, found.since, found.unlogged, found.faulty, strict=True))  # fmt: skip
+    for states, batch in zip(*flown[:2], strict=True):
+        ours = sorted(zip(np.exp(batch.log_weight), batch.mean[:, 0], batch.mean.sum(1), batch.cov.sum((1, 2)),
+                          batch.pace, batch.since, batch.unlogged, batch.faulty, strict=True))  # fmt: skip
         by_hand = sorted((np.exp(h.lw), h.m[0], h.m.sum(), h.p.sum(), h.pace, h.since, h.unlogged, h.faulty)
                          for h in states)  # fmt: skip
         assert len(ours) == len(by_hand)
         np.testing.assert_allclose(np.array(ours, float), np.array(by_hand, float), rtol=1e-6, atol=1e-12)
-        mean, sd = mmf.wear_summary(found, 1)
-        told = above_zero(*zip(*((np.exp(h.lw), h.m[0], np.sqrt(h.p[0, 0])) for h in states), strict=True))
-        np.testing.assert_allclose((mean[0], sd[0]), told, rtol=1e-6)
+        mean, sd = mmf.wear_summary(batch, 1)
+        expected = above_zero(*zip(*((np.exp(h.lw), h.m[0], np.sqrt(h.p[0, 0])) for h in states), strict=True))
+        np.testing.assert_allclose((mean[0], sd[0]), expected, rtol=1e-6)
 
 
 def test_the_smoother_is_rauch_tung_striebel_along_every_path(flown):
@@ -276,8 +276,8 @@ def test_light_hypotheses_are_dropped_and_forty_are_kept():
 
 
 def test_weights_add_up_to_one_in_each_pack():
-    found = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
-    np.testing.assert_allclose(found, [0.25, 0.75, 1.0])
+    weights = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
+    np.testing.assert_allclose(weights, [0.25, 0.75, 1.0])
 
 
 def test_packs_are_told_apart():

@@ -26,32 +26,32 @@ def test_three_writers_at_once_lose_nothing(tmp_path):
         w.start()
     for w in writers:
         w.join(60)
-    told = CaseLog(tmp_path, "").entries()
-    assert told["line"].to_list() == list(range(1, 61))
-    assert told["at"].is_sorted()
+    entries = CaseLog(tmp_path, "").entries()
+    assert entries["line"].to_list() == list(range(1, 61))
+    assert entries["at"].is_sorted()
     for person in people:
-        assert told.filter(person=person)["note"].to_list() == [f"{k} %s ? '" for k in range(20)]
+        assert entries.filter(person=person)["note"].to_list() == [f"{k} %s ? '" for k in range(20)]
 
 
 def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
     log = CaseLog(tmp_path, "")
-    seen = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
+    line = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
     log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", expected_line=0)
-    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, expected_line=seen)
+    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, expected_line=line)
     with pytest.raises(ConflictError, match="Bo changed this case in the meantime"):
-        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, expected_line=seen)
+        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, expected_line=line)
     assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
 
 
-@pytest.mark.parametrize("seen", [2, 10**17, -1])
-def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, seen):
+@pytest.mark.parametrize("line", [2, 10**17, -1])
+def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, line):
     log = CaseLog(tmp_path, "")
-    with pytest.raises(ConflictError, match=f"line {seen} of the log is none about this case"):
-        log.append(ALERT, "acknowledge", "Ada", expected_line=seen)
+    with pytest.raises(ConflictError, match=f"line {line} of the log is none about this case"):
+        log.append(ALERT, "acknowledge", "Ada", expected_line=line)
     assert log.last_line() == 0
     log.append(ALERT, "acknowledge", "Ada", expected_line=0)
     with pytest.raises(ConflictError):
-        log.append(ALERT, "acknowledge", "Bo", expected_line=seen)
+        log.append(ALERT, "acknowledge", "Bo", expected_line=line)
     assert log.last_line() == 1
 
 
@@ -108,10 +108,10 @@ def test_a_database_keeps_it_for_several_machines():
 
 
 def _of_two_machines(one: CaseLog, two: CaseLog) -> None:
-    seen = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
+    line = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
     with pytest.raises(ConflictError):
         two.append(ALERT, "acknowledge", "Bo", expected_line=0)
-    two.append(ALERT, "acknowledge", "Bo", expected_line=seen)
-    told = two.entries()
-    assert told.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
-    assert told.schema["done_on"] == pl.Date
+    two.append(ALERT, "acknowledge", "Bo", expected_line=line)
+    entries = two.entries()
+    assert entries.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
+    assert entries.schema["done_on"] == pl.Date

@@ -16,18 +16,18 @@ SOON = (dt.datetime.now(dt.UTC) + dt.timedelta(days=5)).date().isoformat()
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def template_home(tmp_path_factory) -> Path:
     return case_home(tmp_path_factory.mktemp("cases") / "home")
 
 
 @pytest.fixture
-def home(made: Path, tmp_path: Path) -> Path:
+def home(template_home: Path, tmp_path: Path) -> Path:
     """Two open alerts of one pack and a closed one."""
-    return Path(shutil.copytree(made, tmp_path / "home"))
+    return Path(shutil.copytree(template_home, tmp_path / "home"))
 
 
-def change(home: Path, alert_id: str, *what: object, **asked: object) -> str:
-    return change_case(home, find_case(home, alert_id), *what, **asked)
+def change(home: Path, alert_id: str, *what: object, **fields: object) -> str:
+    return change_case(home, find_case(home, alert_id), *what, **fields)
 
 
 def state(home: Path, alert_id: str = "wear") -> str:
@@ -44,8 +44,8 @@ def test_a_change_is_seen_at_once(home):
     change(home, "wear", "watch", "Cy")
     change(home, "wear", "watch", "Di")
     change(home, "wear", "unwatch", "Di")
-    found = find_case(home, "wear")
-    assert [found[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
+    case = find_case(home, "wear")
+    assert [case[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
     assert [h["kind"] for h in history_of(home, "wear")] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
 
 
@@ -59,19 +59,19 @@ def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
 
 
 @pytest.mark.parametrize(
-    ("finding", "action", "state_is", "says"),
+    ("finding", "action", "state_is", "message"),
     [
         ("clean", None, "answered", "raised as a sensor case"),
         ("fouled", "inspected", "confirmed", "stays open"),
         ("fouled", "cleaned", "answered", "restarts the part's estimate"),
     ],
 )
-def test_a_finding_answers_the_case(home, finding, action, state_is, says):
+def test_a_finding_answers_the_case(home, finding, action, state_is, message):
     day = START.date() + dt.timedelta(days=40)
-    said = change(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
-    assert says in said
-    found = find_case(home, "wear")
-    assert (found["state"], found["found_by"], found["found_on"]) == (state_is, "Ada", day)
+    reply = change(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
+    assert message in reply
+    case = find_case(home, "wear")
+    assert (case["state"], case["found_by"], case["found_on"]) == (state_is, "Ada", day)
     change(home, "wear", "reopen", "Bo", note="wrong pack")
     assert state(home) == "new"
 
@@ -94,7 +94,7 @@ def test_each_component_has_findings_of_its_own(home, component, finding, code, 
 
 
 @pytest.mark.parametrize(
-    ("kind", "asked", "says"),
+    ("kind", "fields", "message"),
     [
         ("close", {"finding": "rusty"}, "finding is clean, fouled"),
         ("close", {"finding": "jammed"}, "finding is clean, fouled"),
@@ -114,9 +114,9 @@ def test_each_component_has_findings_of_its_own(home, component, finding, code, 
         ("reopen", {"note": "x"}, "nothing to take back"),
     ],
 )
-def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, asked, says):
-    with pytest.raises(RefusedError, match=says):
-        change(home, "wear", kind, "Ada", **asked)
+def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, fields, message):
+    with pytest.raises(RefusedError, match=message):
+        change(home, "wear", kind, "Ada", **fields)
     assert history_of(home, "wear") == []
 
 
@@ -129,8 +129,8 @@ def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(hom
 
 
 def test_two_people_change_one_case(home):
-    seen = find_case(home, "wear")["last_line"]
-    change(home, "wear", "assign", "Ada", seen, assignee="Ada")
+    line = find_case(home, "wear")["last_line"]
+    change(home, "wear", "assign", "Ada", line, assignee="Ada")
     with pytest.raises(ConflictError, match="Ada changed this case"):
-        change(home, "wear", "assign", "Bo", seen, assignee="Bo")
+        change(home, "wear", "assign", "Bo", line, assignee="Bo")
     assert find_case(home, "wear")["owner"] == "Ada"

@@ -20,12 +20,12 @@ def test_found_clean_it_closes_with_the_next_night_and_comes_back_as_the_sensors
     remade = Ledger(home).cells("twin_health").join(health, on=health.columns, how="anti")
     assert remade["tail"].to_list() == ["A9-BAC"], "and no other aircraft is made again"
     with connect(home) as con:
-        told = con.execute(
+        outcomes = con.execute(
             """select closed_on::varchar, closed_reason, outcome from alerts join alert_outcomes using (alert_id)
             where alert_id = $id""", {"id": case["alert_id"]},
         ).fetchall()  # fmt: skip
         after = con.execute("select diagnosis, closed_at from alerts where follows = $id", {"id": case["alert_id"]})
-        assert told == [("2024-06-20", "found_clean", "no_fault_found")]
+        assert outcomes == [("2024-06-20", "found_clean", "no_fault_found")]
         assert after.fetchall() == [("SENSOR_FAULT", None)], "the loss grew from 16 to 21 % after it"
         status = con.execute(
             """select distinct status from prognoses where tail = 'A9-BAC' and pack = 2 and component = 'HX'

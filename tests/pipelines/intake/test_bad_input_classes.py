@@ -200,17 +200,17 @@ CASES = [
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
 def test_class(case, good_flight, deliver, read):
     intake = read(deliver({case.path: case.spoil(good_flight)}))
-    found = intake.quarantine
+    faults = intake.quarantine
     assert intake.rows.height == case.n_stored
-    assert set(found["reason"]) == ({case.reason} if case.reason else set())
+    assert set(faults["reason"]) == ({case.reason} if case.reason else set())
     if case.reason:
-        assert found.height == case.n_entries
-        assert set(found["file"]) == {case.path}
-        assert set(found["scope"]) == {REASONS[case.reason].scope}
+        assert faults.height == case.n_entries
+        assert set(faults["file"]) == {case.path}
+        assert set(faults["scope"]) == {REASONS[case.reason].scope}
         if case.column:
-            assert case.column in (found["column_name"][0] or "")
-    if found.height and REASONS[case.reason].scope in ("row", "value"):
-        assert found["row"].null_count() == 0
+            assert case.column in (faults["column_name"][0] or "")
+    if faults.height and REASONS[case.reason].scope in ("row", "value"):
+        assert faults["row"].null_count() == 0
 
 
 def test_a_bad_value_costs_that_value_alone(good_flight, deliver, read):
@@ -282,10 +282,10 @@ def test_a_file_that_vanished_is_reported(good_flight, deliver, read):
 
 def test_values_at_fault_are_listed_up_to_a_limit_and_counted_beyond(good_flight, deliver, read):
     many = good_flight + b"".join(good_flight.splitlines(keepends=True)[1:] * 5)
-    found = read(deliver({CSV: column("mach", lambda v: 9.9)(many)})).quarantine
-    assert found.height == 101
-    assert found["row"].null_count() == 1
-    assert "152 more" in found.filter(pl.col("row").is_null())["detail"].item()
+    faults = read(deliver({CSV: column("mach", lambda v: 9.9)(many)})).quarantine
+    assert faults.height == 101
+    assert faults["row"].null_count() == 1
+    assert "152 more" in faults.filter(pl.col("row").is_null())["detail"].item()
 
 
 def test_every_reason_is_met_by_a_test():

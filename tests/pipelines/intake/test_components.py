@@ -22,7 +22,7 @@ HEAD = "flight_id,report_time,pack,hot_flow_kg_s_si,ram_flow_kg_s_si,hot_in_k_si
 
 
 @pytest.fixture(autouse=True)
-def known(monkeypatch) -> None:
+def declared_components(monkeypatch) -> None:
     """An exchanger with files of its own."""
     own = replace(HX, model=HEAT_EXCHANGER, record=Record(CHANNELS))
     monkeypatch.setattr(intake, "recorded_components", lambda: {"hx": own})

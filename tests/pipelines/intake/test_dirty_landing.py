@@ -64,8 +64,8 @@ def logs(landing, now):
 
 
 def test_table_holds_every_file_of_expected_md():
-    told = re.findall(r"^\| `([^`]+)` \|", (ROOT / "expected.md").read_text(), re.MULTILINE)
-    assert sorted(told) == sorted(EXPECTED)
+    files = re.findall(r"^\| `([^`]+)` \|", (ROOT / "expected.md").read_text(), re.MULTILINE)
+    assert sorted(files) == sorted(EXPECTED)
 
 
 @pytest.mark.parametrize("path", EXPECTED)
@@ -73,17 +73,17 @@ def test_becomes_what_is_expected(path, intake, logs):
     reason, scope, n_entries, n_out, n_read, columns = EXPECTED[path]
     log = logs.get(path)
     rows = intake.rows.filter(pl.col("file") == path) if log is None else log.rows
-    found = intake.quarantine.filter(pl.col("file") == path) if log is None else log.quarantine
+    faults = intake.quarantine.filter(pl.col("file") == path) if log is None else log.quarantine
     assert rows.height == n_read
-    assert found["n_rows"].sum() == n_out
-    assert found.filter(pl.col("reason") == reason if reason else True).height == n_entries == found.height
+    assert faults["n_rows"].sum() == n_out
+    assert faults.filter(pl.col("reason") == reason if reason else True).height == n_entries == faults.height
     if reason:
-        assert set(found["scope"]) == {scope}
-        assert columns in found["column_name"].fill_null("").str.join("; ").item()
+        assert set(faults["scope"]) == {scope}
+        assert columns in faults["column_name"].fill_null("").str.join("; ").item()
     if scope in ("row", "value"):
-        assert found["row"].null_count() == 0
+        assert faults["row"].null_count() == 0
     if scope == "row":
-        assert found["content"].null_count() == 0
+        assert faults["content"].null_count() == 0
 
 
 def test_nothing_else_is_reported(landing, intake, logs):

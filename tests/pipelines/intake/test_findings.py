@@ -17,11 +17,11 @@ def log(**line: object) -> pl.DataFrame:
     return TABLES["raw_maintenance"].schema.conform(pl.DataFrame([OWN | entry | line], infer_schema_length=None))
 
 
-def case(line: int = 1, kind: str = "close", **said: object) -> dict:
+def case(line: int = 1, kind: str = "close", **values: object) -> dict:
     at = dt.datetime(2024, 6, 19, 5, tzinfo=dt.UTC)
     about = {"line": line, "at": at, "alert_id": "a1", "component": "HX", "diagnosis": "HX_FOULING", "kind": kind}
-    found = {"finding": "NO_FAULT_FOUND", "action": "INSPECTED", "done_on": DAY} if kind == "close" else {}
-    return OWN | about | {"person": "Ada"} | found | said
+    answer = {"finding": "NO_FAULT_FOUND", "action": "INSPECTED", "done_on": DAY} if kind == "close" else {}
+    return OWN | about | {"person": "Ada"} | answer | values
 
 
 def cases(*rows: dict) -> pl.DataFrame:
@@ -29,10 +29,10 @@ def cases(*rows: dict) -> pl.DataFrame:
 
 
 def test_the_same_finding_makes_the_same_line_whoever_tells_it():
-    said = ("operator", "tail", "pack", "component", "action", "finding", "done_on", "counts_from")
+    columns = ("operator", "tail", "pack", "component", "action", "finding", "done_on", "counts_from")
     by_log = date_entries(with_findings(log(), cases(case()).clear()))
     by_case = date_entries(with_findings(log().clear(), cases(case())))
-    assert by_log.select(said).equals(by_case.select(said))
+    assert by_log.select(columns).equals(by_case.select(columns))
     assert (by_log["source"].item(), by_case["source"].item(), by_case["closes_alert_id"].item()) == (
         "log",
         "case",
@@ -41,11 +41,11 @@ def test_the_same_finding_makes_the_same_line_whoever_tells_it():
 
 
 def test_work_that_both_tell_of_stands_once():
-    told = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
-    (row,) = with_findings(log(action="REPLACED", finding=None), cases(told)).to_dicts()
+    finding = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
+    (row,) = with_findings(log(action="REPLACED", finding=None), cases(finding)).to_dicts()
     assert (row["done_on"], row["finding"], row["reference"], row["closes_alert_id"]) == (DAY, "FOULED", "WO1", "a1")
-    assert with_findings(log(action="CLEANED"), cases(told)).height == 2, "other work"
-    assert with_findings(log(action="REPLACED", done_on=DAY + dt.timedelta(days=9)), cases(told)).height == 2
+    assert with_findings(log(action="CLEANED"), cases(finding)).height == 2, "other work"
+    assert with_findings(log(action="REPLACED", done_on=DAY + dt.timedelta(days=9)), cases(finding)).height == 2
 
 
 def test_the_last_word_on_an_alert_counts_and_may_be_taken_back():
@@ -56,10 +56,10 @@ def test_the_last_word_on_an_alert_counts_and_may_be_taken_back():
 
 def test_only_what_was_found_makes_the_work_of_an_aircraft_new():
     """An acknowledgement is on record without a night that makes the twin again."""
-    seen = {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(case(kind="acknowledge")))}
-    assert set(seen) == {"cases"}
-    found = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2)))}
+    acknowledged = {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(case(kind="acknowledge")))}
+    assert set(acknowledged) == {"cases"}
+    before = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2)))}
     more = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2), case(3, "watch")))}
     taken_back = {f[3]: f[6] for f in case_files(cases(case(), case(2), case(3, "reopen")))}
-    assert found["findings"] == more["findings"] != taken_back["findings"]
-    assert found["cases"] != more["cases"]
+    assert before["findings"] == more["findings"] != taken_back["findings"]
+    assert before["cases"] != more["cases"]

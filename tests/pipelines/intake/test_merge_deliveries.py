@@ -35,27 +35,27 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
     merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
     assert merged.rows.height == 42
     assert merged.duplicates["n_duplicate"].sum() == 41
-    (found,) = merged.quarantine.rows(named=True)
-    assert (found["reason"], found["scope"], found["row"]) == ("conflicting_delivery", "row", 6)
-    assert found["column_name"] == "hx_out_k"
-    assert (CSV in found["detail"]) != (found["file"] == CSV)
-    assert found["received_at"] is not None
+    (conflict,) = merged.quarantine.rows(named=True)
+    assert (conflict["reason"], conflict["scope"], conflict["row"]) == ("conflicting_delivery", "row", 6)
+    assert conflict["column_name"] == "hx_out_k"
+    assert (CSV in conflict["detail"]) != (conflict["file"] == CSV)
+    assert conflict["received_at"] is not None
 
 
 def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
-    said, other = (
+    original, other = (
         pl.read_csv(content) for content in (good_flight, with_field(good_flight, 5, "hx_out_degc", b"77.5"))
     )
     files = {}
-    for name, frame in (("history_2024-05", said), ("history_2024-05 (1)", other)):
+    for name, frame in (("history_2024-05", original), ("history_2024-05 (1)", other)):
         sink = io.BytesIO()
         frame.write_parquet(sink)
         files[f"AQX/LX-AAA/acms/{name}.parquet"] = sink.getvalue()
     merged = merge_deliveries([read(deliver(files)).rows], {})
     assert (merged.rows.height, merged.duplicates["n_duplicate"].sum()) == (42, 41)
-    (found,) = merged.quarantine.rows(named=True)
-    assert (found["reason"], found["row"], found["column_name"]) == ("conflicting_delivery", 5, "hx_out_k")
-    assert sum(name in found["detail"] for name in files) == 1
+    (conflict,) = merged.quarantine.rows(named=True)
+    assert (conflict["reason"], conflict["row"], conflict["column_name"]) == ("conflicting_delivery", 5, "hx_out_k")
+    assert sum(name in conflict["detail"] for name in files) == 1
 
 
 @settings(max_examples=60, deadline=None)

@@ -22,8 +22,8 @@ def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatc
     same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]], NOW)
     assert written.quarantine.height == mine.quarantine.height == 0
     assert mine.rows["operator"].unique().to_list() == ["XYZ"]
-    given = ["time_utc", "pack", "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k",
+    columns = ["time_utc", "pack", "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k",
              "ram_door_open", "pack_flow_kg_s"]  # fmt: skip
     assert mine.rows.height == same.rows.height > 30
-    assert_frame_equal(mine.rows.select(given), same.rows.select(given), rel_tol=1e-6)
+    assert_frame_equal(mine.rows.select(columns), same.rows.select(columns), rel_tol=1e-6)
     assert mine.rows.select(pl.col("ram_out_k", "cc_speed_rad_s").is_null().all()).row(0) == (True, True)

@@ -78,7 +78,7 @@ def test_what_the_file_says_counts_over_the_defaults(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("[HX]\nwash = -1\n", r"costs\.toml: HX\.wash: is a number from 0 to 1e\+12, not -1"),
         ("[HX]\nwash = nan\n", r"costs\.toml: HX\.wash"),
@@ -92,9 +92,9 @@ def test_what_the_file_says_counts_over_the_defaults(tmp_path):
         ("[HX\n", r"costs\.toml: can't be read"),
     ],
 )
-def test_a_bad_value_is_named_with_file_and_key_and_no_other_cost_is_told(tmp_path, text, says):
+def test_a_bad_value_is_named_with_file_and_key_and_no_other_cost_is_told(tmp_path, text, message):
     (tmp_path / NAME).write_text(text)
-    with pytest.raises(CostError, match=says):
+    with pytest.raises(CostError, match=message):
         read_costs(tmp_path)
     costs, (fault,) = costs_or_fault(tmp_path)
     assert costs.is_empty()

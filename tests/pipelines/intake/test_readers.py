@@ -15,11 +15,11 @@ from pipelines.intake.snapshots import read_snapshots
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def point(name: str, brought: object) -> SimpleNamespace:
+def point(name: str, content: object) -> SimpleNamespace:
     def load() -> object:
-        if isinstance(brought, Exception):
-            raise brought
-        return brought
+        if isinstance(content, Exception):
+            raise content
+        return content
 
     return SimpleNamespace(name=name, value=f"{name}:X", dist=SimpleNamespace(name="pkg"), load=load)
 
@@ -37,20 +37,20 @@ def bring(monkeypatch):
 
 
 def reader(*folders: str) -> ModuleType:
-    made = ModuleType("made")
+    module = ModuleType("made")
     names = [n for n in dir(Reader) if not n.startswith("_")] + list(Reader.__annotations__)
-    made.__dict__.update(dict.fromkeys(names, lambda *_: None), FOLDERS=folders)
-    return made
+    module.__dict__.update(dict.fromkeys(names, lambda *_: None), FOLDERS=folders)
+    return module
 
 
-@pytest.mark.parametrize(("brought", "says"), [
+@pytest.mark.parametrize(("content", "message"), [
     (RuntimeError("no licence"), "can't be loaded: RuntimeError: no licence"),
     (ModuleType("empty"), "is no Reader"),
     (reader("tapes", "drums"), "there is a reader of drums/ already"),
 ])  # fmt: skip
-def test_a_package_that_brings_none_is_named_in_one_line(bring, brought, says):
-    bring(point("first", reader("drums")), point("second", brought))
-    with pytest.raises(ReaderError, match=rf"the reader second \(second:X, of the package pkg\):? {says}"):
+def test_a_package_that_brings_none_is_named_in_one_line(bring, content, message):
+    bring(point("first", reader("drums")), point("second", content))
+    with pytest.raises(ReaderError, match=rf"the reader second \(second:X, of the package pkg\):? {message}"):
         readers()
 
 
@@ -72,16 +72,16 @@ def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(brin
     bring()
     listed = list_landing(tmp_path)
     assert [f.path for f in listed.files] == ["AAA/T-1/cpl/a.parquet"]
-    told = dict(listed.quarantine.select("file", "detail").rows())
-    assert sorted(told) == ["AAA/T-1/recorder", "AAA/T-1/reports", "types"]
-    assert all("hdt_recorder of the package hybrid-digital-twin-extensions reads it" in why for why in told.values())
+    details = dict(listed.quarantine.select("file", "detail").rows())
+    assert sorted(details) == ["AAA/T-1/recorder", "AAA/T-1/reports", "types"]
+    assert all("hdt_recorder of the package hybrid-digital-twin-extensions reads it" in why for why in details.values())
 
 
 def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_path):
     bring()
     path = "AAA/T-1/recorder/T-1_20240101_01.dat"
     file = LandingFile(str(tmp_path), path, "AAA", "T-1", "recorder", 1, 0)
-    told = read_snapshots([file], NOW)
-    assert (told.rows.height, told.delivered["n_delivered"].sum()) == (0, 0)
-    assert "recorder/: hdt_recorder of the package" in told.quarantine["detail"].item()
+    intake = read_snapshots([file], NOW)
+    assert (intake.rows.height, intake.delivered["n_delivered"].sum()) == (0, 0)
+    assert "recorder/: hdt_recorder of the package" in intake.quarantine["detail"].item()
     assert read_components([file], NOW) == []

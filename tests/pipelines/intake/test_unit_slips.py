@@ -64,15 +64,15 @@ def test_a_sound_fleet_is_not_accused(fleet):
 @pytest.mark.parametrize(("column", "unit", "reason"), SLIPS, ids=[c for c, _, _ in SLIPS])
 def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
     scale, offset = unit
-    found = find_unit_slips(fleet.with_columns(pl.col(column) * scale + offset))
-    assert set(found["reason"]) == {reason}
-    assert all(column in c for c in found["column_name"])
-    assert found.height > 0.985 * fleet[column].count()  # what is missed are flights with a dead sensor or a pack off
+    slips = find_unit_slips(fleet.with_columns(pl.col(column) * scale + offset))
+    assert set(slips["reason"]) == {reason}
+    assert all(column in c for c in slips["column_name"])
+    assert slips.height > 0.985 * fleet[column].count()  # what is missed are flights with a dead sensor or a pack off
 
 
-def told(found: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
+def count_slips(slips: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
     """Rows of which just these columns are told, in these words."""
-    return found.filter(
+    return slips.filter(
         pl.col("column_name") == ", ".join(columns), pl.col("sentence").str.contains(words, literal=True)
     ).height
 
@@ -82,10 +82,10 @@ def told(found: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
 )
 def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, quarter):
     recorded = quarter.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
-    found = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
-    right = told(found, columns, f"It fits {unit}.")
+    slips = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
+    right = count_slips(slips, columns, f"It fits {unit}.")
     assert right > LEAST * recorded.height
-    assert found.height - right < 0.12 * recorded.height  # told, but of another unit
+    assert slips.height - right < 0.12 * recorded.height  # told, but of another unit
 
 
 def _true_kt(mach: pl.Expr) -> pl.Expr:
@@ -108,9 +108,9 @@ def _calibrated_kt(mach: pl.Expr) -> pl.Expr:
 def test_a_mach_number_in_knots_is_told_of_its_values(knots, quarter):
     """Out of range as it is, so the rows stay; but the likely unit is named."""
     wrong = quarter.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
-    found = find_unit_slips(wrong)
-    assert set(found["reason"]) == {"out_of_range"}
-    assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+    slips = find_unit_slips(wrong)
+    assert set(slips["reason"]) == {"out_of_range"}
+    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
 
 
 def test_a_mach_number_beyond_all_numbers_is_no_unit(quarter):
@@ -120,15 +120,15 @@ def test_a_mach_number_beyond_all_numbers_is_no_unit(quarter):
 
 def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(quarter):
     alone = quarter.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
-    found = find_unit_slips(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
-    assert told(found, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+    slips = find_unit_slips(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
+    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
 
 
 @pytest.mark.parametrize(("one", "other"), SWAPPED)
 def test_columns_in_each_others_place_are_told_by_name(one, other, quarter):
     recorded = quarter.drop_nulls([one, other])
-    found = find_unit_slips(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
-    assert told(found, (one, other), "change places") > LEAST * recorded.height
+    slips = find_unit_slips(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
+    assert count_slips(slips, (one, other), "change places") > LEAST * recorded.height
 
 
 def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter):
@@ -138,10 +138,10 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
         pl.when(swapped).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(swapped).then(one).otherwise(other).alias("hx_out_degc"),
     )
-    found = find_unit_slips(wired)
-    assert set(found["column_name"]) == {"hx_in_degc, hx_out_degc"}
-    assert set(wired[found["index"].to_list()]["pack"]) == {1}
-    assert found.height > LEAST * quarter.filter(pack=1).height
+    slips = find_unit_slips(wired)
+    assert set(slips["column_name"]) == {"hx_in_degc, hx_out_degc"}
+    assert set(wired[slips["index"].to_list()]["pack"]) == {1}
+    assert slips.height > LEAST * quarter.filter(pack=1).height
 
 
 @pytest.mark.parametrize(
@@ -152,26 +152,26 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
 def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, quarter):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
-    found = find_unit_slips(
+    slips = find_unit_slips(
         quarter.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
     )
-    assert found.height < 0.01 * quarter.height, found.group_by("column_name", "sentence").len()
+    assert slips.height < 0.01 * quarter.height, slips.group_by("column_name", "sentence").len()
 
 
 @pytest.mark.parametrize(
     ("column", "value"), [("tat_degc", 32.5), ("pack_flow_lbpm", 0.0), ("ram_door_pct", 0.5), ("hx_in_degc", 300.0)]
 )
 def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, quarter):
-    found = find_unit_slips(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
-    assert found.is_empty(), found.group_by("column_name", "sentence").len()
+    slips = find_unit_slips(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
+    assert slips.is_empty(), slips.group_by("column_name", "sentence").len()
 
 
 @pytest.fixture(scope="module")
 def quarter(fleet):
     """Every fourth flight, with the ram outlet's sensor where it was not fitted."""
-    wanted = fleet.filter(pl.col("flight_id").rank("dense") % 4 == 0)
+    flights = fleet.filter(pl.col("flight_id").rank("dense") % 4 == 0)
     fitted = pl.col("hx_out_degc") * 0.3 + pl.col("hx_in_degc") * 0.4
-    return wanted.with_columns(pl.coalesce("ram_out_degc", fitted))
+    return flights.with_columns(pl.coalesce("ram_out_degc", fitted))
 
 
 OFF = {"tat_degc": -20.0, "hx_in_degc": -19.0, "hx_out_degc": -19.5, "altitude_ft": 35e3}
@@ -179,14 +179,14 @@ OFF = {"tat_degc": -20.0, "hx_in_degc": -19.0, "hx_out_degc": -19.5, "altitude_f
 HOT_EXIT = {"tat_degc": -20.0, "hx_in_degc": 30.0, "hx_out_degc": 15.0, "ram_out_degc": 110.0, "altitude_ft": 35e3}
 
 
-@pytest.mark.parametrize(("near", "told"), [(OFF, []), (HOT_EXIT, ["swapped_columns"])])
-def test_columns_change_places_only_where_both_are_recorded(near, told):
+@pytest.mark.parametrize(("near", "reasons"), [(OFF, []), (HOT_EXIT, ["swapped_columns"])])
+def test_columns_change_places_only_where_both_are_recorded(near, reasons):
     """A pack that is off says nothing of a sensor that nobody fitted."""
     rng, n = np.random.default_rng(0), 60
     read = {c: near[c] + rng.normal(0.0, 0.4, n) if c in near else pl.Series([None] * n, dtype=pl.Float64)
             for c in SIGNAL_NAMES}  # fmt: skip
     rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
-    assert find_unit_slips(rows)["reason"].unique().to_list() == told
+    assert find_unit_slips(rows)["reason"].unique().to_list() == reasons
 
 
 @pytest.mark.parametrize("far", [1.7e308, -1.7e308, 1e200, -1e155, np.inf])
