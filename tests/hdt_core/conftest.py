@@ -1,17 +1,17 @@
-"""The fleet of `made`, its model and its flights, made once; and an aircraft of two packs."""
+"""The fleet of `known_fleet`, its model and its flights, made once; and an aircraft of two packs."""
 
 from collections.abc import Callable
 
 import polars as pl
 import pytest
-from made import Fleet, made_fleet
+from known_fleet import Fleet, fleet_with_truth
 from two_packs import fly_two_packs
 
 
 @pytest.fixture(scope="session")
 def fleet() -> Fleet:
     """Five aircraft of 120 flights, ram outlet fitted."""
-    return made_fleet(5, 120)
+    return fleet_with_truth(5, 120)
 
 
 @pytest.fixture(scope="session")
@@ -32,8 +32,8 @@ def flights(fleet, model):
 
 @pytest.fixture(scope="session")
 def fleets():
-    """Module `made`: constants, `group_flow` and `made_fleet`."""
-    import made as support
+    """Module `known_fleet`: constants, `group_flow` and `fleet_with_truth`."""
+    import known_fleet as support
 
     return support
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import polars as pl
 import pytest
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
@@ -17,7 +17,7 @@ from pipelines.report.plots import calibration_metadata, figure_12, outlet_resid
 
 @pytest.fixture(scope="module")
 def calibrated():
-    fleet = made_fleet(2, 40)
+    fleet = fleet_with_truth(2, 40)
     dsm = calibrate(fleet.samples, fleet.legs, fleet.maintenance)
     return fleet, dsm, estimate_flights(fleet.samples, dsm)
 

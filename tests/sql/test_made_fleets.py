@@ -5,8 +5,8 @@ import datetime as dt
 import polars as pl
 import pytest
 from answers import CHECKS, rows
-from made_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 from scipy.stats import binomtest
+from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 
 from hdt_core.alerts.grid import UNOBSERVED
 from hdt_core.records.unit_index import UTC, date_entries, number_units

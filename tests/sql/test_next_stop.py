@@ -5,7 +5,7 @@ import math
 
 import pytest
 from answers import rows
-from made_catalog import OWN, START, catalog, flight, fouling, replaced
+from small_catalog import OWN, START, catalog, flight, fouling, replaced
 
 POINTS = {25: 0.1, 50: 0.2, 100: 0.4, 200: 0.7, 300: 0.9}
 COSTS = {"wash": 100.0, "replace": 1000.0, "at_check": 50.0, "message": 2000.0}

@@ -5,7 +5,7 @@ import json
 
 import polars as pl
 import pytest
-from made_catalog import catalog, flight
+from small_catalog import catalog, flight
 
 from benchmarks import chain, samples
 from hdt_core.calibration.dsm import Dsm

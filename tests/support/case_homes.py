@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import polars as pl
-from made_catalog import OWN, alert, flight, fouling
+from small_catalog import OWN, alert, flight, fouling
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES

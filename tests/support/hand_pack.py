@@ -4,7 +4,7 @@ from datetime import timedelta
 
 import numpy as np
 import polars as pl
-from made import departure
+from known_fleet import departure
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.compressor_fit import CompressorFit

@@ -5,7 +5,7 @@ import json
 from contextlib import contextmanager
 
 import pytest
-from made_catalog import START, alert, catalog, fill, flight, message, replaced
+from small_catalog import START, alert, catalog, fill, flight, message, replaced
 
 from hdt_trial import evaluation, frozen, seal
 from hdt_trial.commands import app

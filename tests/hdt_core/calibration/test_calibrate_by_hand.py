@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 from by_hand import DSM, flights, with_bias
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration import calibrate as calibration
 from hdt_core.calibration import exchanger as hx
@@ -29,7 +29,7 @@ from hdt_core.physics.terms import TERMS
 
 @pytest.fixture(scope="module")
 def small():
-    return made_fleet(1, 12, seed=5)
+    return fleet_with_truth(1, 12, seed=5)
 
 
 def test_without_flights_the_priors_stand(small):

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import exchanger_fit
@@ -116,7 +116,7 @@ def by_matrices(points: Points, bias_mean, bias_sd, iterations: int, *, ram_seen
 @pytest.fixture(scope="module")
 def points() -> Points:
     """One aircraft, both packs, two points a flight; the right one's ratio jumps on its tenth flight."""
-    samples = made_fleet(1, 14, seed=11).samples
+    samples = fleet_with_truth(1, 14, seed=11).samples
     packs = samples.select(PACK).unique().sort(PACK)
     coarse = to_points(level_points(cruise_samples(samples), flights_of(samples)), packs)
     two = {n: np.repeat(v, 2) for n, v in coarse.signals.items()}

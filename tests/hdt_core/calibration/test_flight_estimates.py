@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
@@ -76,7 +76,7 @@ def test_no_cruise_at_all(fleet, model):
 
 @pytest.mark.parametrize(("tails", "n_flights"), [(1, 30), (1, 3), (2, 1)])
 def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
-    fleet = made_fleet(tails, n_flights, seed=5)
+    fleet = fleet_with_truth(tails, n_flights, seed=5)
     twin, model = followed(fleet)
     rows = track(twin, fleet.maintenance, model).health.filter(pl.col("parameter") == "hx_fouling")
     assert rows.height == 2 * tails * n_flights
@@ -86,7 +86,7 @@ def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
 
 
 def test_without_ram_outlet_the_scale_is_a_prior_and_the_doubt_is_larger(flights, model):
-    blind = made_fleet(5, 120, ram_out=False)
+    blind = fleet_with_truth(5, 120, ram_out=False)
     twin, guess = followed(blind)
     assert twin["ln_ram_ratio"].null_count() == twin.height
     rows, metered = (

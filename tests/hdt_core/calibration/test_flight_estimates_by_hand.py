@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 from by_hand import DSM, START, with_bias
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import (
@@ -49,7 +49,7 @@ def test_a_flights_value_is_hubers(values):
 @pytest.fixture(scope="module")
 def flown() -> pl.DataFrame:
     """Two flights of an aircraft, eight samples each."""
-    return made_fleet(1, 2, seed=3).samples
+    return fleet_with_truth(1, 2, seed=3).samples
 
 
 BIASED = with_bias(("T-00", 1), pack_flow_kg_s=0.01, hx_in_k=0.5, hx_out_k=-0.4, tat_k=0.3, ram_door_open=0.005)

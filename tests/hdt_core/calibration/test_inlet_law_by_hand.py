@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 from by_hand import DSM
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
@@ -17,7 +17,7 @@ SLOPES = (0.6, 0.35, 4.0, -6.0, 0.05, -0.04)
 
 @pytest.fixture(scope="module")
 def cruise() -> pl.DataFrame:
-    flown = cruise_samples(made_fleet(1, 14, seed=3).samples).sort("pack", "flight_id", "time_utc")
+    flown = cruise_samples(fleet_with_truth(1, 14, seed=3).samples).sort("pack", "flight_id", "time_utc")
     rng = np.random.default_rng(1)
     return flown.with_columns(cc_out_k=pl.Series(440.0 + 12.0 * rng.standard_normal(flown.height)),
                               ram_door_open=pl.Series(rng.uniform(0.1, 0.9, flown.height)))  # fmt: skip

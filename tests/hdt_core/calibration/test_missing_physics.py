@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from by_hand import DSM
 from by_hand import flights as days
-from made import made_fleet
+from known_fleet import fleet_with_truth
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.calibrate import calibrate
@@ -33,7 +33,7 @@ def lacking_term(fleet, name, value):
 
 @pytest.fixture(scope="module")
 def plain():
-    return made_fleet(4, 120)
+    return fleet_with_truth(4, 120)
 
 
 @pytest.fixture(scope="module")

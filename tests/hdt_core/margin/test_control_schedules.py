@@ -6,7 +6,7 @@ from datetime import timedelta
 import numpy as np
 import polars as pl
 import pytest
-from made import departure
+from known_fleet import departure
 
 from hdt_core.margin.control_schedules import (
     ALTITUDE_KNOTS_M,

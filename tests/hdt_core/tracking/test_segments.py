@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 from literal_track import fouling
-from seen import NO_LOG, entry, seen_flights
+from twin_flights import NO_LOG, entry, flights_with_loss
 
 from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
@@ -19,7 +19,7 @@ WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(14
 @pytest.fixture(scope="module")
 def three(model) -> pl.DataFrame:
     """Three packs, of 430, 330 and 150 flights."""
-    parts = [seen_flights(model, WEAR, seed=k, tail=f"S-{k}").head(N - n) for k, n in enumerate((0, 100, 280))]
+    parts = [flights_with_loss(model, WEAR, seed=k, tail=f"S-{k}").head(N - n) for k, n in enumerate((0, 100, 280))]
     return TwinFlights.conform(pl.concat(parts)).with_columns(cc_n_samples=pl.lit(0, pl.Int32))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 from literal_track import fouling as both_tracks
-from seen import NO_LOG, entry, seen_flights
+from twin_flights import NO_LOG, entry, flights_with_loss
 
 from hdt_core.tracking.track import track
 
@@ -31,7 +31,7 @@ def test_batched_pass_equals_the_literal_recursion(flights, model):
 
 def test_batched_pass_equals_the_literal_one_where_histories_branch(model):
     loss = np.r_[np.linspace(0.0, 0.3, 60), np.full(20, 0.55), np.zeros(40)]
-    many = pl.concat([seen_flights(model, loss, seed=k, tail=f"S-{k}") for k in range(4)]).sort(IN_ORDER)
+    many = pl.concat([flights_with_loss(model, loss, seed=k, tail=f"S-{k}") for k in range(4)]).sort(IN_ORDER)
     batched, literal = (fouling(many, NO_LOG, model, literal=way) for way in (False, True))
     assert batched.equals(literal)
 
@@ -74,7 +74,7 @@ def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
         at_entry = 0.0 if rng.random() < 0.5 else rng.exponential(0.08)
         loss = 1.0 - np.exp(-(at_entry + rng.choice([2e-4, 1e-3, 2e-3]) * np.arange(60)))
         tail = f"S-{k:03d}"
-        packs.append(seen_flights(model, loss, offset=rng.normal(0.0, model.offset_sd), seed=k, tail=tail))
+        packs.append(flights_with_loss(model, loss, offset=rng.normal(0.0, model.offset_sd), seed=k, tail=tail))
         truth[tail] = loss
     rows = fouling(pl.concat(packs).sort(IN_ORDER), NO_LOG, model)
     for pack in rows.partition_by("tail"):
@@ -87,7 +87,7 @@ def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
 
 def test_a_new_unit_is_known_better_than_a_first_one(model):
     loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
-    twin = seen_flights(model, loss, offset=0.05)
+    twin = flights_with_loss(model, loss, offset=0.05)
     log = NO_LOG.clear().vstack(entry(twin, 80, "HX", "REPLACED"))
     rows = fouling(twin, log, model)
     assert rows["sd"][5] > 2.0 * rows["sd"][100]
@@ -96,7 +96,7 @@ def test_a_new_unit_is_known_better_than_a_first_one(model):
 
 def test_an_entry_days_late_ends_where_a_punctual_one_ends(model):
     loss = np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)]
-    twin = seen_flights(model, loss)
+    twin = flights_with_loss(model, loss)
     punctual, late = (fouling(twin, entry(twin, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
     np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
 
@@ -105,7 +105,7 @@ def test_a_new_core_is_believed_where_no_log_is_kept(model):
     worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
     silent, logged = [], []
     for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
-        twin = seen_flights(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
+        twin = flights_with_loss(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
         elsewhere = entry(twin, 20, "SENSOR", "INSPECTED")
         for log, off in ((NO_LOG, silent), (elsewhere, logged)):
             off.append(np.abs(fouling(twin, log, model)["value"].to_numpy()[120:] - new[20:]).mean())
@@ -116,7 +116,7 @@ def test_a_new_core_is_believed_where_no_log_is_kept(model):
 
 def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
     loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
-    twin = seen_flights(model, loss, offset=-0.04)
+    twin = flights_with_loss(model, loss, offset=-0.04)
     rows = fouling(twin, entry(twin, 90, "HX", "CLEANED"), model)
     off = rows["value"].to_numpy() - loss
     # what was not known of the unit before the wash is not known after it either, and no more than that
@@ -126,7 +126,7 @@ def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
 
 def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
     loss = np.linspace(0.0, 0.08, 120)
-    twin = seen_flights(model, loss)
+    twin = flights_with_loss(model, loss)
     shifted = pl.int_range(pl.len()).is_between(50, 70)
     faulty = twin.with_columns(ln_ua_ratio=pl.col("ln_ua_ratio") - 0.35 * shifted.cast(pl.Float64))
     sound, during = (fouling(frame, NO_LOG, model) for frame in (twin, faulty))
@@ -137,7 +137,7 @@ def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
 
 def test_a_clog_is_believed(model):
     loss = np.r_[np.full(60, 0.05), np.full(60, 0.25)]
-    rows = fouling(seen_flights(model, loss), NO_LOG, model)
+    rows = fouling(flights_with_loss(model, loss), NO_LOG, model)
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
 
 
@@ -149,7 +149,9 @@ def test_looking_back_knows_more(model):
         worn = rng.choice([0.0, 0.05, 0.15])
         loss = np.r_[worn + np.linspace(0.0, 0.15, 40), np.linspace(0.0, 0.03, 30)]
         unit = np.repeat(rng.normal(0.0, 0.03, 2), [40, 30])
-        frames.append(seen_flights(model, loss, offset=rng.normal(0.0, sensors_sd) + unit, seed=k, tail=f"S-{k:02d}"))
+        frames.append(
+            flights_with_loss(model, loss, offset=rng.normal(0.0, sensors_sd) + unit, seed=k, tail=f"S-{k:02d}")
+        )
         logs.append(entry(frames[-1], 40, "HX", "REPLACED"))
         truth.append(loss)
     rows = both_tracks(pl.concat(frames).sort(IN_ORDER), pl.concat(logs), model)
@@ -166,7 +168,7 @@ def test_looking_back_knows_more(model):
 
 
 def test_one_stray_flight_moves_little(model):
-    twin = seen_flights(model, np.full(80, 0.1))
+    twin = flights_with_loss(model, np.full(80, 0.1))
     stray = twin.with_columns(
         ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
     )
@@ -176,13 +178,13 @@ def test_one_stray_flight_moves_little(model):
 
 @pytest.mark.parametrize("n_flights", [1, 3])
 def test_a_short_record_has_wide_estimates(model, n_flights):
-    rows = fouling(seen_flights(model, np.zeros(n_flights)), NO_LOG, model)
+    rows = fouling(flights_with_loss(model, np.zeros(n_flights)), NO_LOG, model)
     assert rows["value"].is_not_null().all()
     assert (rows["sd"] > 0.5 * model.offset_sd * 0.5).all()
 
 
 def test_a_pack_never_seen_is_predicted_from_the_prior(model):
-    twin = seen_flights(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
+    twin = flights_with_loss(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
     rows = fouling(twin.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
     assert rows["status"].unique().to_list() == ["predicted"]
     assert rows["value"].is_finite().all()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from case_homes import case_home
-from made_catalog import START
+from small_catalog import START
 
 from pipelines.casework.changes import RefusedError, change_case
 from pipelines.casework.listing import find_case, history_of, list_cases

@@ -3,7 +3,7 @@
 import datetime as dt
 
 import polars as pl
-from made_catalog import OWN
+from small_catalog import OWN
 
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables import TABLES

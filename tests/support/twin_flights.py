@@ -13,7 +13,7 @@ NO_LOG = pl.DataFrame(
 )  # fmt: skip
 
 
-def seen_flights(
+def flights_with_loss(
     model, loss: np.ndarray, *, offset: float | np.ndarray = 0.0, seed: int = 0, tail: str = "S-0"
 ) -> pl.DataFrame:
     """One pack, a flight a day, with this loss; noise as the model expects it."""

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
-from seen import NO_LOG
+from twin_flights import NO_LOG
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
@@ -40,7 +40,7 @@ class Fleet:
         return replace(self, **{n: getattr(self, n).filter(pl.col("tail").is_in(tails)) for n in names})
 
 
-def made_fleet(n_tails: int, n_flights: int, *, packs: int = 2, ram_out: bool = True, seed: int = 7) -> Fleet:
+def fleet_with_truth(n_tails: int, n_flights: int, *, packs: int = 2, ram_out: bool = True, seed: int = 7) -> Fleet:
     """Aircraft whose left packs foul at different rates and whose right packs stay clean, under a door controller."""
     rng = np.random.default_rng(seed)
     design = np.array([DESIGN[name] for name in hx.NAMES])
