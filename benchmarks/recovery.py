@@ -137,7 +137,7 @@ def reopen(landing: Path, home: Path) -> Spent:
     places += [
         ("ready", runs, "open_instance"),
         ("ready", runs.Runner, "fail_orphaned_runs"),
-        ("stale", nightly, "stale"),
+        ("stale", nightly, "find_stale_cells"),
     ]
     for part, owner, name in places:
         setattr(owner, name, _timed(getattr(owner, name), part, spent))

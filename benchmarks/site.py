@@ -24,7 +24,7 @@ from dagster._daemon.controller import all_daemons_live
 
 from benchmarks.addresses import BRIDGE_IP, namespaces
 from pipelines.orchestration.runs import open_instance
-from pipelines.storage.ledger_tables import NAMES
+from pipelines.storage.ledger import NAMES
 from pipelines.storage.seal import NAME
 
 BIN = Path(sys.executable).parent

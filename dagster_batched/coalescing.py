@@ -87,8 +87,8 @@ class CoalescingEventLog(SqlEventLogStorage):
         """Store events of one or more runs in one transaction, with the deferred ones."""
         self._deferred += events
         if not all(e.dagster_event_type in _DEFERRED for e in events):
-            due, self._deferred = self._deferred, []
-            self._store([self._group(e, *self._partitions(e)) for e in due])
+            pending, self._deferred = self._deferred, []
+            self._store([self._group(e, *self._partitions(e)) for e in pending])
 
     @without_garbage_collection()
     def get_materialized_partitions(

@@ -14,13 +14,13 @@ from pipelines.storage.files import narrow_umask
 
 
 def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg.Definitions:
-    """The whole location over one landing zone and one home; `overrides` replace resources by name."""
+    """Build the whole location over one landing zone and one home; `overrides` replace resources by name."""
     sensors = [landing_zone, *SENSORS]
     return asset_definitions(landing, home, overrides, jobs=[nightly], schedules=[every_night], sensors=sensors)
 
 
 def from_environment() -> dg.Definitions:
-    """Definitions for `dagster dev`: folders from HDT_LANDING and HDT_HOME, else those of `make run`."""
+    """Build the definitions for `dagster dev`: folders from HDT_LANDING and HDT_HOME, else those of `make run`."""
     batch_events()
     narrow_umask()
     return build_defs(

@@ -77,7 +77,7 @@ class PartitionScope:
         rows = [(o, t, f) for (o, t), flights in (self.aircraft or {FLEET: []}).items() for f in flights or [""]]
         return pl.DataFrame(rows, schema=dict.fromkeys(CELL, pl.String), orient="row")
 
-    def due(self, ledger: Ledger, table: str) -> pl.DataFrame:
+    def expected_cells(self, ledger: Ledger, table: str) -> pl.DataFrame:
         """List the cells of the run that `table` should have, each with its expected version."""
         if self.aircraft is None:
             return expected_versions(ledger, table).join(self.cells(), on=CELL, how="semi")

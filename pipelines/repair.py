@@ -52,16 +52,16 @@ def _repair_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
 
 
 def _damaged_since(store: Store, last_seal: seal.Seal, ledger: Ledger) -> list[str]:
-    """Find sealed files that changed: by size and time, and by content those that are due, or all of a suspect home."""
-    due = seal.due_files(last_seal.files, ledger.nights().height)
+    """Find sealed files that changed: by size and time; this night's turn by content, all in a suspect home."""
+    to_read = seal.files_to_read(last_seal.files, ledger.nights().height)
     if store.place.suspect:
-        due = set(last_seal.files)
+        to_read = set(last_seal.files)
         for hint in Path(store.place.url).glob(f"*/{LOG}/{seal.HINT}"):
             hint.unlink()  # it is not sealed, and a wrong one keeps a log from being read
-    others = (path for path in last_seal.files if path not in due)
+    others = (path for path in last_seal.files if path not in to_read)
     return [
         *seal.changed_files(store, last_seal, others),
-        *seal.changed_files(store, last_seal, sorted(due), whole=True),
+        *seal.changed_files(store, last_seal, sorted(to_read), whole=True),
     ]
 
 

@@ -40,7 +40,7 @@ class FrameIO(dg.IOManager):
 
     def __init__(self, store: Store, ledger: Ledger) -> None:
         self.store, self.ledger = store, ledger
-        self._due: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
+        self._expected: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
 
     def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
         """Store a frame, mark its cells as stored, and report the rows of each cell."""
@@ -54,24 +54,24 @@ class FrameIO(dg.IOManager):
             report(context, frame, cells)
 
     def store_frame(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
-        """Store a frame and mark the cells that were due, which are returned, as stored."""
+        """Store a frame and mark the cells that the table should have, which are returned, as stored."""
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
             self.store.replace(table, scope.aircraft or [FLEET], frame)
-        cells = self._due_cells(table, scope)
+        cells = self._expected_cells(table, scope)
         self.ledger.mark(table, cells)
         return cells
 
-    def _due_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
-        """List the due cells, once for all tables of a recipe, which are stored one after the other."""
+    def _expected_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
+        """List the cells that a table should have, once for all tables of a recipe, stored one after the other."""
         recipe = LINEAGE[table]
         if not (recipe.parents or recipe.files):  # has no inputs
-            return scope.due(self.ledger, table)
-        cached_scope, cells = self._due.get(recipe, (None, None))
+            return scope.expected_cells(self.ledger, table)
+        cached_scope, cells = self._expected.get(recipe, (None, None))
         if cells is None or cached_scope != scope:
-            cells = scope.due(self.ledger, table)
-            self._due[recipe] = scope, cells
+            cells = scope.expected_cells(self.ledger, table)
+            self._expected[recipe] = scope, cells
         return cells
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:
@@ -79,11 +79,11 @@ class FrameIO(dg.IOManager):
         return self.store.read_table(context.asset_key.path[-1])
 
 
-def report(context: dg.OutputContext, frame: pl.DataFrame, due: pl.DataFrame) -> None:
+def report(context: dg.OutputContext, frame: pl.DataFrame, expected: pl.DataFrame) -> None:
     """Report cells of a run, each with its own number of rows, in order of departure.
 
     Most aircraft fly some days only and few flights have a log, and an event for a cell without rows costs as much as
-    for one with. So a night reports flights with rows or, where there are none, those that are `due`. A run from
+    for one with. So a night reports flights with rows or, where there are none, those that are `expected`. A run from
     Dagster's page reports every cell: an empty one has `rows` 0, and one without files, such as a flight that the
     aircraft never flew, has `expected` 0.
     """
@@ -91,13 +91,13 @@ def report(context: dg.OutputContext, frame: pl.DataFrame, due: pl.DataFrame) ->
     by_flight = any(flight for *_, flight in keys)
     flight = pl.col("flight_id") if by_flight else pl.lit("").alias("flight_id")
     rows = {(o, t, f): n for o, t, f, n in frame.group_by("operator", "tail", flight).len().rows()}
-    due_cells = set(due.select(CELL).rows())
+    expected_cells = set(expected.select(CELL).rows())
     if by_flight and NIGHT.items() <= context.step_context.run_tags.items():
-        cells = [cell for cell in keys if cell in rows] or [cell for cell in keys if cell in due_cells]
+        cells = [cell for cell in keys if cell in rows] or [cell for cell in keys if cell in expected_cells]
     else:
         cells = list(keys)
     cells.sort(key=lambda cell: (cell[2][-11:], cell))  # a flight id ends in day and leg
-    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in due_cells else {"expected": 0}) for cell in cells]
+    numbers = [{"rows": rows.get(cell, 0)} | ({} if cell in expected_cells else {"expected": 0}) for cell in cells]
     report_partitions(context, [keys[cell] for cell in cells], numbers)
 
 

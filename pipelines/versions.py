@@ -49,7 +49,7 @@ def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.Data
     return _with_version(first, " ".join((recipe.code, *settings)))
 
 
-def stale(ledger: Ledger, stage: Stage) -> pl.DataFrame:
+def find_stale_cells(ledger: Ledger, stage: Stage) -> pl.DataFrame:
     """List cells whose stored version is absent or not the expected one in some table of a stage.
 
     Tables of one recipe are stored and marked one after the other, in the stage's order, so the last one represents
@@ -91,7 +91,7 @@ def stale_cells_of(ledger: Ledger, tables: Iterable[str]) -> pl.DataFrame:
 
 def _file_versions(ledger: Ledger, grain: str, recipe: Recipe) -> pl.DataFrame:
     if grain == "flight":
-        files = ledger.holdings()
+        files = ledger.flight_inputs()
     else:
         line = pl.concat_str("path", "digest", separator="=").alias("line")
         files = ledger.files(recipe.files).with_columns(line, flight_id=pl.lit(""))

@@ -15,7 +15,7 @@ PUBLISHED = "published"
 """Asset group of the catalog and the report."""
 
 
-def newer_than_made(parents: Iterable[str | dg.AssetKey]) -> dg.AutomationCondition[dg.AssetKey]:
+def any_parent_newer(parents: Iterable[str | dg.AssetKey]) -> dg.AutomationCondition[dg.AssetKey]:
     """Build the condition that a parent is newer than the asset, or requested, and none is in progress."""
     requested = dg.AutomationCondition.newly_requested() | dg.AutomationCondition.newly_updated()
     newer = dg.AutomationCondition.any_deps_updated().allow(dg.AssetSelection.assets(*parents)).since(requested)
@@ -26,7 +26,7 @@ def newer_than_made(parents: Iterable[str | dg.AssetKey]) -> dg.AutomationCondit
 def condition_of(stage: Stage) -> dg.AutomationCondition[dg.AssetKey] | None:
     """Return a stage's condition; None if made from files, which `landing_zone` watches, or from a baseline alone."""
     follows = stage.parents and not any(recipe.baseline or recipe.files for recipe in stage.tables.values())
-    return newer_than_made(stage.parents) if follows else None
+    return any_parent_newer(stage.parents) if follows else None
 
 
 SENSORS = (

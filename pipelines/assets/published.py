@@ -6,7 +6,7 @@ from typing import Any
 
 import dagster as dg
 
-from pipelines.assets.automation import PUBLISHED, newer_than_made
+from pipelines.assets.automation import PUBLISHED, any_parent_newer
 from pipelines.assets.stage import owners
 from pipelines.report.facts import views_read
 from pipelines.resources import Home
@@ -29,7 +29,7 @@ def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
     return dg.AssetSpec(
         view_key(view),
         deps=upstream,
-        automation_condition=newer_than_made(upstream),
+        automation_condition=any_parent_newer(upstream),
         description=f"{header.question}\n\n{header.notes}",
         group_name=PUBLISHED,
         owners=owners(PUBLISHED),
@@ -53,7 +53,7 @@ _REPORT_VIEWS = [view_key(view) for view in views_read()]
 
 @dg.asset(
     deps=_REPORT_VIEWS,
-    automation_condition=newer_than_made(_REPORT_VIEWS),
+    automation_condition=any_parent_newer(_REPORT_VIEWS),
     group_name=PUBLISHED,
     owners=owners(PUBLISHED),
     kinds={"html"},

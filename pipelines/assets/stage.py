@@ -27,7 +27,7 @@ _TEAMS = {"raw": "flight-data", "legs": "flight-data", "calibration": "thermal-m
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
 """Library shown for a group; Polars for the others."""
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
-CHECK, HONOURED = "honours_table", "has the declared columns, types, spans and a unique key"
+CHECK, CHECK_MEANING = "honours_table", "has the declared columns, types, spans and a unique key"
 FRESHNESS = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
 """Warn after one night without data, fail after two."""
 
@@ -72,7 +72,8 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         deps=[dg.AssetKey(t) for t in _upstream_tables(declaration, [p for p in arguments if p in TABLES])],
         partitions_def=_PARTITIONS[declaration.grain],
         check_specs=[
-            dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=f"{t} {HONOURED}") for t in declaration.tables
+            dg.AssetCheckSpec(CHECK, asset=t, blocking=True, description=f"{t} {CHECK_MEANING}")
+            for t in declaration.tables
         ],
         backfill_policy=dg.BackfillPolicy.single_run(),
         description=first_line,
@@ -84,12 +85,12 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         start = time.monotonic()
         with panics_as_errors():
             outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
-        took = {"seconds": round(time.monotonic() - start, 3)}
+        duration = {"seconds": round(time.monotonic() - start, 3)}
         result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
         for place, (table, frame) in enumerate(zip(declaration.tables, result.frames, strict=True)):
             metadata = result.metadata if place == result.on else {}
             quarantine = partial(store_broken_rows, store, ledger, scope, table)
-            yield from _check_and_store(table, frame, took, metadata, quarantine)
+            yield from _check_and_store(table, frame, duration, metadata, quarantine)
 
     return run
 
@@ -132,13 +133,13 @@ def _out(
 def _check_and_store(
     table: str,
     frame: pl.DataFrame,
-    took: dict[str, float],
+    duration: dict[str, float],
     metadata: Mapping[str, Any],
-    quarantine: Callable[[pl.DataFrame], None] = lambda _: None,
+    quarantine: Callable[[pl.DataFrame], None],
 ) -> Iterator[Any]:
     """Check a table and yield result and valid rows; `quarantine` receives the invalid ones.
 
-    The check reports on the run: rows, flights and the time it `took`. The output is reported by partition, so only
+    The check reports on the run: rows, flights and the `duration`. The output is reported by partition, so only
     `metadata` goes with it.
     """
     frame = TABLES[table].conform(frame)
@@ -153,7 +154,7 @@ def _check_and_store(
         passed=not faults,
         severity=dg.AssetCheckSeverity.ERROR if is_refused else dg.AssetCheckSeverity.WARN,
         description=action + findings,
-        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none", **took, **_numbers(valid)},
+        metadata={"rows": frame.height, "faults": "; ".join(faults) or "none", **duration, **_numbers(valid)},
     )
     if is_refused:
         raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {findings}")

@@ -25,9 +25,8 @@ from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
-from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.ledger_copy import find_ledger_fault
-from pipelines.storage.ledger_tables import FILE
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import views
 from pipelines.storage.seal import CYCLE, NAME, changed_files, name_files, read_seal

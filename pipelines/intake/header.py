@@ -36,7 +36,7 @@ def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
     clean = [name.strip().strip('"').strip().lower() for name in names_of_file]
     names = tuple(name if name in contract_names else None for name in clean)
     counts = Counter(n for n in names if n)
-    strangers = [f.strip() for f, n in zip(names_of_file, names, strict=True) if n is None and f.strip()]
+    unknown_names = [f.strip() for f, n in zip(names_of_file, names, strict=True) if n is None and f.strip()]
     missing = [n for n in (*keys, *optional) if n not in counts]
     if not counts:
         is_data = any(c.isdigit() for c in "".join(clean))
@@ -46,31 +46,33 @@ def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
     if duplicates := [n for n, times in counts.items() if times > 1]:
         twice = ", ".join(duplicates)
         return Header(fault=Fault("repeated_column", column_name=twice, detail=f"Twice: {twice}."))
-    absent = [n for n in keys if n not in counts] or _renamed_columns(missing, strangers, contract.core)
+    absent = [n for n in keys if n not in counts] or _renamed_columns(missing, unknown_names, contract.core)
     if absent or (optional and not any(n in counts for n in optional)):
         absent = absent or missing
-        detail = f"Missing: {', '.join(absent)}." + (f" Not known: {_join_names(strangers)}." if strangers else "")
+        detail = f"Missing: {', '.join(absent)}." + (
+            f" Not known: {_join_names(unknown_names)}." if unknown_names else ""
+        )
         return Header(fault=Fault("missing_columns", column_name=", ".join(absent), detail=detail))
     notes = []
-    if strangers:
-        notes.append(Fault("extra_columns", column_name=_join_names(strangers)))
+    if unknown_names:
+        notes.append(Fault("extra_columns", column_name=_join_names(unknown_names)))
     if any(n and n != f.strip('"') for f, n in zip(names_of_file, names, strict=True)):
         notes.append(Fault("other_spelling", detail=f"It reads: {_join_names(names_of_file)}."))
     return Header(names, notes=tuple(notes))
 
 
-def _renamed_columns(missing: Sequence[str], strangers: Sequence[str], core: Collection[str]) -> list[str]:
+def _renamed_columns(missing: Sequence[str], unknown_names: Sequence[str], core: Collection[str]) -> list[str]:
     """Return all missing names as soon as an unknown name seems to stand for one of them."""
-    similar = any(_looks_like(stranger, name) for stranger in strangers for name in missing)
+    similar = any(_looks_like(unknown, name) for unknown in unknown_names for name in missing)
     n_core = sum(name in core for name in missing)
-    return list(missing) if similar or 2 <= n_core <= len(strangers) else []
+    return list(missing) if similar or 2 <= n_core <= len(unknown_names) else []
 
 
-def _looks_like(stranger: str, name: str) -> bool:
+def _looks_like(unknown: str, name: str) -> bool:
     parts = [p for p in name.split("_") if p not in _UNITS]
-    parts_of_stranger = re.split(r"[^a-z0-9]+", stranger.lower())
-    whole = all(p in parts_of_stranger for p in parts)
-    return whole or SequenceMatcher(None, stranger.lower(), name).ratio() >= 0.8
+    parts_of_unknown = re.split(r"[^a-z0-9]+", unknown.lower())
+    whole = all(p in parts_of_unknown for p in parts)
+    return whole or SequenceMatcher(None, unknown.lower(), name).ratio() >= 0.8
 
 
 def _join_names(names: Sequence[str]) -> str:

@@ -68,7 +68,8 @@ def ingest_flights(
 class StoredRows:
     """Stored rows of some flights from files that left the landing zone, or hold no good row of them any more.
 
-    `present` are the files in the landing zone; `with_rows` (file, flight_id) lists their flights with good rows.
+    `present` are the files in the landing zone; `with_rows` (file, flight_id) of the methods lists their flights with
+    good rows.
     """
 
     store: Store

@@ -15,7 +15,7 @@ from pipelines.intake.faults import Fault, quarantine
 from pipelines.intake.fleet_list import PACKS, FleetLines, fleet_lines
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile, modified_at
 from pipelines.intake.names import is_operator, is_tail
-from pipelines.intake.readers import ABSENT, REPORTS, TYPES, Zone, readers
+from pipelines.intake.readers import NO_READER, REPORTS, TYPES, Zone, readers
 
 PART = ".part"
 MESSAGES, MAINTENANCE = "messages.csv", "maintenance.csv"
@@ -67,7 +67,7 @@ class _Listing:
                 yield entry.name
             elif not self._add_log(entry, path):
                 no_reader = entry.name in (RECORDER, REPORTS, TYPES)
-                self.reject(path, "unexpected_name", ABSENT if no_reader else f"not {what}")
+                self.reject(path, "unexpected_name", NO_READER if no_reader else f"not {what}")
 
     def add(self, entry: os.DirEntry[str], path: str, kind: Kind, context: str = "") -> None:
         """Add a regular file; reject pipes and devices, which would block the reader."""

@@ -17,9 +17,9 @@ from pipelines.intake.columns import PSI_PA
 
 Signals = Mapping[str, Array]
 """SI name: values, NaN where missing."""
-WORKING = 1.25
-"""Least pressure ratio of a compressor that is surely at work."""
-LITTLE_KG_S = 0.04
+MIN_PRESSURE_RATIO = 1.25
+"""Pressure ratio above which a compressor is surely at work."""
+MIN_FLOW_KG_S = 0.04
 """Flow below which a pack is off."""
 
 
@@ -42,7 +42,7 @@ def _ratio(one: str, other: str) -> Callable[[Signals], Array]:
 
 
 def _at_work(s: Signals, value: Array) -> Array:
-    return np.where(s["cc_out_pa"] > WORKING * s["cc_in_pa"], value, np.nan)
+    return np.where(s["cc_out_pa"] > MIN_PRESSURE_RATIO * s["cc_in_pa"], value, np.nan)
 
 
 def _inlet(s: Signals) -> tuple[Array, Array]:
@@ -62,7 +62,7 @@ def _group_m3(flow: str) -> Callable[[Signals], Array]:
 
 
 def _flow_ratio(s: Signals) -> Array:
-    both = (s["pack_flow_kg_s"] > LITTLE_KG_S) & (s["cc_flow_kg_s"] > LITTLE_KG_S)
+    both = (s["pack_flow_kg_s"] > MIN_FLOW_KG_S) & (s["cc_flow_kg_s"] > MIN_FLOW_KG_S)
     return np.where(both, s["pack_flow_kg_s"] / s["cc_flow_kg_s"], np.nan)
 
 
@@ -94,14 +94,14 @@ LAWS = (
     Law("the exchanger cools", _difference("hx_in_k", "hx_out_k"), -5.0, 160.0),
     Law("the compressor heats", _difference("cc_out_k", "cc_in_k"), -8.0, 215.0),
     Law("the compressor compresses", _ratio("cc_out_pa", "cc_in_pa"), 0.93, 4.6),
-    Law("outside air is the compressor's air", _difference("tat_k", "cc_in_k"), -6.5, 6.5),
-    Law("and has its pressure", _ratio("cc_in_pa", "total_pressure_pa"), 0.8, 1.08),
+    Law("the compressor's inlet has the temperature outside", _difference("tat_k", "cc_in_k"), -6.5, 6.5),
+    Law("the compressor's inlet has the pressure outside", _ratio("cc_in_pa", "total_pressure_pa"), 0.8, 1.08),
     Law("altitude, Mach and pressure are of one atmosphere", pressure_over_atmosphere, 0.9, 1.1),
     Law("an airliner stays below the speed of sound", _of("mach"), -0.1, 1.2),
-    Law("a ratio takes its speed", _diameter_m, 0.115, 0.205),
-    Law("a rise takes its work", _efficiency, 0.5, 0.88),
-    Law("a speed moves its air", _group_m3("cc_flow_kg_s"), 5.8e-4, 1.3e-3),
-    Law("a speed moves its air into the pack", _group_m3("pack_flow_kg_s"), 5.6e-4, 1.3e-3),
+    Law("a pressure ratio needs a speed", _diameter_m, 0.115, 0.205),
+    Law("a temperature rise needs a pressure ratio", _efficiency, 0.5, 0.88),
+    Law("a speed moves a volume of air", _group_m3("cc_flow_kg_s"), 5.8e-4, 1.3e-3),
+    Law("a speed moves a volume of air into the pack", _group_m3("pack_flow_kg_s"), 5.6e-4, 1.3e-3),
     Law("what enters the compressor leaves the pack", _flow_ratio, 0.75, 1.33),
     Law("the exchanger's inlet is near the compressor's exit", _difference("hx_in_k", "cc_out_k"), -10.0, 88.0),
     Law("the exchanger's inlet is bleed air", _of("hx_in_k"), 293.0, 461.0),
@@ -109,7 +109,10 @@ LAWS = (
     Law("ram air stays colder than bleed air", _difference("hx_in_k", "ram_out_k"), -5.0, 160.0),
     Law("ram air is heated part of the way", _ram_effectiveness, 0.15, 0.85),
     Law("a door is never shut in flight", _of("ram_door_open"), 0.015, 1.1),
-    *(Law(f"no air of a pack has such a {signal}", _of(signal), -np.inf, high) for signal, high in HIGHEST.items()),
+    *(
+        Law(f"{signal} is below what any air of a pack reaches", _of(signal), -np.inf, high)
+        for signal, high in HIGHEST.items()
+    ),
 )
 
 

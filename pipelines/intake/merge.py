@@ -52,12 +52,12 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     rows = pl.concat(list(frames))
     has_rival = rows.select(pl.struct(KEY).is_duplicated()).to_series()
     rival_flights = rows.filter(has_rival).select(FLIGHT).unique()
-    once, again = rows.join(rival_flights, on=FLIGHT, how="anti"), rows.join(rival_flights, on=FLIGHT, how="semi")
-    stored_rows, others = _choose(again)
+    single, contested = rows.join(rival_flights, on=FLIGHT, how="anti"), rows.join(rival_flights, on=FLIGHT, how="semi")
+    stored_rows, others = _choose(contested)
     duplicates_of_stored, differing = _compare(others, stored_rows)
     duplicates = duplicates_of_stored.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
     return MergeResult(
-        pl.concat([once, stored_rows]).sort("operator", "flight_id", "source", "time_utc", "pack"),
+        pl.concat([single, stored_rows]).sort("operator", "flight_id", "source", "time_utc", "pack"),
         duplicates.sort("file", "flight_id"),
         _conflict_rows(differing, received_at),
     )
@@ -113,10 +113,10 @@ def contradictions(rows: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
 
 def _compare(others: pl.DataFrame, stored_rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Split rows into those that agree with the stored row of their key and the others, with what `differs`."""
-    here = stored_rows.select(
+    stored_columns = stored_rows.select(
         *KEY, *VALUES, pl.lit(True).alias("is_stored"), *(pl.col(c).alias(f"{c} stored") for c in _PLACE)
     )
-    pairs = others.join(here, on=KEY, how="left", suffix=" stored", maintain_order="left", validate="m:1")
+    pairs = others.join(stored_columns, on=KEY, how="left", suffix=" stored", maintain_order="left", validate="m:1")
     differs = [pl.when(~_agrees(c)).then(pl.lit(c)) for c in VALUES]
     pairs = pairs.with_columns(pl.concat_list(differs).list.drop_nulls().list.join(", ").alias("differs"))
     agrees = (pl.col("differs") == "") & pl.col("is_stored").fill_null(False)

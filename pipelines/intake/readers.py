@@ -17,7 +17,7 @@ from pipelines.intake.landing_file import FileIntake, Kind, LandingFile
 
 REPORTS, TYPES = "reports", "types"
 """Folder of an aircraft with printed reports; folder of the landing zone with descriptions of recordings."""
-ABSENT = "hdt_recorder of the package hybrid-digital-twin-extensions reads it, which is not installed"
+NO_READER = "hdt_recorder of the package hybrid-digital-twin-extensions reads it, which is not installed"
 KindOf = Callable[[str], Kind | Fault]
 Rows = tuple[pl.DataFrame, int, list[Fault]]
 Writer = Callable[[pl.DataFrame, Path], None]
@@ -72,7 +72,7 @@ class Readers(dict[str, Reader]):
     """The reader of each folder."""
 
     def __missing__(self, folder: str) -> Reader:
-        raise ReaderError(f"{folder}/: {ABSENT}")
+        raise ReaderError(f"{folder}/: {NO_READER}")
 
 
 @cache

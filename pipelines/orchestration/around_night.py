@@ -62,7 +62,7 @@ def call_hooks(home: Path) -> tuple[dict[str, str | None], tuple[str, ...]]:
     Returns
     -------
     tuple
-       Results by the key under which a command prints them, and a line for each hook that failed: the night is
+        Results by the key under which a command prints them, and a line for each hook that failed: the night is
         published already, and the other hooks still run.
     """
     results: dict[str, str | None] = {}

@@ -25,7 +25,7 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import find_catalog_fault, publish
 from pipelines.storage.settings import HOME_SETTINGS, notify_file, retention
 from pipelines.storage.store import Store
-from pipelines.versions import CELL, recipe_version, restrict_ledger, stale
+from pipelines.versions import CELL, find_stale_cells, recipe_version, restrict_ledger
 
 if TYPE_CHECKING:
     from dagster import OpExecutionContext
@@ -135,18 +135,18 @@ def run_night(
 ) -> Night:
     """Ingest new files and update every table that depends on them.
 
-        Parameters
-        ----------
-        landing, home : Path
-            Folders.
-        progress : Progress
-    Display that is updated.
-        only : Expr, optional
-            Filter on operator, tail and flight_id (empty above flights) of the cells to make; all by default.
-        parent_run : OpExecutionContext, optional
-            Dagster run that the night belongs to: its runs go to the same instance, with the same launcher.
-        jobs : int
-            Processes that may run in parallel where there is enough to do; 1 with a `parent_run`.
+    Parameters
+    ----------
+    landing, home : Path
+        Folders.
+    progress : Progress
+        Display that is updated.
+    only : Expr, optional
+        Filter on operator, tail and flight_id (empty above flights) of the cells to make; all by default.
+    parent_run : OpExecutionContext, optional
+        Dagster run that the night belongs to: its runs go to the same instance, with the same launcher.
+    jobs : int
+        Processes that may run in parallel where there is enough to do; 1 with a `parent_run`.
     """
     ledger, store, start = Ledger(home), Store(home), _now()
     check_settings(home)
@@ -255,7 +255,7 @@ class _Chain:
         """Return stale cells; with `only_changed` look only at those whose files have changed."""
         only_changed = only_changed and stage.grain != "fleet"
         ledger = restrict_ledger(self.ledger, stage, *self.changed_cells) if only_changed else self.ledger
-        cells = stale(ledger, stage).select(CELL)
+        cells = find_stale_cells(ledger, stage).select(CELL)
         return cells if self.only is None or stage.grain == "fleet" else cells.filter(self.only)
 
     def _make(

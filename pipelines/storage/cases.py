@@ -9,7 +9,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,23 +19,21 @@ import polars as pl
 from polars.exceptions import PolarsError
 
 from hdt_core.tables import TABLES
-from pipelines.storage import postgres, sqlite_reader
-from pipelines.storage.files import make_private
+from pipelines.storage import postgres
+from pipelines.storage.database import Database, query_value
 from pipelines.storage.panics import message_of
 
 FILE = "cases.sqlite"
 *FAULTS, NO_FAULT = FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
 """Codes of an inspection's finding, in the maintenance log and in the log of cases."""
-_SCHEMA = """
-create table if not exists cases (
+_SCHEMA = """create table if not exists cases (
     line bigint primary key, at text not null, alert_id text not null, operator text not null, tail text not null,
     pack integer, component text not null, diagnosis text not null, kind text not null, person text not null,
     body text not null
-);
-"""
-_NEVER = "".join(
+)"""
+_NEVER = tuple(
     f"create trigger if not exists no_{what} before {what} on cases"
-    " begin select raise(abort, 'the log of cases is only added to'); end;"
+    " begin select raise(abort, 'the log of cases is only added to'); end"
     for what in ("update", "delete")
 )
 _OWN = ("line", "at", "alert_id", "operator", "tail", "pack", "component", "diagnosis", "kind", "person")
@@ -52,6 +50,18 @@ class CaseLog:
 
     home: Path
     url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+
+    @property
+    def _database(self) -> Database:
+        return Database(self.home / FILE, self.url, _SCHEMA, _NEVER, "delete")
+
+    @contextmanager
+    def _writing(self) -> Iterator[Any]:
+        """Open a transaction that no other writer's overlaps."""
+        with self._database.transaction() as con:
+            if self.url:
+                con.execute("lock table cases in share row exclusive mode")
+            yield con
 
     def append(
         self, alert: Mapping[str, Any], kind: str, person: str, body: Mapping[str, Any] | None = None,
@@ -88,7 +98,7 @@ class CaseLog:
                     if last and last[0] > expected_line
                     else f"line {expected_line} of the log is none about this case; look again"
                 )
-            number = 1 + int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
+            number = 1 + _last_line(con)
             at = datetime.now(UTC).isoformat(timespec="microseconds")
             own = (alert[c] for c in _OWN[2:8])
             con.execute(_ADD, (number, at, *own, kind, person, _text(body or {})))
@@ -96,7 +106,7 @@ class CaseLog:
 
     def last_line(self) -> int:
         """Return the number of the last line, 0 where there is none."""
-        return int(self._query("select coalesce(max(line), 0) from cases", [(0,)])[0][0])
+        return self._database.query(_last_line)
 
     def entries(self) -> pl.DataFrame:
         """Read all lines as rows of `raw_cases`, in order."""
@@ -122,7 +132,7 @@ class CaseLog:
         path = self.home / FILE
         if self.url or not path.exists():
             return None
-        answer = sqlite_reader.query_value(path, "pragma integrity_check(1)")
+        answer = query_value(path, "pragma integrity_check(1)")
         if answer != "ok":
             return f"is damaged ({answer})"
         try:
@@ -160,37 +170,12 @@ class CaseLog:
             return []
 
     def _lines(self) -> list[tuple[Any, ...]]:
-        return self._query(f"select {', '.join(_OWN)}, body from cases order by line", [])
+        query = f"select {', '.join(_OWN)}, body from cases order by line"
+        return self._database.query(lambda con: list(con.execute(query).fetchall()))
 
-    def _query(self, sql: str, default: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-        """Run a select; `default` where there is no log yet."""
-        if self.url:
-            with postgres.session(self.url, _SCHEMA) as con:
-                return list(con.execute(sql).fetchall())
-        path = self.home / FILE
-        if not path.exists() or not path.stat().st_size:  # empty: the first line was rolled back, or never written
-            return default
-        return sqlite_reader.query_file(path, lambda con: con.execute(sql).fetchall())
 
-    @contextmanager
-    def _writing(self) -> Iterator[Any]:
-        """Open a transaction that no other writer's overlaps."""
-        if self.url:
-            with postgres.session(self.url, _SCHEMA) as session:
-                session.execute("lock table cases in share row exclusive mode")
-                yield session
-            return
-        with closing(sqlite3.connect(make_private(self.home / FILE), timeout=60, isolation_level=None)) as con:
-            con.execute("pragma synchronous=full")
-            con.execute("begin immediate")
-            for statement in (_SCHEMA, *(f"{s} end;" for s in _NEVER.split(" end;")[:-1])):
-                con.execute(statement)
-            try:
-                yield con
-            except BaseException:
-                con.execute("rollback")
-                raise
-            con.execute("commit")
+def _last_line(con: Any) -> int:
+    return int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
 
 
 def _text(body: Mapping[str, Any]) -> str:

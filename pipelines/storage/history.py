@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pipelines.storage import sqlite_reader
+from pipelines.storage.database import query_value
 from pipelines.storage.files import replacing
 
 _READ_BYTES = 256 << 20  # a larger file is not read whole by a night
@@ -60,11 +60,11 @@ def _query(file: Path, sql: str) -> str:
     """Query a file, or a copy of it where there is a write-ahead log, into which a reader would write."""
     log = file.with_name(f"{file.name}-wal")
     if not (log.exists() and log.stat().st_size):
-        return sqlite_reader.query_value(file, sql)
+        return query_value(file, sql)
     with TemporaryDirectory() as folder:
         for one in (file, log):
             shutil.copyfile(one, Path(folder, one.name))
-        return sqlite_reader.query_value(Path(folder, file.name), sql)
+        return query_value(Path(folder, file.name), sql)
 
 
 def replace_damaged_history(home: Path, *, whole: bool = True) -> str | None:

@@ -9,15 +9,52 @@ published, `nights` when the chain ran and what failed. A row in `settled` means
 written, and none is since but those in `moved`: an idle night need not check every cell.
 """
 
+import os
+import re
+import sqlite3
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import NamedTuple
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple, Self
 
 import polars as pl
 
-from pipelines.storage.ledger_tables import LedgerTables
+from pipelines.storage import postgres
+from pipelines.storage.database import Database, Result
 
+_SCHEMA = """
+create table if not exists files (
+    path text primary key, operator text not null, tail text not null, kind text not null,
+    size bigint not null, mtime_ns bigint not null, digest text not null
+) without rowid;
+create table if not exists file_flights (
+    path text not null, operator text not null, tail text not null, flight_id text not null,
+    primary key (operator, tail, flight_id, path)
+) without rowid;
+create table if not exists done (
+    asset text not null, operator text not null, tail text not null, flight_id text not null, version text not null,
+    primary key (asset, operator, tail, flight_id)
+) without rowid;
+create table if not exists nights (
+    began_at text not null, ended_at text not null, files integer not null, new_files integer not null,
+    runs integer not null, cells integer not null, failed text not null
+);
+create table if not exists night_versions (
+    night text not null, asset text not null, version bigint not null, primary key (night, asset)
+) without rowid;
+create table if not exists moved (
+    operator text not null, tail text not null, flight_id text not null, primary key (operator, tail, flight_id)
+) without rowid;
+create table if not exists touched (path text primary key, touched_ns bigint not null) without rowid;
+create table if not exists settled (made_as text not null);
+"""
+NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
+FILE, HASH_FILE = "ledger.sqlite", "ledger.sealed"
+MAX_FLIGHTS = 10_000  # of one query; SQLite takes 32,766 values
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 _SET_FILE = (
     "insert into files values (?, ?, ?, ?, ?, ?, ?) on conflict (path) do update set operator = excluded.operator,"
@@ -40,8 +77,67 @@ class FileRecord(NamedTuple):
     touched_ns: int | None
 
 
-class Ledger(LedgerTables):
-    """Queries and records of the ledger's tables."""
+@dataclass(frozen=True)
+class Ledger:
+    """The ledger of one home, or its rows of the aircraft in `only` and of the fleet, or of some `flights` of theirs.
+
+    A `read_only` ledger writes nothing, not even an empty file or SQLite's files beside it.
+    """
+
+    home: Path
+    only: tuple[tuple[str, str], ...] | None = None
+    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+    read_only: bool = False
+    flights: tuple[str, ...] | None = None
+
+    def of(self, aircraft: Iterable[tuple[str, str]], flights: Iterable[str] | None = None) -> Self:
+        """Restrict the ledger to these aircraft and the fleet: a run must not read the history of all the others.
+
+        Of cells by flight to some `flights`, where these are given and at most `MAX_FLIGHTS`.
+        """
+        ids = None if flights is None else ("", *flights)
+        return replace(self, only=(("", ""), *aircraft), flights=ids if ids and len(ids) <= MAX_FLIGHTS else None)
+
+    @property
+    def _database(self) -> Database:
+        return Database(self.home / FILE, self.url, _SCHEMA)
+
+    def flush(self) -> None:
+        """Move committed rows from SQLite's write-ahead log into the file itself."""
+        if not self.url:
+            with closing(sqlite3.connect(self.home / FILE, timeout=60)) as con:
+                con.execute("pragma wal_checkpoint(truncate)")
+
+    @contextmanager
+    def _write(self, *, settled: bool = False) -> Iterator[Any]:
+        """Open a transaction that writes; unless `settled`, any cell may be stale after it."""
+        if not self.url:
+            (self.home / HASH_FILE).unlink(missing_ok=True)
+        with self._database.transaction() as con:
+            if not settled:
+                con.execute("delete from settled")
+            yield con
+
+    def _query(self, query: Callable[[Any], Result]) -> Result:
+        """Run a query on a connection."""
+        if self.read_only:
+            return self._database.query(query)
+        with self._database.transaction(write=False) as con:
+            return query(con)
+
+    def _cells(self, sql: str, table: str, arguments: Iterable[str] = (), end: str = "") -> pl.DataFrame:
+        """Run a query that ends in a condition, and then in `end`, restricted to the ledger's aircraft and flights."""
+        if self.only is None:
+            return self._frame(f"{sql} {end}", [*arguments])
+        pairs = ",".join(["(?, ?)"] * len(self.only))
+        aircraft = f"select * from (values {pairs}) as aircraft"  # SQLite would scan the whole fleet for bare values
+        query = f"{sql} and ({table}.operator, {table}.tail) in ({aircraft})"
+        flights = self.flights if self.flights is not None and table != "files" else ()
+        query += f" and {table}.flight_id in ({','.join('?' * len(flights))})" if flights else ""
+        return self._frame(f"{query} {end}", [*arguments, *chain.from_iterable(self.only), *flights])
+
+    def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
+        return self._query(lambda con: _as_frame(con.execute(sql, arguments)))
 
     def file_records(self) -> dict[str, FileRecord]:
         """Map every file on record, by path, to its record."""
@@ -83,7 +179,7 @@ class Ledger(LedgerTables):
         columns = "l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
         return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
 
-    def holdings(self) -> pl.DataFrame:
+    def flight_inputs(self) -> pl.DataFrame:
         """List the inputs of each flight, a row a file that holds it: operator, tail, flight_id, line (path=digest)."""
         columns = "l.operator, l.tail, l.flight_id, l.path || '=' || f.digest as line"
         return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
@@ -180,3 +276,10 @@ class Ledger(LedgerTables):
         """Delete the record of earlier versions of a table, which are lost."""
         with self._write() as con:
             con.execute("delete from night_versions where asset = ?", [asset])
+
+
+def _as_frame(cursor: Any) -> pl.DataFrame:
+    """Fetch all rows of a cursor, counts as text."""
+    names = [c[0] for c in cursor.description]
+    types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
+    return pl.DataFrame(cursor.fetchall(), schema=types, orient="row")

@@ -7,11 +7,10 @@ checks of its own.
 
 from pathlib import Path
 
-from pipelines.storage import sqlite_reader
 from pipelines.storage.data_file import hash_of
+from pipelines.storage.database import query_value
 from pipelines.storage.files import make_private, replacing
-from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_tables import FILE, HASH_FILE
+from pipelines.storage.ledger import FILE, HASH_FILE, Ledger
 
 
 def copy_ledger(ledger: Ledger, *, idle: bool = False) -> None:
@@ -51,7 +50,7 @@ def find_ledger_fault(ledger: Ledger) -> str | None:
     if hash_file.exists() and (expected_hash := hash_file.read_text(errors="replace")):
         return None if hash_of(path.read_bytes()) == expected_hash else "is not what the last night wrote"
     # SQLite's quick check takes columns of a table without rowid for empty where their order is not the key's (3.40)
-    answer = sqlite_reader.query_value(path, "pragma integrity_check(1)")
+    answer = query_value(path, "pragma integrity_check(1)")
     return None if answer == "ok" else f"is damaged ({answer})"
 
 

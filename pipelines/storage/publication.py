@@ -24,21 +24,21 @@ from pipelines.storage.objects import StoreError
 from pipelines.storage.panics import message_of
 from pipelines.storage.seal import write_seal
 from pipelines.storage.store import EMPTY, Store
-from pipelines.storage.upkeep import find_night, remove_expired
+from pipelines.storage.upkeep import find_night, remove_expired_daily
 
 HASH = ".catalog.hash"
 Tables = dict[str, tuple[int, list[str]]]
 """Version and files of each table, as `Store.snapshot` lists them."""
 # No expression of DuckDB gives the path of a database, but its temporary files are beside the file it was opened with.
 # Attached to another database, or where that setting was changed, the catalog is assumed to be where it was published.
-_BESIDE = f"""
+_BESIDE_CATALOG = f"""
 case
     when getvariable('tables_folder') is not null then getvariable('tables_folder')
     when ends_with(current_setting('temp_directory'), '{CATALOG}.tmp')
     then left(current_setting('temp_directory'), -{len(CATALOG) + 4}) || 'tables/'
     else {{published}}
 end"""
-_ELSEWHERE = "coalesce(getvariable('tables_folder'), {published})"
+_BY_VARIABLE = "coalesce(getvariable('tables_folder'), {published})"
 
 
 def publish(home: Path) -> Path:
@@ -71,7 +71,7 @@ def publish(home: Path) -> Path:
         content_hash = hash_of(temporary.read_bytes())
     (path.parent / HASH).write_text(content_hash)  # after a kill before this line the next catalog is built anew
     ledger = Ledger(store.home)
-    remove_expired(store, ledger)
+    remove_expired_daily(store, ledger)
     write_seal(store, {table: files for table, (_, files) in tables.items()})
     ledger.note_snapshot({t: version for t, (version, _) in tables.items()})  # a snapshot implies that there is a seal
     copy_ledger(ledger)
@@ -169,7 +169,7 @@ def _recipe_hash(store: Store) -> str:
 def _folder(store: Store) -> str:
     """Give the tables' place as an SQL expression: a fixed URL, beside the catalog, or by the variable."""
     url = quote(f"{store.place.url}/")
-    return url if store.place.remote else (_ELSEWHERE if store.url else _BESIDE).format(published=url)
+    return url if store.place.remote else (_BY_VARIABLE if store.url else _BESIDE_CATALOG).format(published=url)
 
 
 def add_views(con: duckdb.DuckDBPyConnection) -> None:

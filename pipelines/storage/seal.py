@@ -71,10 +71,10 @@ def remove_entries(store: Store, last_seal: Seal, paths: Collection[str], logs: 
     _write(store.home, files, last_seal.tables)
 
 
-def due_files(paths: Iterable[str], night: int) -> set[str]:
-    """Select the files that a night reads, by its number: each file is due once in a `CYCLE`.
+def files_to_read(paths: Iterable[str], night: int) -> set[str]:
+    """Select the files that a night reads, by its number: each file once in a `CYCLE`.
 
-    A night that is stopped is not counted, so its files are due again.
+    A night that is stopped is not counted, so its files are read by the next.
     """
     return {path for path in paths if (zlib.crc32(path.encode()) - night) % CYCLE == 0}
 

@@ -24,17 +24,19 @@ _EVERY_S = 20 * 3600
 _COMMITS = 20  # between two checkpoints, from which a log is read on
 
 
-def remove_expired(store: Store, ledger: Ledger, policy: Retention | None = None) -> None:
-    """Delete nights beyond their retention, and the files that no night on record needs.
-
-    At most once a day and by the home's own policy, unless a `policy` is given.
-    """
+def remove_expired_daily(store: Store, ledger: Ledger) -> None:
+    """Remove what is beyond the home's own retention, unless that was done within the day; a new home holds nothing."""
     marker = store.home / MARKER
-    if policy is None and not marker.exists():  # a new home holds nothing old
+    if not marker.exists():
         marker.touch()
-    if policy is None and time.time() - marker.stat().st_mtime < _EVERY_S:
-        return
-    policy, nights = policy or retention(store.home), ledger.snapshots()
+    elif time.time() - marker.stat().st_mtime >= _EVERY_S:
+        remove_expired(store, ledger, retention(store.home))
+        marker.touch()
+
+
+def remove_expired(store: Store, ledger: Ledger, policy: Retention) -> None:
+    """Delete nights beyond their retention, and the files that no night on record needs."""
+    nights = ledger.snapshots()
     first = (datetime.now(UTC) - timedelta(days=policy.keep_days)).isoformat()
     protected_nights = {
         find_night(nights, night)[0] for night in policy.hold if any(n[: len(night)] <= night for n in nights)
@@ -44,7 +46,6 @@ def remove_expired(store: Store, ledger: Ledger, policy: Retention | None = None
         versions = [nights[name][table] for name in protected_nights if name < first and table in nights[name]]
         if (log := store.tables.open(table)) is not None:
             _vacuum(store, table, log, policy.keep_days, versions)
-    marker.touch()
 
 
 def _vacuum(store: Store, table: str, log: DeltaTable, keep_days: int, protected_versions: list[int]) -> None:

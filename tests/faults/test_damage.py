@@ -198,7 +198,7 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
     home = tmp_path / "home"
     (file,) = rotten(whole, home, "features")
     name, ledger = str(file.relative_to(home / "tables")), Ledger(home)
-    while not seal.due_files([name], ledger.nights().height + 1):
+    while not seal.files_to_read([name], ledger.nights().height + 1):
         ledger.note_night(ledger.nights().row(-1))
     assert children.night(whole.landing, home) == (0, "")
     ended, message = children.night(whole.landing, home)
@@ -208,7 +208,7 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
 
 def test_each_file_has_its_turn_once_in_a_cycle():
     names = [f"features/QQX/Z{n:03}/all.parquet" for n in range(1000)]
-    turns = [seal.due_files(names, night) for night in range(7, 7 + seal.CYCLE)]
+    turns = [seal.files_to_read(names, night) for night in range(7, 7 + seal.CYCLE)]
     assert sorted(name for turn in turns for name in turn) == names
     assert max(map(len, turns)) < 3 * len(names) / seal.CYCLE
 

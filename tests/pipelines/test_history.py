@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 
-from pipelines.storage import sqlite_reader
+from pipelines.storage import history
 from pipelines.storage.history import find_history_fault, replace_damaged_history
 
 RUNS = [f"run{n}" for n in range(3)]
@@ -36,10 +36,8 @@ def damage(home, run):
 
 
 def test_a_night_reads_a_file_once_and_again_when_it_has_changed(home, monkeypatch):
-    read, query_value = [], sqlite_reader.query_value
-    monkeypatch.setattr(
-        sqlite_reader, "query_value", lambda file, sql: read.append(file.stem) or query_value(file, sql)
-    )
+    read, query_value = [], history.query_value
+    monkeypatch.setattr(history, "query_value", lambda file, sql: read.append(file.stem) or query_value(file, sql))
     assert replace_damaged_history(home, whole=False) is None
     assert read == RUNS
     read.clear()

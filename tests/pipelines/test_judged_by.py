@@ -17,7 +17,7 @@ from pipelines.partitions import PartitionScope
 from pipelines.resources import FrameIO
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
-from pipelines.versions import stale
+from pipelines.versions import find_stale_cells
 
 GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 CSV, OTHER = (f"AQX/{tail}/acms/{tail}_20240525_04.csv" for tail in ("LX-AAA", "LX-AAB"))
@@ -42,7 +42,7 @@ class Zone:
         file = self.landing / "fleet.csv"
         file.unlink(missing_ok=True) if fleet is None else file.write_text(fleet)
         scan(self.landing, self.ledger)
-        cells = stale(self.ledger, STAGE["raw"]).rows()
+        cells = find_stale_cells(self.ledger, STAGE["raw"]).rows()
         for operator, tail, flight, _ in cells:
             aircraft = (operator, tail)
             intake = ingest_flights(self.landing, self.store, self.ledger, aircraft, [flight])

@@ -18,8 +18,7 @@ from databases import SERVER, new_database
 
 from pipelines.orchestration import around_night
 from pipelines.storage import postgres
-from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_tables import NAMES
+from pipelines.storage.ledger import NAMES, Ledger
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
@@ -58,16 +57,16 @@ def test_what_is_registered_is_known(ledger):
     assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
     assert ledger.files(["acms"]).schema["mtime_ns"] == pl.Int64
     assert ledger.files([]).is_empty()
-    assert ledger.holdings().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
+    assert ledger.flight_inputs().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
     assert ledger.flight_files().height == 3
 
 
 def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
     ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
     assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
-    holdings = ledger.holdings().filter(pl.col("tail") == A[1])
-    assert holdings["line"].unique().to_list() == ["a/1.csv=new"]
-    assert holdings.height == 3
+    flight_inputs = ledger.flight_inputs().filter(pl.col("tail") == A[1])
+    assert flight_inputs["line"].unique().to_list() == ["a/1.csv=new"]
+    assert flight_inputs.height == 3
 
 
 def test_a_cell_marked_again_has_its_last_version(ledger):
@@ -83,7 +82,7 @@ def test_a_run_asks_about_its_own_aircraft_and_the_fleet(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
     own = ledger.of([A])
     assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
-    assert set(own.holdings()["tail"]) == {A[1]}
+    assert set(own.flight_inputs()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
 
 

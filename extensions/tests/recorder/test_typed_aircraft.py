@@ -24,7 +24,7 @@ from pipelines.intake.simulated import write_fleet
 from pipelines.lineage import STAGE
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
-from pipelines.versions import stale
+from pipelines.versions import find_stale_cells
 
 ROOT = Path(__file__).parents[3]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
@@ -147,9 +147,9 @@ def test_every_status_is_explained(world):
 
 def test_an_accepted_spray_makes_the_calibration_of_components_stale(world):
     ledger = Ledger(world["home"])
-    assert stale(ledger, STAGE["calibration_components"]).is_empty()
+    assert find_stale_cells(ledger, STAGE["calibration_components"]).is_empty()
     (world["home"] / "terms.txt").write_text("water_spray\n")
-    assert stale(ledger, STAGE["calibration_components"])["operator"].to_list() == ["SAA", "SAB"]
+    assert find_stale_cells(ledger, STAGE["calibration_components"])["operator"].to_list() == ["SAA", "SAB"]
 
 
 @pytest.fixture(scope="module")
