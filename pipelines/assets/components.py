@@ -15,10 +15,11 @@ from hdt_core.prognosis.unit_lives import Failure, component_lives, life_table
 from hdt_core.records.keys import LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_readings import component_readings
-from pipelines.assets.raw import account, of_aircraft, stored_rows_of_absent_files
+from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import stage
 from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
+from pipelines.lineage import STAGE
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms, alert_limits
@@ -39,36 +40,30 @@ def in_service(home: Home) -> list[Component]:
 
 @stage
 def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
-    """Ingest the components' own files; stored rows of files that have left the landing zone stay."""
+    """Ingest the components' own files; rows stay of files that left the landing zone or hold no good row now."""
     listing = home.ledger.of(scope.aircraft or {}).files(["component", "recorder"])
-    is_in_scope = pl.struct("operator", "tail").is_in([{"operator": o, "tail": t} for o, t in scope.aircraft or {}])
-    files = landing_files(Path(home.landing), listing.filter(is_in_scope))
+    files = landing_files(Path(home.landing), listing)
     files = [f for f in files if f.is_recording or f.folder in recorded_components()]
-    stored = scope.read_table(home.store, "raw_components")
-    packs = dict(stored.group_by("file").agg(pl.col("pack").max()).iter_rows())
-    files = [replace(f, packs_stored=packs.get(f.path, 0)) for f in files]
-    intakes = read_components(files, datetime.now(UTC))
+    rows, accounts, quarantine = (scope.read_table(home.store, table) for table in STAGE["raw_components"].tables)
+    packs = dict(rows.group_by("file").agg(pl.col("pack").max()).iter_rows())
+    intakes = read_components([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
     present, with_rows = [f.path for f in files], [f.path for f, d in intakes if d.n_good]
-    absent_accounts = stored_rows_of_absent_files("raw_components_deliveries", present, scope, home.store)
-    empty = [path for path in present if path in packs and path not in with_rows]  # their stored rows stay
-    stored = scope.read_table(home.store, "raw_components_deliveries").filter(pl.col("file").is_in(empty))
-    stored = stored.with_columns(delivered=pl.col("loaded") + pl.col("duplicate"), quarantined=pl.lit(0, pl.Int64))
-    accounts = pl.concat([stored, *(of_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed")
-    replaced = [path for path in present if path not in empty]
-    stored_rows = stored_rows_of_absent_files("raw_components", replaced, scope, home.store)
-    rows = pl.concat([stored_rows, *(d.rows for _, d in intakes)], how="diagonal_relaxed")
-    quarantine = stored_rows_of_absent_files("raw_components_quarantine", present, scope, home.store)
+    empty = [path for path in present if path in packs and path not in with_rows]
+    is_empty, is_replaced = (pl.col("file").is_in(paths) for paths in (empty, [p for p in present if p not in empty]))
+    accounts = accounts.filter(~is_replaced).with_columns(
+        delivered=pl.when(is_empty).then(pl.col("loaded") + pl.col("duplicate")).otherwise("delivered"),
+        quarantined=pl.when(is_empty).then(0).otherwise("quarantined"),
+    )
+    rows = pl.concat([rows.filter(~is_replaced), *(d.rows for _, d in intakes)], how="diagonal_relaxed")
+    accounts = pl.concat([accounts, *(with_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed")
+    quarantines = [with_aircraft(f, d.quarantine) for f, d in intakes]
     return (
         rows.unique(SAMPLE, keep="last", maintain_order=True),
-        pl.concat([absent_accounts, _summed(accounts)], how="diagonal_relaxed"),
-        pl.concat([quarantine, *(of_aircraft(f, d.quarantine) for f, d in intakes)], how="diagonal_relaxed"),
+        accounts.group_by("operator", "tail", "file").agg(
+            pl.col("delivered", "loaded", "quarantined", "duplicate").sum()
+        ),
+        pl.concat([quarantine.filter(~pl.col("file").is_in(present)), *quarantines], how="diagonal_relaxed"),
     )
-
-
-def _summed(accounts: pl.DataFrame) -> pl.DataFrame:
-    """Sum row counts by file."""
-    counts = pl.col("delivered", "loaded", "quarantined", "duplicate")
-    return accounts.group_by("operator", "tail", "file").agg(counts.sum())
 
 
 @stage

@@ -55,8 +55,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
 @stage
 def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Read messages, maintenance entries, the case log and heads of printed reports."""
-    aircraft = list(scope.aircraft or {})
-    listing = home.ledger.files([*RECORDS, REPORTS]).filter(pl.struct("operator", "tail").is_in(_keys(aircraft)))
+    listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
     logs = [*_logs(listing, scope, home), *_printed(listing, scope, home)]
     paths = [f.path for f, _ in logs]
 
@@ -64,25 +63,23 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     cases = case_log_rows(scope, home)
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        return pl.concat([stored_rows_of_absent_files(table, paths, scope, home.store), *frames], how="diagonal")
+        stored = scope.read_table(home.store, table).filter(~pl.col("file").is_in(paths))  # of files that left
+        return pl.concat([stored, *frames], how="diagonal")
 
-    deliveries = [of_aircraft(f, account(f, x)) for f, x in logs]
+    deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
     return (
         rows["messages"],
         date_entries(with_findings(rows["maintenance"], cases)),
         cases,
         with_stored("raw_reports", [x.rows for f, x in logs if f.kind == REPORTS]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
-        with_stored("raw_records_quarantine", [of_aircraft(f, x.quarantine) for f, x in logs]),
+        with_stored("raw_records_quarantine", [with_aircraft(f, x.quarantine) for f, x in logs]),
     )
 
 
 RECORDS = {"messages": ("raw_messages", read_messages), "maintenance": ("raw_maintenance", read_maintenance)}
+_AIRCRAFT = {"operator": pl.String, "tail": pl.String}
 _ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
-
-
-def _keys(aircraft: list[tuple[str, str]]) -> list[dict[str, str]]:
-    return [{"operator": o, "tail": t} for o, t in aircraft]
 
 
 def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
@@ -113,8 +110,9 @@ def _records(
     kind: str, logs: list[tuple[LandingFile, FileIntake]], scope: PartitionScope, store: Store
 ) -> pl.DataFrame:
     """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
-    table, delivered = RECORDS[kind][0], [(f.operator, f.tail) for f, _ in logs]
-    stored = scope.read_table(store, table).filter(~pl.struct("operator", "tail").is_in(_keys(delivered)))
+    delivered = pl.DataFrame([(f.operator, f.tail) for f, _ in logs], schema=_AIRCRAFT, orient="row")
+    stored = scope.read_table(store, RECORDS[kind][0])
+    stored = stored.join(delivered, on=delivered.columns, how="anti", maintain_order="left")
     if kind == "maintenance":
         stored = stored.filter(pl.col("source") != CASE)
     return pl.concat([stored, *(x.rows for _, x in logs)], how="diagonal")
@@ -124,15 +122,10 @@ def case_log_rows(scope: PartitionScope, home: Home) -> pl.DataFrame:
     """Return case log entries of these aircraft, with stored ones in case the log is lost."""
     entries, stored = CaseLog(Path(home.home)).entries(), scope.read_table(home.store, "raw_cases")
     rows = pl.concat([entries, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
-    return rows.filter(pl.struct("operator", "tail").is_in(_keys(list(scope.aircraft or {})))).sort("line", "at")
+    return rows.join(scope.cells(), on=list(_AIRCRAFT), how="semi").sort("line", "at")
 
 
-def stored_rows_of_absent_files(table: str, present: list[str], scope: PartitionScope, store: Store) -> pl.DataFrame:
-    """Return stored rows of files that have left the landing zone."""
-    return scope.read_table(store, table).filter(~pl.col("file").is_in(present))
-
-
-def of_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
+def with_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
     """Add the operator and tail of the file's folder to `frame`."""
     return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
 

@@ -105,13 +105,6 @@ def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):
         connect_as_of(home, first)
 
 
-@pytest.mark.parametrize("text", ["keep_days = 'x'", "keep_days = 0", "hold = 3", "keep = 3", "[", "keep_days = []"])
-def test_a_declaration_that_is_none_is_told(tmp_path, text):
-    (tmp_path / "retention.toml").write_text(text)
-    with pytest.raises(StoreError, match=r"retention\.toml"):
-        retention(tmp_path)
-
-
 def test_a_declaration_is_read(tmp_path):
     assert retention(tmp_path) == Retention(30, ())
     (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')

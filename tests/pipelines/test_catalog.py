@@ -15,7 +15,7 @@ from case_homes import case_home
 from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import HASH, find_catalog_fault, order_views, publish, views
+from pipelines.storage.publication import HASH, find_catalog_fault, publish
 from pipelines.storage.store import Store
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
@@ -239,15 +239,6 @@ def test_a_copy_is_made_anew_for_its_own_place(own_home, sample_home):
     assert "another place" in str(find_catalog_fault(home))
 
 
-def test_a_second_reader_of_one_process_answers_too(sample_home):
-    """Connections of one process share one database, which the first has locked."""
-    with connect(sample_home) as first, connect(sample_home) as second:
-        assert (
-            second.sql("select count(*) from flights").fetchall()
-            == first.sql("select count(*) from flights").fetchall()
-        )
-
-
 def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, monkeypatch):
     """Of two that find the configuration open, one locks it before the other has changed it."""
     home, lock = case_home(tmp_path / "home"), catalog.restrict
@@ -268,11 +259,6 @@ def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, mon
 def test_nobody_writes_through_the_catalog(sample_home):
     with connect(sample_home) as con, pytest.raises(duckdb.Error):
         con.execute("create table mine (x int)")
-
-
-def test_views_come_after_what_they_read():
-    order = [name for name, _ in order_views(views())]
-    assert order.index("fleet_ranking") > max(order.index(v) for v in ("health_parameters", "prognoses", "alerts"))
 
 
 def view_texts(home: Path) -> list[str]:

@@ -85,10 +85,10 @@ def test_an_account_that_does_not_balance_blocks():
     """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
     row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
     account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
-    (check, output) = _check_and_store("raw_deliveries", account, {}, {})
+    (check, output) = _check_and_store("raw_deliveries", account, {}, {}, list)
     assert check.passed
     assert output.value.equals(account)
-    events = _check_and_store("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {})
+    events = _check_and_store("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {}, list)
     assert not next(events).passed
     with pytest.raises(dg.Failure, match="not stored: balances"):
         next(events)

@@ -179,18 +179,6 @@ def test_the_command_says_it_in_one_line(variable, message, tmp_path):
     assert SECRET not in done.stderr + done.stdout
 
 
-def test_settled_lasts_until_something_is_noted(ledger):
-    cells = pl.DataFrame({"operator": ["AAA"], "tail": ["T1"], "flight_id": [""], "version": ["1"]})
-    file = ("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, "d")
-    assert not ledger.is_settled("so")
-    for note in (lambda: ledger.mark("features", cells), lambda: ledger.register([file], {})):
-        ledger.settle("so")
-        assert ledger.is_settled("so")
-        assert not ledger.is_settled("otherwise")
-        note()
-        assert not ledger.is_settled("so")
-
-
 def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledger):
     one, two = (("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, d) for d in "de")
     ledger.register([one], {one[0]: ["T1_20260101_01"]})
@@ -203,6 +191,9 @@ def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledg
     assert ledger.settled_version() is None
     ledger.settle("so")
     assert ledger.is_settled("so")
+    assert not ledger.is_settled("otherwise")
+    ledger.mark("features", _cells((*A, "", "1")))
+    assert not ledger.is_settled("so")
 
 
 def test_cells_of_some_flights_are_those_of_the_whole_that_are_named(ledger):

@@ -101,13 +101,6 @@ def test_what_is_wrong_is_told(deliver, text, reason):
     assert balanced([read])
 
 
-def test_values_at_fault_are_listed_up_to_a_limit_and_counted_beyond(deliver):
-    text = HEAD + "".join(LINE.format(flight=f"C{k}", second=0, hot="x") for k in range(130))
-    (read,) = delivered([deliver("AAA/T1/hx/a.csv", text)], NOW)
-    assert read.quarantine["reason"].to_list() == ["not_a_number"] * 101
-    assert "30 more" in read.quarantine.filter(pl.col("row").is_null())["detail"].item()
-
-
 def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
     files = [deliver(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
     real = intake.open_files

@@ -22,14 +22,6 @@ def with_field(content: bytes, row: int, column: str, value: bytes) -> bytes:
     return b"".join(b",".join(x) + b"\n" for x in lines)
 
 
-def test_the_same_flight_twice_is_stored_once(good_flight, deliver, read):
-    intake = read(deliver({CSV: good_flight, COPY: good_flight}))
-    merged = merge_deliveries([intake.rows], {})
-    assert merged.rows.height == 42
-    assert merged.duplicates["n_duplicate"].sum() == 42
-    assert merged.quarantine.is_empty()
-
-
 def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, deliver, read, now):
     files = deliver({CSV: good_flight, COPY: with_field(good_flight, 5, "hx_out_degc", b"77.5")})
     merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
