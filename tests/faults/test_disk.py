@@ -123,7 +123,7 @@ def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
 
 def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
     """What they say survives a power cut: SQLite syncs each commit."""
-    with Ledger(tmp_path)._open() as con:
+    with Ledger(tmp_path)._database.transaction() as con:
         assert con.execute("pragma synchronous").fetchone() == (FULL,)
     instance = open_instance(tmp_path)
     try:
