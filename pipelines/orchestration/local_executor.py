@@ -81,7 +81,7 @@ class LocalExecutor:
             self._pool = None
             yield BatchResult(0, 0, {label: "a worker process died; fewer at once may help: --jobs 1"})
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End the processes and release their memory; the next batch starts new ones."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
@@ -91,16 +91,6 @@ class LocalExecutor:
 def equivalent_flights(n_new: int, n_past: int) -> int:
     """Convert new and past flights into as many new ones of equal cost; without new flights, count the past."""
     return max(n_new, n_past // PAST_TO_A_FLIGHT) if n_new else n_past
-
-
-@contextmanager
-def workers(landing: Path, home: Path, jobs: int) -> Iterator[LocalExecutor]:
-    """Yield a `LocalExecutor` whose processes end with the block."""
-    executor = LocalExecutor(landing, home, jobs)
-    try:
-        yield executor
-    finally:
-        executor.stop()
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -16,7 +17,7 @@ from pipelines.intake.refusals import ignored_entries
 from pipelines.intake.scan import scan
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.around_night import call_hooks, notify_receivers
-from pipelines.orchestration.local_executor import EngineError, LocalExecutor, equivalent_flights, sends_out, workers
+from pipelines.orchestration.local_executor import EngineError, LocalExecutor, equivalent_flights, sends_out
 from pipelines.orchestration.order import Step, steps
 from pipelines.repair import repair_home
 from pipelines.storage import history, ledger_copy
@@ -150,7 +151,7 @@ def run_night(
     """
     ledger, store, start = Ledger(home), Store(home), _now()
     check_settings(home)
-    with workers(landing, home, 1 if parent_run else jobs) as executor:
+    with closing(LocalExecutor(landing, home, 1 if parent_run else jobs)) as executor:
         chain = _Chain(landing, home, ledger, progress, only, parent_run, executor)
         if sends_out(home):
             chain.send_out()  # first: runs that a killed night sent out may still be writing
@@ -264,7 +265,7 @@ class _Chain:
         """Distribute the batches if so many flights are worth it, else make them in this process."""
         if self.executor.should_distribute(batches, flights):
             return self.executor.make(tables, batches, label)
-        self.executor.stop()
+        self.executor.close()
         return (self.runner.make(tables, batch, label) for batch in batches)
 
     @cached_property

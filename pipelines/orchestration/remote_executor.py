@@ -75,7 +75,7 @@ class RemoteExecutor:
                 yield BatchResult(cells, 1, {f"{label}: {batch.label}": failure} if failure else {}, repairs)
             time.sleep(LOOK_S)
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Do nothing: the workers outlive the night."""
 
     def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:

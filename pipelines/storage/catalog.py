@@ -24,8 +24,8 @@ _OPENING = threading.Lock()
 
 def catalog_version(home: Path) -> tuple[int, int]:
     """Return what differs between two publications of the catalog; raise `OSError` where there is none."""
-    file = (home / CATALOG).stat()
-    return file.st_ino, file.st_mtime_ns
+    stat = (home / CATALOG).stat()
+    return stat.st_ino, stat.st_ctime_ns
 
 
 def connect(home: Path) -> duckdb.DuckDBPyConnection:
@@ -74,7 +74,7 @@ class _VerifiedCatalog:
 
     def __init__(self, con: duckdb.DuckDBPyConnection, home: Path) -> None:
         self._con, self._tables = con, Store(home.resolve()).tables
-        self._verified = _verified_tables(_identity(home / CATALOG), int(time.time() / _TRUST_S))
+        self._verified = _verified_tables(_version_or_none(home), int(time.time() / _TRUST_S))
         sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
         self._views = {str(name): _names(text) for name, text in sql.fetchall()}
 
@@ -124,26 +124,24 @@ def open_catalog(home: Path) -> duckdb.DuckDBPyConnection:
     """Open the catalog read only; again where it was replaced meanwhile, since DuckDB opens it three times by name."""
     path = home / CATALOG
     for _ in range(9):
-        before = _identity(path)
+        before = _version_or_none(home)
         try:
             con = duckdb.connect(str(path), read_only=True)
         except duckdb.Error:
-            if _identity(path) == before:
+            if _version_or_none(home) == before:
                 raise
             continue
-        if _identity(path) == before:
+        if _version_or_none(home) == before:
             return con
         con.close()
     raise duckdb.IOException(f"{path} was replaced nine times while it was opened")
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
-    """Identify the file, which each publication replaces."""
+def _version_or_none(home: Path) -> tuple[int, int] | None:
     try:
-        stat = path.stat()
+        return catalog_version(home)
     except FileNotFoundError:
         return None
-    return stat.st_ino, stat.st_ctime_ns
 
 
 def restrict(con: duckdb.DuckDBPyConnection, store: Store, published_folder: str) -> str:

@@ -1,6 +1,6 @@
 """Read the settings of one fleet: small text files in its home."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from datetime import date, datetime
 from math import isfinite
@@ -39,14 +39,17 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _read_values(file: Path) -> dict[str, Any]:
-    """Return what a TOML file of the home sets; nothing where there is no file."""
+def _read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
+    """Return what a TOML file of the home sets of some names; nothing where there is no file."""
     if not file.exists():
         return {}
     try:
-        return parse_toml(file.read_text(encoding="utf-8"))
+        values = parse_toml(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise StoreError(f"{file} can't be read: {error}") from None
+    if unknown := sorted(values.keys() - {*names}):
+        raise StoreError(f"{file} has no setting {unknown[0]!r:.40}; there are {', '.join(names)}")
+    return values
 
 
 def alert_limits(home: Path) -> "Limits":
@@ -61,9 +64,7 @@ def alert_limits(home: Path) -> "Limits":
     from hdt_core.alerts.cases import Limits  # NumPy is not needed to start a command
 
     file = home / "alerts.toml"
-    values, names = _read_values(file), [f.name for f in fields(Limits)]
-    if unknown := sorted(set(values) - set(names)):
-        raise StoreError(f"{file} has no limit {unknown[0]!r:.40}; there are {', '.join(names)}")
+    values = _read_values(file, [f.name for f in fields(Limits)])
     for name, value in values.items():
         if fault := _fault_of_limit(name, value):
             raise StoreError(f"{file}: {name} is {value!r:.40} and ought to be {fault}")
@@ -87,9 +88,8 @@ def changed_limits(home: Path) -> tuple[str, ...]:
     if not (home / "alerts.toml").exists():
         return ()
     limits = alert_limits(home)
-    return tuple(
-        f"{f.name} = {getattr(limits, f.name)}" for f in fields(limits) if getattr(limits, f.name) != f.default
-    )
+    values = ((f, getattr(limits, f.name)) for f in fields(limits))
+    return tuple(f"{f.name} = {value}" for f, value in values if value != f.default)
 
 
 HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {"terms": accepted_terms, "limits": changed_limits}
@@ -112,10 +112,8 @@ class Retention:
 def retention(home: Path) -> Retention:
     """Read the retention that the home declares."""
     file = home / "retention.toml"
-    values = {"keep_days": 30, "hold": []} | _read_values(file)
-    if unknown := sorted(set(values) - {"keep_days", "hold"}):
-        raise StoreError(f"{file} holds keep_days and hold, not {unknown[0]}")
-    days, nights = values["keep_days"], values["hold"]
+    values = _read_values(file, ("keep_days", "hold"))
+    days, nights = values.get("keep_days", 30), values.get("hold", [])
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
         raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
     nights = [str(n) if isinstance(n, date) else n for n in nights] if isinstance(nights, list) else nights

@@ -127,7 +127,7 @@ def test_a_narrower_mask_stays(before, after):
 
 @pytest.mark.parametrize(("text", "fault"), [
     ("fouling = 1.0", "between 0 and 1"), ("fouling = 0", "between 0 and 1"), ("clog = true", "between 0 and 1"),
-    ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no limit 'fuling'"), ("fouling = '0.1'", "between"),
+    ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no setting 'fuling'"), ("fouling = '0.1'", "between"),
     ("wear_persistence = [5, 4, 15]", "n of at most `of`"), ("wear_persistence = [3, 4]", "flights"),
 ])  # fmt: skip
 def test_an_alert_limit_that_is_none_is_refused(tmp_path, text, fault):
