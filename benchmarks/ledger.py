@@ -45,7 +45,7 @@ LEDGER = Path(__file__).with_name("constants.toml")
 FACTORS = (0.5, 2.0)
 WAYS = ("halved", "doubled")
 MOVES = {
-    "alerted": 0.02, "lead": 10.0, "early": 0.5, "false": 0.25, "diagnosis": 0.03, "fouling": 0.002,
+    "alerted": 0.02, "lead": 10.0, "early": 0.7, "false": 0.7, "diagnosis": 0.03, "fouling": 0.002,
     "fouling score": 0.01, "yield": 0.02, "contamination": 0.01, "RUL score": 0.02, "coverage": 0.02, "AUC": 0.01,
 }  # fmt: skip
 """What is worth telling of each figure: a tenth or so of the distance from useful to useless."""

@@ -85,16 +85,19 @@ def side_by_side(forecasts: dict[str, pl.DataFrame], draws: int) -> str:
 
 
 def by_horizon(forecasts: dict[str, pl.DataFrame]) -> str:
-    """Error and interval by how much life was left before failures."""
-    lines = [["flights left", "contestant", "rows", "mean absolute error", "bias", "within 20 %", "coverage", "width"]]
+    """Error and interval of the first by how much life was left before failures, and the others' errors."""
+    own, *others = forecasts
+    lines = [["flights left", "rows", "error", "bias", "within 20 %", "coverage", "width",
+              *(f"error, {name}" for name in others)]]  # fmt: skip
     for low, high in HORIZONS:
-        for name, frame in forecasts.items():
-            part = _ended(frame).filter("failed", (pl.col("remaining") > low) & (pl.col("remaining") <= high))
-            if part.height:
-                t, s, a, b = (part[c].to_numpy() for c in _COLUMNS)
-                cells = [np.abs(s - t).mean(), (s - t).mean(), alpha_lambda(t, s), ((a <= t) & (t <= b)).mean()]
-                cells.append((b - a).mean())
-                lines.append([f"{low}-{high}", name, str(part.height), *(f"{c:.3g}" for c in cells)])
+        near = pl.col("remaining").is_between(low, high, closed="right")
+        parts = {name: _ended(frame).filter("failed", near) for name, frame in forecasts.items()}
+        if parts[own].height:
+            t, s, a, b = (parts[own][c].to_numpy() for c in _COLUMNS)
+            cells = [np.abs(s - t).mean(), (s - t).mean(), alpha_lambda(t, s), ((a <= t) & (t <= b)).mean()]
+            errors = [(parts[n]["rul_flights"] - parts[n]["remaining"]).abs().mean() for n in others]
+            numbers = [*cells, (b - a).mean(), *errors]
+            lines.append([f"{low}-{high}", str(len(t)), *(f"{c:.3g}" for c in numbers)])
     return markdown(lines)
 
 

@@ -1,4 +1,4 @@
-"""`python docs/dagster_pictures.py LANDING HOME`: a picture of the group raw on Dagster's page, into docs/images."""
+"""`python docs/dagster_pictures.py LANDING HOME`: a picture of the recorder files on Dagster's page, into docs/images."""
 
 import re
 import subprocess
@@ -11,7 +11,7 @@ from pictures import IMAGES, WIDTH, small, started_browser
 from PIL import Image
 from playwright.sync_api import Page
 
-GROUP = "locations/__repository__@pipelines.definitions/asset-groups/raw/list"
+GROUP = "locations/__repository__@pipelines.definitions/asset-groups/1_recorder_files/list"
 WINDOW, SIDE = {"width": 1500, "height": 1700}, 240
 ROW = "main a[href*='/assets/'], a[href^='/assets/']"
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from hdt_core.tables import TABLES, hindsight
 from hdt_core.tables.hindsight import DESIGN, REVISIONS
+from pipelines.lineage import MAKER
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import describe_column, find_meaning, read_header
 from pipelines.storage.publication import order_views, publish, views
@@ -25,8 +26,9 @@ value is NULL, never NaN. Start with the six views that `select * from start_her
 where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
 describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended; both are
 listed only where there is more to say. A column without a type is a `double`. In tables, `?` behind a type says that
-it may be NULL, `0..1` its least and greatest value. Every meaning is a comment in the catalog, too, and `describe
-tables.features` lists the columns of components of your own.
+it may be NULL, `0..1` its least and greatest value. Every meaning is a comment in the catalog, too: that is where
+columns of tables that the chain makes, and of components of your own, are explained (`select column_name, comment
+from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
 """Columns of the view `prognoses` that most views and tables have: explained once, on top."""
@@ -81,19 +83,16 @@ def _views(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
 
 
 def _tables(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
+    """Explain what comes in, column by column; of what the chain makes of it only what a row is."""
     parts = []
     for name, entry in TABLES.items():
         parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()}\n")
         rows = [
-            (
-                column,
-                f"{_type(str(c.dtype))}{'?' * c.nullable} {_span(c)}".strip(),
-                describe_column(c),
-            )
+            (column, f"{_type(str(c.dtype))}{'?' * c.nullable} {_span(c)}".strip(), describe_column(c))
             for column, c in entry.schema.columns().items()
-            if column not in _KEYS
+            if column not in _KEYS and MAKER[name].group == "raw"
         ]
-        parts.append(_columns(f"tables.{name}", rows, sections))
+        parts += [_columns(f"tables.{name}", rows, sections)] if rows else []
     return parts
 
 
@@ -105,7 +104,7 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[
     new_rows = [row for row in rows if (row[0], row[2]) not in columns_above and not _BY_NAME.match(row[2])]
     families = [list(group) for _, group in groupby(new_rows, key=_family)]
     lines = [
-        f"- {', '.join(f'`{name}`' for name, _, _ in group)}{_of_type(group[0][1])}: "
+        f"- {', '.join(f'`{name}`' for name, _, _ in group)}{f' ({_type(group[0][1])})'.replace(' (double)', '')}: "
         + (group[0][2] if len(group) == 1 else _generalise(*group[0][::2])[1]).removesuffix(" [-]")
         for group in families
     ]
@@ -131,10 +130,6 @@ def _generalise(name: str, meaning: str) -> tuple[str, str]:
     if stem != name:
         return stem, meaning.replace(name.removesuffix(stem[1:]), "*")
     return _SIDES.sub("*", name), re.sub(r": \w+ less \w+", ": what the names say", meaning)
-
-
-def _of_type(kind: str) -> str:
-    return "" if _type(kind) == "double" else f" ({_type(kind)})"
 
 
 def _type(kind: str) -> str:

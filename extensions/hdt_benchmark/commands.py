@@ -37,5 +37,5 @@ def benchmark(
             table.add_row(
                 "" if place else claim.work, who, clock(seconds), *beside, end_section=place + 1 == len(claim.seconds)
             )
-    out.print(table)
+    out.print(table, soft_wrap=False)
     out.print(machine(PACKAGES), soft_wrap=True)

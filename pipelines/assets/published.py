@@ -7,7 +7,7 @@ from typing import Any
 import dagster as dg
 
 from pipelines.assets.automation import PUBLISHED, any_parent_newer
-from pipelines.assets.stage import owners
+from pipelines.assets.stage import group_of
 from pipelines.report.facts import views_read
 from pipelines.resources import Home
 from pipelines.storage.catalog import CATALOG
@@ -31,8 +31,7 @@ def _spec(view: str, header: ViewHeader) -> dg.AssetSpec:
         deps=upstream,
         automation_condition=any_parent_newer(upstream),
         description=f"{header.question}\n\n{header.notes}",
-        group_name=PUBLISHED,
-        owners=owners(PUBLISHED),
+        **group_of("published"),
         kinds={"duckdb", "view"},
         metadata={"grain": header.grain},
     )
@@ -55,7 +54,7 @@ _REPORT_VIEWS = [view_key(view) for view in views_read()]
     deps=_REPORT_VIEWS,
     automation_condition=any_parent_newer(_REPORT_VIEWS),
     group_name=PUBLISHED,
-    owners=owners(PUBLISHED),
+    owners=group_of("published")["owners"],
     kinds={"html"},
     description=f"The fleet's health as one page, `{REPORT}` in the home. What `hdt report` writes does not show here.",
 )

@@ -13,7 +13,7 @@ import polars as pl
 from dagster_batched.materialization import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.assets.automation import condition_of
+from pipelines.assets.automation import PUBLISHED, condition_of
 from pipelines.intake.broken_rows import store_broken_rows
 from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
 from pipelines.partitions import PartitionScope
@@ -21,9 +21,13 @@ from pipelines.resources import Home
 from pipelines.storage.headers import MEANINGS
 from pipelines.storage.panics import panics_as_errors
 
-_TEAMS = {"raw": "flight-data", "legs": "flight-data", "calibration": "thermal-models", "twin": "thermal-models",
-          "residuals": "thermal-models", "features": "health-monitoring", "prognosis": "health-monitoring",
-          "published": "maintenance-control"}  # fmt: skip
+_GROUPS = {
+    "raw": ("1_recorder_files", "flight-data"), "legs": ("2_flights_and_legs", "flight-data"),
+    "calibration": ("3_digital_system_model", "thermal-models"), "twin": ("4_operational_twin", "thermal-models"),
+    "residuals": ("5_residuals", "thermal-models"), "features": ("6_features_and_alerts", "health-monitoring"),
+    "prognosis": ("7_prognosis", "health-monitoring"), "published": (PUBLISHED, "maintenance-control"),
+}  # fmt: skip
+"""Label of each stage's group on Dagster's page, in the order of the chain, and the team that owns it."""
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
 """Library shown for a group; Polars for the others."""
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
@@ -32,9 +36,10 @@ FRESHNESS = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn
 """Warn after one night without data, fail after two."""
 
 
-def owners(group: str) -> list[str]:
-    """Return the team that owns a group's assets."""
-    return [f"team:{_TEAMS[group]}"]
+def group_of(stage: str) -> dict[str, Any]:
+    """Return the group of a stage's assets and its owner, as Dagster takes them."""
+    label, team = _GROUPS[stage]
+    return {"group_name": label, "owners": [f"team:{team}"]}
 
 
 class StageResult(NamedTuple):
@@ -119,8 +124,7 @@ def _out(
     first = (inspect.getdoc(schema) or "").splitlines()[0]
     columns = [dg.TableColumn(n, str(c.dtype), description=MEANINGS[table][n]) for n, c in schema.columns().items()]
     return dg.AssetOut(
-        group_name=declaration.group,
-        owners=owners(declaration.group),
+        **group_of(declaration.group),
         kinds={"deltalake", _TOOLS.get(declaration.group, "polars")},
         automation_condition=condition,
         description=f"{first}\n\n{description}",

@@ -26,7 +26,7 @@ def main() -> None:
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "hdt"
         if "Usage:" in error.format_message():  # without a command: the help itself
-            out.print(error.format_message(), markup=False)
+            out.print(error.format_message())
             sys.exit(2)
         message = f"{error.format_message()} `{command} --help` lists its arguments and options."
     except StoppedError as stop:

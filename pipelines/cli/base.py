@@ -29,7 +29,8 @@ class ByUse(TyperGroup):
 
 
 app = typer.Typer(name="hdt", cls=ByUse, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
-out, err = Console(highlight=False), Console(stderr=True, highlight=False)
+out = Console(highlight=False, markup=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, markup=False)
 
 
 def _print_version(requested: bool) -> None:
@@ -77,7 +78,7 @@ def in_language(name: str | None) -> Iterator[None]:
 
 def print_error(message: str) -> None:
     """Print one line on standard error."""
-    err.print(f"hdt: {message}", markup=False, soft_wrap=True)
+    err.print(f"hdt: {message}", soft_wrap=True)
 
 
 def landing_folder(path: Path | None) -> Path:

@@ -112,7 +112,7 @@ def list_(
     for r in rows:
         labels = (words.unit_name(r), words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
         table.add_row(r["alert_id"][:8], *labels)
-    out.print(table)
+    out.print(table, soft_wrap=False)
 
 
 def _state(row: Mapping[str, Any]) -> str:
@@ -143,7 +143,7 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
         values = (entry[c] for c in ("assignee", "until", "finding", "action", "note"))
         text = ", ".join(str(v) for v in values if v is not None)
         lines.append(f"{entry['at']:%Y-%m-%d %H:%M}  {entry['person']}  {entry['kind']}{': ' + text if text else ''}")
-    out.print("\n".join(lines), markup=False, soft_wrap=True)
+    out.print("\n".join(lines))
 
 
 def _change(home: Path | None, alert: str, kind: str, by: str, **fields: Any) -> None:
@@ -152,7 +152,7 @@ def _change(home: Path | None, alert: str, kind: str, by: str, **fields: Any) ->
 
     where = home_folder(home)
     message = _call(lambda: change_case(where, find_case(where, alert), kind, by, **fields))
-    out.print(message, markup=False, soft_wrap=True)
+    out.print(message)
 
 
 def _call(query: Callable[[], Any]) -> Any:

@@ -42,7 +42,7 @@ def digest(
     if as_json:
         out.print_json(digest_json(changes))
     else:
-        out.print(as_text(changes).strip(), markup=False, soft_wrap=True)
+        out.print(as_text(changes).strip())
 
 
 def _try(where: Path) -> None:
@@ -59,7 +59,7 @@ def _try(where: Path) -> None:
         if fault:
             print_error(f"{name}: not sent: {fault}")
         else:
-            out.print(f"{name}: sent", markup=False, soft_wrap=True)
+            out.print(f"{name}: sent")
     if any(fault for _, fault in results):
         raise typer.Exit(1)
 
@@ -81,4 +81,4 @@ def orders(
         ((until,),) = con.execute("select max(departed_at) from flights").fetchall()
         table = work_orders(con, operator)
     write_orders(table, target, f"Flights up to {until:%Y-%m-%d %H:%M} UTC." if until else "")
-    out.print(f"{table.height} work orders: {target}", soft_wrap=True)
+    out.print(f"{table.height} work orders: {target}")

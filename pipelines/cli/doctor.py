@@ -62,16 +62,13 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
 
 
 def _packages() -> Iterator[Check]:
-    for name in ("dagster", "polars", "duckdb", "scipy", "filterpy", "pyarrow", "scikit-learn"):
+    needed = ("dagster", "polars", "duckdb", "scipy", "filterpy", "pyarrow", "scikit-learn")
+    slower = "not installed, fits use the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
+    for name, without in dict.fromkeys(needed, "missing; install the project again").items() | {("numba", slower)}:
         try:
             yield Check(name, True, importlib.metadata.version(name))
         except importlib.metadata.PackageNotFoundError:
-            yield Check(name, False, "missing; install the project again")
-    try:
-        yield Check("numba (optional)", True, importlib.metadata.version("numba"))
-    except importlib.metadata.PackageNotFoundError:
-        message = "not installed, fits use the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
-        yield Check("numba (optional)", True, message)
+            yield Check(name, name not in needed, without)
 
 
 def _landing(landing: Path) -> Iterator[Check]:

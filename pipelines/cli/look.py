@@ -9,17 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 from rich.table import Table
 
-from pipelines.cli.base import (
-    AsJson,
-    HomeDir,
-    Language,
-    StopError,
-    app,
-    home_folder,
-    in_language,
-    out,
-    print_error,
-)
+from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, in_language, out, print_error
 from pipelines.cli.stops import stop_at_once
 
 
@@ -38,9 +28,9 @@ def status(home: HomeDir = None, as_json: AsJson = False) -> None:
         table.add_column(name, justify="left" if name == "asset" else "right")
     for name, row in values.pop("assets").items():
         table.add_row(name, *(str(row[k]) for k in ("cells", "up_to_date", "waiting")))
-    out.print(table)
+    out.print(table, soft_wrap=False)
     for name, value in values.items():
-        out.print(f"{name.replace('_', ' ')}: {value if value is not None else '-'}", soft_wrap=True)
+        out.print(f"{name.replace('_', ' ')}: {value if value is not None else '-'}")
 
 
 def _status(home: Path) -> dict[str, Any]:
@@ -93,7 +83,7 @@ def report(
         raise StopError(f"no folder {target.resolve().parent} to write {target.name} into")
     with in_language(language):
         write_report(where, target, units, thresholds)
-    out.print(f"Report: {target}", soft_wrap=True)
+    out.print(f"Report: {target}")
 
 
 @app.command()
@@ -146,7 +136,7 @@ def explain(
         raise StopError(
             f'no pack or alert {pack}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'
         )
-    out.print(text, markup=False, soft_wrap=True)
+    out.print(text)
 
 
 @app.command()
@@ -184,9 +174,9 @@ def terms(
         out.print_json(json.dumps({"accepted": dsm.terms, "terms": evidence.to_dicts()}))
         return
     for name, value in dsm.terms.items():
-        out.print(f"accepted  {name} = {value:.3g} {TERMS[name].unit}", soft_wrap=True)
+        out.print(f"accepted  {name} = {value:.3g} {TERMS[name].unit}")
     for row in evidence.iter_rows(named=True):
-        out.print(_term_line(row), markup=False, soft_wrap=True)
+        out.print(_term_line(row))
 
 
 def _term_line(row: dict[str, Any]) -> str:

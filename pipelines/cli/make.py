@@ -49,7 +49,7 @@ def simulate(
     aircraft = write_fleet(target, seed, size, form)
     for _ in track(aircraft, description="aircraft", total=operators * tails, console=err):
         pass
-    out.print(f"Landing zone: {target / 'landing'}. Truth: {target / 'truth'}", soft_wrap=True)
+    out.print(f"Landing zone: {target / 'landing'}. Truth: {target / 'truth'}")
 
 
 @app.command()
@@ -65,9 +65,7 @@ def doctor(landing: LandingDir = None, home: HomeDir = None, as_json: AsJson = F
         out.print_json(json.dumps([{"check": c.name, "well": c.well, "says": c.message} for c in checks]))
     else:
         for check in checks:
-            out.print(
-                f"{'well ' if check.well else 'FAULT'}  {check.name}: {check.message}", markup=False, soft_wrap=True
-            )
+            out.print(f"{'well ' if check.well else 'FAULT'}  {check.name}: {check.message}")
     if not all(c.well for c in checks):
         raise typer.Exit(1)
 
@@ -79,9 +77,9 @@ def docs(page: Annotated[str, typer.Argument(help="Name of a page; without it, a
     if not page:
         for file in sorted(f.name for f in pages.iterdir() if f.name.endswith(".md")):
             first = (pages / file).read_text(encoding="utf-8").splitlines()[0]
-            out.print(f"{file.removesuffix('.md'):24} {first.lstrip('# ')}", markup=False, soft_wrap=True)
+            out.print(f"{file.removesuffix('.md'):24} {first.lstrip('# ')}")
         return
     name = page.removeprefix("docs/").removesuffix(".md")
     if not re.fullmatch(r"[a-z0-9-]+", name) or not (pages / f"{name}.md").is_file():
         raise StopError(f"no page {page}; `hdt docs` lists them")
-    out.print((pages / f"{name}.md").read_text(encoding="utf-8").rstrip(), markup=False, soft_wrap=True)
+    out.print((pages / f"{name}.md").read_text(encoding="utf-8").rstrip())

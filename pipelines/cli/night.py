@@ -41,14 +41,8 @@ class Bars:
     """Progress bars of a long run, on standard error."""
 
     def __init__(self, quiet: bool) -> None:
-        columns = (
-            TextColumn("{task.description:<28}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        self.bars = Progress(*columns, console=err, disable=quiet)
+        counts = (TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn())
+        self.bars = Progress(*counts, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=quiet)
         self.task: Any = None
 
     def start(self, label: str, total: int) -> None:
@@ -137,7 +131,7 @@ def tidy(
     where = home_folder(home)
     with lock_home(where):
         if message := replace_damaged_history(where):
-            out.print(message, soft_wrap=True)
+            out.print(message)
     with lock_home(where), open_instance(where) as instance:
         runs = delete_runs(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
     out.print(f"{runs} runs deleted")
@@ -152,7 +146,7 @@ def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
         out.print_json(json.dumps({"files": files, "new_files": [f.path for f in new]}))
         return
     for file in new:
-        out.print(file.path, soft_wrap=True)
+        out.print(file.path)
     out.print(f"{len(new)} new of {files} files; none was processed")
 
 
@@ -173,7 +167,7 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
             bars.stop()
     seconds = time.monotonic() - start_s
     for line in night.repairs:
-        err.print(f"repaired: {line}", markup=False, soft_wrap=True)
+        err.print(f"repaired: {line}", soft_wrap=True)
     if as_json:
         values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.hook_results
         values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("new_paths", "after")}
@@ -189,28 +183,26 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
 def _print_night(landing: Path, home: Path, night: Any, fault: str | None, seconds: float) -> None:
     if night.idle:
         catalog = f"Catalog written again, for {fault}" if fault else "Catalog"
-        out.print(
-            f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s). {catalog}: {home / 'catalog.duckdb'}",
-            soft_wrap=True,
-        )
+        idle = f"Nothing new in {landing} ({night.files} files, {seconds:.1f} s)"
+        out.print(f"{idle}. {catalog}: {home / 'catalog.duckdb'}")
     else:
         _print_results(home, night, seconds)
     for line in night.ignored_names:
-        err.print(f"not read: {line}", markup=False, soft_wrap=True)
+        err.print(f"not read: {line}", soft_wrap=True)
     for name, value in night.hook_results.items():
         if value:
-            out.print(f"{name.replace('_', ' ')}: {value}", markup=False, soft_wrap=True)
+            out.print(f"{name.replace('_', ' ')}: {value}")
 
 
 def _print_results(home: Path, night: Any, seconds: float) -> None:
     print_ranking(home)
     for where, why in night.failed.items():
-        err.print(f"failed: {where}: {why}", markup=False, soft_wrap=True)
+        err.print(f"failed: {where}: {why}", soft_wrap=True)
     out.print(
         f"{night.new_files} new of {night.files} files, {night.cells} cells in {night.runs} runs, {seconds:.0f} s."
     )
     _print_refusals(home, night.new_paths)
-    out.print(f"Catalog: {home / 'catalog.duckdb'}", soft_wrap=True)
+    out.print(f"Catalog: {home / 'catalog.duckdb'}")
 
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
@@ -221,10 +213,10 @@ def _print_refusals(home: Path, files: frozenset[str]) -> None:
     with connect(home) as con:
         quarantined, silent = quarantine_line(con, files), silent_columns(con)
     if quarantined:
-        err.print(f"set aside: {quarantined}", markup=False, soft_wrap=True)
+        err.print(f"set aside: {quarantined}", soft_wrap=True)
     own = {tuple(path.split("/")[:2]) for path in files}
     for line in silent_lines(r for r in silent if (r["operator"], r["tail"]) in own):
-        err.print(f"silent: {line}", markup=False, soft_wrap=True)
+        err.print(f"silent: {line}", soft_wrap=True)
 
 
 def print_ranking(home: Path) -> None:
@@ -241,7 +233,7 @@ def print_ranking(home: Path) -> None:
     if units.height:
         _print_rows(_("Other components most in need of attention"), units.to_dicts(), outlooks)
     for line in words.unknown([*packs.to_dicts(), *units.to_dicts()]):
-        out.print(line, markup=False, soft_wrap=True)
+        out.print(line)
 
 
 def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) -> None:
@@ -258,6 +250,6 @@ def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) 
         loss = words.share(r["loss"], r["loss_sd"]) if "name" in r else words.loss(r)
         diagnoses = words.diagnosis(r["diagnoses"]) if r["diagnoses"] else words.work_done(r)
         table.add_row(unit, words.urgency(r), loss, words.flights_left(o), words.chance_by(o), diagnoses)
-    out.print(table)
+    out.print(table, soft_wrap=False)
     if (n := len(rows) - MAX_ROWS) > 0:
         out.print(several("{n} more in the report.", "{n} more in the report.", n))

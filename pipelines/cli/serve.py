@@ -50,7 +50,7 @@ def serve(
         raise StopError(f"nobody has a role yet; name people below [people] in {where / FILE}")
     with _listening(listen, port) as sock:
         address = f"http://127.0.0.1:{sock.getsockname()[1]}/"
-        out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}", soft_wrap=True, markup=False)
+        out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}")
         application(where, LOCAL | set(name or ()), behind or sign_in).serve(sock)
 
 
@@ -81,7 +81,7 @@ def ui(
 
 
 def _print_address(address: str) -> None:
-    out.print(f"Dagster's page: {address}", soft_wrap=True, markup=False)
+    out.print(f"Dagster's page: {address}")
 
 
 def _listening(address: str, port: int) -> socket.socket:

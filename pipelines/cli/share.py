@@ -49,7 +49,7 @@ def export(
         rows = write(where, target, access_scope(where, operator, _key(key_file) if pseudonymise else None), form, view)
     except (ValueError, FileExistsError) as error:
         raise StopError(str(error)) from None
-    out.print(f"{sum(rows.values())} rows of {len(rows)} views: {target}", soft_wrap=True)
+    out.print(f"{sum(rows.values())} rows of {len(rows)} views: {target}")
 
 
 def _key(file: Path | None) -> bytes:

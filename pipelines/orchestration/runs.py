@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import dagster as dg
@@ -129,11 +130,13 @@ class Runner:
         return self.defs.resolve_implicit_global_asset_job_def().get_subset(asset_selection=keys)
 
     def create(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> dg.DagsterRun:
-        """Create a run for `batch` without starting it, with its step's `label`.
+        """Create a run for `batch` without starting it, named by the night and its step's `label`.
 
         It records its code's location, which another process may need and without which Dagster's timeline omits it.
         """
-        tags, selection = batch.tags() | NIGHT | {**self.by, "hdt/step": label}, job.asset_selection
+        night = datetime.now(UTC) - timedelta(hours=12)  # named by the day on which it began, noon to noon
+        step = {"hdt/step": f"{night:%Y-%m-%d} {label}"}
+        tags, selection = batch.tags() | NIGHT | {**self.by, **step}, job.asset_selection
         origin = origins(job, LOCATION)
         return self.instance.create_run_for_job(job, tags=tags, asset_selection=selection, run_config=_QUIET, **origin)
 

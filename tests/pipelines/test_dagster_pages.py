@@ -2,6 +2,7 @@
 
 import logging
 import time
+from datetime import timedelta
 from graphlib import TopologicalSorter
 
 import dagster as dg
@@ -15,10 +16,9 @@ from dagster_batched.runs import execute
 from pipelines.assets.published import VIEWS
 from pipelines.definitions import build_defs
 from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
+from pipelines.partitions import NIGHT
 from pipelines.storage.publication import find_catalog_fault
 from pipelines.storage.store import Store
-
-CHAIN = ["raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"]
 
 
 def records_of(instance: dg.DagsterInstance, table: str) -> list[dg.EventLogRecord]:
@@ -52,14 +52,26 @@ def test_the_last_flight_of_a_run_stands_first(sample_home):
         assert [e.timestamp for e in own] == sorted((e.timestamp for e in own), reverse=True)
 
 
+def test_runs_are_named_by_night_and_step(sample_home):
+    with open_instance(sample_home) as instance:
+        runs = [r for r in instance.get_runs(dg.RunsFilter(tags=NIGHT)) if "hdt/step" in r.tags]
+        created = {r.dagster_run.run_id: r.create_timestamp for r in instance.get_run_records()}
+    assert {r.tags["hdt/step"][11:] for r in runs} >= {"flights and legs", "digital system model", "prognosis"}
+    for run in runs:  # noon to noon: runs after midnight have the night's name
+        began = created[run.run_id] - timedelta(hours=12)
+        assert run.tags["hdt/step"].startswith(f"{began:%Y-%m-%d} ")
+
+
 def test_groups_are_a_chain(sample_landing, tmp_path):
     """No arrow leads back: in the order of the stages, and so in no circle."""
     specs = {s.key: s for s in build_defs(landing=sample_landing, home=tmp_path).resolve_all_asset_specs()}
-    made_from: dict[str, set[str]] = {group: set() for group in CHAIN}
+    chain = sorted({str(s.group_name) for s in specs.values()})
+    assert [group[0] for group in chain] == list("12345678"), "the page lists groups by name"
+    made_from: dict[str, set[str]] = {group: set() for group in chain}
     for spec in specs.values():
         made_from[spec.group_name] |= {specs[d.asset_key].group_name for d in spec.deps} - {spec.group_name}
-    assert all(CHAIN.index(before) < CHAIN.index(group) for group, all_ in made_from.items() for before in all_)
-    assert set(TopologicalSorter(made_from).static_order()) == set(CHAIN)
+    assert all(before < group for group, all_ in made_from.items() for before in all_)
+    assert set(TopologicalSorter(made_from).static_order()) == set(chain)
 
 
 @pytest.mark.filterwarnings("ignore:Function `AssetSelection.sources`:DeprecationWarning")  # Dagster's own call

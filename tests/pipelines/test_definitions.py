@@ -24,7 +24,10 @@ from pipelines.storage.headers import read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import views
 
-GROUPS = {"raw", "legs", "calibration", "twin", "residuals", "features", "prognosis", "published"}
+GROUPS = {
+    "1_recorder_files", "2_flights_and_legs", "3_digital_system_model", "4_operational_twin",
+    "5_residuals", "6_features_and_alerts", "7_prognosis", "8_catalog_and_report",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
